@@ -1,0 +1,94 @@
+"""The one place where a user's array is checked and, visibly, converted."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tissuereg.errors import ShapeError
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return len(shape) == len(wanted) and all(w is None or w == s for s, w in zip(shape, wanted, strict=True))
+
+
+def _shown(wanted: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("any" if w is None else str(w) for w in wanted) + ("," if len(wanted) == 1 else "") + ")"
+
+
+def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:
+    """Return `value` as a C-ordered float64 array of the wanted shape.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like
+        Anything numpy can turn into numbers.
+    shape : tuple of int or None
+        Wanted shape; None stands for any length.
+
+    Returns
+    -------
+    ndarray of float64
+        The same memory where it already fits, otherwise a copy.
+
+    Raises
+    ------
+    ShapeError
+        If `value` is not numeric or has another shape.
+    """
+    try:
+        array = np.ascontiguousarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        message = f"`{name}` must be an array of numbers of shape {_shown(shape)}, got {type(value).__name__}: {error}"
+        raise ShapeError(message, where=name) from error
+    array = array if np.ndim(value) else array.reshape(())
+    if not _fits(array.shape, shape):
+        message = f"`{name}` must have shape {_shown(shape)}, got {array.shape}"
+        raise ShapeError(message, where=name)
+    return array
+
+
+def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArray:
+    """Return `value` as a C-ordered int64 array of the wanted shape.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like
+        Whole numbers; a float array is refused, not rounded.
+    shape : tuple of int or None
+        Wanted shape; None stands for any length.
+
+    Returns
+    -------
+    ndarray of int64
+        The same memory where it already fits, otherwise a copy.
+
+    Raises
+    ------
+    ShapeError
+        If `value` is not of an integer type or has another shape.
+    """
+    array = np.asarray(value)
+    if array.size == 0:
+        array = array.astype(np.int64)
+    if array.dtype.kind not in "iu":
+        message = f"`{name}` must hold integers of shape {_shown(shape)}, got dtype {array.dtype}"
+        raise ShapeError(message, where=name)
+    if not _fits(array.shape, shape):
+        message = f"`{name}` must have shape {_shown(shape)}, got {array.shape}"
+        raise ShapeError(message, where=name)
+    return np.ascontiguousarray(array, dtype=np.int64)
+
+
+def frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a read-only view, so that plain data cannot change under its owner."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

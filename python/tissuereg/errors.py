@@ -1,0 +1,111 @@
+"""Every exception that tissuereg raises on purpose.
+
+Message form: what must hold, what was found, where. The command line turns an error into one
+paragraph and the exit code its class states; nothing here imports anything.
+"""
+
+
+class TissueRegError(Exception):
+    """Base of all errors raised on purpose; catch this for anything that is not a bug.
+
+    Parameters
+    ----------
+    message : str
+        What must hold, what was found, where.
+    where : str, optional
+        The place alone (file, argument, member), for machine readers.
+    **details
+        Facts worth computing with (indices, fractions); they become attributes.
+    """
+
+    exit_code = 2
+
+    def __init__(self, message: str = "", *, where: "str | None" = None, **details: object) -> None:
+        super().__init__(message)
+        self.where = where
+        for name, value in details.items():
+            setattr(self, name, value)
+
+
+class ShapeError(TissueRegError, ValueError):
+    """An array has the wrong shape, dtype or memory order."""
+
+
+class MeshError(TissueRegError, ValueError):
+    """A mesh cannot carry a simulation: degenerate, inverted, out of range or not finite."""
+
+
+class UnitError(MeshError):
+    """Lengths cannot be millimetres."""
+
+
+class SupportError(MeshError):
+    """The body, or a loose part of it, can move without deforming."""
+
+
+class MaterialError(TissueRegError, ValueError):
+    """A material parameter lies outside its admissible range."""
+
+
+class LoadError(TissueRegError, ValueError):
+    """A load is not finite or does not fit the body."""
+
+
+class MarkerError(TissueRegError, ValueError):
+    """Markers or targets cannot be used."""
+
+
+class FormatError(TissueRegError, ValueError):
+    """A file is not what its name or place promises."""
+
+
+class ExperimentError(FormatError):
+    """An experiment folder or a recipe says something impossible or unknown."""
+
+
+class ModelError(TissueRegError, ValueError):
+    """A trained model does not fit: another mesh, a missing or spoilt file."""
+
+
+class ScheduleError(TissueRegError, ValueError):
+    """Inflation coefficients of an ES-MDA are not admissible."""
+
+
+class NoiseError(TissueRegError, ValueError):
+    """A noise covariance is not positive definite, or a standard deviation not positive."""
+
+
+class MissingPackageError(TissueRegError, ImportError):
+    """An optional package is needed for what was asked."""
+
+
+class ConvergenceError(TissueRegError, RuntimeError):
+    """A solve found no equilibrium.
+
+    Attributes
+    ----------
+    report : dict
+        Work done and the last good state: `load_fraction`, `residual`, `iterations`, `min_det_f`, `worst_tets`.
+    """
+
+    exit_code = 3
+    report: "dict[str, object]" = {}  # noqa: RUF012  (a default for instances that carry none)
+
+
+class EnsembleError(TissueRegError, RuntimeError):
+    """Too few ensemble members are left.
+
+    Attributes
+    ----------
+    dropped : list of (int, str)
+        Members that were lost, each with its reason.
+    """
+
+    exit_code = 3
+    dropped: "list[tuple[int, str]]" = []  # noqa: RUF012
+
+
+class ParityError(TissueRegError, RuntimeError):
+    """An exported network and its source disagree."""
+
+    exit_code = 3

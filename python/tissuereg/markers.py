@@ -1,0 +1,95 @@
+"""Tracked markers: where each sits on the undeformed body, where it was seen, how well."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, float_array, frozen
+from tissuereg.errors import MarkerError
+
+
+class Markers:
+    """Markers of one moment.
+
+    Parameters
+    ----------
+    reference : array_like of float, shape (n_markers, 3)
+        Place on or near the undeformed surface in mm.
+    measured : array_like of float, shape (n_markers, 3)
+        Place where the marker was seen in mm; NaN = not seen.
+    std : float or array_like of float, shape (n_markers,)
+        Standard deviation of a measured coordinate in mm.
+    names : sequence of str, optional
+        One a marker, no repeats; ``M1``, ``M2``, ... where absent.
+
+    Raises
+    ------
+    ShapeError
+        If the shapes do not match.
+    MarkerError
+        If a reference place is not finite, a coordinate infinite, `std` not positive, or a name repeated.
+    """
+
+    def __init__(self, reference: Any, measured: Any, std: Any = 0.1, names: Sequence[str] | None = None) -> None:
+        places = float_array("reference", reference, (None, 3))
+        seen = float_array("measured", measured, (len(places), 3))
+        spread = np.atleast_1d(float_array("std", np.broadcast_to(std, len(places)) if np.ndim(std) == 0 else std, (len(places),)))
+        titles = tuple(f"M{i + 1}" for i in range(len(places))) if names is None else tuple(str(n) for n in names)
+        _check_names(titles, len(places))
+        _check_rows("reference places must be finite", titles, np.isfinite(places).all(axis=1), places)
+        _check_rows("measured places must be finite, or NaN where not seen", titles, ~np.isinf(seen).any(axis=1), seen)
+        _check_rows("std must be positive, in mm", titles, np.isfinite(spread) & (spread > 0), spread)
+        self.names = titles
+        self.reference: FloatArray = frozen(places.copy())
+        self.measured: FloatArray = frozen(seen.copy())
+        self.std: FloatArray = frozen(spread.copy())
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"Markers({len(self)} markers, {int(self.seen.sum())} seen)"
+
+    @property
+    def seen(self) -> "np.ndarray[Any, np.dtype[np.bool_]]":
+        """Which markers have all three coordinates, shape (n_markers,)."""
+        return np.asarray(np.isfinite(self.measured).all(axis=1))
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Measured minus reference in mm, NaN where not seen, shape (n_markers, 3)."""
+        return np.asarray(self.measured - self.reference)
+
+    def only(self, keep: Any) -> "Markers":
+        """Return the markers selected by a mask or by indices.
+
+        Parameters
+        ----------
+        keep : array_like of bool or int
+            Mask of length n_markers, or indices.
+
+        Returns
+        -------
+        Markers
+            In their order.
+        """
+        rows = np.arange(len(self))[keep]
+        return Markers(self.reference[rows], self.measured[rows], self.std[rows], [self.names[i] for i in rows])
+
+
+def _check_names(names: tuple[str, ...], n_markers: int) -> None:
+    if len(names) != n_markers:
+        message = f"`names` must hold one name a marker ({n_markers}), got {len(names)}"
+        raise MarkerError(message, where="names")
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        message = f"marker names must be unique, repeated: {', '.join(repeated)}"
+        raise MarkerError(message, where="names")
+
+
+def _check_rows(rule: str, names: tuple[str, ...], good: Any, values: FloatArray) -> None:
+    if not np.all(good):
+        row = int(np.argmin(good))
+        message = f"{rule}: marker '{names[row]}' has {np.asarray(values[row]).tolist()}"
+        raise MarkerError(message, where=names[row])

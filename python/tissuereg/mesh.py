@@ -1,0 +1,200 @@
+"""A tetrahedral mesh in its reference shape: nodes, tets, named node sets."""
+
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray, float_array, frozen, index_array
+from tissuereg._core import check_mesh, surface_triangles
+from tissuereg.errors import MeshError, UnitError
+
+#: Extents, in mm, outside which a body is taken to be in other units.
+PLAUSIBLE_EXTENT_MM = (1.0, 3000.0)
+
+
+class Mesh:
+    """Tetrahedra in the undeformed shape.
+
+    Parameters
+    ----------
+    nodes : array_like of float, shape (n_nodes, 3)
+        Coordinates in mm.
+    tets : array_like of int, shape (n_tets, 4)
+        Node indices; positive volume in the order (a, b, c, d) with d on the side of (b-a) x (c-a).
+    node_sets : mapping of str to array_like of int, optional
+        Named sets of nodes. The set ``fixed`` is what is held.
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape or dtype.
+    MeshError
+        If a coordinate is not finite, an index out of range, a tet inverted or degenerate, a node loose.
+    UnitError
+        If the body's extent cannot be millimetres.
+
+    Examples
+    --------
+    >>> mesh = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
+    >>> mesh
+    Mesh(4 nodes, 1 tets, node sets: fixed (3))
+    """
+
+    def __init__(self, nodes: Any, tets: Any, node_sets: Mapping[str, Any] | None = None) -> None:
+        points = float_array("nodes", nodes, (None, 3))
+        cells = index_array("tets", tets, (None, 4))
+        check_mesh(points, cells)
+        _check_extent(points)
+        self.nodes: FloatArray = frozen(points.copy() if points is nodes else points)
+        self.tets: IntArray = frozen(cells.copy() if cells is tets else cells)
+        self.node_sets: dict[str, IntArray] = {
+            name: _node_set(name, indices, len(points)) for name, indices in (node_sets or {}).items()
+        }
+
+    def __repr__(self) -> str:
+        sets = ", ".join(f"{name} ({len(indices)})" for name, indices in self.node_sets.items()) or "none"
+        return f"Mesh({self.n_nodes} nodes, {self.n_tets} tets, node sets: {sets})"
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.nodes)
+
+    @property
+    def n_tets(self) -> int:
+        """Number of tetrahedra."""
+        return len(self.tets)
+
+    @property
+    def fixed_nodes(self) -> IntArray:
+        """Indices of the held nodes, the set ``fixed``.
+
+        Raises
+        ------
+        MeshError
+            If the mesh has no such set, or an empty one.
+        """
+        return self.node_set("fixed")
+
+    def node_set(self, name: str) -> IntArray:
+        """Return the indices of a named node set.
+
+        Parameters
+        ----------
+        name : str
+            Name of the set.
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+            Sorted indices without repeats.
+
+        Raises
+        ------
+        MeshError
+            If there is no such set, or if it is empty.
+        """
+        if name not in self.node_sets:
+            known = ", ".join(sorted(self.node_sets)) or "none"
+            message = f"the mesh must have a node set named '{name}'; it has: {known}"
+            raise MeshError(message, where=name)
+        if len(self.node_sets[name]) == 0:
+            message = f"node set '{name}' must hold at least one node; it is empty"
+            raise MeshError(message, where=name)
+        return self.node_sets[name]
+
+    def with_node_set(self, name: str, indices: Any) -> "Mesh":
+        """Return the same mesh with one node set added or replaced.
+
+        Parameters
+        ----------
+        name : str
+            Name of the set.
+        indices : array_like of int, shape (n,)
+            Its nodes.
+
+        Returns
+        -------
+        Mesh
+            Shares nodes and tets with this one.
+        """
+        return Mesh(self.nodes, self.tets, {**self.node_sets, name: indices})
+
+    @cached_property
+    def surface(self) -> IntArray:
+        """Boundary triangles, outward normals, shape (n_triangles, 3)."""
+        return frozen(surface_triangles(self.nodes, self.tets))
+
+    @cached_property
+    def surface_nodes(self) -> IntArray:
+        """Sorted indices of the nodes on the boundary, shape (n,)."""
+        return frozen(np.unique(self.surface))
+
+    @cached_property
+    def edges(self) -> IntArray:
+        """Edges of the tets, each once, lower index first, shape (n_edges, 2)."""
+        pairs = self.tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
+        return frozen(np.unique(np.sort(pairs, axis=1), axis=0))
+
+    @cached_property
+    def volumes(self) -> FloatArray:
+        """Volume of every tet in mm^3, shape (n_tets,)."""
+        a, b, c, d = (self.nodes[self.tets[:, i]] for i in range(4))
+        return frozen(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0)
+
+    def digest(self) -> str:
+        """Return a fingerprint of nodes, tets and held nodes.
+
+        Returns
+        -------
+        str
+            SHA-256, hexadecimal. Coordinates count to 1e-6 mm, so that text formats keep it.
+        """
+        digest = hashlib.sha256()
+        digest.update(np.round(self.nodes * 1e6).astype("<i8").tobytes())
+        digest.update(self.tets.astype("<i8").tobytes())
+        digest.update(self.node_sets.get("fixed", np.empty(0, np.int64)).astype("<i8").tobytes())
+        return digest.hexdigest()
+
+
+def det_f(mesh: Mesh, displacement: FloatArray) -> FloatArray:
+    """Return the volume ratio of every tet under a displacement of its corners.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    displacement : ndarray of float64, shape (..., n_nodes, 3)
+        Displacement in mm; leading axes are kept.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., n_tets)
+        det F, dimensionless; not positive where a tet is inverted.
+    """
+    corners = (mesh.nodes + displacement)[..., mesh.tets, :]
+    a, b, c, d = (corners[..., i, :] for i in range(4))
+    return np.asarray(np.sum(np.cross(b - a, c - a) * (d - a), axis=-1) / (6.0 * mesh.volumes))
+
+
+def _node_set(name: str, indices: Any, n_nodes: int) -> IntArray:
+    array = np.unique(index_array(f"node_sets[{name!r}]", indices, (None,)))
+    if array.size and (array[0] < 0 or array[-1] >= n_nodes):
+        bad = array[0] if array[0] < 0 else array[-1]
+        message = f"node set '{name}' must name nodes 0 to {n_nodes - 1}, got {bad}"
+        raise MeshError(message, where=name)
+    return frozen(array)
+
+
+def _check_extent(nodes: FloatArray) -> None:
+    extent = float(np.max(np.ptp(nodes, axis=0)))
+    lowest, highest = PLAUSIBLE_EXTENT_MM
+    if not lowest <= extent <= highest:
+        message = (
+            f"lengths must be in mm: a body of extent {extent:.4g} mm is outside {lowest:g} to {highest:g} mm; "
+            "convert (metres: times 1000, centimetres: times 10, micrometres: times 0.001)"
+        )
+        raise UnitError(message, where="nodes")
