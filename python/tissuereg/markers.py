@@ -34,7 +34,9 @@ class Markers:
     def __init__(self, reference: Any, measured: Any, std: Any = 0.1, names: Sequence[str] | None = None) -> None:
         places = float_array("reference", reference, (None, 3))
         seen = float_array("measured", measured, (len(places), 3))
-        spread = np.atleast_1d(float_array("std", np.broadcast_to(std, len(places)) if np.ndim(std) == 0 else std, (len(places),)))
+        spread = np.atleast_1d(
+            float_array("std", np.broadcast_to(std, len(places)) if np.ndim(std) == 0 else std, (len(places),))
+        )
         titles = tuple(f"M{i + 1}" for i in range(len(places))) if names is None else tuple(str(n) for n in names)
         _check_names(titles, len(places))
         _check_rows("reference places must be finite", titles, np.isfinite(places).all(axis=1), places)

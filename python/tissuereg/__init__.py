@@ -1,0 +1,28 @@
+"""Register a deformed soft organ to a few tracked markers, with honest uncertainty.
+
+>>> import tissuereg as tr
+>>> mesh = tr.phantom.phantom_mesh()
+>>> mesh.n_nodes
+1213
+"""
+
+from tissuereg import errors, phantom
+from tissuereg._version import __version__
+from tissuereg.errors import TissueRegError
+from tissuereg.experiment import Experiment
+from tissuereg.io.experiments import read_experiment
+from tissuereg.io.meshes import read_mesh
+from tissuereg.io.tables import read_markers, read_targets
+from tissuereg.load import Load
+from tissuereg.markers import Markers
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.registration import RegisterSettings, register
+from tissuereg.result import Registration
+from tissuereg.simulate import Simulation, Simulator, simulate
+
+__all__ = [
+    "Experiment", "Load", "Markers", "Material", "Mesh", "RegisterSettings", "Registration", "Simulation", "Simulator",
+    "TissueRegError", "__version__", "errors", "phantom", "read_experiment", "read_markers", "read_mesh", "read_targets",
+    "register", "simulate",
+]  # fmt: skip

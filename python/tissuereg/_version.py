@@ -1,0 +1,5 @@
+"""The version, read from the compiled core, so that it stands in one place."""
+
+from tissuereg._core import __version__
+
+__all__ = ["__version__"]

@@ -1,0 +1,317 @@
+"""An experiment: what is believed about a rig, and everything that was measured on it.
+
+Plain data; `tissuereg.read_experiment` makes it from a folder. Times in s on one clock through all cases,
+lengths in mm, forces in mN, stresses in kPa.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.errors import ExperimentError
+from tissuereg.markers import Markers
+from tissuereg.material import GRAVITY_MM_PER_S2, Material
+from tissuereg.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity:
+    """The body's own weight.
+
+    Attributes
+    ----------
+    direction : ndarray of float64, shape (3,)
+        Where it points; any length but none.
+    g_mm_per_s2 : float
+        Acceleration in mm/s^2.
+    in_reference : bool
+        Whether the mesh already hangs in it.
+    """
+
+    direction: FloatArray
+    in_reference: bool
+    g_mm_per_s2: float = GRAVITY_MM_PER_S2
+
+
+@dataclass(frozen=True, eq=False)
+class Boundary:
+    """A patch that is held.
+
+    Attributes
+    ----------
+    name : str
+        Also the name of its node set.
+    nodes : ndarray of int64, shape (n,)
+        Sorted.
+    kind : str
+        ``"fixed"``.
+    """
+
+    name: str
+    nodes: IntArray
+    kind: str = "fixed"
+
+
+@dataclass(frozen=True, eq=False)
+class Actuator:
+    """A patch that is moved or pulled.
+
+    Attributes
+    ----------
+    name : str
+        Also the name of its node set.
+    nodes : ndarray of int64, shape (n,)
+        Sorted.
+    kind : {"displacement", "force"}
+        What is given to it.
+    contact : str
+        ``"bonded"``.
+    """
+
+    name: str
+    nodes: IntArray
+    kind: str
+    contact: str = "bonded"
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One load history from rest.
+
+    Attributes
+    ----------
+    name : str
+        As in the tables.
+    times : ndarray of float64, shape (n_frames,)
+        Frames in s, increasing.
+    markers : ndarray of float64, shape (n_frames, n_markers, 3)
+        Measured places in mm, NaN = not seen, in the experiment's order of markers.
+    displacements : mapping of str to ndarray of float64, shape (n_frames, 3)
+        What is given to each displacement actuator that is present, in mm from the shape the body has when the
+        case begins.
+    applied_forces : mapping of str to ndarray of float64, shape (n_frames, 3)
+        What is given to each force actuator that is present, in mN.
+    forces : mapping of str to ndarray of float64, shape (n_frames, 3)
+        Measured force on the body at an actuator in mN, NaN = not measured.
+    targets : mapping of str to ndarray of float64, shape (n_frames, 3)
+        Measured inner points in mm, NaN = not measured.
+    """
+
+    name: str
+    times: FloatArray
+    markers: FloatArray
+    displacements: Mapping[str, FloatArray] = field(default_factory=dict)
+    applied_forces: Mapping[str, FloatArray] = field(default_factory=dict)
+    forces: Mapping[str, FloatArray] = field(default_factory=dict)
+    targets: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def frame_step(self) -> float:
+        """Median time between frames in s; 0 for a single frame."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
+
+    def index(self, time: float) -> int:
+        """Return the frame nearest to a time.
+
+        Parameters
+        ----------
+        time : float
+            In s, on the experiment's clock.
+
+        Returns
+        -------
+        int
+            Row of `times`.
+
+        Raises
+        ------
+        ExperimentError
+            If no frame lies within half a frame step.
+        """
+        nearest = int(np.argmin(np.abs(self.times - time)))
+        if not abs(self.times[nearest] - time) <= 0.5 * self.frame_step + 1e-6:
+            message = (
+                f"case '{self.name}' must have a frame within half a step of {time:g} s; its {len(self.times)} frames run "
+                f"from {self.times[0]:g} to {self.times[-1]:g} s, the nearest is at {self.times[nearest]:g} s"
+            )
+            raise ExperimentError(message, where=self.name)
+        return nearest
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One moment of one case.
+
+    Attributes
+    ----------
+    case : str
+        Name of the case.
+    time : float
+        Time of the frame in s.
+    index : int
+        Row of the case.
+    markers : Markers
+        Reference places and what was measured, mm.
+    displacements : dict of str to ndarray of float64, shape (3,)
+        Given to the displacement actuators, mm.
+    applied_forces : dict of str to ndarray of float64, shape (3,)
+        Given to the force actuators, mN.
+    targets : dict of str to ndarray of float64, shape (3,)
+        Measured inner points in mm, NaN = not measured.
+    """
+
+    case: str
+    time: float
+    index: int
+    markers: Markers
+    displacements: dict[str, FloatArray]
+    applied_forces: dict[str, FloatArray]
+    targets: dict[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """What is believed about a rig, and its measured cases.
+
+    Attributes
+    ----------
+    name : str
+        Title.
+    folder : Path
+        Where its files lie.
+    mesh : Mesh
+        Node set ``fixed`` is the union of the fixed boundaries; each boundary and actuator has a set of its name.
+    material : Material
+        Means of what is believed.
+    young_std : float or None
+        Standard deviation of Young's modulus in kPa, where stated.
+    poisson_std : float or None
+        Standard deviation of Poisson's ratio, where stated.
+    gravity : Gravity or None
+        None where the file has no such table.
+    boundaries : tuple of Boundary
+        What is held.
+    actuators : tuple of Actuator
+        What moves or pulls; absent from a case in which it has no rows.
+    marker_names : tuple of str
+        Order of all marker arrays.
+    marker_reference : ndarray of float64, shape (n_markers, 3)
+        Places on the body in the reference shape, mm.
+    marker_std : float
+        Standard deviation of a measured coordinate, mm.
+    targets : dict of str to ndarray of float64, shape (3,)
+        Inner points in the reference shape, mm.
+    cases : dict of str to Case
+        In file order.
+    force_std : float or None
+        Standard deviation of a measured force component in mN; None without measured forces.
+    rest_case : str or None
+        Case without load, for the noise model.
+    effects : tuple of dict
+        ``[[effect]]`` tables as read.
+    """
+
+    name: str
+    folder: Path
+    mesh: Mesh
+    material: Material
+    young_std: float | None
+    poisson_std: float | None
+    gravity: Gravity | None
+    boundaries: tuple[Boundary, ...]
+    actuators: tuple[Actuator, ...]
+    marker_names: tuple[str, ...]
+    marker_reference: FloatArray
+    marker_std: float
+    targets: dict[str, FloatArray]
+    cases: dict[str, Case]
+    force_std: float | None = None
+    rest_case: str | None = None
+    effects: tuple[dict[str, Any], ...] = ()
+
+    def __repr__(self) -> str:
+        frames = sum(len(case.times) for case in self.cases.values())
+        return (
+            f"Experiment('{self.name}', {self.mesh.n_nodes} nodes, {len(self.marker_names)} markers, "
+            f"{len(self.actuators)} actuators, {len(self.cases)} cases, {frames} frames)"
+        )
+
+    def case(self, name: str) -> Case:
+        """Return a case by name.
+
+        Parameters
+        ----------
+        name : str
+            As in the tables.
+
+        Returns
+        -------
+        Case
+            Its history.
+
+        Raises
+        ------
+        ExperimentError
+            If there is no such case.
+        """
+        if name not in self.cases:
+            message = f"experiment '{self.name}' must have a case '{name}'; it has: {', '.join(self.cases)}"
+            raise ExperimentError(message, where=name)
+        return self.cases[name]
+
+    def actuator(self, name: str) -> Actuator:
+        """Return an actuator by name.
+
+        Parameters
+        ----------
+        name : str
+            As in the experiment file.
+
+        Returns
+        -------
+        Actuator
+            Its patch and kind.
+
+        Raises
+        ------
+        ExperimentError
+            If there is no such actuator.
+        """
+        for actuator in self.actuators:
+            if actuator.name == name:
+                return actuator
+        known = ", ".join(actuator.name for actuator in self.actuators) or "none"
+        message = f"experiment '{self.name}' must have an actuator '{name}'; it has: {known}"
+        raise ExperimentError(message, where=name)
+
+    def frame(self, case: str, time: float) -> Frame:
+        """Return one moment of one case.
+
+        Parameters
+        ----------
+        case : str
+            Name of the case.
+        time : float
+            In s; the nearest frame within half a frame step is taken.
+
+        Returns
+        -------
+        Frame
+            Markers, what the actuators do, measured targets.
+        """
+        history = self.case(case)
+        row = history.index(time)
+        markers = Markers(self.marker_reference, history.markers[row], self.marker_std, self.marker_names)
+        return Frame(
+            case=case,
+            time=float(history.times[row]),
+            index=row,
+            markers=markers,
+            displacements={name: values[row] for name, values in history.displacements.items()},
+            applied_forces={name: values[row] for name, values in history.applied_forces.items()},
+            targets={name: values[row] for name, values in history.targets.items()},
+        )

@@ -1,0 +1,1 @@
+"""Latent models: trained networks and principal components, behind one protocol."""

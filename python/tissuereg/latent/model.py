@@ -1,0 +1,106 @@
+"""What a latent model must offer to be used in a registration."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """A Gaussian over latents.
+
+    Attributes
+    ----------
+    mean : ndarray of float64, shape (n_latent,)
+        Dimensionless.
+    covariance : ndarray of float64, shape (n_latent, n_latent)
+        Symmetric, positive definite.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+class LatentModel(Protocol):
+    """A low-dimensional family of displacement fields on one mesh."""
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        ...
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        ...
+
+    @property
+    def card(self) -> dict[str, Any]:
+        """What the result says of the model: `kind`, `source`, `members`, `test_error_mm`, `pca26_test_error_mm`."""
+        ...
+
+    @property
+    def error_fields(self) -> FloatArray:
+        """Truth minus reconstruction of fields the model never saw, mm, shape (n_fields, n_nodes, 3)."""
+        ...
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields.
+
+        Parameters
+        ----------
+        latents : ndarray of float64, shape (n_latent, n_members)
+            One column a member.
+        nodes : ndarray of int64, shape (k,), optional
+            Nodes to decode; all where absent.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_members, k, 3)
+            mm.
+        """
+        ...
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return where the truth is expected, given what a simulation says.
+
+        Parameters
+        ----------
+        simulation : ndarray of float64, shape (n_nodes, 3), or None
+            Displacement in mm; None gives the wide prior.
+
+        Returns
+        -------
+        Gaussian
+            Over the latents.
+        """
+        ...
+
+
+def error_covariance(rows: FloatArray) -> FloatArray:
+    """Return the covariance of reconstruction errors about zero.
+
+    Parameters
+    ----------
+    rows : ndarray of float64, shape (n_fields, n_components)
+        Errors in mm, one row a field.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_components, n_components)
+        mm^2; not centred, so that a constant error counts as error.
+
+    Notes
+    -----
+    With fewer fields than components the sample covariance is singular, and correlations that are not there
+    would let the data cancel the error. Off-diagonal terms shrink by the weight of Ledoit and Wolf's target
+    for a sample of this size, ``1 / (1 + n_components / n_fields)``; the diagonal stays.
+    """
+    if len(rows) == 0:
+        return np.zeros((rows.shape[1], rows.shape[1]))
+    covariance = rows.T @ rows / len(rows)
+    keep = 1.0 / (1.0 + rows.shape[1] / len(rows))
+    return np.asarray(keep * covariance + (1.0 - keep) * np.diag(np.diag(covariance)))

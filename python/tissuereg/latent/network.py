@@ -1,0 +1,184 @@
+"""A trained encoder and decoder, run by onnxruntime."""
+
+import hashlib
+import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray, float_array
+from tissuereg.errors import ModelError
+from tissuereg.latent.model import Gaussian
+from tissuereg.mesh import Mesh
+
+CARD_SCHEMA = "tissuereg.model/1"
+
+#: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
+_BATCH = 25
+
+
+class NetworkModel:
+    """The model in a folder: ``encoder.onnx``, ``decoder.onnx``, ``decoder_weights.npz``, ``model.json``.
+
+    Parameters
+    ----------
+    folder : path-like
+        Where the four files lie.
+    mesh : Mesh
+        The mesh to register on; it must be the one that the model was trained for.
+    threads : int
+        Batches decoded at once; 0 takes all cores. Each batch runs on one thread, so the bits do not depend on it.
+    source : str, optional
+        What the result says of the model's origin; the folder where absent.
+
+    Raises
+    ------
+    ModelError
+        If a file is missing or spoilt, or the model was trained for another mesh.
+    """
+
+    def __init__(
+        self, folder: str | os.PathLike[str], mesh: Mesh, *, threads: int = 0, source: str | None = None
+    ) -> None:
+        self.folder = Path(folder)
+        card = _read_card(self.folder)
+        _check_files(self.folder, card)
+        if card["mesh_digest"] != mesh.digest():
+            message = (
+                f"the model in {self.folder} must have been trained for this mesh: it knows a mesh of {card['n_nodes']} nodes "
+                f"({card['mesh_digest'][:12]}), got one of {mesh.n_nodes} nodes ({mesh.digest()[:12]}); "
+                "train one (`tissuereg train`) or leave the model out, and a prior is fitted here"
+            )
+            raise ModelError(message, where=str(self.folder))
+        self._card = card
+        self._threads = threads or os.cpu_count() or 1
+        self._encoder = _session(self.folder / "encoder.onnx")
+        self._decoder = _session(self.folder / "decoder.onnx")
+        self._has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
+        with np.load(self.folder / "decoder_weights.npz", allow_pickle=False) as weights:
+            self._errors = np.asarray(weights["error_fields_mm"], dtype=np.float64)
+        errors = card["errors_mm"]
+        self.card = {
+            "kind": card["kind"],
+            "source": source or str(folder),
+            "members": card["members"],
+            "test_error_mm": errors["test"],
+            "pca26_test_error_mm": errors["pca"],
+        }
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return int(self._card["n_latent"])
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        return int(self._card["n_nodes"])
+
+    @property
+    def error_fields(self) -> FloatArray:
+        """Truth minus reconstruction of fields the network never saw, mm, shape (n_fields, n_nodes, 3)."""
+        return self._errors
+
+    def encode(self, field: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and variance of q(z | field).
+
+        Parameters
+        ----------
+        field : ndarray of float64, shape (n_nodes, 3)
+            Displacement in mm.
+
+        Returns
+        -------
+        mean, variance : ndarray of float64, shape (n_latent,)
+            Dimensionless.
+        """
+        given = float_array("field", field, (self.n_nodes, 3))
+        mean, log_variance = self._encoder.run(
+            ["mean", "log_variance"], {"displacement": given[None].astype(np.float32)}
+        )
+        return np.asarray(mean[0], np.float64), np.exp(np.asarray(log_variance[0], np.float64))
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields, one a column of `latents`; see `LatentModel.decode`."""
+        batches = [latents[:, i : i + _BATCH] for i in range(0, latents.shape[1], _BATCH)]
+        extra = {} if nodes is None or not self._has_nodes else {"nodes": np.asarray(nodes, np.int64)}
+        run = lambda batch: self._decoder.run(  # noqa: E731
+            ["displacement"], {"z": np.ascontiguousarray(batch.T, np.float32), **extra}
+        )[0]
+        if len(batches) == 1:
+            fields = run(batches[0])
+        else:
+            with ThreadPoolExecutor(self._threads) as pool:
+                fields = np.concatenate(list(pool.map(run, batches)))
+        if nodes is not None and not extra:
+            fields = fields[:, nodes]
+        return np.asarray(fields, dtype=np.float64)
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return the encoder's answer, widened by how far truths lie from simulations in latent space.
+
+        Parameters
+        ----------
+        simulation : ndarray of float64, shape (n_nodes, 3), or None
+            Displacement in mm; None gives the spread of the training set's codes.
+
+        Returns
+        -------
+        Gaussian
+            Covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation).
+        """
+        known = self._card["prior"]
+        if simulation is None:
+            return Gaussian(np.asarray(known["mean"], np.float64), np.asarray(known["covariance"], np.float64))
+        mean, variance = self.encode(simulation)
+        return Gaussian(mean, np.diag(variance) + np.asarray(known["mismatch_covariance"], np.float64))
+
+
+def _session(path: Path) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's exceptions share no public base class
+        message = f"{path} must be an ONNX network that onnxruntime can load: {error}"
+        raise ModelError(message, where=str(path)) from error
+
+
+def _read_card(folder: Path) -> dict[str, Any]:
+    path = folder / "model.json"
+    try:
+        card = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        message = f"a model folder must hold model.json; there is none in {folder}"
+        raise ModelError(message, where=str(folder)) from error
+    except (OSError, ValueError) as error:
+        message = f"{path} must be a JSON model card: {error}"
+        raise ModelError(message, where=str(path)) from error
+    needed = ("kind", "mesh_digest", "n_nodes", "n_latent", "members", "errors_mm", "prior", "files")
+    missing = [] if isinstance(card, dict) and card.get("schema") == CARD_SCHEMA else ["schema"]
+    missing += [name for name in needed if not missing and name not in card]
+    if missing:
+        message = f"{path} must be a card of schema {CARD_SCHEMA}; it lacks: {', '.join(missing)}"
+        raise ModelError(message, where=str(path))
+    return dict(card)
+
+
+def _check_files(folder: Path, card: dict[str, Any]) -> None:
+    for name, wanted in card["files"].items():
+        path = folder / name
+        if not path.is_file():
+            message = f"the model folder {folder} must hold {name}, as its card says; it is missing"
+            raise ModelError(message, where=str(path))
+        found = hashlib.sha256(path.read_bytes()).hexdigest()
+        if found != wanted:
+            message = f"{path} must be the file its card describes (SHA-256 {wanted[:12]}), got {found[:12]}"
+            raise ModelError(message, where=str(path))

@@ -1,0 +1,209 @@
+r"""From displacement fields to what a tracker sees: markers on the surface, targets inside.
+
+A marker off the facets moves rigidly with its patch of surface,
+
+    u(marker) = u(foot) + (R - I) offset,      offset = reference place - foot,
+
+where the foot is the closest point of the surface and R the best rotation of the patch's nodes (Kabsch).
+An inner target moves with the tetrahedron that holds it, linearly interpolated.
+"""
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray, float_array
+from tissuereg.errors import MarkerError
+from tissuereg.markers import Markers
+from tissuereg.mesh import Mesh
+
+#: A marker farther from the surface than this share of the body's extent is refused: another frame or unit.
+FARTHEST_SHARE = 0.5
+
+#: A target this far outside the body, as a share of its extent, is refused; nearer ones ride on the closest tet.
+FARTHEST_TARGET_SHARE = 0.1
+
+#: Nearer than this no word is lost: the facets of a curved surface lie a little inside it.
+WARN_TARGET_SHARE = 0.01
+
+#: Offsets below this many mm need no rotation.
+_ON_SURFACE_MM = 1e-3
+
+
+class MarkerObservation:
+    """Displacement of markers as a function of the displacement of few nodes.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    reference : array_like of float, shape (n_markers, 3)
+        Places of the markers beside the undeformed body, mm.
+    names : sequence of str
+        For messages.
+
+    Raises
+    ------
+    MarkerError
+        If a marker lies farther from the surface than half the body's extent.
+
+    Attributes
+    ----------
+    nodes : ndarray of int64, shape (n_needed,)
+        Nodes whose displacement `predict` wants.
+    distance : ndarray of float64, shape (n_markers,)
+        Distance of every marker from the surface, mm.
+    """
+
+    def __init__(self, mesh: Mesh, reference: Any, names: tuple[str, ...]) -> None:
+        places = float_array("reference", reference, (None, 3))
+        triangles, weights, feet = _closest_triangles(mesh, places)
+        self.distance: FloatArray = np.linalg.norm(places - feet, axis=1)
+        _check_distance(self.distance, names, float(np.max(np.ptp(mesh.nodes, axis=0))))
+        patches = _patches(mesh, triangles)
+        self.nodes: IntArray = np.unique(np.concatenate([mesh.surface[triangles].ravel(), *patches]))
+        self._foot_nodes = np.searchsorted(self.nodes, mesh.surface[triangles])
+        self._weights = weights
+        self._offset = places - feet
+        self._patches = [np.searchsorted(self.nodes, patch) for patch in patches]
+        self._reference = mesh.nodes[self.nodes]
+
+    @classmethod
+    def of(cls, mesh: Mesh, markers: Markers) -> "MarkerObservation":
+        """Return the observation of a set of markers."""
+        return cls(mesh, markers.reference, markers.names)
+
+    @property
+    def n_markers(self) -> int:
+        """Number of markers."""
+        return len(self._offset)
+
+    def predict(self, displacement: FloatArray) -> FloatArray:
+        """Return the displacement of every marker.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (..., n_needed, 3)
+            Displacement of `nodes` in mm.
+
+        Returns
+        -------
+        ndarray of float64, shape (..., n_markers, 3)
+            mm.
+        """
+        moved = np.einsum("mc,...mcx->...mx", self._weights, displacement[..., self._foot_nodes, :])
+        for marker in np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM):
+            patch = self._patches[marker]
+            turned = _rotation(self._reference[patch], displacement[..., patch, :])
+            moved[..., marker, :] += (turned - np.eye(3)) @ self._offset[marker]
+        return np.asarray(moved)
+
+
+class TargetObservation:
+    """Displacement of inner points, linear in the nodes of the tets that hold them.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    targets : mapping of str to array_like of float, shape (3,)
+        Points of the undeformed body, mm.
+
+    Raises
+    ------
+    MarkerError
+        If a target lies outside the body by more than a tenth of its extent, or is not finite.
+    """
+
+    def __init__(self, mesh: Mesh, targets: Mapping[str, Any]) -> None:
+        self.names = tuple(targets)
+        self.reference: FloatArray = np.array([float_array(n, p, (3,)) for n, p in targets.items()]).reshape(-1, 3)
+        locator = _Locator(mesh)
+        located = [locator.locate(name, point) for name, point in zip(self.names, self.reference, strict=True)]
+        corners = np.array([mesh.tets[tet] for tet, _ in located], dtype=np.int64).reshape(-1, 4)
+        self._weights = np.array([weights for _, weights in located]).reshape(-1, 4)
+        self.nodes: IntArray = np.unique(corners)
+        self._corners = np.searchsorted(self.nodes, corners)
+
+    def predict(self, displacement: FloatArray) -> FloatArray:
+        """Return the displacement of every target; `displacement` as in `MarkerObservation.predict`."""
+        return np.asarray(np.einsum("tc,...tcx->...tx", self._weights, displacement[..., self._corners, :]))
+
+
+def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    import trimesh
+
+    surface = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
+    feet, _, triangles = trimesh.proximity.closest_point(surface, places)
+    weights = trimesh.triangles.points_to_barycentric(mesh.nodes[mesh.surface[triangles]], feet)
+    weights = np.clip(weights, 0.0, None)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return np.asarray(triangles, np.int64), np.asarray(weights), np.asarray(feet)
+
+
+def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:
+    """Return, for each triangle, the surface nodes of all triangles that touch it."""
+    patches = []
+    for triangle in triangles:
+        touching = np.isin(mesh.surface, mesh.surface[triangle]).any(axis=1)
+        patches.append(np.unique(mesh.surface[touching]))
+    return patches
+
+
+def _rotation(reference: FloatArray, displacement: FloatArray) -> FloatArray:
+    """Return the rotation (..., 3, 3) that best carries a patch (n, 3) into its displaced shape (..., n, 3)."""
+    arms = reference - reference.mean(axis=0)
+    moved = arms + displacement - displacement.mean(axis=-2, keepdims=True)
+    correlation = np.einsum("...ni,nj->...ij", moved, arms)
+    # A failed member is rejected later; here it must not spoil the others' factorisation.
+    bad = ~np.isfinite(correlation).all(axis=(-1, -2))
+    u, _, vt = np.linalg.svd(np.where(bad[..., None, None], np.eye(3), correlation))
+    proper = np.sign(np.linalg.det(u @ vt))
+    u[..., :, 2] *= proper[..., None]
+    return np.where(bad[..., None, None], np.nan, u @ vt)
+
+
+def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float) -> None:
+    far = int(np.argmax(distance)) if len(distance) else 0
+    if len(distance) and distance[far] > FARTHEST_SHARE * extent:
+        message = (
+            f"every marker must sit on or near the undeformed surface: marker '{names[far]}' is {distance[far]:.1f} mm "
+            f"away from a body of extent {extent:.1f} mm; check frame and units"
+        )
+        raise MarkerError(message, where=names[far])
+
+
+class _Locator:
+    """Finds the tet that holds a point; the inverses of all tets are formed once."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._mesh = mesh
+        self._origin = mesh.nodes[mesh.tets[:, 0]]
+        edges = np.stack([mesh.nodes[mesh.tets[:, i]] - self._origin for i in (1, 2, 3)], axis=2)
+        self._inverse = np.linalg.inv(edges)
+        self._extent = float(np.max(np.ptp(mesh.nodes, axis=0)))
+
+    def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
+        """Return the tet that holds a point, or the closest one, and the barycentric weights (4,)."""
+        if not np.isfinite(point).all():
+            message = f"target '{name}' must be finite, got {point.tolist()}"
+            raise MarkerError(message, where=name)
+        inner = np.einsum("tij,tj->ti", self._inverse, point - self._origin)
+        weights = np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
+        worst = weights.min(axis=1)
+        tet = int(np.argmax(worst))
+        if worst[tet] >= -1e-9:
+            return tet, weights[tet]
+        clipped = np.clip(weights, 0.0, None)
+        clipped /= clipped.sum(axis=1, keepdims=True)
+        gap = np.linalg.norm(np.einsum("tc,tcx->tx", clipped, self._mesh.nodes[self._mesh.tets]) - point, axis=1)
+        tet = int(np.argmin(gap))
+        if gap[tet] > FARTHEST_TARGET_SHARE * self._extent:
+            message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap[tet]:.1f} mm outside"
+            raise MarkerError(message, where=name)
+        if gap[tet] > WARN_TARGET_SHARE * self._extent:
+            text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it rides on the closest tet"
+            warnings.warn(text, stacklevel=4)
+        return tet, weights[tet]

@@ -1,0 +1,147 @@
+"""What happens to the phantom, what is believed of it, and what is true."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.load import Load
+from tissuereg.markers import Markers
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.phantom import phantom_mesh, truth_mesh
+from tissuereg.simulate.solve import Simulator
+
+#: The stiff lesion: centre and radius in mm, modulus over that of the tissue around it.
+LESION_MM, LESION_RADIUS_MM, LESION_CONTRAST = (14.0, -10.0, 26.0), 9.0, 4.0
+
+#: The two pushers: outward direction of the pad seen from `_PAD_ORIGIN_MM`, push in mN.
+_PAD_ORIGIN_MM = (0.0, -3.0, 18.0)
+_PUSHERS = (((1.0, 0.1, 0.15), (-950.0, 60.0, -120.0)), ((-0.1, 1.0, 0.2), (60.0, -620.0, -90.0)))
+_PAD_RADIUS_MM = 14.0
+
+#: What is believed, and what is true: modulus in kPa, factor on the pushes, their tilt about z in degrees.
+_BELIEVED_YOUNG, _TRUE_YOUNG = 10.0, 12.5
+_TRUE_PUSH_FACTOR, _TRUE_TILT_DEG = 1.06, 5.0
+POISSON, _TRUE_POISSON = 0.45, 0.46
+
+N_MARKERS, MARKER_STD_MM = 15, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class PhantomEvent:
+    """A moment of the phantom, with the truth that a real one would keep to itself.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        What the user simulates on.
+    load, material : Load, Material
+        What is believed.
+    markers : Markers
+        Measured, with noise.
+    true_markers : ndarray of float64, shape (n_markers, 3)
+        True displacement of the markers, mm.
+    true_displacement : ndarray of float64, shape (n_nodes, 3)
+        True displacement at the nodes of `mesh`, mm.
+    true_lesion : ndarray of float64, shape (3,)
+        True place of the lesion's centre, mm.
+    """
+
+    mesh: Mesh
+    load: Load
+    material: Material
+    markers: Markers
+    true_markers: FloatArray
+    true_displacement: FloatArray
+    true_lesion: FloatArray
+
+
+def make_event(*, seed: int = 0, threads: int = 0) -> PhantomEvent:
+    """Return the phantom's event, its measurement made by the finer, stiffer, second-order model.
+
+    Parameters
+    ----------
+    seed : int
+        Of the markers' places and noise.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Returns
+    -------
+    PhantomEvent
+        Cost: one solve of about 20,000 nodes.
+    """
+    fine, body = truth_mesh(), phantom_mesh()
+    rng = np.random.default_rng([seed, 5])
+    stiffness = np.where(_in_lesion(fine), LESION_CONTRAST, 1.0) * _TRUE_YOUNG
+    truth = Simulator(fine, element="tet10").solve(
+        _pushes(fine, _TRUE_PUSH_FACTOR, _TRUE_TILT_DEG),
+        Material(stiffness, _TRUE_POISSON),
+        threads=threads,
+        tolerance=1e-7,
+    )
+    field = truth.displacement
+    places = _marker_places(fine, rng)
+    names = tuple(f"P{i + 1}" for i in range(N_MARKERS))
+    seen = MarkerObservation(fine, places, names)
+    moved = seen.predict(field[seen.nodes])
+    measured = places + moved + MARKER_STD_MM * rng.standard_normal(moved.shape)
+    inside = TargetObservation(fine, {"lesion": LESION_MM, **{str(i): node for i, node in enumerate(body.nodes)}})
+    true = inside.predict(field[inside.nodes])
+    return PhantomEvent(
+        mesh=body,
+        load=_pushes(body, 1.0, 0.0),
+        material=Material(_BELIEVED_YOUNG, POISSON),
+        markers=Markers(places, measured, MARKER_STD_MM, names),
+        true_markers=moved,
+        true_displacement=true[1:],
+        true_lesion=np.asarray(LESION_MM) + true[0],
+    )
+
+
+def _in_lesion(mesh: Mesh) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+    centres = mesh.nodes[mesh.tets].mean(axis=1)
+    return np.asarray(np.linalg.norm(centres - LESION_MM, axis=1) <= LESION_RADIUS_MM)
+
+
+def _pushes(mesh: Mesh, factor: float, tilt_deg: float) -> Load:
+    """Return both pushes as a dead traction on the pads."""
+    angle = np.deg2rad(tilt_deg)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    triangles, tractions = [], []
+    for direction, push in _PUSHERS:
+        pad, area = _pad(mesh, np.asarray(direction))
+        triangles.append(pad)
+        tractions.append(np.broadcast_to(factor * turn @ push / area, (len(pad), 3)))
+    return Load(traction=(np.concatenate(triangles), np.concatenate(tractions)))
+
+
+def _pad(mesh: Mesh, direction: FloatArray) -> tuple[IntArray, float]:
+    """Return the triangles of a pad, seen from the body's inside in a direction, and their area in mm^2."""
+    corners = mesh.nodes[mesh.surface]
+    centres = corners.mean(axis=1)
+    arms = centres - _PAD_ORIGIN_MM
+    along = arms @ direction / np.linalg.norm(direction) / np.linalg.norm(arms, axis=1)
+    middle = centres[np.argmax(along)]
+    rows = np.flatnonzero(np.linalg.norm(centres - middle, axis=1) <= _PAD_RADIUS_MM)
+    rows = rows[(centres[rows, 2] > 0.5)]
+    normal = np.cross(corners[rows, 1] - corners[rows, 0], corners[rows, 2] - corners[rows, 0])
+    return mesh.surface[rows], float(0.5 * np.linalg.norm(normal, axis=1).sum())
+
+
+def _marker_places(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
+    """Return places spread over the skin, inside triangles: each the farthest of random candidates."""
+    corners = mesh.nodes[mesh.surface]
+    skin = np.flatnonzero(corners[:, :, 2].mean(axis=1) > 6.0)
+    candidates = []
+    for triangle in rng.choice(skin, 400):
+        weights = rng.dirichlet((2.0, 2.0, 2.0))
+        candidates.append(weights @ corners[triangle])
+    places = [candidates[0]]
+    rest = np.array(candidates[1:])
+    while len(places) < N_MARKERS:
+        gap = np.linalg.norm(rest[:, None] - np.array(places)[None], axis=2).min(axis=1)
+        places.append(rest[np.argmax(gap)])
+    return np.array(places)

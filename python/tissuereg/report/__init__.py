@@ -1,0 +1,1 @@
+"""What people look at: the picture, the page, the files of a registration."""

@@ -1,0 +1,129 @@
+"""One self-contained HTML page of a registration."""
+
+import base64
+import html
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tissuereg.io.atomic import atomic_file
+
+if TYPE_CHECKING:
+    from tissuereg.result import Registration
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
+img { max-width: 100%; } h2 { margin-top: 2rem; } table { border-collapse: collapse; margin: .5rem 0 1rem; }
+td, th { padding: .25rem .8rem; border-bottom: 1px solid #d7dbe0; text-align: right; }
+td:first-child, th:first-child { text-align: left; }
+.yes { color: #176f2c; } .no { color: #a3180d; }
+"""
+
+
+def write_page(result: "Registration", path: Path) -> Path:
+    """Write the page, whole or not at all.
+
+    Parameters
+    ----------
+    result : Registration
+        What to show.
+    path : Path
+        File to write.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    parts = [
+        _summary(result),
+        _picture(result),
+        _targets(result),
+        _markers(result),
+        _model(result),
+        _times(result),
+    ]
+    text = (
+        "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'><title>Registration</title>"
+        f"<style>{_STYLE}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"
+    )
+    with atomic_file(path) as draft:
+        draft.write_text(text, encoding="utf-8")
+    return path
+
+
+def _summary(result: "Registration") -> str:
+    trust, fit = result.trust, result.markers
+    verdict = "<b class='yes'>Nothing speaks against this result.</b>" if trust.ok else "<b class='no'>Be careful.</b>"
+    reasons = "".join(f"<li>{html.escape(reason)}</li>" for reason in trust.reasons)
+    return (
+        f"<h1>Registration</h1><p>{verdict} {len(fit.used)} markers lie {fit.after_rms_mm:.2f} mm (rms) from the "
+        f"registered body, {fit.before_rms_mm:.2f} mm before. Misfit {trust.chi_square:.1f} for {trust.n_obs} measured "
+        f"coordinates, p = {trust.p_value:.2g}. Smallest volume ratio of a tet {result.min_det_f:.2f}, "
+        f"{result.inverted_tets} inverted.</p>"
+        f"<ul>{reasons}</ul>"
+    )
+
+
+def _picture(result: "Registration") -> str:
+    stream = io.BytesIO()
+    result.plot().savefig(stream, dpi=110, format="png")
+    data = base64.b64encode(stream.getvalue()).decode("ascii")
+    return f"<img alt='body before and after' src='data:image/png;base64,{data}'>"
+
+
+def _targets(result: "Registration") -> str:
+    rows = [
+        (
+            name,
+            _triple(t.reference),
+            _triple(t.mean),
+            _triple(t.region(0.90).radii),
+            _norm(t.mean - t.reference),
+        )
+        for name, t in {**result.targets, **{f"{n} (not seen)": t for n, t in result.unseen.items()}}.items()
+    ]
+    if not rows:
+        return ""
+    head = ("target", "undeformed, mm", "registered, mm", "90 % region, half-axes, mm", "moved, mm")
+    return "<h2>Targets</h2>" + _table(head, rows)
+
+
+def _markers(result: "Registration") -> str:
+    rows = [(name, _triple(row), _norm(row)) for name, row in result.markers.residual_mm.items()]
+    rows += [(name, html.escape(reason), "") for name, reason in result.markers.dropped]
+    return "<h2>Markers</h2>" + _table(("marker", "measured - registered, mm", "length, mm"), rows)
+
+
+def _model(result: "Registration") -> str:
+    rows = [
+        (key.replace("_", " "), html.escape(f"{v:.3g}" if isinstance(v, float) else str(v)))
+        for key, v in result.model.items()
+    ]
+    return "<h2>Model</h2>" + _table(("", ""), [*rows, ("seed", str(result.seed))])
+
+
+def _times(result: "Registration") -> str:
+    rows = [(stage, f"{1000 * seconds:.0f}") for stage, seconds in result.seconds.items()]
+    return "<h2>Time</h2>" + _table(("stage", "ms"), rows)
+
+
+def _table(head: tuple[str, ...], rows: "list[tuple[str, ...]]") -> str:
+    top = "".join(f"<th>{cell}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table><tr>{top}</tr>{body}</table>"
+
+
+def _triple(vector: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> str:
+    return ", ".join(f"{x:.2f}" for x in vector)
+
+
+def _norm(vector: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> str:
+    return f"{float(np.linalg.norm(vector)):.2f}"

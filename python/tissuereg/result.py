@@ -1,0 +1,262 @@
+"""What a registration found: the moved body, its spread, targets with regions, and whether to trust it."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import MarkerError
+from tissuereg.markers import Markers
+from tissuereg.mesh import Mesh
+from tissuereg.trust import Trust
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """The ellipsoid that holds a given share of a Gaussian.
+
+    Attributes
+    ----------
+    centre : ndarray of float64, shape (3,)
+        mm.
+    axes : ndarray of float64, shape (3, 3)
+        Unit half-axes, one a row, in the order of `radii`.
+    radii : ndarray of float64, shape (3,)
+        Half-axes in mm, largest last.
+    share : float
+        Probability inside.
+    """
+
+    centre: FloatArray
+    axes: FloatArray
+    radii: FloatArray
+    share: float
+
+    def contains(self, point: Any) -> bool:
+        """Return whether a point (3,) in mm lies inside or on the border."""
+        along = self.axes @ (np.asarray(point, np.float64) - self.centre)
+        return bool(np.sum((along / np.maximum(self.radii, 1e-300)) ** 2) <= 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """An inner point after registration.
+
+    Attributes
+    ----------
+    reference : ndarray of float64, shape (3,)
+        Place in the undeformed body, mm.
+    mean : ndarray of float64, shape (3,)
+        Registered place, mm.
+    covariance : ndarray of float64, shape (3, 3)
+        mm^2: posterior ensemble and the model's own error.
+    simulation : ndarray of float64, shape (3,), or None
+        Place that the simulation alone says, mm.
+    """
+
+    reference: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    simulation: FloatArray | None
+
+    def region(self, share: float = 0.90) -> Region:
+        """Return the ellipsoid that holds `share` of the Gaussian with this mean and covariance.
+
+        Parameters
+        ----------
+        share : float
+            Probability inside, in (0, 1).
+
+        Returns
+        -------
+        Region
+            Half-axes largest last.
+        """
+        from scipy.stats import chi2
+
+        if not 0.0 < share < 1.0:
+            message = f"`share` must lie in (0, 1), got {share}"
+            raise MarkerError(message, where="share")
+        values, vectors = np.linalg.eigh(self.covariance)
+        radii = np.sqrt(np.maximum(values, 0.0) * chi2.ppf(share, 3))
+        return Region(self.mean, vectors.T, radii, share)
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerFit:
+    """How the markers fared.
+
+    Attributes
+    ----------
+    used : tuple of str
+        Markers that entered the fit.
+    dropped : tuple of (str, str)
+        Those that did not, each with the reason.
+    before_rms_mm, after_rms_mm : float
+        Root mean square over markers of the Euclidean distance to the measurement: simulation (or rest), registration.
+    residual_mm : dict of str to ndarray of float64, shape (3,)
+        Measured minus registered.
+    """
+
+    used: tuple[str, ...]
+    dropped: tuple[tuple[str, str], ...]
+    before_rms_mm: float
+    after_rms_mm: float
+    residual_mm: dict[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """The registered body.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    displacement : ndarray of float64, shape (n_nodes, 3)
+        Decoded from the posterior mean, mm.
+    std : ndarray of float64, shape (n_nodes,)
+        Root of the trace of a node's covariance, mm.
+    targets : dict of str to Target
+        Inner points.
+    unseen : dict of str to Target
+        Where the markers that were not seen must be.
+    markers : MarkerFit
+        Residuals, used and dropped markers.
+    all_markers : Markers
+        What was measured.
+    start_markers : ndarray of float64, shape (n_markers, 3)
+        Where the simulation, or the rest shape, puts every marker, mm.
+    min_det_f : float
+        Smallest volume ratio of a tet.
+    inverted_tets : int
+        Tets with det F <= 0.
+    trust : Trust
+        Can this be trusted?
+    model : dict
+        Kind, source, members and test errors of the latent model.
+    seconds : dict of str to float
+        Wall time a stage.
+    seed : int
+        Of all chance.
+    dropped_members : list of (int, str)
+        Ensemble members that were lost, with the reason.
+    """
+
+    mesh: Mesh
+    displacement: FloatArray
+    std: FloatArray
+    targets: dict[str, Target]
+    unseen: dict[str, Target]
+    markers: MarkerFit
+    all_markers: Markers
+    start_markers: FloatArray
+    min_det_f: float
+    inverted_tets: int
+    trust: Trust
+    model: dict[str, Any]
+    seconds: dict[str, float]
+    seed: int
+    dropped_members: list[tuple[int, str]]
+
+    def target(self, name: str) -> Target:
+        """Return a target by name.
+
+        Raises
+        ------
+        MarkerError
+            If there is none of that name.
+        """
+        if name not in self.targets:
+            message = f"no target named '{name}' was registered; there are: {', '.join(self.targets) or 'none'}"
+            raise MarkerError(message, where=name)
+        return self.targets[name]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of ``registration.json``: plain numbers, lists and strings."""
+        fit = self.markers
+        return {
+            "schema": "tissuereg.registration/1",
+            "seed": self.seed,
+            "markers": {
+                "used": list(fit.used),
+                "dropped": [{"marker": name, "reason": reason} for name, reason in fit.dropped],
+                "before_rms_mm": fit.before_rms_mm,
+                "after_rms_mm": fit.after_rms_mm,
+                "residual_mm": {name: list(map(float, row)) for name, row in fit.residual_mm.items()},
+            },
+            "targets": {name: _target_json(target) for name, target in self.targets.items()},
+            "unseen_markers": {name: _target_json(target) for name, target in self.unseen.items()},
+            "body": {
+                "min_det_f": self.min_det_f,
+                "inverted_tets": self.inverted_tets,
+                "mean_std_mm": float(self.std.mean()),
+                "largest_mm": float(np.linalg.norm(self.displacement, axis=1).max()),
+            },
+            "trust": {
+                "ok": self.trust.ok,
+                "p_value": self.trust.p_value,
+                "reasons": list(self.trust.reasons),
+                "chi_square": self.trust.chi_square,
+                "residual_chi_square": self.trust.residual_chi_square,
+                "n_obs": self.trust.n_obs,
+            },
+            "model": dict(self.model),
+            "dropped_members": [{"member": index, "reason": reason} for index, reason in self.dropped_members],
+            "seconds": dict(self.seconds),
+        }
+
+    def save(self, folder: str | os.PathLike[str], extra: dict[str, Any] | None = None) -> Path:
+        """Write ``registered.vtu``, ``targets.csv``, ``registration.json`` and ``registered.png``, all or none.
+
+        Parameters
+        ----------
+        folder : path-like
+            Made where absent.
+        extra : dict, optional
+            Entries added to the JSON, or put over its own.
+
+        Returns
+        -------
+        Path
+            The folder.
+        """
+        from tissuereg.report.files import save_registration
+
+        return save_registration(self, Path(folder), extra or {})
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the body before and after, with the markers and the spread."""
+        from tissuereg.report.picture import registration_figure
+
+        return registration_figure(self)
+
+    def report(self, path: str | os.PathLike[str]) -> Path:
+        """Write one self-contained HTML page: picture, markers, targets with regions, trust, model, times.
+
+        Parameters
+        ----------
+        path : path-like
+            File to write, whole or not at all.
+
+        Returns
+        -------
+        Path
+            The file.
+        """
+        from tissuereg.report.page import write_page
+
+        return write_page(self, Path(path))
+
+
+def _target_json(target: Target) -> dict[str, Any]:
+    return {
+        "reference_mm": target.reference.tolist(),
+        "mean_mm": target.mean.tolist(),
+        "covariance_mm2": target.covariance.tolist(),
+        "region90_radii_mm": target.region(0.90).radii.tolist(),
+        "simulation_mm": None if target.simulation is None else target.simulation.tolist(),
+    }

@@ -1,0 +1,239 @@
+"""The recipe of a data set and of the network trained on it: one TOML file.
+
+``[mesh] [material] [data] [pairs]`` are read here, ``[train]`` by the training package.
+"""
+
+import os
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from tissuereg.errors import ExperimentError
+from tissuereg.io.toml import read_toml
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.variation import Variation
+
+#: Name of the embedded mesh in a recipe.
+PHANTOM = "phantom"
+
+
+@dataclass(frozen=True)
+class DataRecipe:
+    """``[data]``: random events on the mesh.
+
+    Parameters
+    ----------
+    members : int
+        Simulations.
+    chunk : int
+        Simulations a file; what is lost when a run is killed.
+    element : str
+        ``tet4`` or ``tet10``.
+    largest_mm : tuple of float
+        Range of an event's largest node displacement in the linear answer.
+    n_patches : tuple of int
+        Fewest and most loaded patches.
+    radius_mm : tuple of float
+        Range of a patch's radius.
+    body_force_share : float
+        Chance of a body force.
+    """
+
+    members: int = 300
+    chunk: int = 250
+    element: str = "tet4"
+    largest_mm: tuple[float, float] = (2.0, 25.0)
+    n_patches: tuple[int, int] = (1, 3)
+    radius_mm: tuple[float, float] = (10.0, 40.0)
+    body_force_share: float = 0.6
+
+
+@dataclass(frozen=True)
+class PairsRecipe:
+    """``[pairs]``: the same event as the believed model says it and as another model does.
+
+    Parameters
+    ----------
+    members : int
+        Pairs.
+    element : str
+        Elements of the truth.
+    young_log_std, load_log_std, load_tilt_deg : float
+        Spread of the truth about what is believed, see `Variation`.
+    inclusion_share : float
+        Chance that the truth holds a stiff ball.
+    inclusion_radius_mm, inclusion_contrast : tuple of float
+        Its ranges; contrast is modulus inside over outside.
+    """
+
+    members: int = 100
+    element: str = "tet10"
+    young_log_std: float = 0.25
+    load_log_std: float = 0.10
+    load_tilt_deg: float = 5.0
+    inclusion_share: float = 0.7
+    inclusion_radius_mm: tuple[float, float] = (6.0, 14.0)
+    inclusion_contrast: tuple[float, float] = (1.5, 6.0)
+
+    @property
+    def variation(self) -> Variation:
+        """The spreads as the sampler wants them."""
+        return Variation(self.young_log_std, self.load_log_std, self.load_tilt_deg)
+
+
+@dataclass(frozen=True)
+class MaterialRecipe:
+    """``[material]``: range of Young's modulus in kPa, Poisson's ratio."""
+
+    young_kpa: tuple[float, float] = (10.0, 60.0)
+    poisson: float = 0.45
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A whole recipe.
+
+    Attributes
+    ----------
+    path : Path
+        Where it was read.
+    seed : int
+        Of all chance.
+    mesh_file : str
+        ``phantom``, or a mesh file beside the recipe.
+    fixed : str or None
+        Plane of held nodes, where the file names none.
+    material, data, pairs
+        The tables.
+    raw : dict
+        Everything the file says, for the record.
+    """
+
+    path: Path
+    seed: int
+    mesh_file: str
+    fixed: str | None
+    material: MaterialRecipe
+    data: DataRecipe
+    pairs: PairsRecipe
+    raw: dict[str, Any] = field(default_factory=dict)
+
+    def mesh(self) -> Mesh:
+        """Return the mesh that the recipe names.
+
+        Raises
+        ------
+        FormatError, MeshError
+            If the file is missing or holds no usable mesh.
+        """
+        if self.mesh_file == PHANTOM:
+            from tissuereg.phantom import phantom_mesh
+
+            return phantom_mesh()
+        from tissuereg.io.meshes import read_mesh
+
+        return read_mesh(self.path.parent / self.mesh_file, fixed=self.fixed)
+
+
+def read_recipe(path: str | os.PathLike[str]) -> Recipe:
+    """Read a recipe.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file.
+
+    Returns
+    -------
+    Recipe
+        With defaults where the file is silent.
+
+    Raises
+    ------
+    ExperimentError
+        If a table or key is unknown, or a value of the wrong kind or out of its range.
+    """
+    raw = read_toml(path)
+    unknown = set(raw) - {"seed", "mesh", "material", "data", "pairs", "train"}
+    if unknown:
+        known = "seed, [mesh], [material], [data], [pairs], [train]"
+        message = f"{path}: unknown entries {', '.join(sorted(unknown))}; a recipe has {known}"
+        raise ExperimentError(message, where=str(path))
+    mesh = raw.get("mesh", {})
+    if not isinstance(mesh, dict) or not isinstance(mesh.get("file"), str) or set(mesh) - {"file", "fixed"}:
+        message = (
+            f'{path}: [mesh] must hold file = "phantom" or a mesh file, and may hold fixed = "plane nx ny nz d tol"'
+        )
+        raise ExperimentError(message, where=f"{path}: [mesh]")
+    seed = raw.get("seed", 0)
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        message = f"{path}: seed must be a whole number of at least 0, got {seed!r}"
+        raise ExperimentError(message, where=f"{path}: seed")
+    recipe = Recipe(
+        Path(path),
+        seed,
+        mesh["file"],
+        mesh.get("fixed"),
+        _table(path, "material", raw.get("material", {}), MaterialRecipe),
+        _table(path, "data", raw.get("data", {}), DataRecipe),
+        _table(path, "pairs", raw.get("pairs", {}), PairsRecipe),
+        raw,
+    )
+    _check(path, recipe)
+    return recipe
+
+
+def _table(path: Any, name: str, given: Any, kind: Any) -> Any:
+    """Return a table as its dataclass, each value of the kind of its default."""
+    defaults = {f.name: f.default for f in fields(kind)}
+    if not isinstance(given, dict) or set(given) - set(defaults):
+        extra = ", ".join(sorted(set(given) - set(defaults))) if isinstance(given, dict) else repr(given)
+        message = f"{path}: [{name}] must hold only {', '.join(defaults)}; got {extra}"
+        raise ExperimentError(message, where=f"{path}: [{name}]")
+    return kind(**{key: _value(f"{path}: [{name}] {key}", value, defaults[key]) for key, value in given.items()})
+
+
+def _value(place: str, value: Any, default: Any) -> Any:
+    if isinstance(default, tuple):
+        if isinstance(value, list) and len(value) == 2:
+            low, high = (_value(place, v, default[0]) for v in value)
+            if low <= high:
+                return (low, high)
+        message = f"{place} must be a range [low, high], got {value!r}"
+        raise ExperimentError(message, where=place)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(default, float) and number:
+        return float(value)
+    if type(value) is type(default):
+        return value
+    message = f"{place} must be of the kind of {default!r}, got {value!r}"
+    raise ExperimentError(message, where=place)
+
+
+def _check(path: Any, recipe: Recipe) -> None:
+    data, pairs = recipe.data, recipe.pairs
+    rules = (
+        (data.members >= 1 and data.chunk >= 1, "[data] members and chunk must be at least 1"),
+        (pairs.members >= 0, "[pairs] members must be at least 0"),
+        ({data.element, pairs.element} <= {"tet4", "tet10"}, "element must be tet4 or tet10"),
+        (
+            data.largest_mm[0] > 0 and data.radius_mm[0] > 0,
+            "[data] largest_mm and radius_mm must be positive",
+        ),
+        (data.n_patches[0] >= 1, "[data] n_patches must start at 1 or more"),
+        (0 <= data.body_force_share <= 1 and 0 <= pairs.inclusion_share <= 1, "shares must lie in [0, 1]"),
+        (recipe.material.young_kpa[0] > 0, "[material] young_kpa must be positive"),
+        (-1 < recipe.material.poisson < 0.5, "[material] poisson must lie in (-1, 0.5)"),
+        (
+            pairs.inclusion_contrast[0] > 0 and pairs.inclusion_radius_mm[0] > 0,
+            "[pairs] inclusions must be positive",
+        ),
+        (
+            min(pairs.young_log_std, pairs.load_log_std, pairs.load_tilt_deg) >= 0,
+            "[pairs] spreads must not be negative",
+        ),
+    )
+    for holds, rule in rules:
+        if not holds:
+            message = f"{path}: {rule}"
+            raise ExperimentError(message, where=str(path))

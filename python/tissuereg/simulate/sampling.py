@@ -1,0 +1,190 @@
+r"""Random events on a body: surface patches pulled or pushed, and the body's own weight turned.
+
+An event is drawn in two steps. First its *shape*: one to three patches of the free surface, each with a
+direction, and a share of body force. Then its *size*: the load is scaled so that the body's linear answer
+moves its most moved node by a wanted distance. The linear answers of all events come from one cheap pass of
+nearly unloaded solves, so patches near the support and patches far from it deform the body alike.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import MeshError
+from tissuereg.load import Load
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.solve import Simulator
+
+#: Size of the first, nearly linear pass, as a share of the body's extent.
+_SMALL = 1e-4
+
+
+@dataclass(frozen=True)
+class EventSettings:
+    """How random events look.
+
+    Parameters
+    ----------
+    n_patches : tuple of int
+        Fewest and most patches of an event.
+    radius_share : tuple of float
+        Smallest and largest patch radius as a share of the body's largest extent.
+    body_force_share : float
+        Chance that an event has a body force as well.
+    """
+
+    n_patches: tuple[int, int] = (1, 3)
+    radius_share: tuple[float, float] = (0.08, 0.33)
+    body_force_share: float = 0.6
+
+
+class EventSampler:
+    """Draws random events on one body.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape with its held nodes.
+    settings : EventSettings
+        How events look.
+    held_nodes : ndarray of int64, optional
+        Nodes that patches stay off; the node set ``fixed`` where absent.
+
+    Raises
+    ------
+    MeshError
+        If the whole surface is held, so that nothing could be loaded.
+    """
+
+    def __init__(self, mesh: Mesh, settings: EventSettings | None = None, held_nodes: Any = None) -> None:
+        self.mesh = mesh
+        self.settings = settings or EventSettings()
+        held = np.zeros(mesh.n_nodes, dtype=bool)
+        held[mesh.fixed_nodes if held_nodes is None else held_nodes] = True
+        corners = mesh.nodes[mesh.surface]
+        free = ~held[mesh.surface].all(axis=1)
+        if not free.any():
+            message = "the body must have a free surface to load; every boundary triangle is held"
+            raise MeshError(message, where="fixed")
+        normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self._triangles = mesh.surface[free]
+        self._centres = corners.mean(axis=1)[free]
+        self._areas = np.linalg.norm(normal, axis=1)[free]
+        self._extent = float(np.max(np.ptp(mesh.nodes, axis=0)))
+        self._volume = float(mesh.volumes.sum())
+
+    @property
+    def extent(self) -> float:
+        """Largest extent of the body in mm."""
+        return self._extent
+
+    def draw(self, rng: np.random.Generator) -> "Event":
+        """Return one event of unit total force (1 mN a patch, 1 mN for the body force).
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of chance.
+
+        Returns
+        -------
+        Event
+            Shape of the load, not yet scaled.
+        """
+        settings = self.settings
+        patches = []
+        for _ in range(int(rng.integers(settings.n_patches[0], settings.n_patches[1] + 1))):
+            centre = self._centres[rng.choice(len(self._areas), p=self._areas / self._areas.sum())]
+            radius = self._extent * rng.uniform(*settings.radius_share)
+            rows = np.flatnonzero(np.linalg.norm(self._centres - centre, axis=1) <= radius)
+            direction = _direction(rng) * rng.uniform(0.3, 1.0)
+            patches.append((self._triangles[rows], direction / self._areas[rows].sum()))
+        body_force = np.zeros(3)
+        if rng.random() < settings.body_force_share:
+            body_force = _direction(rng) * rng.uniform(0.0, 1.5) / self._volume
+        return Event(tuple(patches), body_force)
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A random load of unit size: patches (triangles, traction in kPa a unit) and a body force (mN/mm^3 a unit)."""
+
+    patches: tuple[tuple[Any, FloatArray], ...]
+    body_force: FloatArray
+
+    def load(self, simulator: Simulator, scale: float, base: Load | None = None) -> Load:
+        """Return the event as a load of a given size on top of another load.
+
+        Parameters
+        ----------
+        simulator : Simulator
+            Body on which tractions become nodal forces.
+        scale : float
+            Size of the event in mN.
+        base : Load, optional
+            What acts besides.
+
+        Returns
+        -------
+        Load
+            Tractions merged into one set of triangles.
+        """
+        base = base or Load()
+        triangles = np.concatenate([t for t, _ in self.patches])
+        traction = np.concatenate([np.broadcast_to(scale * p, (len(t), 3)) for t, p in self.patches])
+        if base.traction is not None:
+            base_triangles = np.asarray(base.traction[0])
+            base_traction = np.broadcast_to(np.asarray(base.traction[1], np.float64), base_triangles.shape)
+            triangles = np.concatenate([base_triangles, triangles])
+            traction = np.concatenate([base_traction, traction])
+        body_force = scale * self.body_force + (0.0 if base.body_force is None else np.asarray(base.body_force))
+        return Load(base.forces, body_force, base.prescribed, (triangles, traction))
+
+
+def linear_answers(
+    simulator: Simulator, events: Sequence[Event], material: Material, *, threads: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Return each event's linear displacement, scaled to a largest node displacement of 1 mm, and its size for that.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Analysed body.
+    events : sequence of Event
+        Unit events.
+    material : Material
+        What the body is made of.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Returns
+    -------
+    displacement : ndarray of float64, shape (n_events, n_nodes, 3)
+        mm, largest node displacement 1 mm.
+    scale : ndarray of float64, shape (n_events,)
+        mN that give it.
+
+    Notes
+    -----
+    Solved by the nonlinear solver under loads that move the body by about 1e-4 of its extent, so that the answer
+    is linear to about 1e-4; cost: a few back-substitutions an event.
+    """
+    extent = float(np.max(np.ptp(simulator.mesh.nodes, axis=0)))
+    force_per_mm = float(np.median(material.young_array)) * extent  # stiffness of a cube of this size, mN/mm
+    scale = np.full(len(events), force_per_mm * _SMALL * extent)
+    loads = [event.load(simulator, s) for event, s in zip(events, scale, strict=True)]
+    found = simulator.solve_many(loads, [material] * len(events), tolerance=1e-4, threads=threads)
+    largest = np.linalg.norm(found.displacement, axis=2).max(axis=1)
+    lost = ~np.isfinite(largest) | (largest <= 0)
+    largest[lost] = np.inf  # such an event gets no load and is counted as failed by its size 0
+    displacement = np.where(lost[:, None, None], 0.0, found.displacement) / largest[:, None, None]
+    return displacement, scale / largest
+
+
+def _direction(rng: np.random.Generator) -> FloatArray:
+    vector = rng.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))

@@ -1,0 +1,255 @@
+"""One static solve, or many on one body: the Python face of the Rust solver."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg.errors import LoadError, MaterialError
+from tissuereg.load import Load
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """What a solve found.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_nodes, 3)
+        Displacement of the mesh's nodes in mm.
+    reactions : ndarray of float64, shape (n_held, 3)
+        Force on the body at every held node in mN.
+    all_displacement : ndarray of float64, shape (n_element_nodes, 3)
+        The same with the mid-edge nodes of ten-node elements behind the mesh's nodes.
+    report : dict
+        Work counters and quality: `iterations`, `solves`, `factorisations`, `load_steps`, `residual`, `min_det_f`.
+    """
+
+    displacement: FloatArray
+    reactions: FloatArray
+    all_displacement: FloatArray
+    report: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Simulations:
+    """What many solves found; failed members are rows of NaN.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_members, n_nodes, 3)
+        Displacement of the mesh's nodes in mm.
+    reactions : ndarray of float64, shape (n_members, n_held, 3)
+        Force on the body at every held node in mN.
+    failed : list of (int, str)
+        Members without equilibrium, each with its reason.
+    """
+
+    displacement: FloatArray
+    reactions: FloatArray
+    failed: list[tuple[int, str]]
+
+    @property
+    def solved(self) -> IntArray:
+        """Indices of the members that found equilibrium."""
+        lost = {index for index, _ in self.failed}
+        return np.array([i for i in range(len(self.displacement)) if i not in lost], dtype=np.int64)
+
+
+class Simulator:
+    """A mesh analysed once for many solves: element data, ordering, symbolic factor.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    element : {"tet4", "tet10"}
+        Four-node tets, or ten-node tets on the same edges (second order, straight edges).
+    held_nodes : array_like of int, optional
+        Nodes whose displacement is given; the node set ``fixed`` where absent.
+
+    Raises
+    ------
+    SupportError
+        If the held nodes leave a rigid motion free.
+    """
+
+    def __init__(self, mesh: Mesh, *, element: str = "tet4", held_nodes: Any = None) -> None:
+        held = mesh.fixed_nodes if held_nodes is None else index_array("held_nodes", held_nodes, (None,))
+        self.mesh = mesh
+        self.element = element
+        self.held_nodes: IntArray = held
+        self.body = _core.Body(mesh.nodes, mesh.tets, held, element=element)
+
+    def forces(self, load: Load) -> FloatArray | None:
+        """Return all nodal forces of a load, tractions included, in mN; None where there are none."""
+        total = None
+        if load.forces is not None:
+            given = float_array("forces", load.forces, (self.mesh.n_nodes, 3))
+            total = np.zeros_like(self.body.nodes)
+            total[: len(given)] += given
+        if load.traction is not None:
+            triangles, traction = load.traction
+            triangles = index_array("traction triangles", triangles, (None, 3))
+            pulls = np.ascontiguousarray(np.broadcast_to(np.asarray(traction, np.float64), triangles.shape))
+            pulled = self.body.traction_forces(triangles, pulls)
+            total = pulled if total is None else total + pulled
+        return total
+
+    def solve(self, load: Load, material: Material, **settings: Any) -> Simulation:
+        """Return the equilibrium under one load.
+
+        Parameters
+        ----------
+        load : Load
+            What acts.
+        material : Material
+            What the body is made of.
+        **settings
+            ``tolerance`` (residual over load), ``threads`` (0: all), ``method``, ``start``, ``max_iterations``.
+
+        Returns
+        -------
+        Simulation
+            Displacement, reactions and the record of work.
+
+        Raises
+        ------
+        ConvergenceError
+            If no equilibrium is found; it carries the last good load fraction and the worst tets.
+        LoadError, MaterialError, ShapeError
+            If the input does not fit the body.
+        """
+        young, poisson = self._moduli(material)
+        found = self.body.solve(
+            young,
+            poisson,
+            forces=self.forces(load),
+            body_force=_optional("body_force", load.body_force, (3,)),
+            prescribed=_optional("prescribed", load.prescribed, (len(self.held_nodes), 3)),
+            **settings,
+        )
+        everything = found.displacement
+        return Simulation(everything[: self.mesh.n_nodes].copy(), found.reactions, everything, found.report)
+
+    def solve_many(
+        self, loads: Sequence[Load], materials: Sequence[Material], *, progress: Any = None, **settings: Any
+    ) -> Simulations:
+        """Return the equilibria of many members, solved in parallel, each on one thread.
+
+        Parameters
+        ----------
+        loads : sequence of Load
+            One a member.
+        materials : sequence of Material
+            One a member.
+        progress : callable of int, optional
+            Called with the number of members finished so far.
+        **settings
+            As in `solve`.
+
+        Returns
+        -------
+        Simulations
+            The same bits at any thread count. A member's failure is a row of NaN and an entry in `failed`.
+
+        Raises
+        ------
+        LoadError
+            If there is not one material a load.
+        """
+        if len(loads) != len(materials):
+            message = f"there must be one material a load, got {len(materials)} for {len(loads)}"
+            raise LoadError(message, where="materials")
+        moduli = [self._moduli(material) for material in materials]
+        young = np.stack([m[0] for m in moduli]) if moduli else np.empty((0, 1))
+        poisson = np.stack([m[1] for m in moduli]) if moduli else np.empty((0, 1))
+        found = self.body.solve_many(
+            young[:, 0].copy() if young.shape[1] == 1 else young,
+            poisson[:, 0].copy() if poisson.shape[1] == 1 else poisson,
+            forces=self._stacked([self.forces(load) for load in loads], self.body.nodes.shape),
+            body_force=self._stacked([_optional("body_force", x.body_force, (3,)) for x in loads], (3,)),
+            prescribed=self._stacked(
+                [_optional("prescribed", x.prescribed, (len(self.held_nodes), 3)) for x in loads],
+                (len(self.held_nodes), 3),
+            ),
+            progress=progress,
+            **settings,
+        )
+        return Simulations(found.displacement[:, : self.mesh.n_nodes].copy(), found.reactions, found.failed)
+
+    def _moduli(self, material: Material) -> tuple[FloatArray, FloatArray]:
+        young, poisson = material.young_array, material.poisson_array
+        for name, values in (("young", young), ("poisson", poisson)):
+            if len(values) not in (1, self.mesh.n_tets):
+                message = f"`{name}` must hold one value or one a tet ({self.mesh.n_tets}), got {len(values)}"
+                raise MaterialError(message, where=name)
+        size = max(len(young), len(poisson))
+        return np.broadcast_to(young, size).copy(), np.broadcast_to(poisson, size).copy()
+
+    @staticmethod
+    def _stacked(rows: list[FloatArray | None], shape: tuple[int, ...]) -> FloatArray | None:
+        if all(row is None for row in rows):
+            return None
+        return np.stack([np.zeros(shape) if row is None else row for row in rows])
+
+
+def simulate(
+    mesh: Mesh,
+    load: Load,
+    material: Material,
+    *,
+    element: str = "tet4",
+    held_nodes: Any = None,
+    tolerance: float = 1e-9,
+    threads: int = 0,
+) -> Simulation:
+    """Return the equilibrium of a mesh under one load: one solve, everything included.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape; its node set ``fixed`` is held unless `held_nodes` is given.
+    load : Load
+        What acts.
+    material : Material
+        What the body is made of.
+    element : {"tet4", "tet10"}
+        Four-node tets, or ten-node tets on the same edges.
+    held_nodes : array_like of int, optional
+        Nodes whose displacement is given by `load.prescribed` (zero where absent).
+    tolerance : float
+        Norm of the residual over the norm of the load, free degrees of freedom.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+
+    Returns
+    -------
+    Simulation
+        Displacement in mm, reactions in mN, record of work.
+
+    Raises
+    ------
+    ConvergenceError
+        If no equilibrium is found.
+    SupportError
+        If the body can move freely.
+
+    Examples
+    --------
+    >>> block = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
+    >>> pulled = simulate(block, Load(forces=[[0, 0, 0]] * 3 + [[0, 0, 30.0]]), Material(young=10.0, poisson=0.3))
+    >>> float(pulled.displacement[3, 2]) > 0
+    True
+    """
+    simulator = Simulator(mesh, element=element, held_nodes=held_nodes)
+    return simulator.solve(load, material, tolerance=tolerance, threads=threads)
+
+
+def _optional(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray | None:
+    return None if value is None else float_array(name, value, shape)

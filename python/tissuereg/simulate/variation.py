@@ -1,0 +1,68 @@
+"""How far the truth may lie from what is believed: modulus, size and direction of loads and motions."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.load import Load
+from tissuereg.material import Material
+
+
+@dataclass(frozen=True)
+class Variation:
+    """Spreads of what is believed.
+
+    Parameters
+    ----------
+    young_log_std : float
+        Standard deviation of the logarithm of Young's modulus.
+    load_log_std : float
+        The same for the size of every believed load.
+    load_tilt_deg : float
+        Standard deviation of a load's rotation about each axis, degrees.
+    motion_log_std, motion_tilt_deg : float
+        The same two for prescribed displacements.
+    """
+
+    young_log_std: float = 0.25
+    load_log_std: float = 0.05
+    load_tilt_deg: float = 3.0
+    motion_log_std: float = 0.03
+    motion_tilt_deg: float = 2.0
+
+    def draw(self, load: Load, material: Material, rng: np.random.Generator) -> tuple[Load, Material]:
+        """Return one variation of a load and a material.
+
+        Parameters
+        ----------
+        load : Load
+            What is believed to act.
+        material : Material
+            What is believed of the material.
+        rng : numpy.random.Generator
+            Source of chance; the same numbers are drawn whatever the load holds.
+
+        Returns
+        -------
+        load, material : Load, Material
+            Forces, body force, traction and motions each turned and scaled on their own.
+        """
+        softer = float(np.exp(self.young_log_std * rng.standard_normal()))
+        force, weight, pull = (_turn(rng, self.load_log_std, self.load_tilt_deg) for _ in range(3))
+        push = _turn(rng, self.motion_log_std, self.motion_tilt_deg)
+        varied = Load(
+            None if load.forces is None else np.asarray(load.forces, np.float64) @ force.T,
+            None if load.body_force is None else weight @ np.asarray(load.body_force, np.float64),
+            None if load.prescribed is None else np.asarray(load.prescribed, np.float64) @ push.T,
+            None if load.traction is None else (load.traction[0], np.asarray(load.traction[1], np.float64) @ pull.T),
+        )
+        return varied, replace(material, young=material.young_array * softer)
+
+
+def _turn(rng: np.random.Generator, log_std: float, tilt_deg: float) -> FloatArray:
+    """Return a small random rotation times a factor near one, shape (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    vector = np.deg2rad(tilt_deg) * rng.standard_normal(3)
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix() * np.exp(log_std * rng.standard_normal()))

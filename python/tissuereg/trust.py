@@ -1,0 +1,114 @@
+r"""Can I trust this? Tests of one registration against what it assumed.
+
+The misfit of a registration is
+
+    J = (z - z0)' P^-1 (z - z0)  +  r' C_d^-1 r,
+
+prior and data terms at the posterior mean. Where prior and noise are what they claim and the model is linear,
+J equals the chi-square of the innovation and follows a chi-square law with one degree a measured coordinate.
+Each marker is tested on its own with its fitted residual, whose covariance is smaller than the noise by what
+the fit has absorbed: C_d - H P+ H'.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+
+#: Level below which a global misfit is not chance.
+LEVEL = 0.01
+
+
+@dataclass(frozen=True)
+class Trust:
+    """The answer.
+
+    Attributes
+    ----------
+    ok : bool
+        Nothing speaks against the result.
+    p_value : float
+        Chance of a misfit this large if prior and noise are what they claim.
+    reasons : list of str
+        What speaks against it, in sentences.
+    chi_square : float
+        J above.
+    residual_chi_square : float
+        Data term of J alone.
+    n_obs : int
+        Measured coordinates.
+    """
+
+    ok: bool
+    p_value: float
+    chi_square: float
+    residual_chi_square: float
+    n_obs: int
+    reasons: list[str] = field(default_factory=list)
+
+
+def judge(
+    names: tuple[str, ...],
+    residual: FloatArray,
+    noise: FloatArray,
+    posterior_spread: FloatArray,
+    prior_misfit: float,
+    min_det_f: float,
+    notes: list[str],
+) -> Trust:
+    """Return whether a registration can be trusted, and why not.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Markers that were used.
+    residual : ndarray of float64, shape (n_markers, 3)
+        Measured minus fitted, mm.
+    noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
+        Covariance C_d, mm^2.
+    posterior_spread : ndarray of float64, shape (3 n_markers, 3 n_markers)
+        Posterior covariance H P+ H' of the markers' predictions, mm^2.
+    prior_misfit : float
+        Prior term of J.
+    min_det_f : float
+        Smallest volume ratio of the registered body.
+    notes : list of str
+        What the registration noticed on its way.
+
+    Returns
+    -------
+    Trust
+        With one reason a finding.
+    """
+    from scipy.stats import chi2
+
+    flat = residual.ravel()
+    data_misfit = float(flat @ np.linalg.solve(noise, flat))
+    total = data_misfit + prior_misfit
+    p_value = float(chi2.sf(total, flat.size))
+    reasons = list(notes)
+    if p_value < LEVEL:
+        reasons.append(
+            f"markers and model disagree: misfit {total:.1f} where {flat.size} is expected (p = {p_value:.2g}); "
+            "the noise is larger than stated, the prior too narrow, or the model misses something"
+        )
+    limit = float(chi2.isf(LEVEL / max(len(names), 1), 3))
+    for index, name in enumerate(names):
+        rows = slice(3 * index, 3 * index + 3)
+        score = _marker_score(flat[rows], noise[rows, rows], posterior_spread[rows, rows])
+        if score > limit:
+            reasons.append(f"marker {name} does not fit the others: {np.sqrt(score):.1f} standard deviations off")
+    if min_det_f <= 0:
+        reasons.append(f"the registered body turns tets inside out: smallest det F {min_det_f:.3g}")
+    return Trust(not reasons, p_value, total, data_misfit, int(flat.size), reasons)
+
+
+def _marker_score(residual: FloatArray, noise: FloatArray, absorbed: FloatArray) -> float:
+    """Return the squared Mahalanobis length of a fitted residual, its covariance floored at 5 % of the noise."""
+    values, vectors = np.linalg.eigh(noise)
+    whiten = vectors / np.sqrt(values)
+    left = np.eye(3) - whiten.T @ absorbed @ whiten
+    shares, axes = np.linalg.eigh(0.5 * (left + left.T))
+    scaled = axes.T @ (whiten.T @ residual)
+    return float(np.sum(scaled**2 / np.maximum(shares, 0.05)))
