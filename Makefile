@@ -1,0 +1,92 @@
+# Set-up, tests and the demo. Everything is installed into two virtual environments below this folder.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+TRAINING_VENV := .venv-training
+TRAINING_BIN := $(TRAINING_VENV)/bin
+CARGO ?= cargo
+DATA ?= ../shared/data
+
+RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
+PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
+
+.PHONY: help demo test test-rust test-python test-training lint rust-docs wheel install install-dev training beam bench phantom-data phantom-model clean
+
+help:
+	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
+	@echo "make test            all tests of the Rust crates and the Python package (no torch)"
+	@echo "make test-training   set up training/ with torch and test it"
+	@echo "make lint            formatters, linters, types"
+	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
+	@echo "make bench           times by stage -> benchmarks/results/"
+	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet "maturin>=1.9,<2"
+
+# The wheel is rebuilt when a source changed; the stamp stands for what is installed.
+$(VENV)/.installed: $(BIN)/python $(RUST_SOURCES) $(PACKAGE_FILES) pyproject.toml README.md
+	rm -rf target/wheels
+	$(BIN)/maturin build --release --quiet --out target/wheels
+	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps target/wheels/tissuereg-*.whl
+	$(BIN)/python -m pip install --quiet target/wheels/tissuereg-*.whl
+	touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet "$$(ls target/wheels/tissuereg-*.whl)[dev,mesh]"
+	touch $@
+
+wheel install: $(VENV)/.installed
+install-dev: $(VENV)/.installed-dev
+
+demo: $(VENV)/.installed
+	$(BIN)/tissuereg demo --out demo
+
+test: test-rust test-python
+
+test-rust:
+	$(CARGO) test --workspace --exclude tissuereg-bindings
+
+test-python: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.installed-dev
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --workspace --all-targets -- --deny warnings
+	RUSTDOCFLAGS="--deny warnings" $(CARGO) doc --workspace --no-deps --quiet
+	$(BIN)/ruff format --check python tests examples benchmarks tools
+	$(BIN)/ruff check python tests examples benchmarks tools
+	$(BIN)/mypy
+	cd /tmp && $(CURDIR)/$(BIN)/python -m mypy.stubtest tissuereg._core --ignore-disjoint-bases
+
+$(TRAINING_BIN)/python:
+	$(PYTHON) -m venv $(TRAINING_VENV)
+	$(TRAINING_BIN)/python -m pip install --quiet --upgrade pip
+
+$(TRAINING_VENV)/.installed: $(TRAINING_BIN)/python $(VENV)/.installed training/pyproject.toml
+	$(TRAINING_BIN)/python -m pip install --quiet target/wheels/tissuereg-*.whl
+	$(TRAINING_BIN)/python -m pip install --quiet --editable "training[dev]"
+	touch $@
+
+training: $(TRAINING_VENV)/.installed
+
+test-training: training
+	cd training && ../$(TRAINING_BIN)/python -m pytest
+
+beam: $(VENV)/.installed-dev
+	$(BIN)/python examples/beam.py --data $(DATA)/beam
+
+bench: $(VENV)/.installed
+	$(BIN)/python benchmarks/run.py
+
+phantom-data: $(VENV)/.installed
+	$(BIN)/tissuereg simulate training/recipes/phantom.toml --out build/phantom-data
+
+phantom-model: phantom-data training
+	$(TRAINING_BIN)/tissuereg train training/recipes/phantom.toml --data build/phantom-data --out build/phantom-model
+
+clean:
+	rm -rf target $(VENV) $(TRAINING_VENV) build demo

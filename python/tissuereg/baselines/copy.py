@@ -1,0 +1,28 @@
+"""The bad method that wins easy tests: every point moves as the markers do on average."""
+
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, float_array
+
+
+def copied_displacement(reference: Any, measured: Any, points: Any) -> FloatArray:
+    """Return the markers' mean displacement at every point.
+
+    Parameters
+    ----------
+    reference, measured : array_like of float, shape (n_markers, 3)
+        Markers before and after, mm.
+    points : array_like of float, shape (n_points, 3)
+        Where the displacement is wanted, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_points, 3)
+        mm.
+    """
+    before = float_array("reference", reference, (None, 3))
+    after = float_array("measured", measured, (len(before), 3))
+    wanted = float_array("points", points, (None, 3))
+    return np.broadcast_to((after - before).mean(axis=0), wanted.shape).copy()
