@@ -91,8 +91,8 @@ class Case:
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
         Measured places in mm, NaN = not seen, in the experiment's order of markers.
     displacements : mapping of str to ndarray of float64, shape (n_frames, 3)
-        What is given to each displacement actuator that is present, in mm from the shape the body has when the
-        case begins.
+        What is given to each displacement actuator that is present, in mm from the shape that the body has
+        when the case begins.
     applied_forces : mapping of str to ndarray of float64, shape (n_frames, 3)
         What is given to each force actuator that is present, in mN.
     forces : mapping of str to ndarray of float64, shape (n_frames, 3)
@@ -135,8 +135,9 @@ class Case:
         nearest = int(np.argmin(np.abs(self.times - time)))
         if not abs(self.times[nearest] - time) <= 0.5 * self.frame_step + 1e-6:
             message = (
-                f"case '{self.name}' must have a frame within half a step of {time:g} s; its {len(self.times)} frames run "
-                f"from {self.times[0]:g} to {self.times[-1]:g} s, the nearest is at {self.times[nearest]:g} s"
+                f"case '{self.name}' must have a frame within half a step of {time:g} s; its {len(self.times)} "
+                f"frames run from {self.times[0]:g} to {self.times[-1]:g} s, the nearest is at "
+                f"{self.times[nearest]:g} s"
             )
             raise ExperimentError(message, where=self.name)
         return nearest
@@ -184,7 +185,7 @@ class Experiment:
     folder : Path
         Where its files lie.
     mesh : Mesh
-        Node set ``fixed`` is the union of the fixed boundaries; each boundary and actuator has a set of its name.
+        Node set ``fixed`` is all fixed boundaries together; each boundary and actuator has a set of its name.
     material : Material
         Means of what is believed.
     young_std : float or None

@@ -1,0 +1,189 @@
+"""Checked reading of comma-separated tables: header, number of cells, numbers, each fault by line."""
+
+import csv
+import math
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tissuereg.errors import FormatError
+from tissuereg.io.atomic import atomic_file
+from tissuereg.io.npz import existing_file
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table.
+
+    Attributes
+    ----------
+    file : Path
+        The table.
+    line : int
+        Line number, the header is 1.
+    cells : dict of str to str
+        Stripped text by column.
+    """
+
+    file: Path
+    line: int
+    cells: dict[str, str]
+
+    @property
+    def where(self) -> str:
+        """File and line, for messages."""
+        return f"{self.file}:{self.line}"
+
+    def text(self, column: str) -> str:
+        """Return the text of a cell that must not be empty.
+
+        Parameters
+        ----------
+        column : str
+            Name of the column.
+
+        Returns
+        -------
+        str
+            Stripped.
+
+        Raises
+        ------
+        FormatError
+            If it is empty.
+        """
+        if not self.cells[column]:
+            message = f"column '{column}' must not be empty, at {self.file} line {self.line}"
+            raise FormatError(message, where=self.where)
+        return self.cells[column]
+
+    def number(self, column: str, *, may_miss: bool = False) -> float:
+        """Return a cell as a finite number.
+
+        Parameters
+        ----------
+        column : str
+            Name of the column.
+        may_miss : bool
+            Whether an empty cell, or the word ``nan``, is allowed and gives NaN.
+
+        Returns
+        -------
+        float
+            Finite, or NaN where missing.
+
+        Raises
+        ------
+        FormatError
+            If it is no number, not finite, or empty where it must not be.
+        """
+        text = self.cells[column]
+        if may_miss and text.lower() in ("", "nan"):
+            return math.nan
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            wanted = "a finite number or empty" if may_miss else "a finite number"
+            message = f"column '{column}' must hold {wanted}, got '{text}' at {self.file} line {self.line}"
+            raise FormatError(message, where=self.where)
+        return value
+
+    def numbers(self, columns: Iterable[str], *, may_miss: bool = False) -> tuple[float, ...]:
+        """Return several cells as numbers.
+
+        Parameters
+        ----------
+        columns : iterable of str
+            Names of the columns.
+        may_miss : bool
+            As in `number`.
+
+        Returns
+        -------
+        tuple of float
+            In that order.
+        """
+        return tuple(self.number(column, may_miss=may_miss) for column in columns)
+
+
+def read_table(path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()) -> list[Row]:
+    """Read a table with a header line.
+
+    Parameters
+    ----------
+    path : path-like
+        UTF-8 text; empty lines are skipped.
+    columns : sequence of str
+        Columns that must be there, in any order.
+    optional : sequence of str
+        Columns that may be there.
+
+    Returns
+    -------
+    list of Row
+        At least one.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, no text, has another header, a line of another length, or no line at all.
+    """
+    file = existing_file(path)
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as handle:
+            reader = csv.reader(handle, strict=True)
+            lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except (UnicodeDecodeError, csv.Error, OSError) as error:
+        message = f"{file} must be a table in comma-separated UTF-8 text; it cannot be read: {error}"
+        raise FormatError(message, where=str(file)) from error
+    lines = [(number, cells) for number, cells in lines if any(cells)]
+    header = lines[0][1] if lines else []
+    _check_header(file, header, columns, optional)
+    if len(lines) == 1:
+        message = f"{file} must hold at least one row below its header"
+        raise FormatError(message, where=str(file))
+    return [_row(file, number, header, cells) for number, cells in lines[1:]]
+
+
+def write_table(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to.
+    header : sequence of str
+        Column names.
+    rows : iterable of sequence
+        One value a column; None and NaN become empty cells, floats keep nine digits.
+    """
+    with atomic_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as handle:
+        writer = csv.writer(handle, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows([_cell(value) for value in row] for row in rows)
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, float):
+        return f"{value:.9g}" if math.isfinite(value) else ""
+    return "" if value is None else value
+
+
+def _check_header(file: Path, header: list[str], columns: Sequence[str], optional: Sequence[str]) -> None:
+    missing = [name for name in columns if name not in header]
+    unknown = [name for name in header if name not in (*columns, *optional)]
+    repeated = [name for name in header if header.count(name) > 1]
+    if missing or unknown or repeated:
+        wanted = ",".join(columns) + "".join(f"[,{name}]" for name in optional)
+        message = f"{file} must begin with the header {wanted}, got '{','.join(header)}' at line 1"
+        raise FormatError(message, where=f"{file}:1")
+
+
+def _row(file: Path, line: int, header: list[str], cells: list[str]) -> Row:
+    if len(cells) != len(header):
+        message = f"every row must have {len(header)} cells, got {len(cells)} at {file} line {line}"
+        raise FormatError(message, where=f"{file}:{line}")
+    return Row(file, line, dict(zip(header, cells, strict=True)))

@@ -1,0 +1,319 @@
+"""Tetrahedral meshes: .vtu, .vtk and .msh through meshio, .npz directly.
+
+Node sets come from 0/1 point data of any name, from named sets or physical groups of cells, and in an .npz
+from integer arrays ``<name>_nodes``.
+"""
+
+import contextlib
+import io
+import os
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tissuereg._arrays import IntArray, float_array
+from tissuereg.errors import FormatError, MeshError, ShapeError
+from tissuereg.io.atomic import atomic_file
+from tissuereg.io.npz import Archive, existing_file, open_npz
+from tissuereg.mesh import Mesh
+
+#: A plane ``(nx, ny, nz, d, tolerance)`` in words or numbers, or the name of a node set.
+FixedRule = str | Sequence[float]
+
+_MESHIO_READERS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
+_SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".vtp")
+_SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9", "polygon"}
+_TET_CELLS = {"tetra": 4, "tetra10": 10}
+
+
+def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None) -> Mesh:
+    """Read a tetrahedral mesh with its node sets.
+
+    Parameters
+    ----------
+    path : path-like
+        A .vtu, .vtk or .msh file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)`` and integer arrays
+        ``fixed_nodes``, ``<name>_nodes``. Lengths in mm.
+    fixed : str or sequence of float, optional
+        What is held: ``"plane nx ny nz d tol"`` or those five numbers (the nodes within `tol` mm of the plane
+        ``n . x = d``, n normalised, d in mm), or the name of another node set of the file. Where absent, the
+        file's set ``fixed``.
+
+    Returns
+    -------
+    Mesh
+        Corner nodes only; of ten-node tets the mid-edge nodes are dropped, with a warning.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, spoilt, of another kind, or holds no tetrahedra; or if `fixed` is no such rule.
+    MeshError
+        If the mesh itself cannot carry a simulation, or the plane catches no node.
+    """
+    file = existing_file(path)
+    suffix = file.suffix.lower()
+    if suffix == ".npz":
+        with open_npz(file) as archive:
+            mesh = mesh_from_archive(archive)
+    elif suffix in _MESHIO_READERS:
+        mesh = _from_meshio(file, _meshio_content(file, _MESHIO_READERS[suffix]))
+    else:
+        raise _unknown_format(file)
+    return mesh if fixed is None else mesh.with_node_set("fixed", fixed_nodes(mesh, fixed))
+
+
+def mesh_from_archive(archive: Archive) -> Mesh:
+    """Return the mesh that an open .npz holds.
+
+    Parameters
+    ----------
+    archive : Archive
+        With ``nodes_mm``, ``tets`` and any ``<name>_nodes``.
+
+    Returns
+    -------
+    Mesh
+        Its node sets are named without ``_nodes``.
+    """
+    nodes = archive.floats("nodes_mm", None, 3)
+    tets = archive.indices("tets", None, 4)
+    sets = {
+        name.removesuffix("_nodes"): archive.indices(name, None)
+        for name in archive.names
+        if name == "fixed_nodes" or (name.endswith("_nodes") and _holds_indices(archive.raw(name)))
+    }
+    return _placed(archive.path, nodes, tets, sets)
+
+
+def fixed_nodes(mesh: Mesh, rule: FixedRule) -> IntArray:
+    """Return the nodes that a rule holds.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The body, mm.
+    rule : str or sequence of float
+        ``"plane nx ny nz d tol"``, those five numbers, or the name of a node set.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Sorted indices, at least one.
+
+    Raises
+    ------
+    FormatError
+        If the rule cannot be read.
+    MeshError
+        If there is no such node set, or the plane catches no node.
+    """
+    if isinstance(rule, str) and rule.split()[:1] != ["plane"]:
+        return mesh.node_set(rule)
+    words = rule.split()[1:] if isinstance(rule, str) else list(rule)
+    try:
+        numbers = [float(word) for word in words]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != 5 or not np.isfinite(numbers).all() or numbers[4] < 0 or not any(numbers[:3]):
+        shown = rule if isinstance(rule, str) else list(rule)
+        message = f"`fixed` must be 'plane nx ny nz d tol', normal not zero and tol at least 0 mm, got {shown!r}"
+        raise FormatError(message, where="fixed")
+    return nodes_near_plane(mesh, numbers[:3], numbers[3], numbers[4])
+
+
+def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, tolerance: float) -> IntArray:
+    """Return the nodes with ``|n . x - offset| <= tolerance``, n normalised.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The body, mm.
+    normal : sequence of float, length 3
+        Normal of the plane; any length but none.
+    offset : float
+        Distance of the plane from the origin along the unit normal, mm.
+    tolerance : float
+        How far a node may lie from the plane, mm.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Sorted indices, at least one.
+
+    Raises
+    ------
+    MeshError
+        If no node is that close.
+    """
+    unit = np.asarray(normal, dtype=np.float64)
+    unit = unit / np.linalg.norm(unit)
+    distance = np.abs(mesh.nodes @ unit - offset)
+    near = np.flatnonzero(distance <= tolerance).astype(np.int64)
+    if near.size == 0:
+        message = (
+            f"the plane {unit.tolist()} . x = {offset:g} mm must have a node within {tolerance:g} mm; "
+            f"the nearest is {distance.min():.4g} mm away"
+        )
+        raise MeshError(message, where="plane")
+    return near
+
+
+def write_vtu(path: str | os.PathLike[str], mesh: Mesh, point_data: Mapping[str, Any] | None = None) -> None:
+    """Write a mesh with values at its nodes as .vtu, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to; should end in .vtu.
+    mesh : Mesh
+        Nodes in mm; its node sets are written as 0/1 point data, so that `read_mesh` finds them.
+    point_data : mapping of str to array_like of float, shape (n_nodes,) or (n_nodes, 3), optional
+        Values at the nodes, named with their unit.
+
+    Raises
+    ------
+    ShapeError
+        If an array does not have one row a node.
+    """
+    import meshio
+
+    values: dict[str, npt.NDArray[Any]] = {}
+    for name, indices in mesh.node_sets.items():
+        flags = np.zeros(mesh.n_nodes, dtype=np.int8)
+        flags[indices] = 1
+        values[name] = flags
+    for name, array in (point_data or {}).items():
+        numbers = np.asarray(array)
+        if numbers.shape not in ((mesh.n_nodes,), (mesh.n_nodes, 3)):
+            message = f"`{name}` must have shape ({mesh.n_nodes},) or ({mesh.n_nodes}, 3), got {numbers.shape}"
+            raise ShapeError(message, where=name)
+        values[name] = numbers if numbers.dtype.kind in "iu" else float_array(name, numbers, numbers.shape)
+    content = meshio.Mesh(mesh.nodes.copy(), [("tetra", mesh.tets.copy())], point_data=values)
+    with atomic_file(path) as temporary, _meshio_hushed():
+        meshio.vtu.write(temporary, content)
+
+
+def _holds_indices(array: npt.NDArray[Any]) -> bool:
+    return array.ndim == 1 and array.dtype.kind in "iu"
+
+
+def _meshio_content(file: Path, reader: str) -> Any:
+    import meshio
+
+    try:
+        with _meshio_hushed():
+            return getattr(meshio, reader).read(str(file))
+    except (Exception, SystemExit) as error:  # meshio raises whatever its parser stumbles over
+        reason = str(error).strip() or type(error).__name__
+        message = f"{file} must be a mesh of the kind that its name says ({file.suffix}); it cannot be read: {reason}"
+        raise FormatError(message, where=str(file)) from error
+
+
+@contextlib.contextmanager
+def _meshio_hushed() -> Iterator[None]:
+    """Keep meshio's prints and deprecation notes to itself."""
+    silence = io.StringIO()
+    with warnings.catch_warnings(), contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _from_meshio(file: Path, content: Any) -> Mesh:
+    _refuse_other_cells(file, [block.type for block in content.cells])
+    corners = [_corners(block) for block in content.cells if block.type in _TET_CELLS]
+    tets = np.concatenate(corners).astype(np.int64)
+    nodes = np.asarray(content.points)
+    if tets.size == 0 or tets.min() < 0 or tets.max() >= len(nodes):
+        return _placed(file, nodes, tets, {})  # which says what is wrong
+    used = np.unique(tets)
+    sets = _node_sets(file, content, len(nodes))
+    if len(used) < len(nodes):
+        _warn_of_dropped(file, len(nodes) - len(used), any(block.type == "tetra10" for block in content.cells))
+        new_from_old = np.full(len(nodes), -1, dtype=np.int64)
+        new_from_old[used] = np.arange(len(used))
+        nodes, tets = nodes[used], new_from_old[tets]
+        sets = {name: kept[kept >= 0] for name, kept in ((name, new_from_old[old]) for name, old in sets.items())}
+    return _placed(file, nodes, tets, sets)
+
+
+def _refuse_other_cells(file: Path, kinds: list[str]) -> None:
+    others = sorted({kind for kind in kinds if kind not in _TET_CELLS and kind not in _SURFACE_CELLS})
+    if others:
+        message = f"{file} must be made of tetrahedra; it also holds cells of kind {', '.join(others)}"
+        raise FormatError(message, where=str(file))
+    if not any(kind in _TET_CELLS for kind in kinds):
+        found = ", ".join(sorted(set(kinds))) or "no cells"
+        message = f"{file} must hold tetrahedra; it holds {found} only. {_HOW_TO_FILL}"
+        raise FormatError(message, where=str(file))
+
+
+def _node_sets(file: Path, content: Any, n_nodes: int) -> dict[str, IntArray]:
+    sets = {str(name): np.asarray(nodes, dtype=np.int64) for name, nodes in content.point_sets.items()}
+    sets |= _sets_of_cells(content)
+    for name, values in content.point_data.items():
+        flags = np.asarray(values).reshape(len(values), -1)
+        if flags.shape == (n_nodes, 1) and flags.dtype.kind in "biuf" and np.isin(flags, (0, 1)).all():
+            sets[str(name)] = np.flatnonzero(flags[:, 0]).astype(np.int64)
+        elif name == "fixed":
+            message = f"point data 'fixed' in {file} must be one 0 or 1 a node, got other values"
+            raise FormatError(message, where=f"{file}:fixed")
+    return sets
+
+
+def _sets_of_cells(content: Any) -> dict[str, IntArray]:
+    """Return the nodes of every named set or Gmsh physical group of cells."""
+    found: dict[str, list[npt.NDArray[Any]]] = {}
+    for name, rows in content.cell_sets.items():
+        if not str(name).startswith("gmsh:"):
+            pairs = [pair for pair in zip(content.cells, rows, strict=True) if pair[1] is not None]
+            found.setdefault(str(name), []).extend(_corners(block)[chosen].ravel() for block, chosen in pairs)
+    tags = content.cell_data.get("gmsh:physical", [])
+    for name, (tag, dimension) in _physical_groups(content):
+        for block, block_tags in zip(content.cells, tags, strict=False):
+            if block.dim == dimension:
+                found.setdefault(name, []).append(_corners(block)[np.asarray(block_tags) == tag].ravel())
+    return {name: np.unique(np.concatenate(parts)).astype(np.int64) for name, parts in found.items() if parts}
+
+
+def _physical_groups(content: Any) -> list[tuple[str, tuple[int, int]]]:
+    pairs = ((str(name), np.asarray(value).ravel()) for name, value in content.field_data.items())
+    return [(name, (int(value[0]), int(value[1]))) for name, value in pairs if value.size == 2]
+
+
+def _corners(block: Any) -> npt.NDArray[Any]:
+    data = np.asarray(block.data)
+    return data[:, :4] if block.type in _TET_CELLS else data
+
+
+def _warn_of_dropped(file: Path, n_dropped: int, second_order: bool) -> None:
+    what = "mid-edge nodes of the ten-node tetrahedra" if second_order else "nodes that belong to no tetrahedron"
+    warnings.warn(f"{file}: {n_dropped} {what} were dropped; the corner nodes keep their order", stacklevel=4)
+
+
+def _placed(file: Path, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:
+    """Return the mesh, with the file named in whatever is wrong with it."""
+    try:
+        return Mesh(nodes, tets, sets)
+    except (MeshError, ShapeError) as error:
+        error.args = (f"{file}: {error}",)
+        raise
+
+
+def _unknown_format(file: Path) -> FormatError:
+    if file.suffix.lower() in _SURFACE_SUFFIXES:
+        message = f"a mesh must be made of tetrahedra; {file} holds a surface only. {_HOW_TO_FILL}"
+    else:
+        known = ", ".join([*_MESHIO_READERS, ".npz"])
+        message = f"a mesh file must be one of {known}, got '{file.name}'"
+    return FormatError(message, where=str(file))
+
+
+_HOW_TO_FILL = (
+    "Fill the surface with tetrahedra first: pytetwild does it, pip install 'tissuereg[mesh]', "
+    "as examples/beam.py shows"
+)

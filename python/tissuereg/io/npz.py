@@ -1,0 +1,213 @@
+"""Checked reading of numpy archives: no pickles, every fault named by file and array."""
+
+import contextlib
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg.errors import FormatError, ShapeError
+from tissuereg.io.atomic import atomic_file
+
+#: What numpy and zipfile raise on spoilt archives.
+_SPOILT = (
+    ValueError, TypeError, EOFError, OSError, KeyError, zipfile.BadZipFile, zlib.error, MemoryError, SyntaxError,
+    RuntimeError,
+)  # fmt: skip
+
+
+class Archive:
+    """An open .npz file whose arrays are checked as they are read.
+
+    Parameters
+    ----------
+    path : Path
+        Where it came from, for messages.
+    arrays : mapping of str to ndarray
+        numpy's lazy archive.
+    """
+
+    def __init__(self, path: Path, arrays: Mapping[str, Any]) -> None:
+        self.path = path
+        self._arrays = arrays
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._arrays
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the arrays, in file order."""
+        return list(self._arrays)
+
+    def floats(self, name: str, *shape: int | None) -> FloatArray:
+        """Return an array of finite numbers.
+
+        Parameters
+        ----------
+        name : str
+            Name in the archive.
+        *shape : int or None
+            Wanted shape; None stands for any length.
+
+        Returns
+        -------
+        ndarray of float64
+            Of that shape.
+
+        Raises
+        ------
+        FormatError
+            If it is missing, spoilt, not numeric, of another shape or not finite.
+        """
+        array = self._checked(name, float_array, shape)
+        if not np.isfinite(array).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            message = f"array '{name}' in {self.path} must be finite, got {array[place]} at {list(place)}"
+            raise FormatError(message, where=f"{self.path}:{name}")
+        return array
+
+    def indices(self, name: str, *shape: int | None) -> IntArray:
+        """Return an array of whole numbers.
+
+        Parameters
+        ----------
+        name : str
+            Name in the archive.
+        *shape : int or None
+            Wanted shape; None stands for any length.
+
+        Returns
+        -------
+        ndarray of int64
+            Of that shape.
+        """
+        return self._checked(name, index_array, shape)
+
+    def raw(self, name: str) -> npt.NDArray[Any]:
+        """Return an array as it stands.
+
+        Parameters
+        ----------
+        name : str
+            Name in the archive.
+
+        Returns
+        -------
+        ndarray
+            Any dtype but object.
+
+        Raises
+        ------
+        FormatError
+            If it is missing, holds pickled objects or is spoilt.
+        """
+        where = f"{self.path}:{name}"
+        if name not in self._arrays:
+            message = f"{self.path} must hold an array '{name}'; it holds: {', '.join(self.names) or 'nothing'}"
+            raise FormatError(message, where=where)
+        try:
+            array = np.asarray(self._arrays[name])
+        except _SPOILT as error:
+            pickled = "allow_pickle" in str(error)
+            reason = "pickled objects, which are never loaded" if pickled else str(error) or type(error).__name__
+            message = f"array '{name}' in {self.path} must hold plain numbers, got {reason}"
+            raise FormatError(message, where=where) from error
+        return array
+
+    def _checked(self, name: str, check: Any, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+        array = self.raw(name)
+        if array.dtype.kind not in "biuf":
+            message = f"array '{name}' in {self.path} must hold real numbers, got dtype {array.dtype}"
+            raise FormatError(message, where=f"{self.path}:{name}")
+        try:
+            checked: npt.NDArray[Any] = check(name, array, shape)
+        except ShapeError as error:
+            message = f"array {error} in {self.path}"
+            raise FormatError(message, where=f"{self.path}:{name}") from error
+        return checked
+
+
+@contextlib.contextmanager
+def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
+    """Open an .npz file for checked reading.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Yields
+    ------
+    Archive
+        Its arrays.
+
+    Raises
+    ------
+    FormatError
+        If there is no such file, or if it is no archive of numpy arrays.
+    """
+    file = existing_file(path)
+    try:
+        arrays = np.load(file, allow_pickle=False)
+    except _SPOILT as error:
+        pickled = "pickle" in str(error)
+        reason = "and pickled objects are never loaded" if pickled else str(error) or type(error).__name__
+        message = f"{file} must be a numpy archive (.npz) of plain arrays; it is none, {reason}"
+        raise FormatError(message, where=str(file)) from error
+    if not isinstance(arrays, np.lib.npyio.NpzFile):
+        message = f"{file} must be a numpy archive (.npz) with named arrays, got a single array (.npy)"
+        raise FormatError(message, where=str(file))
+    with arrays:
+        yield Archive(file, arrays)
+
+
+def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
+    """Write named arrays as an .npz file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to; the name is kept as given.
+    arrays : mapping of str to array_like
+        What to write.
+    """
+    with atomic_file(path) as temporary, temporary.open("wb") as handle:
+        content: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
+        np.savez(handle, **content)
+
+
+def existing_file(path: str | os.PathLike[str]) -> Path:
+    """Return `path` if it is a file that can be read.
+
+    Parameters
+    ----------
+    path : path-like
+        Name of the file.
+
+    Returns
+    -------
+    Path
+        The same.
+
+    Raises
+    ------
+    FormatError
+        If it does not exist, is a folder or may not be read.
+    """
+    file = Path(path)
+    if file.is_dir():
+        message = f"a file is needed, got the folder {file}"
+        raise FormatError(message, where=str(file))
+    if not file.exists():
+        message = f"no such file: {file}"
+        raise FormatError(message, where=str(file))
+    if not os.access(file, os.R_OK):
+        message = f"{file} must be readable; permission was denied"
+        raise FormatError(message, where=str(file))
+    return file

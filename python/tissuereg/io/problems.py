@@ -1,0 +1,153 @@
+"""One static problem in one .npz file, and what a solver found for it."""
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import FormatError, MaterialError
+from tissuereg.io.meshes import mesh_from_archive
+from tissuereg.io.npz import Archive, open_npz, write_npz
+from tissuereg.load import Load
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A body, what it is made of and what acts on it.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Reference shape; node set ``fixed`` is held.
+    material : Material
+        Neo-Hookean, Young's modulus in kPa.
+    load : Load
+        Nodal forces in mN; also body force and prescribed displacement where the file has them.
+    reference : ndarray of float64, shape (n_nodes, 3), or None
+        Another solver's displacement in mm, where the file has one.
+    """
+
+    mesh: Mesh
+    material: Material
+    load: Load
+    reference: FloatArray | None = None
+
+
+def read_problem(path: str | os.PathLike[str]) -> Problem:
+    """Read a static problem.
+
+    Parameters
+    ----------
+    path : path-like
+        An .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)``, ``fixed_nodes (f,)``, ``forces_mN (n, 3)``,
+        ``young_kPa`` and ``poisson`` (one for all, or one a tet); optional are
+        ``body_force_mN_per_mm3 (3,)``, ``prescribed_mm (f, 3)`` (in the order of ``fixed_nodes``) and
+        ``displacement_mm (n, 3)`` to compare with. Other arrays are not looked at.
+
+    Returns
+    -------
+    Problem
+        Ready to solve.
+
+    Raises
+    ------
+    FormatError
+        If the file is no such archive; the message names the array.
+    MeshError, MaterialError
+        If mesh or moduli are out of their range.
+    """
+    with open_npz(path) as archive:
+        mesh = mesh_from_archive(archive)
+        _ = archive.indices("fixed_nodes", None), mesh.fixed_nodes
+        n_nodes = mesh.n_nodes
+        forces = _floats_if_there(archive, "forces_mN", n_nodes, 3)
+        body_force = _floats_if_there(archive, "body_force_mN_per_mm3", 3)
+        prescribed = _prescribed(archive)
+        if forces is None and body_force is None and prescribed is None:
+            archive.raw("forces_mN")
+        material = _material(archive, mesh.n_tets)
+        reference = _floats_if_there(archive, "displacement_mm", n_nodes, 3)
+    return Problem(mesh, material, Load(forces, body_force, prescribed), reference)
+
+
+def write_solution(path: str | os.PathLike[str], problem: Problem, displacement: Any, reactions: Any) -> None:
+    """Write what a solve found, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        The .npz; `read_simulation` and ``tissuereg register --simulation`` take it.
+    problem : Problem
+        What was solved.
+    displacement : array_like of float, shape (n_nodes, 3)
+        mm.
+    reactions : array_like of float, shape (n_fixed, 3)
+        Force on the body at every held node in mN, in the order of ``fixed_nodes``.
+    """
+    write_npz(
+        path,
+        {
+            "displacement_mm": np.asarray(displacement, dtype=np.float64),
+            "reactions_mN": np.asarray(reactions, dtype=np.float64),
+            "fixed_nodes": problem.mesh.fixed_nodes,
+        },
+    )
+
+
+def read_simulation(path: str | os.PathLike[str], n_nodes: int | None = None) -> FloatArray:
+    """Read a simulation's displacement field.
+
+    Parameters
+    ----------
+    path : path-like
+        An .npz with ``displacement_mm (n, 3)``.
+    n_nodes : int, optional
+        How many nodes it must have.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_nodes, 3)
+        mm.
+
+    Raises
+    ------
+    FormatError
+        If there is no such array, or it has another shape or a value that is not finite.
+    """
+    with open_npz(path) as archive:
+        return archive.floats("displacement_mm", n_nodes, 3)
+
+
+def _floats_if_there(archive: Archive, name: str, *shape: int) -> FloatArray | None:
+    return archive.floats(name, *shape) if name in archive else None
+
+
+def _prescribed(archive: Archive) -> FloatArray | None:
+    """Return the prescribed displacements in the sorted order of the mesh's node set."""
+    if "prescribed_mm" not in archive:
+        return None
+    given = archive.indices("fixed_nodes", None)
+    order = np.argsort(given, kind="stable")
+    if np.any(np.diff(given[order]) == 0):
+        message = f"array 'fixed_nodes' in {archive.path} must not repeat a node where 'prescribed_mm' is given"
+        raise FormatError(message, where=f"{archive.path}:fixed_nodes")
+    return archive.floats("prescribed_mm", len(given), 3)[order]
+
+
+def _material(archive: Archive, n_tets: int) -> Material:
+    values = {name: _one_or_each(archive, name, n_tets) for name in ("young_kPa", "poisson")}
+    try:
+        return Material(values["young_kPa"], values["poisson"])
+    except MaterialError as error:
+        error.args = (f"{archive.path}: {error}",)
+        raise
+
+
+def _one_or_each(archive: Archive, name: str, n_tets: int) -> FloatArray:
+    array = archive.raw(name)
+    shape = () if array.ndim == 0 else (1,) if array.shape == (1,) else (n_tets,)
+    return archive.floats(name, *shape)

@@ -1,0 +1,119 @@
+"""Markers and targets as comma-separated tables, lengths in mm."""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import FormatError, MarkerError
+from tissuereg.io.csv import Row, read_table, write_table
+from tissuereg.markers import Markers
+
+#: Standard deviation of a measured coordinate, mm, where nobody says one.
+DEFAULT_STD = 0.1
+
+_PLACE = ("x_mm", "y_mm", "z_mm")
+_MOVED = ("moved_x_mm", "moved_y_mm", "moved_z_mm")
+
+
+def read_markers(path: str | os.PathLike[str], std: float | None = None) -> Markers:
+    """Read the markers of one moment.
+
+    Parameters
+    ----------
+    path : path-like
+        Table ``marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm]``: the marker's place on or
+        off the undeformed surface, then where it was measured; empty (or ``nan``) = not seen.
+    std : float, optional
+        Standard deviation in mm of a measured coordinate, for markers without their own; 0.1 where absent.
+
+    Returns
+    -------
+    Markers
+        In file order, markers that were not seen included.
+
+    Raises
+    ------
+    FormatError
+        If the table cannot be read, or a marker stands in it twice; the message names the line.
+    MarkerError
+        If a standard deviation is not positive.
+    """
+    rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm",))
+    names = _unique_names(rows, "marker")
+    spread = [_own_std(row, DEFAULT_STD if std is None else std) for row in rows]
+    reference = [row.numbers(_PLACE) for row in rows]
+    measured = [row.numbers(_MOVED, may_miss=True) for row in rows]
+    try:
+        return Markers(reference, measured, spread, names)
+    except MarkerError as error:
+        error.args = (f"{rows[0].file}: {error}",)
+        raise
+
+
+def read_targets(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
+    """Read inner points of the undeformed body.
+
+    Parameters
+    ----------
+    path : path-like
+        Table ``target,x_mm,y_mm,z_mm``.
+
+    Returns
+    -------
+    dict of str to ndarray of float64, shape (3,)
+        Place in mm by name, in file order.
+
+    Raises
+    ------
+    FormatError
+        If the table cannot be read, or a target stands in it twice; the message names the line.
+    """
+    rows = read_table(path, ("target", *_PLACE))
+    names = _unique_names(rows, "target")
+    return {name: np.array(row.numbers(_PLACE)) for name, row in zip(names, rows, strict=True)}
+
+
+def write_targets(path: str | os.PathLike[str], targets: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write registered targets as a table, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to.
+    targets : mapping of str to mapping
+        Each with ``reference_mm (3,)``, ``mean_mm (3,)``, ``covariance_mm2 (3, 3)``, ``region90_radii_mm (3,)``
+        and ``simulation_mm (3,)`` or None, as in ``registration.json``.
+    """
+    header = ("target", *_PLACE, *_MOVED, *_COVARIANCE, *_RADII, *_SIMULATED)
+    write_table(path, header, [(name, *_target_cells(values)) for name, values in targets.items()])
+
+
+_COVARIANCE = ("cov_xx_mm2", "cov_xy_mm2", "cov_xz_mm2", "cov_yy_mm2", "cov_yz_mm2", "cov_zz_mm2")
+_RADII = ("region90_a_mm", "region90_b_mm", "region90_c_mm")
+_SIMULATED = ("simulated_x_mm", "simulated_y_mm", "simulated_z_mm")
+
+
+def _target_cells(values: Mapping[str, Any]) -> list[float | None]:
+    covariance = np.asarray(values["covariance_mm2"], dtype=np.float64)[np.triu_indices(3)]
+    cells = [*values["reference_mm"], *values["mean_mm"], *covariance, *values["region90_radii_mm"]]
+    simulated = values.get("simulation_mm")
+    return [*map(float, cells), *((None, None, None) if simulated is None else map(float, simulated))]
+
+
+def _own_std(row: Row, default: float) -> float:
+    return row.number("std_mm") if row.cells.get("std_mm") else default
+
+
+def _unique_names(rows: list[Row], column: str) -> list[str]:
+    first: dict[str, int] = {}
+    for row in rows:
+        name = row.text(column)
+        if name in first:
+            lines = f"line {first[name]} and line {row.line}"
+            message = f"each {column} must stand in {row.file} once; '{name}' is at {lines}"
+            raise FormatError(message, where=row.where)
+        first[name] = row.line
+    return list(first)

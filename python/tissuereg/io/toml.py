@@ -1,0 +1,361 @@
+"""Checked reading of TOML tables: every key is asked for, and none may be left over."""
+
+import math
+import os
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import ExperimentError
+from tissuereg.io.npz import existing_file
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
+
+
+class Table:
+    """A TOML table whose keys are taken one by one.
+
+    Parameters
+    ----------
+    file : Path
+        Where it stands, for messages.
+    place : str
+        Name of the table, such as ``[mesh]``; empty at the top.
+    content : dict
+        What was read.
+    """
+
+    def __init__(self, file: Path, place: str, content: dict[str, Any]) -> None:
+        self.file = file
+        self.place = place
+        self._content = content
+        self._taken: set[str] = set()
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._content
+
+    def refuse(self, rule: str, found: object = None) -> NoReturn:
+        """Raise the error that says what must hold in this table.
+
+        Parameters
+        ----------
+        rule : str
+            What must hold.
+        found : object, optional
+            What was found.
+
+        Raises
+        ------
+        ExperimentError
+            Always; it names table and file.
+        """
+        got = "" if found is None else f", got {found!r}"
+        place = f" in {self.place}" if self.place else ""
+        message = f"{rule}{got}{place} of {self.file}"
+        raise ExperimentError(message, where=f"{self.file}:{self.place}" if self.place else str(self.file))
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Take a value as it stands.
+
+        Parameters
+        ----------
+        key : str
+            Name of the value.
+        default : object, optional
+            Where it is absent.
+
+        Returns
+        -------
+        object
+            Of any TOML type.
+        """
+        self._taken.add(key)
+        return self._content.get(key, default)
+
+    def need(self, key: str) -> Any:
+        """Take a value that must be there.
+
+        Parameters
+        ----------
+        key : str
+            Name of the value.
+
+        Returns
+        -------
+        object
+            Of any TOML type.
+
+        Raises
+        ------
+        ExperimentError
+            If it is absent.
+        """
+        if key not in self._content:
+            self.refuse(f"`{key}` must be given")
+        return self.get(key)
+
+    def text(self, key: str, default: str | None = None, *, among: Iterable[str] = ()) -> str:
+        """Take a text.
+
+        Parameters
+        ----------
+        key : str
+            Name of the value.
+        default : str, optional
+            Where it is absent; without one it must be there.
+        among : iterable of str
+            What is allowed; empty = anything.
+
+        Returns
+        -------
+        str
+            Not empty.
+
+        Raises
+        ------
+        ExperimentError
+            If it is absent, no text, or not among what is allowed.
+        """
+        value = self.need(key) if default is None else self.get(key, default)
+        if not isinstance(value, str) or not value.strip():
+            self.refuse(f"`{key}` must be a text", value)
+        allowed = tuple(among)
+        if allowed and value not in allowed:
+            self.refuse(f"`{key}` must be one of {', '.join(allowed)}", value)
+        return value
+
+    def flag(self, key: str) -> bool:
+        """Take true or false.
+
+        Parameters
+        ----------
+        key : str
+            Name of the value; it must be there.
+
+        Returns
+        -------
+        bool
+            As it stands.
+
+        Raises
+        ------
+        ExperimentError
+            If it is absent or something else.
+        """
+        value = self.need(key)
+        if not isinstance(value, bool):
+            self.refuse(f"`{key}` must be true or false", value)
+        return value
+
+    def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
+        """Take a finite number.
+
+        Parameters
+        ----------
+        key : str
+            Name of the value.
+        default : float, optional
+            Where it is absent; without one it must be there.
+        positive : bool
+            Whether it must be greater than zero.
+
+        Returns
+        -------
+        float
+            Finite.
+
+        Raises
+        ------
+        ExperimentError
+            If it is absent, no number, not finite, or not positive where it must be.
+        """
+        value = self.need(key) if default is None else self.get(key, default)
+        if not _is_number(value) or (positive and value <= 0):
+            self.refuse(f"`{key}` must be a {'positive' if positive else 'finite'} number", value)
+        return float(value)
+
+    def numbers(self, key: str, length: int) -> FloatArray:
+        """Take a list of finite numbers that must be there.
+
+        Parameters
+        ----------
+        key : str
+            Name of the value.
+        length : int
+            How many.
+
+        Returns
+        -------
+        ndarray of float64, shape (length,)
+            In their order.
+
+        Raises
+        ------
+        ExperimentError
+            If it is absent or anything else.
+        """
+        value = self.need(key)
+        if not (isinstance(value, list) and len(value) == length and all(_is_number(x) for x in value)):
+            self.refuse(f"`{key}` must be a list of {length} finite numbers", value)
+        return np.array(value, dtype=np.float64)
+
+    def belief(self, key: str, default: float | None = None) -> tuple[float, float | None]:
+        """Take a number, or a list of mean and standard deviation.
+
+        Parameters
+        ----------
+        key : str
+            Name of the value.
+        default : float, optional
+            Mean where it is absent; without one it must be there.
+
+        Returns
+        -------
+        mean : float
+            Finite.
+        std : float or None
+            Positive, None where only one number is given.
+
+        Raises
+        ------
+        ExperimentError
+            If it is absent or anything else.
+        """
+        value = self.need(key) if default is None else self.get(key, default)
+        if _is_number(value):
+            return float(value), None
+        pair = isinstance(value, list) and len(value) == 2 and all(_is_number(x) for x in value)
+        if not pair or value[1] <= 0:
+            self.refuse(f"`{key}` must be a number or [mean, standard deviation > 0]", value)
+        return float(value[0]), float(value[1])
+
+    def table(self, key: str) -> "Table | None":
+        """Take a table.
+
+        Parameters
+        ----------
+        key : str
+            Name of the table.
+
+        Returns
+        -------
+        Table or None
+            None where it is absent.
+
+        Raises
+        ------
+        ExperimentError
+            If there is something else of that name.
+        """
+        value = self.get(key)
+        if value is None:
+            return None
+        if not isinstance(value, dict):
+            self.refuse(f"`{key}` must be a table", value)
+        inner = f"{self.place[1:-1]}.{key}" if self.place else key
+        return Table(self.file, f"[{inner}]", value)
+
+    def tables(self, key: str) -> list["Table"]:
+        """Take a list of tables, ``[[key]]``.
+
+        Parameters
+        ----------
+        key : str
+            Name of the list.
+
+        Returns
+        -------
+        list of Table
+            Empty where it is absent.
+
+        Raises
+        ------
+        ExperimentError
+            If there is something else of that name.
+        """
+        value = self.get(key, [])
+        if not (isinstance(value, list) and all(isinstance(item, dict) for item in value)):
+            self.refuse(f"`{key}` must be a list of tables, [[{key}]]", value)
+        return [Table(self.file, f"[[{key}]] number {i + 1}", item) for i, item in enumerate(value)]
+
+    def rest(self) -> dict[str, Any]:
+        """Take everything that nobody has asked for yet.
+
+        Returns
+        -------
+        dict
+            By name, as read.
+        """
+        left = {key: value for key, value in self._content.items() if key not in self._taken}
+        self._taken.update(left)
+        return left
+
+    def finish(self) -> None:
+        """Refuse keys that nobody has asked for.
+
+        Raises
+        ------
+        ExperimentError
+            If there is one; it is named, with what is known.
+        """
+        unknown = sorted(set(self._content) - self._taken)
+        if unknown:
+            known = ", ".join(sorted(self._taken))
+            self.refuse(f"only the keys {known} are known", ", ".join(unknown))
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    dict
+        As read.
+
+    Raises
+    ------
+    ExperimentError
+        If it is no TOML; the message has the line.
+    FormatError
+        If there is no such file.
+    """
+    file = existing_file(path)
+    try:
+        with file.open("rb") as handle:
+            content: dict[str, Any] = tomllib.load(handle)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        message = f"{file} must be a TOML file; it cannot be read: {error}"
+        raise ExperimentError(message, where=str(file)) from error
+    return content
+
+
+def open_toml(path: str | os.PathLike[str]) -> Table:
+    """Read a TOML file for checked taking.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+
+    Returns
+    -------
+    Table
+        Its top.
+    """
+    return Table(Path(path), "", read_toml(path))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
