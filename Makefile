@@ -60,7 +60,7 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check python tests examples benchmarks tools
 	$(BIN)/ruff check python tests examples benchmarks tools
 	$(BIN)/mypy
-	cd /tmp && $(CURDIR)/$(BIN)/python -m mypy.stubtest tissuereg._core --ignore-disjoint-bases
+	cd $(VENV) && bin/python -m mypy.stubtest tissuereg._core --ignore-disjoint-bases
 
 $(TRAINING_BIN)/python:
 	$(PYTHON) -m venv $(TRAINING_VENV)

@@ -153,7 +153,7 @@ def read_recipe(path: str | os.PathLike[str]) -> Recipe:
     ExperimentError
         If a table or key is unknown, or a value of the wrong kind or out of its range.
     """
-    raw = read_toml(path)
+    raw = read_toml(path).rest()
     unknown = set(raw) - {"seed", "mesh", "material", "data", "pairs", "train"}
     if unknown:
         known = "seed, [mesh], [material], [data], [pairs], [train]"

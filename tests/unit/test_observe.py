@@ -1,0 +1,52 @@
+"""Markers and targets as functions of nodes."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tissuereg.errors import MarkerError
+from tissuereg.observe import MarkerObservation, TargetObservation
+
+
+def test_a_marker_off_the_surface_follows_a_rigid_motion_exactly(block_mesh):
+    places = np.array([[20.0, 10.0, 45.0], [-6.0, 12.0, 15.0]])  # 5 mm above the top, 6 mm off a side
+    observation = MarkerObservation(block_mesh, places, ("top", "side"))
+    turn, shift = Rotation.from_rotvec([0.3, -0.2, 0.5]), np.array([1.0, 2.0, -3.0])
+    field = turn.apply(block_mesh.nodes) + shift - block_mesh.nodes
+    np.testing.assert_allclose(
+        observation.predict(field[observation.nodes]), turn.apply(places) + shift - places, atol=1e-12
+    )
+
+
+def test_a_marker_on_the_surface_is_linear_in_its_triangle(block_mesh):
+    observation = MarkerObservation(block_mesh, [[13.0, 7.0, 40.0]], ("top",))
+    gradient = np.array([[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.3, 0.0, 0.05]])
+    field = block_mesh.nodes @ gradient.T
+    np.testing.assert_allclose(observation.predict(field[observation.nodes])[0], gradient @ [13.0, 7.0, 40.0], atol=1e-12)
+
+
+def test_a_marker_far_off_the_body_is_refused(block_mesh):
+    with pytest.raises(MarkerError, match=r"marker 'far' is 160\.0 mm away .* check frame and units"):
+        MarkerObservation(block_mesh, [[10.0, 10.0, 200.0]], ("far",))
+
+
+def test_a_failed_member_does_not_spoil_the_others(block_mesh):
+    observation = MarkerObservation(block_mesh, [[20.0, 10.0, 45.0]], ("top",))
+    fields = np.zeros((3, len(observation.nodes), 3))
+    fields[1] = np.nan
+    moved = observation.predict(fields)
+    assert np.isnan(moved[1]).all()
+    np.testing.assert_allclose(moved[[0, 2]], 0.0, atol=1e-12)
+
+
+def test_a_target_is_linear_in_its_tet(block_mesh):
+    inside = TargetObservation(block_mesh, {"t": (11.0, 9.0, 17.0)})
+    gradient = np.array([[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.3, 0.0, 0.05]])
+    field = block_mesh.nodes @ gradient.T
+    np.testing.assert_allclose(inside.predict(field[inside.nodes])[0], gradient @ [11.0, 9.0, 17.0], atol=1e-12)
+
+
+def test_a_target_outside_is_refused_a_close_one_warned_of(block_mesh):
+    with pytest.raises(MarkerError, match=r"target 'out' must lie in the undeformed body; .* mm outside"):
+        TargetObservation(block_mesh, {"out": (20.0, 10.0, 60.0)})
+    with pytest.warns(UserWarning, match="rides on the closest tet"):
+        TargetObservation(block_mesh, {"near": (20.0, 10.0, 41.0)})
