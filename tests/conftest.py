@@ -1,0 +1,28 @@
+"""Fixtures that all tests share."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import tissuereg as tr
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from support.meshes import block  # noqa: E402
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def block_mesh() -> tr.Mesh:
+    """A block of 30 x 20 x 40 mm, 384 tets; the face z = 0 is the node set ``fixed``."""
+    return block()
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Measured data and reference solutions beside the repository; tests that want them skip where absent."""
+    folder = REPOSITORY.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip("the folder `shared` beside the repository is absent: measured data and references")
+    return folder

@@ -1,0 +1,180 @@
+"""Does the whole thing register? Made-up truths from another model than the prior's."""
+
+import json
+
+import numpy as np
+import pytest
+import tissuereg as tr
+from tissuereg.errors import MarkerError, ModelError, ShapeError
+from tissuereg.latent.fitted import FittedPriorSettings
+
+FEW = tr.RegisterSettings(prior=FittedPriorSettings(n_members=120))
+INNER = {"deep": (18.0, 12.0, 22.0), "near the top": (12.0, 8.0, 34.0)}
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory, monkeypatch):
+    """Priors of these tests stay out of the user's cache; they are shared within the run."""
+    monkeypatch.setenv("TISSUEREG_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+@pytest.fixture(scope="module")
+def leaned(block_mesh):
+    """A block pulled sideways at its top: displacement by ten-node elements, twice as stiff, tilted load."""
+    top = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] > 40 - 1e-9).all(axis=1)]
+    true_load = tr.Load(traction=(top, (0.55, 0.2, 0.1)))
+    believed = tr.Load(traction=(top, (0.55, 0.05, 0.0)))
+    truth = tr.simulate(block_mesh, true_load, tr.Material(16.0, 0.46), element="tet10").displacement
+    return truth, believed
+
+
+@pytest.fixture(scope="module")
+def seen(block_mesh, leaned):
+    truth, _ = leaned
+    rng = np.random.default_rng(11)
+    nodes = rng.choice(block_mesh.surface_nodes[block_mesh.nodes[block_mesh.surface_nodes, 2] > 8], 12, replace=False)
+    measured = block_mesh.nodes[nodes] + truth[nodes] + 0.05 * rng.standard_normal((12, 3))
+    return tr.Markers(block_mesh.nodes[nodes], measured, 0.05)
+
+
+def true_place(mesh, truth, point):
+    from tissuereg.observe import TargetObservation
+
+    inside = TargetObservation(mesh, {"t": point})
+    return np.asarray(point) + inside.predict(truth[inside.nodes])[0]
+
+
+def test_without_model_or_load_the_body_is_found_from_markers_alone(block_mesh, leaned, seen):
+    truth, _ = leaned
+    result = tr.register(block_mesh, seen, targets=INNER, settings=FEW)
+    before = np.linalg.norm(truth, axis=1).mean()
+    after = np.linalg.norm(result.displacement - truth, axis=1).mean()
+    assert after < 0.12 * before
+    assert result.markers.after_rms_mm < 0.2
+    assert result.trust.ok, result.trust.reasons
+    for name, point in INNER.items():
+        off = result.target(name).mean - true_place(block_mesh, truth, point)
+        assert off @ np.linalg.solve(result.target(name).covariance, off) < 16.3  # 99.9 % of chi-square, 3 degrees
+
+
+def test_a_believed_load_gives_the_simulation_and_a_better_answer(block_mesh, leaned, seen):
+    truth, believed = leaned
+    result = tr.register(block_mesh, seen, load=believed, material=tr.Material(8.0, 0.45), targets=INNER, settings=FEW)
+    simulated = np.linalg.norm(
+        np.array([t.simulation - true_place(block_mesh, truth, t.reference) for t in result.targets.values()]), axis=1
+    )
+    registered = np.linalg.norm(
+        np.array([t.mean - true_place(block_mesh, truth, t.reference) for t in result.targets.values()]), axis=1
+    )
+    assert registered.mean() < 0.15 * simulated.mean()
+    assert result.min_det_f > 0.3
+
+
+def test_the_same_seed_gives_the_same_bits_at_any_thread_count(block_mesh, seen, monkeypatch, tmp_path):
+    fields = []
+    for threads in (1, 2):
+        monkeypatch.setenv("TISSUEREG_CACHE", str(tmp_path / str(threads)))
+        fields.append(tr.register(block_mesh, seen, seed=3, threads=threads, settings=FEW).displacement)
+    assert np.array_equal(fields[0], fields[1])
+
+
+def test_another_seed_gives_another_ensemble_and_nearly_the_same_answer(block_mesh, leaned, seen):
+    a, b = (tr.register(block_mesh, seen, seed=seed, settings=FEW) for seed in (0, 1))
+    difference = np.linalg.norm(a.displacement - b.displacement, axis=1).mean()
+    assert 0 < difference < 0.1 * np.linalg.norm(leaned[0], axis=1).mean()
+
+
+def test_the_prior_comes_from_the_cache_the_second_time(block_mesh, seen, monkeypatch, tmp_path):
+    monkeypatch.setenv("TISSUEREG_CACHE", str(tmp_path))
+    first = tr.register(block_mesh, seen, settings=FEW)
+    assert len(list(tmp_path.glob("prior_*.npz"))) == 1
+    calls = []
+    second = tr.register(block_mesh, seen, settings=FEW, progress=lambda done, n: calls.append(done))
+    assert calls == []
+    assert np.array_equal(first.displacement, second.displacement)
+
+
+def test_a_marker_that_was_not_seen_is_listed_and_predicted(block_mesh, leaned, seen):
+    measured = seen.measured.copy()
+    measured[4] = np.nan
+    result = tr.register(block_mesh, tr.Markers(seen.reference, measured, 0.05), settings=FEW)
+    assert result.markers.dropped == (("M5", "not seen"),)
+    assert "M5" not in result.markers.used
+    predicted = result.unseen["M5"]
+    off = predicted.mean - seen.measured[4]
+    assert np.linalg.norm(off) < 0.15 * np.linalg.norm(seen.measured[4] - seen.reference[4])
+
+
+def test_a_marker_ten_sigma_off_is_named(block_mesh, seen):
+    measured = seen.measured.copy()
+    measured[7] += (1.0, -1.0, 1.0)
+    result = tr.register(block_mesh, tr.Markers(seen.reference, measured, 0.05), settings=FEW)
+    assert not result.trust.ok
+    assert any("marker M8" in reason for reason in result.trust.reasons)
+
+
+def test_plain_arrays_serve_as_well(block_mesh, seen):
+    plain = tr.register(
+        (block_mesh.nodes, block_mesh.tets, block_mesh.fixed_nodes), (seen.reference, seen.measured), settings=FEW
+    )
+    assert plain.displacement.shape == (block_mesh.n_nodes, 3)
+
+
+def test_a_foreign_simulation_is_the_start_and_is_improved(block_mesh, leaned, seen):
+    truth, believed = leaned
+    said = tr.simulate(block_mesh, believed, tr.Material(8.0, 0.45)).displacement
+    result = tr.register(block_mesh, seen, simulation=said, settings=FEW)
+    assert result.markers.before_rms_mm > 5 * result.markers.after_rms_mm
+    assert np.linalg.norm(result.displacement - truth, axis=1).mean() < 0.15 * np.linalg.norm(said - truth, axis=1).mean()
+
+
+def test_the_phantom_is_registered_by_the_shipped_network():
+    from tissuereg.phantom.event import LESION_MM, make_event
+
+    event = make_event(seed=0)
+    simulation = tr.simulate(event.mesh, event.load, event.material).displacement
+    result = tr.register(
+        event.mesh, event.markers, model="phantom", simulation=simulation, targets={"lesion": LESION_MM}
+    )
+    before = np.linalg.norm(simulation - event.true_displacement, axis=1).mean()
+    after = np.linalg.norm(result.displacement - event.true_displacement, axis=1).mean()
+    assert after < 0.5 * before
+    assert result.model["kind"] == "gnn-vae"
+    assert result.model["source"] == "shipped"
+    lesion = result.target("lesion")
+    assert np.linalg.norm(lesion.mean - event.true_lesion) < 0.5 * np.linalg.norm(lesion.simulation - event.true_lesion)
+
+
+def test_a_model_for_another_mesh_is_refused(block_mesh, seen):
+    with pytest.raises(ModelError, match=r"must have been trained for this mesh: it knows a mesh of 1213 nodes"):
+        tr.register(block_mesh, seen, model="phantom")
+
+
+def test_a_simulation_of_another_mesh_or_with_nan_is_refused(block_mesh, seen):
+    with pytest.raises(ShapeError, match=r"`simulation` must have shape"):
+        tr.register(block_mesh, seen, simulation=np.zeros((7, 3)))
+    spoilt = np.zeros((block_mesh.n_nodes, 3))
+    spoilt[5, 1] = np.nan
+    with pytest.raises(ShapeError, match=r"`simulation` must be finite, got .* at node 5"):
+        tr.register(block_mesh, seen, simulation=spoilt)
+
+
+def test_markers_all_missing_are_refused(block_mesh, seen):
+    with pytest.raises(MarkerError, match="at least one marker must have been seen; all 12 are missing"):
+        tr.register(block_mesh, (seen.reference, np.full((12, 3), np.nan)))
+
+
+def test_saving_writes_four_files_with_finite_numbers(block_mesh, seen, tmp_path):
+    result = tr.register(block_mesh, seen, targets=INNER, settings=FEW)
+    result.save(tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "registered.png", "registered.vtu", "registration.json", "targets.csv",
+    ]  # fmt: skip
+    told = json.loads((tmp_path / "out" / "registration.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    assert told["schema"] == "tissuereg.registration/1"
+    radii = told["targets"]["deep"]["region90_radii_mm"]
+    assert radii == sorted(radii)
+    result.report(tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "data:image/png;base64," in page
+    assert "http" not in page
