@@ -1,0 +1,303 @@
+//! A body: mesh, element type and supports, with everything that is made once from them.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use crate::element::{Element, Geometry, edges_of};
+use crate::error::FemError;
+use crate::load::{check_finite, check_length};
+use crate::mesh::Mesh;
+use crate::solve::RestCache;
+use crate::supports::Supports;
+use crate::system::check_rigid_modes;
+use crate::system::pattern::Pattern;
+
+/// A supported mesh with its element data, elimination order and symbolic factor.
+///
+/// Made once, used by any number of solves, from any number of threads. Material and load come
+/// with each solve. The factor of the undeformed stiffness made last is kept (one factor; its
+/// memory is that of the numbers in it), so that a next solve with a proportional stiffness
+/// starts warm; results do not depend on it.
+///
+/// # Nodes
+///
+/// Corner nodes first, with the mesh's indices; for [`Element::Tet10`] one node in the middle of
+/// every edge follows. A mid-edge node is held where its edge lies on the surface and both ends
+/// are held (axis by axis).
+///
+/// # Cost
+///
+/// On 4,000 nodes about 15 ms, on 20,000 about 120 ms.
+///
+/// # Examples
+///
+/// ```
+/// use tissuereg_fem::{Body, Element, Mesh};
+///
+/// let nodes = vec![[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]];
+/// let mesh = Mesh::new(nodes, vec![[0, 1, 2, 3]])?;
+/// let body = Body::new(mesh, Element::Tet10, [0, 1, 2])?;
+/// assert_eq!((body.n_corner_nodes(), body.n_nodes()), (4, 10));
+/// # Ok::<(), tissuereg_fem::FemError>(())
+/// ```
+#[derive(Debug)]
+pub struct Body {
+    mesh: Mesh,
+    supports: Supports,
+    nodes: Vec<[f64; 3]>,
+    edges: Vec<[usize; 2]>,
+    held: Vec<[bool; 3]>,
+    geometry: Geometry,
+    pattern: Pattern,
+    rest_cache: RestCache,
+    analyse_seconds: f64,
+}
+
+impl Body {
+    /// Analyse a mesh with elements of one type and the given supports.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::HeldNodeOutOfRange`], [`FemError::HeldNodeRepeated`],
+    /// [`FemError::Unconstrained`] with the rigid modes left free, by name, and
+    /// [`FemError::TooLarge`].
+    pub fn new(
+        mesh: Mesh,
+        element: Element,
+        supports: impl Into<Supports>,
+    ) -> Result<Self, FemError> {
+        let start = Instant::now();
+        let supports = supports.into();
+        let held_corners = supports.axes_by_node(mesh.n_nodes())?;
+        check_rigid_modes(&mesh, &held_corners)?;
+        let edges = match element {
+            Element::Tet4 => Vec::new(),
+            Element::Tet10 => edges_of(&mesh),
+        };
+        let n_nodes = mesh.n_nodes() + edges.len();
+        if n_nodes.max(element.n_nodes() * mesh.n_tets()) > (u32::MAX / 4) as usize {
+            return Err(FemError::TooLarge { n_dofs: 3 * n_nodes });
+        }
+        let (geometry, nodes) = Geometry::new(&mesh, element, &edges);
+        let held = with_mid_edges(&mesh, &edges, held_corners);
+        let pattern = Pattern::new(&nodes, &geometry.connectivity, element.n_nodes(), &held)?;
+        Ok(Self {
+            mesh,
+            supports,
+            nodes,
+            edges,
+            held,
+            geometry,
+            pattern,
+            rest_cache: RestCache::default(),
+            analyse_seconds: start.elapsed().as_secs_f64(),
+        })
+    }
+
+    /// The mesh of corner nodes.
+    pub fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    /// Element type.
+    pub fn element(&self) -> Element {
+        self.geometry.element
+    }
+
+    /// Undeformed positions of all nodes, mm.
+    pub fn nodes(&self) -> &[[f64; 3]] {
+        &self.nodes
+    }
+
+    /// Number of nodes, mid-edge nodes included.
+    pub fn n_nodes(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Number of nodes of the mesh.
+    pub fn n_corner_nodes(&self) -> usize {
+        self.mesh.n_nodes()
+    }
+
+    /// Number of tetrahedra.
+    pub fn n_tets(&self) -> usize {
+        self.mesh.n_tets()
+    }
+
+    /// Held nodes as they were given.
+    pub fn held_nodes(&self) -> &[usize] {
+        self.supports.nodes()
+    }
+
+    /// Supports as they were given.
+    pub fn supports(&self) -> &Supports {
+        &self.supports
+    }
+
+    /// Number of unknown displacement components.
+    pub fn n_unknowns(&self) -> usize {
+        self.pattern.n_unknowns()
+    }
+
+    /// Corners of the edge whose middle is each node after the corner nodes; empty for
+    /// [`Element::Tet4`].
+    pub fn mid_edges(&self) -> &[[usize; 2]] {
+        &self.edges
+    }
+
+    /// Seconds spent in [`Body::new`].
+    pub fn analyse_seconds(&self) -> f64 {
+        self.analyse_seconds
+    }
+
+    /// Consistent nodal forces (mN) of dead tractions on facets of the surface.
+    ///
+    /// A constant traction `t` on a facet of undeformed area `A` gives `t A / 3` to each corner of
+    /// a four-node element's facet, and to each mid-edge node of a ten-node element's.
+    ///
+    /// # Shapes
+    ///
+    /// `triangles` one row of three corner nodes a facet, in any order; `traction` one row a
+    /// facet, kPa; the result one row a node of the body.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::WrongLength`], [`FemError::NonFinite`], [`FemError::NotOnSurface`].
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use tissuereg_fem::{Body, Element, Mesh};
+    ///
+    /// let nodes = vec![[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]];
+    /// let body = Body::new(Mesh::new(nodes, vec![[0, 1, 2, 3]])?, Element::Tet4, [0, 1, 2])?;
+    /// let forces = body.traction_forces(&[[0, 1, 3]], &[[0.0, 3.0, 0.0]])?;
+    /// assert_eq!(forces[3], [0.0, 50.0, 0.0]);
+    /// # Ok::<(), tissuereg_fem::FemError>(())
+    /// ```
+    pub fn traction_forces(
+        &self,
+        triangles: &[[usize; 3]],
+        traction: &[[f64; 3]],
+    ) -> Result<Vec<[f64; 3]>, FemError> {
+        check_length("traction (one row a triangle)", triangles.len(), traction.len())?;
+        check_finite("traction", traction)?;
+        let surface: std::collections::BTreeSet<[usize; 3]> =
+            self.mesh.surface_triangles().iter().map(|&t| ascending(t)).collect();
+        let mut forces = vec![[0.0; 3]; self.n_nodes()];
+        for (row, (&triangle, t)) in triangles.iter().zip(traction).enumerate() {
+            if !surface.contains(&ascending(triangle)) {
+                return Err(FemError::NotOnSurface { row, triangle });
+            }
+            let third = area(triangle.map(|n| self.nodes[n])) / 3.0;
+            for node in self.facet_carriers(triangle) {
+                for i in 0..3 {
+                    forces[node][i] += third * t[i];
+                }
+            }
+        }
+        Ok(forces)
+    }
+
+    /// Nodes of a facet that carry a constant traction in equal parts.
+    fn facet_carriers(&self, [a, b, c]: [usize; 3]) -> [usize; 3] {
+        match self.element() {
+            Element::Tet4 => [a, b, c],
+            Element::Tet10 => [[a, b], [b, c], [a, c]].map(|[p, q]| {
+                let edge = [p.min(q), p.max(q)];
+                self.n_corner_nodes() + self.edges.partition_point(|e| *e < edge)
+            }),
+        }
+    }
+
+    pub(crate) fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    pub(crate) fn pattern(&self) -> &Pattern {
+        &self.pattern
+    }
+
+    pub(crate) fn rest_cache(&self) -> &RestCache {
+        &self.rest_cache
+    }
+
+    /// Held axes of all nodes.
+    pub(crate) fn held(&self) -> &[[bool; 3]] {
+        &self.held
+    }
+
+    /// Displacement of all nodes, flat, that is `rows` at held nodes and zero where free.
+    /// A held mid-edge node moves by the mean of its ends.
+    pub(crate) fn held_displacement(&self, rows: &[[f64; 3]]) -> Vec<f64> {
+        let mut all = vec![0.0; 3 * self.n_nodes()];
+        for (&node, row) in self.held_nodes().iter().zip(rows) {
+            all[3 * node..3 * node + 3].copy_from_slice(row);
+        }
+        for (e, &[a, b]) in self.edges.iter().enumerate() {
+            for i in 0..3 {
+                all[3 * (self.n_corner_nodes() + e) + i] = 0.5 * (all[3 * a + i] + all[3 * b + i]);
+            }
+        }
+        for (value, held) in all.iter_mut().zip(self.held.as_flattened()) {
+            if !held {
+                *value = 0.0;
+            }
+        }
+        all
+    }
+
+    /// Reactions of held nodes from the unbalanced forces of all nodes; a held mid-edge node
+    /// passes half of its own to each end, which keeps resultant and moment.
+    pub(crate) fn reactions(&self, unbalanced: &[f64]) -> Vec<[f64; 3]> {
+        let mut at_corner = BTreeMap::new();
+        for &node in self.held_nodes() {
+            at_corner.insert(node, self.held_part(node, unbalanced));
+        }
+        for (e, ends) in self.edges.iter().enumerate() {
+            let part = self.held_part(self.n_corner_nodes() + e, unbalanced);
+            for end in ends {
+                if let Some(sum) = at_corner.get_mut(end) {
+                    for i in 0..3 {
+                        sum[i] += 0.5 * part[i];
+                    }
+                }
+            }
+        }
+        self.held_nodes().iter().map(|n| at_corner.get(n).copied().unwrap_or_default()).collect()
+    }
+
+    fn held_part(&self, node: usize, values: &[f64]) -> [f64; 3] {
+        std::array::from_fn(|i| if self.held[node][i] { values[3 * node + i] } else { 0.0 })
+    }
+}
+
+fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
+    triangle.sort_unstable();
+    triangle
+}
+
+fn area([a, b, c]: [[f64; 3]; 3]) -> f64 {
+    let u: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
+    let v: [f64; 3] = std::array::from_fn(|i| c[i] - a[i]);
+    let n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    0.5 * n.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+/// Held axes of corner nodes, followed by those of mid-edge nodes.
+fn with_mid_edges(mesh: &Mesh, edges: &[[usize; 2]], mut held: Vec<[bool; 3]>) -> Vec<[bool; 3]> {
+    let mut on_surface = vec![false; edges.len()];
+    for triangle in mesh.surface_triangles() {
+        for k in 0..3 {
+            let (a, b) = (triangle[k], triangle[(k + 1) % 3]);
+            let edge = edges.partition_point(|e| *e < [a.min(b), a.max(b)]);
+            if let Some(mark) = on_surface.get_mut(edge) {
+                *mark = true;
+            }
+        }
+    }
+    for (&[a, b], on_surface) in edges.iter().zip(on_surface) {
+        held.push(std::array::from_fn(|i| on_surface && held[a][i] && held[b][i]));
+    }
+    held
+}

@@ -1,0 +1,125 @@
+//! Reference geometry of all elements of a body, and its mid-edge nodes.
+
+use super::{EDGES, Element};
+use crate::mesh::Mesh;
+
+/// What the element loops read, made once a body.
+#[derive(Debug)]
+pub(crate) struct Geometry {
+    pub(crate) element: Element,
+    /// Node indices, `element.n_nodes()` an element, flat.
+    pub(crate) connectivity: Vec<u32>,
+    /// `∂ξ/∂X` of each element, `[k][j] = ∂ξ_k/∂X_j`, 1/mm.
+    pub(crate) inverse_jacobian: Vec<[[f64; 3]; 3]>,
+    /// Volume of each element, mm³.
+    pub(crate) volume: Vec<f64>,
+    /// Places in the connectivity at which each node occurs: starts, then places, ascending.
+    pub(crate) node2place: (Vec<u32>, Vec<u32>),
+}
+
+impl Geometry {
+    /// Geometry of a mesh and the positions of all nodes (mid-edge nodes after the corners).
+    pub(crate) fn new(
+        mesh: &Mesh,
+        element: Element,
+        edges: &[[usize; 2]],
+    ) -> (Self, Vec<[f64; 3]>) {
+        let mut nodes = mesh.nodes().to_vec();
+        let connectivity = match element {
+            Element::Tet4 => mesh.tets().iter().flatten().map(|&n| n as u32).collect(),
+            Element::Tet10 => {
+                nodes
+                    .extend(edges.iter().map(|&[a, b]| midpoint(mesh.nodes()[a], mesh.nodes()[b])));
+                quadratic_connectivity(mesh, edges)
+            }
+        };
+        let (inverse_jacobian, volume) =
+            (0..mesh.n_tets()).map(|t| (inverse_jacobian(mesh, t), mesh.tet_volume(t))).unzip();
+        let node2place = places(&connectivity, nodes.len());
+        (Self { element, connectivity, inverse_jacobian, volume, node2place }, nodes)
+    }
+
+    pub(crate) fn n_elements(&self) -> usize {
+        self.volume.len()
+    }
+
+    /// Nodes of one element.
+    pub(crate) fn nodes_of(&self, element: usize) -> &[u32] {
+        let width = self.element.n_nodes();
+        &self.connectivity[element * width..(element + 1) * width]
+    }
+
+    /// Weights of a constant density at the nodes of an element: integrals of the shape functions
+    /// over its volume. (The corners of a ten-node tetrahedron get −1/20, its mid-edges 1/5.)
+    pub(crate) fn volume_weights(&self, element: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let volume = self.volume[element];
+        let kind = self.element;
+        self.nodes_of(element).iter().enumerate().map(move |(a, &node)| {
+            let share = match (kind, a < 4) {
+                (Element::Tet4, _) => 0.25,
+                (Element::Tet10, true) => -0.05,
+                (Element::Tet10, false) => 0.2,
+            };
+            (node as usize, share * volume)
+        })
+    }
+}
+
+/// All edges of a mesh, corners ascending, sorted.
+pub(crate) fn edges_of(mesh: &Mesh) -> Vec<[usize; 2]> {
+    let mut edges: Vec<[usize; 2]> =
+        mesh.tets().iter().flat_map(|tet| EDGES.map(|[a, b]| sorted(tet[a], tet[b]))).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    edges
+}
+
+fn sorted(a: usize, b: usize) -> [usize; 2] {
+    [a.min(b), a.max(b)]
+}
+
+fn midpoint(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| 0.5 * (a[i] + b[i]))
+}
+
+fn quadratic_connectivity(mesh: &Mesh, edges: &[[usize; 2]]) -> Vec<u32> {
+    let mut connectivity = Vec::with_capacity(10 * mesh.n_tets());
+    for tet in mesh.tets() {
+        connectivity.extend(tet.iter().map(|&n| n as u32));
+        for [a, b] in EDGES {
+            // Every edge of every tetrahedron is in the list it was made from.
+            let edge = edges.partition_point(|e| *e < sorted(tet[a], tet[b]));
+            connectivity.push((mesh.n_nodes() + edge) as u32);
+        }
+    }
+    connectivity
+}
+
+fn inverse_jacobian(mesh: &Mesh, tet: usize) -> [[f64; 3]; 3] {
+    let x = mesh.tets()[tet].map(|n| mesh.nodes()[n]);
+    let [a, b, c]: [[f64; 3]; 3] =
+        std::array::from_fn(|k| std::array::from_fn(|i| x[k + 1][i] - x[0][i]));
+    let six_volumes = 6.0 * mesh.tet_volume(tet);
+    [cross(b, c), cross(c, a), cross(a, b)].map(|row| row.map(|v| v / six_volumes))
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn places(connectivity: &[u32], n_nodes: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut start = vec![0u32; n_nodes + 1];
+    for &node in connectivity {
+        start[node as usize + 1] += 1;
+    }
+    for node in 0..n_nodes {
+        start[node + 1] += start[node];
+    }
+    let mut cursor = start.clone();
+    let mut list = vec![0u32; connectivity.len()];
+    for (place, &node) in connectivity.iter().enumerate() {
+        list[cursor[node as usize] as usize] = place as u32;
+        cursor[node as usize] += 1;
+    }
+    (start, list)
+}

@@ -1,0 +1,303 @@
+//! Everything that can go wrong, with the numbers and the place.
+//!
+//! Messages say what must hold, what was found and where. Lengths are in mm, volumes in mm³,
+//! forces in mN, stiffness in kPa.
+
+use crate::system::RigidModes;
+
+/// The reason why a body could not be made or a solve found no answer.
+///
+/// [`is_recoverable`](Self::is_recoverable) tells what concerns one member of an ensemble alone
+/// (its load was too large) from what concerns the input as such (a wrong length).
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FemError {
+    /// The mesh has no tetrahedra.
+    #[error(
+        "the mesh must have at least one tetrahedron and four nodes; found {n_tets} tetrahedra and {n_nodes} nodes"
+    )]
+    EmptyMesh {
+        /// Number of nodes given.
+        n_nodes: usize,
+        /// Number of tetrahedra given.
+        n_tets: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("node coordinates must be finite numbers in mm; node {node} is at ({}, {}, {})", .position[0], .position[1], .position[2])]
+    NonFiniteNode {
+        /// Index of the node.
+        node: usize,
+        /// Its position as given, mm.
+        position: [f64; 3],
+    },
+    /// A tetrahedron names a node that does not exist.
+    #[error("tetrahedron {tet} names node {node}, but the mesh has {n_nodes} nodes (0 to {})", .n_nodes.saturating_sub(1))]
+    NodeOutOfRange {
+        /// Index of the tetrahedron.
+        tet: usize,
+        /// The index that is out of range.
+        node: usize,
+        /// Number of nodes.
+        n_nodes: usize,
+    },
+    /// A tetrahedron names the same node twice.
+    #[error("tetrahedron {tet} names node {node} more than once; its four corners must differ")]
+    RepeatedNode {
+        /// Index of the tetrahedron.
+        tet: usize,
+        /// The repeated node.
+        node: usize,
+    },
+    /// A tetrahedron has negative volume: two of its nodes are in the wrong order.
+    #[error(
+        "tetrahedron {tet} is inverted: its volume is {volume:.6e} mm^3 and must be positive ({n_inverted} of {n_tets} are; swapping two nodes of each turns it round)"
+    )]
+    InvertedTet {
+        /// Index of the first inverted tetrahedron.
+        tet: usize,
+        /// Its signed volume, mm³.
+        volume: f64,
+        /// Number of inverted tetrahedra.
+        n_inverted: usize,
+        /// Number of tetrahedra.
+        n_tets: usize,
+    },
+    /// A tetrahedron is flat: its volume vanishes beside its edges.
+    #[error(
+        "tetrahedron {tet} is degenerate: volume {volume:.3e} mm^3 is {relative:.1e} of its longest edge cubed and must be above {limit:.0e}"
+    )]
+    DegenerateTet {
+        /// Index of the tetrahedron.
+        tet: usize,
+        /// Its signed volume, mm³.
+        volume: f64,
+        /// Volume over the cube of the longest edge, dimensionless.
+        relative: f64,
+        /// Smallest admissible value of `relative`.
+        limit: f64,
+    },
+    /// A node belongs to no tetrahedron, so nothing holds it.
+    #[error(
+        "every node must belong to a tetrahedron; node {node} belongs to none ({n_unused} such nodes)"
+    )]
+    UnusedNode {
+        /// Index of the first such node.
+        node: usize,
+        /// Number of such nodes.
+        n_unused: usize,
+    },
+    /// Three or more tetrahedra share one triangle: the mesh overlaps itself.
+    #[error("the triangle of nodes {} {} {} belongs to {n_tets} tetrahedra; at most two may share one", .triangle[0], .triangle[1], .triangle[2])]
+    OverlappingTets {
+        /// Corner nodes of the triangle, ascending.
+        triangle: [usize; 3],
+        /// Number of tetrahedra that own it.
+        n_tets: usize,
+    },
+    /// A held node does not exist.
+    #[error("held node {node} does not exist: the mesh has {n_nodes} nodes (0 to {})", .n_nodes.saturating_sub(1))]
+    HeldNodeOutOfRange {
+        /// The index that is out of range.
+        node: usize,
+        /// Number of corner nodes.
+        n_nodes: usize,
+    },
+    /// A node is held twice, so that two rows of prescribed displacements would compete.
+    #[error("node {node} is listed more than once among the held nodes")]
+    HeldNodeRepeated {
+        /// The repeated node.
+        node: usize,
+    },
+    /// The body, or a loose part of it, can move without deforming.
+    #[error("{0}")]
+    Unconstrained(RigidModes),
+    /// The stiffness matrix is singular although no part is free to move as a whole.
+    #[error(
+        "the stiffness matrix at rest is not positive definite (pivot {pivot} of {n_dofs}): a very flat tetrahedron or a stiffness near the end of its range makes it singular"
+    )]
+    SingularStiffness {
+        /// Position of the failing pivot in the elimination order.
+        pivot: usize,
+        /// Number of unknowns.
+        n_dofs: usize,
+    },
+    /// The system is too large for 32-bit indices or for memory.
+    #[error(
+        "a system of {n_dofs} unknowns is too large to be factorised: indices or memory do not suffice"
+    )]
+    TooLarge {
+        /// Number of unknowns.
+        n_dofs: usize,
+    },
+    /// Young's modulus is not a positive finite number.
+    #[error("Young's modulus must be positive and finite; found {young} kPa at entry {entry}")]
+    BadYoung {
+        /// Entry of the stiffness field (0 where it is uniform).
+        entry: usize,
+        /// The value found, kPa.
+        young: f64,
+    },
+    /// Poisson's ratio lies outside (−1, 0.5).
+    #[error(
+        "Poisson's ratio must lie strictly between -1 and 0.5; found {poisson} at entry {entry}"
+    )]
+    BadPoisson {
+        /// Entry of the stiffness field (0 where it is uniform).
+        entry: usize,
+        /// The value found, dimensionless.
+        poisson: f64,
+    },
+    /// An array has the wrong number of rows.
+    #[error("{what} must have {expected} rows; found {found}")]
+    WrongLength {
+        /// What the array holds.
+        what: &'static str,
+        /// The number of rows it must have.
+        expected: usize,
+        /// The number of rows it has.
+        found: usize,
+    },
+    /// A load or a displacement is NaN or infinite.
+    #[error("{what} must be finite; row {row} is not")]
+    NonFinite {
+        /// What the array holds.
+        what: &'static str,
+        /// Index of the first row that is not finite.
+        row: usize,
+    },
+    /// A loaded triangle is no facet of the body's surface.
+    #[error("triangle {row} with nodes {} {} {} is no facet of the body's surface", .triangle[0], .triangle[1], .triangle[2])]
+    NotOnSurface {
+        /// Row of the triangle.
+        row: usize,
+        /// Its corner nodes as given.
+        triangle: [usize; 3],
+    },
+    /// A setting is outside its range.
+    #[error("setting `{name}` must be {must}; found {found}")]
+    BadSetting {
+        /// Name of the setting.
+        name: &'static str,
+        /// What must hold.
+        must: &'static str,
+        /// The value found.
+        found: f64,
+    },
+    /// The displacement to start from turns a tetrahedron inside out.
+    #[error("the displacement to start from inverts tetrahedron {tet}: det F = {det_f:.3e}")]
+    InvertedStart {
+        /// Index of the worst tetrahedron.
+        tet: usize,
+        /// Its smallest det F, dimensionless.
+        det_f: f64,
+    },
+    /// No state with vanishing residual was found.
+    #[error("{0}")]
+    NoEquilibrium(Box<NoEquilibrium>),
+    /// The caller raised the cancel flag.
+    #[error("the solve was cancelled by the caller")]
+    Cancelled,
+}
+
+impl FemError {
+    /// Return whether an ensemble may drop this member and go on.
+    ///
+    /// True for what depends on how far one member is loaded, false for wrong input and for a
+    /// cancelled solve.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use tissuereg_fem::FemError;
+    ///
+    /// assert!(!FemError::Cancelled.is_recoverable());
+    /// assert!(FemError::InvertedStart { tet: 3, det_f: -0.1 }.is_recoverable());
+    /// ```
+    pub fn is_recoverable(&self) -> bool {
+        matches!(self, Self::NoEquilibrium(_) | Self::InvertedStart { .. })
+    }
+}
+
+/// Why an equilibrium search ended, and the last good state.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "no equilibrium at load fraction {tried_fraction:.4} after {iterations} iterations: residual {residual:.3e} mN, \
+     asked for {tolerance:.3e} mN; the last equilibrium found is at load fraction {load_fraction:.4}; {reason}; \
+     smallest det F = {min_det_f:.3e}, worst tetrahedra {}; {}",
+    worst_list(.worst_tets), .reason.suggestion()
+)]
+pub struct NoEquilibrium {
+    /// Largest fraction of the load for which an equilibrium was found.
+    pub load_fraction: f64,
+    /// The fraction at which the search ended.
+    pub tried_fraction: f64,
+    /// Iterations done in all.
+    pub iterations: usize,
+    /// Norm of the residual forces at the end, mN.
+    pub residual: f64,
+    /// Norm that was asked for, mN.
+    pub tolerance: f64,
+    /// Smallest det F of the state where the search ended, dimensionless.
+    pub min_det_f: f64,
+    /// Up to five tetrahedra with the smallest det F, worst first.
+    pub worst_tets: Vec<WorstTet>,
+    /// What stopped the search.
+    pub reason: StopReason,
+}
+
+/// A tetrahedron close to inversion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WorstTet {
+    /// Index of the tetrahedron.
+    pub tet: usize,
+    /// Smallest det F of its quadrature points, dimensionless.
+    pub det_f: f64,
+}
+
+/// What stopped an equilibrium search.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StopReason {
+    /// The iterations allowed were used up.
+    IterationsUsedUp,
+    /// Load steps became smaller than the smallest allowed.
+    StepTooSmall,
+    /// A prescribed displacement would invert a tetrahedron.
+    PrescribedInverts,
+    /// The residual stopped falling before the tolerance was reached.
+    Stalled,
+}
+
+impl std::fmt::Display for StopReason {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::IterationsUsedUp => "the iterations allowed were used up",
+            Self::StepTooSmall => "load steps became too small",
+            Self::PrescribedInverts => "the prescribed displacements would invert a tetrahedron",
+            Self::Stalled => "the residual stopped falling",
+        })
+    }
+}
+
+impl StopReason {
+    /// Return what a user may do about it, one clause.
+    pub fn suggestion(self) -> &'static str {
+        match self {
+            Self::IterationsUsedUp => "allow more iterations or a smaller load",
+            Self::StepTooSmall => {
+                "reduce the load, spread it over a larger patch or check its unit (mN)"
+            }
+            Self::PrescribedInverts => {
+                "reduce the prescribed displacements or check their unit (mm)"
+            }
+            Self::Stalled => "ask for a tolerance above the rounding of these forces",
+        }
+    }
+}
+
+fn worst_list(worst: &[WorstTet]) -> String {
+    if worst.is_empty() {
+        return "unknown".to_string();
+    }
+    let entries: Vec<String> =
+        worst.iter().map(|w| format!("{} ({:.2e})", w.tet, w.det_f)).collect();
+    entries.join(", ")
+}

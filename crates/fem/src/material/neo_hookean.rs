@@ -1,0 +1,200 @@
+//! The compressible neo-Hookean law.
+//!
+//! With `J − 1 = tr h + q`, where `q` gathers what is of second and third order in `h`, and
+//! `cof F = (1 + tr h) I − hᵀ + cof h`, nothing of first order cancels in
+//!
+//! ```text
+//! ψ   = μ (|h|²/2 − q + (x − ln(1 + x))) + λ/2 ln²J,     x = J − 1
+//! J P = μ (J h + hᵀ + q I − cof h) + λ ln J cof F
+//! ```
+//!
+//! which are the usual `μ/2 (tr C − 3) − μ ln J + λ/2 ln²J` and `μ (F − F⁻ᵀ) + λ ln J F⁻ᵀ`.
+
+use super::{Hyperelastic, Matrix3, Response, Tangent, cofactor};
+
+/// Compressible neo-Hookean solid.
+///
+/// Energy density `ψ = μ/2 (tr C − 3) − μ ln J + λ/2 (ln J)²`, stress
+/// `P = μ (F − F⁻ᵀ) + λ ln J F⁻ᵀ`, with `F = I + h`, `C = FᵀF`, `J = det F`.
+/// Both are formed from `h`, never from `F − I`, so that small strains keep their
+/// digits.
+///
+/// # Units
+///
+/// `mu`, `lambda`, energy density and stress in kPa; `h` has none.
+///
+/// # Reference
+///
+/// Bonet and Wood, *Nonlinear Continuum Mechanics for Finite Element Analysis*,
+/// 2nd ed., Cambridge University Press, 2008.
+///
+/// # Examples
+///
+/// An undeformed solid is free of stress, and a small stretch is answered by the
+/// linear modulus `λ + 2μ`:
+///
+/// ```
+/// use tissuereg_fem::material::{Hyperelastic, NeoHookean};
+///
+/// let liver = NeoHookean { mu: 2.0, lambda: 20.0 };
+/// assert_eq!(liver.stress(&[[0.0; 3]; 3]), Some([[0.0; 3]; 3]));
+///
+/// let mut h = [[0.0; 3]; 3];
+/// h[0][0] = 1e-9;
+/// let p = liver.stress(&h).ok_or("inverted")?;
+/// assert!((p[0][0] / 1e-9 - 24.0).abs() < 1e-6);
+/// # Ok::<(), &'static str>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NeoHookean {
+    /// Shear modulus `μ`, kPa.
+    pub mu: f64,
+    /// First Lamé constant `λ`, kPa.
+    pub lambda: f64,
+}
+
+impl NeoHookean {
+    /// Law with the linear response of Young's modulus `young` (kPa) and Poisson's ratio
+    /// `poisson`: `μ = E / (2 (1 + ν))`, `λ = E ν / ((1 + ν)(1 − 2ν))`.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use tissuereg_fem::material::NeoHookean;
+    ///
+    /// let law = NeoHookean::from_young(10.0, 0.25);
+    /// assert_eq!((law.mu, law.lambda), (4.0, 4.0));
+    /// ```
+    pub fn from_young(young: f64, poisson: f64) -> Self {
+        Self {
+            mu: young / (2.0 * (1.0 + poisson)),
+            lambda: young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)),
+        }
+    }
+}
+
+/// What energy, stress and tangent share.
+struct Kinematics {
+    /// `J`
+    det_f: f64,
+    /// `J − 1`
+    x: f64,
+    /// `J − 1 − tr h`
+    q: f64,
+    /// `ln J`
+    log: f64,
+    /// `cof h`
+    cof_h: Matrix3,
+    /// `tr h`
+    trace: f64,
+}
+
+impl Kinematics {
+    #[inline(always)]
+    fn new(h: &Matrix3) -> Option<Self> {
+        let cof_h = cofactor(h);
+        let trace = h[0][0] + h[1][1] + h[2][2];
+        let third = h[0][0] * cof_h[0][0] + h[0][1] * cof_h[0][1] + h[0][2] * cof_h[0][2];
+        let q = cof_h[0][0] + cof_h[1][1] + cof_h[2][2] + third;
+        let x = trace + q;
+        let det_f = 1.0 + x;
+        // The comparison is false for NaN as well.
+        if det_f > 0.0 && det_f < f64::INFINITY {
+            Some(Self { det_f, x, q, log: x.ln_1p(), cof_h, trace })
+        } else {
+            None
+        }
+    }
+
+    /// `cof F = J F⁻ᵀ`
+    #[inline(always)]
+    fn cof_f(&self, h: &Matrix3) -> Matrix3 {
+        let mut cof = self.cof_h;
+        for i in 0..3 {
+            for j in 0..3 {
+                cof[i][j] -= h[j][i];
+            }
+            cof[i][i] += 1.0 + self.trace;
+        }
+        cof
+    }
+}
+
+/// `x − ln(1 + x)` without cancellation, given `log = ln(1 + x)`.
+#[inline(always)]
+fn x_minus_log(x: f64, log: f64) -> f64 {
+    if x.abs() > 0.03 {
+        return x - log;
+    }
+    // x²/2 − x³/3 + ...; ten terms leave less than 1e-16 of the first.
+    let mut sum = 0.0;
+    for k in (2..12).rev() {
+        sum = 1.0 / f64::from(k) - x * sum;
+    }
+    x * x * sum
+}
+
+impl NeoHookean {
+    #[inline(always)]
+    fn energy_of(&self, h: &Matrix3, k: &Kinematics) -> f64 {
+        let square: f64 = h.iter().flatten().map(|v| v * v).sum();
+        self.mu * (0.5 * square - k.q + x_minus_log(k.x, k.log)) + 0.5 * self.lambda * k.log * k.log
+    }
+
+    #[inline(always)]
+    fn stress_of(&self, h: &Matrix3, k: &Kinematics) -> Matrix3 {
+        let cof_f = k.cof_f(h);
+        let inverse_j = 1.0 / k.det_f;
+        let pressure = self.lambda * k.log * inverse_j;
+        let shear = self.mu * inverse_j;
+        let mut stress = [[0.0; 3]; 3];
+        for i in 0..3 {
+            for j in 0..3 {
+                stress[i][j] =
+                    shear * (k.det_f * h[i][j] + h[j][i] - k.cof_h[i][j]) + pressure * cof_f[i][j];
+            }
+            stress[i][i] += shear * k.q;
+        }
+        stress
+    }
+}
+
+impl Hyperelastic for NeoHookean {
+    fn energy(&self, h: &Matrix3) -> Option<f64> {
+        Kinematics::new(h).map(|k| self.energy_of(h, &k))
+    }
+
+    fn stress(&self, h: &Matrix3) -> Option<Matrix3> {
+        Kinematics::new(h).map(|k| self.stress_of(h, &k))
+    }
+
+    /// `∂P_ij/∂h_kl = μ δ_ik δ_jl + (μ − λ ln J) G_il G_kj + λ G_ij G_kl`, with `G = F⁻ᵀ`.
+    fn tangent(&self, h: &Matrix3) -> Option<Tangent> {
+        let kinematics = Kinematics::new(h)?;
+        let g = kinematics.cof_f(h).map(|row| row.map(|v| v / kinematics.det_f));
+        let twist = self.mu - self.lambda * kinematics.log;
+        let mut tangent = [[0.0; 9]; 9];
+        for i in 0..3 {
+            for j in 0..3 {
+                for k in 0..3 {
+                    for l in 0..3 {
+                        tangent[3 * i + j][3 * k + l] =
+                            twist * g[i][l] * g[k][j] + self.lambda * g[i][j] * g[k][l];
+                    }
+                }
+                tangent[3 * i + j][3 * i + j] += self.mu;
+            }
+        }
+        Some(tangent)
+    }
+
+    #[inline(always)]
+    fn response(&self, h: &Matrix3) -> Option<Response> {
+        let k = Kinematics::new(h)?;
+        Some(Response {
+            energy: self.energy_of(h, &k),
+            stress: self.stress_of(h, &k),
+            det_f: k.det_f,
+        })
+    }
+}

@@ -1,0 +1,209 @@
+//! The metric of the iteration: a factor of a tangent, times a scale.
+//!
+//! The undeformed stiffness is linear in Young's modulus. Its factor is made for the *shape* of a
+//! stiffness field: moduli divided by the largest and rounded to 24 bits, so that proportional
+//! fields share a factor and its bits depend on nothing but the shape. A metric need not be exact.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use crate::assembly::{TangentKind, tangent_into};
+use crate::body::Body;
+use crate::error::FemError;
+use crate::material::{Material, Stiffness};
+use crate::solve::problem::{Problem, State, Workspace};
+use crate::solve::settings::Method;
+use crate::system::factor::Factor;
+
+/// Factor of `K / scale⁻¹`: a solve with it is multiplied by `scale`.
+#[derive(Debug, Clone)]
+pub(crate) struct Metric {
+    factor: Arc<Factor>,
+    scale: f64,
+}
+
+impl Metric {
+    /// Write `K⁻¹ rhs` to `out`.
+    pub(crate) fn apply_into(
+        &self,
+        problem: &Problem,
+        rhs: &[f64],
+        out: &mut [f64],
+        workspace: &mut Workspace,
+    ) {
+        workspace.report.solves += 1;
+        self.factor.solve_into(
+            problem.body.pattern(),
+            self.scale,
+            rhs,
+            out,
+            &mut workspace.solve_scratch,
+        );
+    }
+
+    /// Euclidean norm of the diagonal of the matrix, mN/mm.
+    pub(crate) fn diagonal_norm(&self) -> f64 {
+        self.factor.diagonal_norm() / self.scale
+    }
+
+    /// Metric of the tangent at a state; positive definite by clamping where the tangent is not.
+    pub(crate) fn at_state(
+        problem: &Problem,
+        state: &State,
+        workspace: &mut Workspace,
+    ) -> Result<Self, FemError> {
+        let start = Instant::now();
+        let pattern = problem.body.pattern();
+        let double = problem.settings.method == Method::Newton;
+        let make = |values: &[f64]| match double {
+            true => Factor::double(pattern, values),
+            false => Factor::single_or_double(pattern, values),
+        };
+        let mut result = Err(FemError::SingularStiffness { pivot: 0, n_dofs: 0 });
+        for kind in [TangentKind::Exact, TangentKind::Clamped] {
+            workspace.report.factorisations += 1;
+            result = match problem.tangent(state, kind, workspace) {
+                Some(values) => make(values),
+                None => break,
+            };
+            if !matches!(result, Err(FemError::SingularStiffness { .. })) {
+                break;
+            }
+        }
+        workspace.report.seconds.factor += start.elapsed().as_secs_f64();
+        Ok(Self { factor: Arc::new(result?), scale: 1.0 })
+    }
+}
+
+/// Stiffness field up to a factor: what a rest factor depends on.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Shape {
+    /// Moduli over the largest, rounded to 24 bits; one entry where uniform.
+    young: Vec<f32>,
+    poisson: Vec<f64>,
+}
+
+impl Shape {
+    /// Shape of a material's stiffness and the modulus that was divided out, kPa.
+    pub(crate) fn of(material: &Material) -> (Self, f64) {
+        match material.stiffness() {
+            Stiffness::Uniform { young, poisson } => {
+                (Self { young: vec![1.0], poisson: vec![*poisson] }, *young)
+            }
+            Stiffness::PerTet { young, poisson } => {
+                let largest = young.iter().fold(0.0_f64, |m, &v| m.max(v));
+                let mut shape = Self {
+                    young: young.iter().map(|v| (v / largest) as f32).collect(),
+                    poisson: poisson.clone(),
+                };
+                shape.simplify();
+                (shape, largest)
+            }
+        }
+    }
+
+    /// Fields that are constant after all have the shape of uniform ones.
+    fn simplify(&mut self) {
+        if self.poisson.windows(2).all(|w| w[0] == w[1]) {
+            self.poisson.truncate(1);
+        }
+        if self.poisson.len() == 1 && self.young.windows(2).all(|w| w[0] == w[1]) {
+            self.young.truncate(1);
+        }
+    }
+
+    /// Number by which equal shapes are found.
+    pub(crate) fn key(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.young.iter().for_each(|v| v.to_bits().hash(&mut hasher));
+        self.poisson.iter().for_each(|v| v.to_bits().hash(&mut hasher));
+        hasher.finish()
+    }
+
+    fn material(&self) -> Result<Material, FemError> {
+        // A modulus of zero after rounding would make the shape singular.
+        let young: Vec<f64> = self.young.iter().map(|&v| f64::from(v).max(1e-30)).collect();
+        match (young.as_slice(), self.poisson.as_slice()) {
+            ([young], [poisson]) => Material::neo_hookean(*young, *poisson),
+            _ => Material::new(Stiffness::PerTet { young, poisson: self.poisson.clone() }),
+        }
+    }
+
+    /// Factor of the undeformed stiffness of this shape.
+    pub(crate) fn factor(&self, body: &Body, parallel: bool) -> Result<Factor, FemError> {
+        let pattern = body.pattern();
+        let mut values = vec![0.0; pattern.n_entries()];
+        tangent_into(
+            body.geometry(),
+            pattern,
+            &self.material()?,
+            None,
+            TangentKind::Exact,
+            parallel,
+            &mut values,
+        );
+        Factor::single_or_double(pattern, &values)
+    }
+}
+
+/// The rest factor made last, kept with the body.
+#[derive(Debug, Default)]
+pub(crate) struct RestCache(Mutex<Option<(Shape, Arc<Factor>)>>);
+
+impl RestCache {
+    /// Rest metric of a material, from the cache or made and kept.
+    pub(crate) fn metric(
+        &self,
+        body: &Body,
+        material: &Material,
+        parallel: bool,
+    ) -> Result<Metric, FemError> {
+        let (shape, young) = Shape::of(material);
+        let scale = 1.0 / young;
+        if let Some(factor) = self.find(&shape) {
+            return Ok(Metric { factor, scale });
+        }
+        let factor = Arc::new(shape.factor(body, parallel)?);
+        if let Ok(mut slot) = self.0.lock() {
+            *slot = Some((shape, Arc::clone(&factor)));
+        }
+        Ok(Metric { factor, scale })
+    }
+
+    fn find(&self, shape: &Shape) -> Option<Arc<Factor>> {
+        let slot = self.0.lock().ok()?;
+        slot.as_ref().filter(|(kept, _)| kept == shape).map(|(_, factor)| Arc::clone(factor))
+    }
+}
+
+/// Rest factor shared by the members of one group of an ensemble.
+#[derive(Debug)]
+pub(crate) struct SharedRest {
+    shape: Shape,
+    slot: Mutex<(Option<Arc<Factor>>, usize)>,
+}
+
+impl SharedRest {
+    /// For `n_members` members; the factor is dropped after the last has taken it.
+    pub(crate) fn new(shape: Shape, n_members: usize) -> Self {
+        Self { shape, slot: Mutex::new((None, n_members)) }
+    }
+
+    /// The factor, made by the first member that asks while the others wait.
+    pub(crate) fn metric(&self, body: &Body, young: f64) -> Result<Metric, FemError> {
+        let mut slot = match self.slot.lock() {
+            Ok(slot) => slot,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        let factor = match slot.0.take() {
+            Some(factor) => factor,
+            None => Arc::new(self.shape.factor(body, false)?),
+        };
+        slot.1 = slot.1.saturating_sub(1);
+        if slot.1 > 0 {
+            slot.0 = Some(Arc::clone(&factor));
+        }
+        Ok(Metric { factor, scale: 1.0 / young })
+    }
+}

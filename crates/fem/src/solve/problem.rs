@@ -1,0 +1,168 @@
+//! One equilibrium problem and the state it is in.
+
+use crate::assembly::{
+    Energy, TangentKind, det_f_by_element, internal_force_into, tangent_into, tangent_product_into,
+};
+use crate::body::Body;
+use crate::error::{FemError, WorstTet};
+use crate::load::NodalLoad;
+use crate::material::Material;
+use crate::solve::report::SolveReport;
+use crate::solve::settings::SolveSettings;
+use crate::system::factor::SolveScratch;
+
+/// What does not change during a solve.
+pub(crate) struct Problem<'a> {
+    pub(crate) body: &'a Body,
+    pub(crate) material: &'a Material,
+    pub(crate) load: &'a NodalLoad,
+    pub(crate) settings: &'a SolveSettings,
+    pub(crate) parallel: bool,
+}
+
+/// A displacement with its internal forces and energy.
+#[derive(Debug, Clone)]
+pub(crate) struct State {
+    /// `(3 n_nodes)`, mm.
+    pub(crate) displacement: Vec<f64>,
+    /// Internal forces, `(3 n_nodes)`, mN.
+    pub(crate) force: Vec<f64>,
+    pub(crate) energy: Energy,
+}
+
+impl State {
+    pub(crate) fn at_rest(n_nodes: usize) -> Self {
+        Self {
+            displacement: vec![0.0; 3 * n_nodes],
+            force: vec![0.0; 3 * n_nodes],
+            energy: Energy { total: 0.0, min_det_f: 1.0 },
+        }
+    }
+}
+
+/// Buffers and counters of a solve; reused from member to member.
+#[derive(Default)]
+pub(crate) struct Workspace {
+    pub(crate) report: SolveReport,
+    pub(crate) solve_scratch: SolveScratch,
+    element_forces: Vec<f64>,
+    matrix_values: Vec<f64>,
+}
+
+impl Problem<'_> {
+    /// Evaluate the forces and energy of `state.displacement`; false where an element is inverted.
+    pub(crate) fn evaluate(&self, state: &mut State, workspace: &mut Workspace) -> bool {
+        workspace.report.evaluations += 1;
+        let energy = internal_force_into(
+            self.body.geometry(),
+            self.material,
+            &state.displacement,
+            &mut state.force,
+            &mut workspace.element_forces,
+            self.parallel,
+        );
+        match energy {
+            Some(energy) if energy.total.is_finite() => {
+                state.energy = energy;
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Residual `f_int − fraction f_ext` on the unknowns.
+    pub(crate) fn residual_into(&self, state: &State, fraction: f64, residual: &mut [f64]) {
+        for (r, &flat) in residual.iter_mut().zip(&self.body.pattern().unknown2flat) {
+            *r = state.force[flat as usize] - fraction * self.load.force[flat as usize];
+        }
+    }
+
+    /// Potential energy `W − fraction fᵀu`, µJ.
+    pub(crate) fn potential(&self, state: &State, fraction: f64) -> f64 {
+        state.energy.total - fraction * dot(&self.load.force, &state.displacement)
+    }
+
+    /// Norm against which the residual is measured: that of the load on free unknowns, or of the
+    /// reactions where supports are moved and these are larger.
+    pub(crate) fn load_norm(&self, state: &State, fraction: f64) -> f64 {
+        let mut applied = 0.0;
+        let mut reaction = 0.0;
+        for (flat, &held) in self.body.held().as_flattened().iter().enumerate() {
+            let external = fraction * self.load.force[flat];
+            if held {
+                reaction += (state.force[flat] - external).powi(2);
+            } else {
+                applied += external * external;
+            }
+        }
+        if self.load.moves_supports { f64::max(applied, reaction).sqrt() } else { applied.sqrt() }
+    }
+
+    /// Values of the tangent at a state, in the workspace; false where an element is inverted.
+    pub(crate) fn tangent<'w>(
+        &self,
+        state: &State,
+        kind: TangentKind,
+        workspace: &'w mut Workspace,
+    ) -> Option<&'w [f64]> {
+        let pattern = self.body.pattern();
+        workspace.matrix_values.resize(pattern.n_entries(), 0.0);
+        tangent_into(
+            self.body.geometry(),
+            pattern,
+            self.material,
+            Some(&state.displacement),
+            kind,
+            self.parallel,
+            &mut workspace.matrix_values,
+        )
+        .then_some(&workspace.matrix_values)
+    }
+
+    /// Tangent at a state times a direction `(3 n_nodes)`; none where an element is inverted.
+    pub(crate) fn tangent_product(&self, state: &State, direction: &[f64]) -> Option<Vec<f64>> {
+        let mut product = vec![0.0; direction.len()];
+        tangent_product_into(
+            self.body.geometry(),
+            self.material,
+            &state.displacement,
+            direction,
+            &mut product,
+        )
+        .then_some(product)
+    }
+
+    /// The five tetrahedra closest to inversion, worst first.
+    pub(crate) fn worst_tets(&self, displacement: &[f64]) -> Vec<WorstTet> {
+        let mut all: Vec<WorstTet> = det_f_by_element(self.body.geometry(), displacement)
+            .into_iter()
+            .enumerate()
+            .map(|(tet, det_f)| WorstTet { tet, det_f })
+            .collect();
+        all.sort_by(|a, b| a.det_f.total_cmp(&b.det_f));
+        all.truncate(5);
+        all
+    }
+
+    pub(crate) fn check_cancel(&self) -> Result<(), FemError> {
+        self.settings.check_cancel()
+    }
+}
+
+/// Scalar product, summed in eight fixed lanes.
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut lanes = [0.0; 8];
+    let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));
+    let tail: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in a_chunks.zip(b_chunks) {
+        for k in 0..8 {
+            lanes[k] += x[k] * y[k];
+        }
+    }
+    lanes.iter().sum::<f64>() + tail
+}
+
+/// Euclidean norm.
+pub(crate) fn norm(a: &[f64]) -> f64 {
+    dot(a, a).sqrt()
+}

@@ -1,0 +1,53 @@
+//! What a solve returns.
+
+/// Equilibrium of a body under a load.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solution {
+    /// Displacement of every node of the body, mm.
+    pub displacement: Vec<[f64; 3]>,
+    /// Force that the support exerts at each held node, mN, in the order in which held nodes were
+    /// given; zero along axes that are not held.
+    pub reactions: Vec<[f64; 3]>,
+    /// Work done.
+    pub report: SolveReport,
+}
+
+/// Record of the work of a solve.
+///
+/// All but `seconds` is the same at any number of threads.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SolveReport {
+    /// Accepted steps towards equilibrium, in all load steps.
+    pub iterations: usize,
+    /// Evaluations of the internal forces.
+    pub evaluations: usize,
+    /// Solutions with a factor.
+    pub solves: usize,
+    /// Different numeric factors used, one that was at hand already included.
+    pub factorisations: usize,
+    /// Symbolic analyses; one, made with the body.
+    pub analyses: usize,
+    /// Load steps; 1 where the whole load was applied at once.
+    pub load_steps: usize,
+    /// Fraction of the load that is in equilibrium: 1.
+    pub load_fraction: f64,
+    /// Norm of the residual over free unknowns, mN.
+    pub residual: f64,
+    /// Norm that was asked for, mN.
+    pub tolerance: f64,
+    /// Strain energy, µJ.
+    pub strain_energy: f64,
+    /// Smallest det F of all quadrature points, dimensionless.
+    pub min_det_f: f64,
+    /// Where the time went.
+    pub seconds: StageSeconds,
+}
+
+/// Seconds by stage.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct StageSeconds {
+    /// Assembling and factorising tangents.
+    pub factor: f64,
+    /// Everything else of the solve.
+    pub iterate: f64,
+}

@@ -1,0 +1,126 @@
+//! How a solve is done; all settings have defaults.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use crate::error::FemError;
+
+/// Which iteration finds the equilibrium.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Method {
+    /// Quasi-Newton on the factor of the undeformed stiffness, with a fresh factor where it
+    /// converges slowly, and load steps where it fails.
+    #[default]
+    Auto,
+    /// A double-precision factor of the current tangent in every iteration.
+    Newton,
+    /// Limited-memory BFGS on the factor of the undeformed stiffness alone.
+    QuasiNewton,
+}
+
+/// In how many steps the load is applied.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LoadSteps {
+    /// All at once; where that fails, in steps that grow and shrink by themselves.
+    #[default]
+    Auto,
+    /// In this many equal steps, none of which may fail.
+    Equal(usize),
+}
+
+/// Settings of [`solve`](crate::solve) and [`solve_many`](crate::solve_many).
+///
+/// # Examples
+///
+/// ```
+/// use tissuereg_fem::{Method, SolveSettings};
+///
+/// let settings = SolveSettings { method: Method::Newton, ..SolveSettings::default() };
+/// assert_eq!(settings.tolerance, 1e-9);
+/// ```
+#[derive(Debug, Clone)]
+pub struct SolveSettings {
+    /// Largest admissible `|residual| / |load|`, both over free unknowns. Where supports are
+    /// moved, the norm of the reactions counts as load if it is larger. A residual at the rounding
+    /// of the forces is accepted in any case. Dimensionless.
+    pub tolerance: f64,
+    /// Iterations allowed in all load steps together.
+    pub max_iterations: usize,
+    /// Which iteration is used.
+    pub method: Method,
+    /// In how many steps the load is applied.
+    pub load_steps: LoadSteps,
+    /// Threads: 0 means all of the current rayon pool. Results do not depend on it.
+    pub n_threads: usize,
+    /// Raised by the caller to end a solve early with [`FemError::Cancelled`]. Looked at in every
+    /// iteration, so within the time of one factorisation.
+    pub cancel: Option<Arc<AtomicBool>>,
+    /// Counts members that [`solve_many`](crate::solve_many) has finished.
+    pub progress: Option<Arc<AtomicUsize>>,
+}
+
+impl Default for SolveSettings {
+    fn default() -> Self {
+        Self {
+            tolerance: 1e-9,
+            max_iterations: 1000,
+            method: Method::Auto,
+            load_steps: LoadSteps::Auto,
+            n_threads: 0,
+            cancel: None,
+            progress: None,
+        }
+    }
+}
+
+impl SolveSettings {
+    /// Check ranges.
+    pub(crate) fn check(&self) -> Result<(), FemError> {
+        if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
+            return Err(FemError::BadSetting {
+                name: "tolerance",
+                must: "above 0 and below 1",
+                found: self.tolerance,
+            });
+        }
+        if self.max_iterations == 0 {
+            return Err(FemError::BadSetting {
+                name: "max_iterations",
+                must: "at least 1",
+                found: 0.0,
+            });
+        }
+        if self.load_steps == LoadSteps::Equal(0) {
+            return Err(FemError::BadSetting {
+                name: "load_steps",
+                must: "at least 1",
+                found: 0.0,
+            });
+        }
+        Ok(())
+    }
+
+    /// Fail where the caller has raised the cancel flag.
+    pub(crate) fn check_cancel(&self) -> Result<(), FemError> {
+        match &self.cancel {
+            Some(flag) if flag.load(Ordering::Relaxed) => Err(FemError::Cancelled),
+            _ => Ok(()),
+        }
+    }
+
+    /// Run on the number of threads asked for; on the current pool where no other can be made.
+    pub(crate) fn in_pool<R: Send>(&self, run: impl FnOnce() -> R + Send) -> R {
+        if self.n_threads <= 1 {
+            return run();
+        }
+        match rayon::ThreadPoolBuilder::new().num_threads(self.n_threads).build() {
+            Ok(pool) => pool.install(run),
+            Err(_) => run(),
+        }
+    }
+
+    /// Whether a solve may use more than one thread.
+    pub(crate) fn is_parallel(&self) -> bool {
+        self.n_threads != 1 && rayon::current_num_threads() > 1
+    }
+}
