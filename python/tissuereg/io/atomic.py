@@ -141,9 +141,13 @@ def check_folder_target(path: str | os.PathLike[str]) -> None:
 
 def _check_writable(target: Path) -> None:
     folder = target if target.is_dir() else _standing_folder(target)
-    if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
-        message = f"the output {target} must lie in a folder that can be written; {folder} cannot"
-        raise OutputError(message, where=str(target))
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = error.strerror or str(error)
+        message = f"the output {target} must lie where files can be written; in {folder} none can: {reason}"
+        raise OutputError(message, where=str(target)) from error
 
 
 def _standing_folder(target: Path) -> Path:

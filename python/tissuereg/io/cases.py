@@ -13,7 +13,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Actuator, Case
-from tissuereg.io.csv import Row, read_table
+from tissuereg.io.csv import Row, read_table, write_table
 
 #: A row belongs to a frame if it is this close, as a share of the frame step.
 _SAME_MOMENT = 0.01
@@ -204,3 +204,28 @@ def _interpolated(history: History, frames: FloatArray, who: str, case: str) -> 
         )
         raise ExperimentError(message, where=row.where)
     return np.stack([np.interp(frames, times, values[whole, axis]) for axis in range(3)], axis=1)
+
+
+def write_histories(
+    path: Path, who: str, unit: str, histories: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]]
+) -> None:
+    """Write a table ``case,time_s,<who>,x_<unit>,y_<unit>,z_<unit>``, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Where to.
+    who : str
+        Third column: ``marker``, ``actuator`` or ``target``.
+    unit : str
+        ``mm`` or ``mN``.
+    histories : mapping of str to tuple of (ndarray of float64 (n_frames,), mapping of str to ndarray (n_frames, 3))
+        By case: times in s, then values by name; NaN becomes an empty cell.
+    """
+    rows = (
+        (case, float(time), name, *map(float, values[frame]))
+        for case, (times, named) in histories.items()
+        for frame, time in enumerate(times)
+        for name, values in named.items()
+    )
+    write_table(path, ("case", "time_s", who, *(f"{axis}_{unit}" for axis in "xyz")), rows)

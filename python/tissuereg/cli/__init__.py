@@ -1,0 +1,132 @@
+"""The command ``tissuereg``: one file a command, one way to end.
+
+Exit codes: 0 done; 2 bad usage or bad input; 3 it could not be done; 130 interrupted; 1 is a bug.
+"""
+
+import contextlib
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from tissuereg.cli import bench, demo, register, simulate, solve, train
+from tissuereg.cli.common import Outcome, envelope, paragraph, warnings_as_lines
+from tissuereg.cli.options import Parser, UsageError, json_target, parse
+from tissuereg.errors import ConvergenceError, TissueRegError
+from tissuereg.io.atomic import check_file_target
+from tissuereg.io.json import dumps, write_json
+
+_COMMANDS = (solve, simulate, train, register, demo, bench)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Words after the program's name; those of the process where absent.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    target, debug = json_target(words), "--debug" in words
+    with warnings_as_lines(debug=debug) as notes:
+        try:
+            outcome = _run(words, target)
+            _deliver(outcome, target, notes)
+        except SystemExit as done:  # --help and --version
+            return int(done.code or 0)
+        except BaseException as error:
+            return _fail(error, target, debug=debug)
+    return 0
+
+
+def build_parser() -> Parser:
+    """Return the parser of the whole command line.
+
+    Returns
+    -------
+    Parser
+        With one sub-parser a command.
+    """
+    from tissuereg._version import __version__
+
+    parser = Parser(
+        prog="tissuereg",
+        description="Register a deformed soft organ to a few tracked markers, with honest uncertainty.",
+        epilog="'tissuereg COMMAND --help' explains a command. Lengths mm, forces mN, stresses kPa, times s.",
+    )
+    parser.add_argument("--version", action="version", version=f"tissuereg {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
+    for command in _COMMANDS:
+        command.add_parser(commands)
+    return parser
+
+
+def _run(words: list[str], target: str | None) -> Outcome:
+    args = parse(build_parser(), words)
+    if target not in (None, "-"):
+        check_file_target(target)
+    with _nothing_on_stdout() if target == "-" else contextlib.nullcontext():
+        outcome: Outcome = args.run(args)
+    return outcome
+
+
+@contextlib.contextmanager
+def _nothing_on_stdout() -> Iterator[None]:
+    with contextlib.redirect_stdout(sys.stderr):
+        yield
+
+
+def _deliver(outcome: Outcome, target: str | None, notes: list[str]) -> None:
+    if target is not None:
+        _write(target, {**outcome.content, **envelope(outcome.threads), "warnings": notes})
+    if target != "-":
+        print(outcome.summary, flush=True)
+
+
+def _write(target: str, content: dict[str, Any]) -> None:
+    if target == "-":
+        sys.stdout.write(dumps(content))
+        sys.stdout.flush()
+    else:
+        write_json(target, content)
+
+
+def _fail(error: BaseException, target: str | None, *, debug: bool) -> int:
+    """Say what went wrong, in words and where asked for in JSON; return the exit code."""
+    code, message = _verdict(error)
+    if debug or code == 1:
+        traceback.print_exception(error, file=sys.stderr)
+    print(paragraph("interrupted" if code == 130 else f"error: {message}"), file=sys.stderr)
+    if target is not None:
+        content = {
+            "schema": "tissuereg.error/1",
+            "error": type(error).__name__,
+            "message": message,
+            "where": getattr(error, "where", None),
+        }
+        if isinstance(error, ConvergenceError) and error.report:
+            content["report"] = error.report
+        with contextlib.suppress(TissueRegError, OSError):  # the error itself may be that FILE cannot be written
+            _write(target, content)
+    return code
+
+
+def _verdict(error: BaseException) -> tuple[int, str]:
+    if isinstance(error, TissueRegError):
+        return error.exit_code, str(error)
+    if isinstance(error, KeyboardInterrupt):
+        return 130, "interrupted"
+    if isinstance(error, MemoryError):
+        return 3, "the memory of this machine must hold the problem; it does not: use a coarser mesh or fewer members"
+    if isinstance(error, BrokenPipeError):
+        return 2, "the reader of the output must stay; it closed the pipe"
+    return 1, f"this is a bug in tissuereg, please report it with the lines above: {error or type(error).__name__}"
+
+
+__all__ = ["Outcome", "UsageError", "build_parser", "main"]

@@ -1,0 +1,87 @@
+"""``tissuereg bench``: times by stage."""
+
+import argparse
+from typing import Any
+
+from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
+from tissuereg.cli.options import UsageError, add_common, command_parser, whole_number
+
+_DETAILS = (
+    "Times whole solves, ensembles of solves, ES-MDA updates and whole registrations on the embedded phantom (or, for "
+    "solve, on problem files), stage by stage, with the work counters that explain them. WHAT: solve, ensemble, "
+    "esmda or register; all of them where left out."
+)
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command's parser.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers action
+        Where to.
+    """
+    example = "tissuereg bench solve --problem dome.npz --repeats 20 --threads 2 --json times.json"
+    parser = command_parser(commands, "bench", "time the parts", _DETAILS, example)
+    choices = ["solve", "ensemble", "esmda", "register"]
+    parser.add_argument("what", metavar="WHAT", nargs="*", help=f"one or more of {', '.join(choices)} (default: all)")
+    how = parser.add_argument_group("timing")
+    text = "runs a row, after one that does not count (default: 10)"
+    how.add_argument("--repeats", type=whole_number(1), default=10, metavar="N", help=text)
+    text = "problem files for 'solve', as 'tissuereg solve' takes them (default: the phantom)"
+    how.add_argument("--problem", nargs="+", default=[], metavar="FILE.npz", help=text)
+    text = "elements of the solves (default: both)"
+    how.add_argument("--element", choices=["tet4", "tet10"], help=text)
+    text = "members of 'ensemble' (default: 32)"
+    how.add_argument("--members", type=whole_number(1), default=32, metavar="N", help=text)
+    add_common(parser, seed="seed of random events and draws (default: 0)")
+    parser.set_defaults(run=run, choices=choices, late="what", room=len(choices))
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Time what is asked for.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    Outcome
+        Schema ``tissuereg.bench/1``.
+
+    Raises
+    ------
+    UsageError
+        If a name cannot be timed.
+    """
+    from tissuereg.bench import BENCHES, BenchSettings
+
+    unknown = [name for name in args.what if name not in args.choices]
+    if unknown:
+        message = f"WHAT must be one or more of {', '.join(args.choices)}, got {', '.join(unknown)}"
+        raise UsageError(message, where="WHAT")
+    settings = BenchSettings(
+        repeats=args.repeats,
+        threads=args.threads,
+        elements=("tet4", "tet10") if args.element is None else (args.element,),
+        problems=tuple(args.problem),
+        members=args.members,
+        seed=args.seed or 0,
+    )
+    clock, rows = Stopwatch(), []
+    for name in args.what or (["solve"] if args.problem else args.choices):
+        rows += BENCHES[name](settings)
+        clock.lap(name)
+    content = {"schema": "tissuereg.bench/1", "rows": rows, "seed": settings.seed, "seconds": clock.seconds}
+    return Outcome(content, _table(content), args.threads)
+
+
+def _table(content: dict[str, Any]) -> str:
+    width = max(len(row["name"]) for row in content["rows"])
+    lines = [f"{'name':<{width}}  {'median ms':>10}  {'p99 ms':>10}  stages, ms"]
+    for row in content["rows"]:
+        stages = ", ".join(f"{name} {1e3 * spent:.3g}" for name, spent in row["stages_s"].items())
+        lines.append(f"{row['name']:<{width}}  {1e3 * row['median_s']:>10.4g}  {1e3 * row['p99_s']:>10.4g}  {stages}")
+    return "\n".join([*lines, seconds_line(content["seconds"])])

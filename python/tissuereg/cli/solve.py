@@ -1,0 +1,100 @@
+"""``tissuereg solve``: one static problem."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from tissuereg._machine import peak_mib
+from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
+from tissuereg.cli.options import add_common, command_parser, positive_number, refuse_overwriting
+
+_DETAILS = (
+    "PROBLEM is an .npz with nodes_mm (n, 3), tets (m, 4), fixed_nodes (f,), forces_mN (n, 3), young_kPa and poisson "
+    "(one value, or one a tet). OUT gets displacement_mm (n, 3) and reactions_mN (f, 3); 'tissuereg register "
+    "--simulation' takes it."
+)
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command's parser.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers action
+        Where to.
+    """
+    example = "tissuereg solve dome.npz --out u.npz --element tet10 --json -"
+    parser = command_parser(commands, "solve", "solve one static problem", _DETAILS, example)
+    parser.add_argument("problem", metavar="PROBLEM.npz", help="mesh, supports, forces, moduli")
+    parser.add_argument("--out", required=True, metavar="U.npz", help="file for the displacements")
+    how = parser.add_argument_group("solving")
+    how.add_argument("--element", choices=["tet4", "tet10"], default="tet4", help="nodes a tet (default: tet4)")
+    text = "norm of the residual over the norm of the load, free degrees of freedom (default: 1e-9)"
+    how.add_argument("--tol", type=positive_number, default=1e-9, metavar="X", help=text)
+    add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Solve and write.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    Outcome
+        Schema ``tissuereg.solve/1``.
+    """
+    import numpy as np
+
+    from tissuereg.io.atomic import check_file_target
+    from tissuereg.io.problems import read_problem, write_solution
+    from tissuereg.simulate.solve import Simulator
+
+    refuse_overwriting([Path(args.out)], [args.problem])
+    check_file_target(args.out)
+    clock = Stopwatch()
+    problem = read_problem(args.problem)
+    clock.lap("read")
+    simulator = Simulator(problem.mesh, element=args.element)
+    clock.lap("analyse")
+    found = simulator.solve(problem.load, problem.material, tolerance=args.tol, threads=args.threads)
+    solving = clock.lap("solve")
+    write_solution(args.out, problem, found.displacement, found.reactions)
+    clock.lap("write")
+    seconds = clock.seconds
+    factor = float(found.report["seconds"]["factor"])
+    del seconds["solve"]
+    seconds = {**seconds, "factor": factor, "iterate": solving - factor, "total": seconds["total"]}
+    content: dict[str, Any] = {
+        "schema": "tissuereg.solve/1",
+        "converged": True,
+        "element": args.element,
+        "n_nodes": problem.mesh.n_nodes,
+        "n_tets": problem.mesh.n_tets,
+        **{name: found.report[name] for name in _FROM_REPORT},
+        "largest_mm": float(np.linalg.norm(found.displacement, axis=1).max()),
+        "peak_mib": peak_mib(),
+        "seconds": seconds,
+    }
+    if problem.reference is not None and args.element == "tet4":
+        content["largest_difference_mm"] = float(np.abs(found.displacement - problem.reference).max())
+    return Outcome(content, _summary(content, args.out), args.threads)
+
+
+_FROM_REPORT = ("iterations", "solves", "factorisations", "load_steps", "load_fraction", "residual", "min_det_f")
+
+
+def _summary(content: dict[str, Any], out: str) -> str:
+    lines = [
+        f"{content['n_nodes']} nodes, {content['n_tets']} tets ({content['element']}): largest displacement "
+        f"{content['largest_mm']:.4f} mm, smallest det F {content['min_det_f']:.3f}",
+        f"{content['iterations']} iterations, {content['factorisations']} factorisations, {content['load_steps']} "
+        f"load steps, residual {content['residual']:.1e}",
+    ]
+    if "largest_difference_mm" in content:
+        lines.append(f"largest difference to the file's own displacement: {content['largest_difference_mm']:.2e} mm")
+    return "\n".join([*lines, seconds_line(content["seconds"]), f"written: {out}"])
