@@ -1,0 +1,187 @@
+//! What can go wrong, with the numbers and the place.
+
+use crate::screening::Reason;
+
+/// Why a schedule, a noise covariance or a step was refused.
+///
+/// # Examples
+///
+/// ```
+/// use tissuereg_esmda::{EsmdaError, Schedule};
+///
+/// let error = Schedule::from_alphas(&[4.0, 2.0, 1.0]).unwrap_err();
+/// assert_eq!(error, EsmdaError::ScheduleSum { sum: 1.75, wanted: 1.0 });
+/// assert!(!error.is_recoverable());
+/// ```
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum EsmdaError {
+    /// A schedule without steps.
+    #[error("a schedule must have at least one step, got none")]
+    EmptySchedule,
+    /// An inflation coefficient that is not a positive finite number.
+    #[error("inflation coefficients must be positive and finite, got {alpha} at step {step}")]
+    Alpha {
+        /// Step, from zero.
+        step: usize,
+        /// The coefficient.
+        alpha: f64,
+    },
+    /// The inverse coefficients add up to something else than one (or than the total asked for).
+    #[error("the inverse inflation coefficients must add up to {wanted} within 1e-9, got {sum}")]
+    ScheduleSum {
+        /// Sum of the inverse coefficients.
+        sum: f64,
+        /// What it must be.
+        wanted: f64,
+    },
+    /// The wanted decrease of a geometric schedule is not a positive finite number.
+    #[error(
+        "the decrease of a geometric schedule must be positive, finite and leave all {n_steps} \
+         coefficients in range, got {decrease}"
+    )]
+    Decrease {
+        /// What was asked for.
+        decrease: f64,
+        /// Steps asked for.
+        n_steps: usize,
+    },
+    /// A step beyond the end of the schedule.
+    #[error("step {step} was asked for, but the schedule has {n_steps} steps (counted from 0)")]
+    StepBeyondSchedule {
+        /// Step asked for, from zero.
+        step: usize,
+        /// Steps there are.
+        n_steps: usize,
+    },
+    /// A standard deviation that is not a positive finite number.
+    #[error(
+        "noise standard deviations must be positive and finite, got {std} at observation {obs}"
+    )]
+    NoiseStd {
+        /// Observation.
+        obs: usize,
+        /// The standard deviation.
+        std: f64,
+    },
+    /// An entry of a noise covariance that is not finite.
+    #[error("the noise covariance must be finite, got {value} at row {row}, column {column}")]
+    NoiseNotFinite {
+        /// Row.
+        row: usize,
+        /// Column.
+        column: usize,
+        /// The entry.
+        value: f64,
+    },
+    /// A noise covariance that is not symmetric.
+    #[error(
+        "the noise covariance must be symmetric, got {value} at row {row}, column {column} and \
+         {mirrored} across the diagonal"
+    )]
+    NoiseNotSymmetric {
+        /// Row.
+        row: usize,
+        /// Column.
+        column: usize,
+        /// The entry.
+        value: f64,
+        /// The entry at (`column`, `row`).
+        mirrored: f64,
+    },
+    /// A noise covariance without a Cholesky factor.
+    #[error(
+        "the noise covariance must be positive definite; its factorisation fails at pivot {pivot}"
+    )]
+    NoiseNotPositiveDefinite {
+        /// Row of the failing pivot.
+        pivot: usize,
+    },
+    /// An array of the wrong shape.
+    #[error("`{argument}` must have shape {wanted:?}, got {found:?}")]
+    Shape {
+        /// Name of the argument.
+        argument: &'static str,
+        /// Rows and columns wanted.
+        wanted: (usize, usize),
+        /// Rows and columns found.
+        found: (usize, usize),
+    },
+    /// No observations at all.
+    #[error("a step needs at least one observation, got none")]
+    NoObservations,
+    /// An entry that is not a finite number.
+    #[error("`{argument}` must be finite, got {value} at row {row}, column {column}")]
+    NotFinite {
+        /// Name of the argument.
+        argument: &'static str,
+        /// Row (observation or parameter).
+        row: usize,
+        /// Column (member; zero for a vector).
+        column: usize,
+        /// The entry.
+        value: f64,
+    },
+    /// A prediction that no working model makes.
+    #[error(
+        "`predicted` must stay within {limit:e} in absolute value, got {value:e} at observation \
+         {row}, member {column}; drop failed members with `screen_members` first"
+    )]
+    TooLarge {
+        /// Observation.
+        row: usize,
+        /// Member.
+        column: usize,
+        /// The prediction.
+        value: f64,
+        /// The largest absolute value allowed.
+        limit: f64,
+    },
+    /// Predictions so far apart, in standard deviations of the noise, that a product overflows.
+    #[error(
+        "predictions or innovations over the noise's standard deviation leave the range of f64"
+    )]
+    Overflow,
+    /// Fewer members than needed.
+    #[error("at least {minimum} ensemble members must be left, got {kept}")]
+    TooFewMembers {
+        /// Members left.
+        kept: usize,
+        /// Members needed.
+        minimum: usize,
+        /// Members that were dropped, each with its reason.
+        dropped: Vec<(usize, Reason)>,
+    },
+    /// The singular value decomposition did not converge.
+    #[error("the singular values of {n_obs} x {n_members} whitened anomalies were not found")]
+    NoConvergence {
+        /// Rows.
+        n_obs: usize,
+        /// Columns.
+        n_members: usize,
+    },
+}
+
+impl EsmdaError {
+    /// Whether the caller may go on with fewer members or observations: true for what the data of one update cause,
+    /// false for settings that stay wrong whatever the data.
+    pub fn is_recoverable(&self) -> bool {
+        match self {
+            Self::NotFinite { .. }
+            | Self::TooLarge { .. }
+            | Self::Overflow
+            | Self::NoConvergence { .. } => true,
+            Self::EmptySchedule
+            | Self::Alpha { .. }
+            | Self::ScheduleSum { .. }
+            | Self::Decrease { .. }
+            | Self::StepBeyondSchedule { .. }
+            | Self::NoiseStd { .. }
+            | Self::NoiseNotFinite { .. }
+            | Self::NoiseNotSymmetric { .. }
+            | Self::NoiseNotPositiveDefinite { .. }
+            | Self::Shape { .. }
+            | Self::NoObservations
+            | Self::TooFewMembers { .. } => false,
+        }
+    }
+}

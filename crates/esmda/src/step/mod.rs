@@ -1,0 +1,314 @@
+//! One ES-MDA update as a value: `prepare` returns what has `apply`.
+//!
+//! With `n` members, `m` observations, `p` parameters, and primes for "less the ensemble mean",
+//!
+//! ```text
+//! S = L^-1 Y' / sqrt((n - 1) alpha)                                   C_d = L L'
+//! (m, n)
+//! R = L^-1 (d - Y) / sqrt((n - 1) alpha) + E / sqrt(n - 1)            E: standard normals
+//! (m, n)
+//! X <- X + X' W,    W = S' (S S' + I)^-1 R = (S' S + I)^-1 S' R       (S' here: transposed)
+//! (p, n) (p, n)(n, n)
+//! ```
+//!
+//! which is `x_i + C_xy (C_yy + alpha C_d)^-1 (d + sqrt(alpha) L e_i - y_i)` with all covariances those of the ensemble.
+//! `W` knows nothing of the parameters, so they may come in any number of batches of rows.
+//!
+//! The order of operations was chosen so that small noise does no harm and no product is larger than needed:
+//!
+//! * Whiten first. The matrix to be solved with is then `I` plus something, its smallest eigenvalue one.
+//! * Work on the smaller side: `S S' + I` (m, m) or `S' S + I` (n, n).
+//! * Cholesky while the matrix is well conditioned (a bound from its largest row sum, at no cost); else QR of `[S'; I]`,
+//!   which never forms the square and sees only the root of the condition number. Singular values on request; the
+//!   square-root form needs them. No inverse is formed and nothing is cut off: `w / (1 + w^2)` is the regularisation.
+//! * With few observations `W` stays in factors, so that a batch of `p` parameters costs about `2 p m n` multiply-adds
+//!   and preparation no `m n^2`; with more than half as many observations as members it is multiplied out.
+
+mod gain;
+
+use faer::prelude::{Reborrow, ReborrowMut};
+use faer::{Mat, MatMut, MatRef, Par};
+
+use self::gain::Gain;
+use crate::schedule::check_alpha;
+use crate::{EsmdaError, NoiseCovariance, linalg};
+
+/// How the matrix of a step is factored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Factorisation {
+    /// Cholesky where the condition number allows it, else QR.
+    Auto,
+    /// Cholesky of `S S' + I` whatever its condition.
+    Cholesky,
+    /// QR of `[S'; I]`.
+    Qr,
+    /// Singular values of `S`.
+    Svd,
+}
+
+/// On which side of `S` (`n_obs`, `n_members`) Cholesky and QR work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// The smaller one.
+    Smaller,
+    /// A matrix with a row an observation.
+    Observations,
+    /// A matrix with a row a member.
+    Members,
+}
+
+/// What a caller may choose about a step; the answer depends on it by rounding only, on `par` not at all.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepSettings {
+    /// Threads: those of the current rayon pool, or none.
+    pub par: Par,
+    /// How to factor.
+    pub factorisation: Factorisation,
+    /// On which side.
+    pub side: Side,
+    /// Largest condition number that [`Factorisation::Auto`] leaves to Cholesky.
+    pub condition_limit: f64,
+    /// Largest absolute prediction taken for the work of a sane model, in the unit of the observations.
+    pub largest: f64,
+}
+
+impl Default for StepSettings {
+    fn default() -> Self {
+        Self {
+            par: Par::Seq,
+            factorisation: Factorisation::Auto,
+            side: Side::Smaller,
+            condition_limit: 1e6,
+            largest: 1e12,
+        }
+    }
+}
+
+/// What was done to prepare a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepReport {
+    /// The factorisation used; never [`Factorisation::Auto`].
+    pub factorisation: Factorisation,
+    /// The side worked on; [`Side::Smaller`] where singular values were used.
+    pub side: Side,
+    /// Upper bound on the condition number of the matrix solved with; `None` where it was not formed.
+    pub condition_bound: Option<f64>,
+}
+
+/// One update of an ensemble, ready to be applied to any parameters of the same members.
+///
+/// See the [module documentation](self) for the formula, and the crate's first page for an example whose answer is
+/// known.
+#[derive(Debug, Clone)]
+pub struct Step {
+    n_members: usize,
+    par: Par,
+    gain: Gain,
+    report: StepReport,
+}
+
+impl Step {
+    /// Prepares a stochastic step: every member is drawn to its own perturbed observation.
+    ///
+    /// # Shapes
+    ///
+    /// `predicted` and `draws` are (`n_obs`, `n_members`), `observed` is (`n_obs`). `predicted`, `observed` and the root
+    /// of `noise` share one unit; `draws` are standard normals, one column a member, and `alpha` has no unit.
+    ///
+    /// # Errors
+    ///
+    /// [`EsmdaError::NoObservations`]; [`EsmdaError::TooFewMembers`] for fewer than two; [`EsmdaError::Shape`],
+    /// [`EsmdaError::NotFinite`], [`EsmdaError::TooLarge`] for an argument by name; [`EsmdaError::Alpha`];
+    /// [`EsmdaError::Overflow`] where the noise is so small that whitened numbers leave the range of `f64`.
+    ///
+    /// # Cost
+    ///
+    /// With `k = min(n_obs, n_members)`: `k^2 max(n_obs, n_members) / 2 + k^3 / 3` multiply-adds by Cholesky.
+    pub fn prepare(
+        predicted: MatRef<'_, f64>,
+        observed: &[f64],
+        noise: &NoiseCovariance,
+        alpha: f64,
+        draws: MatRef<'_, f64>,
+        settings: &StepSettings,
+    ) -> Result<Self, EsmdaError> {
+        check_arguments(predicted, observed, noise, alpha, settings)?;
+        check_matrix("draws", draws, predicted.shape())?;
+        let (anomalies, mut innovations) = scaled(predicted, observed, noise, alpha, settings.par)?;
+        let scale = 1.0 / ((predicted.ncols() - 1) as f64).sqrt();
+        for obs in 0..predicted.nrows() {
+            let column = innovations.col_mut(obs);
+            for (value, draw) in column.iter_mut().zip(draws.row(obs).iter()) {
+                *value += draw * scale;
+            }
+        }
+        let (gain, report) = Gain::stochastic(anomalies, innovations, settings)?;
+        Ok(Self { n_members: predicted.ncols(), par: settings.par, gain, report })
+    }
+
+    /// Prepares a deterministic step, the symmetric square root (ETKF): `W = w 1' + (I + S' S)^-1/2 - I`.
+    ///
+    /// The mean moves by the Kalman gain and the anomalies shrink to exactly the posterior covariance of the ensemble's
+    /// Gaussian; no draws, so no sampling error of theirs. It transforms the whole ensemble linearly: outliers stay
+    /// outliers.
+    ///
+    /// # Shapes
+    ///
+    /// As [`Step::prepare`], without draws. `settings.factorisation` and `side` play no part.
+    ///
+    /// # Errors
+    ///
+    /// As [`Step::prepare`]; [`EsmdaError::NoConvergence`] if the singular values are not found.
+    ///
+    /// # Reference
+    ///
+    /// C. H. Bishop, B. J. Etherton and S. J. Majumdar, "Adaptive sampling with the ensemble transform Kalman filter",
+    /// Monthly Weather Review 129, 420-436, 2001.
+    pub fn prepare_square_root(
+        predicted: MatRef<'_, f64>,
+        observed: &[f64],
+        noise: &NoiseCovariance,
+        alpha: f64,
+        settings: &StepSettings,
+    ) -> Result<Self, EsmdaError> {
+        check_arguments(predicted, observed, noise, alpha, settings)?;
+        let (anomalies, innovations) = scaled(predicted, observed, noise, alpha, settings.par)?;
+        let (gain, report) = Gain::square_root(&anomalies, &innovations)?;
+        Ok(Self { n_members: predicted.ncols(), par: settings.par, gain, report })
+    }
+
+    /// Updates parameters in place: `X <- X + (X - mean X) W`.
+    ///
+    /// # Shapes
+    ///
+    /// `parameters` is (anything, `n_members`), one row a parameter in its own unit. Rows do not see each other.
+    ///
+    /// # Errors
+    ///
+    /// [`EsmdaError::Shape`] or [`EsmdaError::NotFinite`], before anything is written.
+    ///
+    /// # Cost
+    ///
+    /// About `2 k n_members` multiply-adds a row, with `k = min(n_obs, n_members)`.
+    pub fn apply(&self, parameters: MatMut<'_, f64>) -> Result<(), EsmdaError> {
+        let wanted = (parameters.nrows(), self.n_members);
+        check_matrix("parameters", parameters.rb(), wanted)?;
+        linalg::for_row_chunks(parameters, self.par, |mut rows| {
+            let anomalies = centred_transpose(rows.rb());
+            let change = self.gain.apply_transposed(anomalies);
+            for row in 0..rows.nrows() {
+                let values = rows.rb_mut().row_mut(row);
+                for (value, change) in values.iter_mut().zip(change.col(row).iter()) {
+                    *value += change;
+                }
+            }
+        });
+        Ok(())
+    }
+
+    /// Number of members the step was prepared for.
+    pub fn n_members(&self) -> usize {
+        self.n_members
+    }
+
+    /// How it was prepared.
+    pub fn report(&self) -> StepReport {
+        self.report
+    }
+}
+
+/// `S'` and the noise-free part of `R'`, both (`n_members`, `n_obs`): an observation's members lie together.
+fn scaled(
+    predicted: MatRef<'_, f64>,
+    observed: &[f64],
+    noise: &NoiseCovariance,
+    alpha: f64,
+    par: Par,
+) -> Result<(Mat<f64>, Mat<f64>), EsmdaError> {
+    let (n_obs, n_members) = predicted.shape();
+    let scale = 1.0 / ((n_members - 1) as f64 * alpha).sqrt();
+    let mut anomalies = centred_transpose(predicted);
+    let mut innovations = Mat::zeros(n_members, n_obs);
+    for obs in 0..n_obs {
+        let column = innovations.col_mut(obs);
+        for (value, prediction) in column.iter_mut().zip(predicted.row(obs).iter()) {
+            *value = (observed[obs] - prediction) * scale;
+        }
+        anomalies.col_mut(obs).iter_mut().for_each(|value| *value *= scale);
+    }
+    for matrix in [&mut anomalies, &mut innovations] {
+        noise.whiten_in_place(matrix.as_mut(), par);
+        if !matrix.is_all_finite() {
+            return Err(EsmdaError::Overflow);
+        }
+    }
+    Ok((anomalies, innovations))
+}
+
+/// Transpose of `rows` with each row's mean taken off: (columns, rows). A row is summed from left to right.
+fn centred_transpose(rows: MatRef<'_, f64>) -> Mat<f64> {
+    let n_members = rows.ncols();
+    let mut centred = Mat::zeros(n_members, rows.nrows());
+    for row in 0..rows.nrows() {
+        let values = rows.row(row);
+        // Sums of differences from the first value: exact zeros where there is no spread.
+        let first = values[0];
+        let mean = first + values.iter().map(|value| value - first).sum::<f64>() / n_members as f64;
+        for (target, value) in centred.col_mut(row).iter_mut().zip(values.iter()) {
+            *target = value - mean;
+        }
+    }
+    centred
+}
+
+fn check_arguments(
+    predicted: MatRef<'_, f64>,
+    observed: &[f64],
+    noise: &NoiseCovariance,
+    alpha: f64,
+    settings: &StepSettings,
+) -> Result<(), EsmdaError> {
+    let (n_obs, n_members) = predicted.shape();
+    if n_obs == 0 {
+        return Err(EsmdaError::NoObservations);
+    }
+    if n_members < 2 {
+        let dropped = Vec::new();
+        return Err(EsmdaError::TooFewMembers { kept: n_members, minimum: 2, dropped });
+    }
+    for (argument, found) in [("observed", observed.len()), ("noise", noise.n_obs())] {
+        if found != n_obs {
+            return Err(EsmdaError::Shape { argument, wanted: (n_obs, 1), found: (found, 1) });
+        }
+    }
+    check_alpha(0, alpha)?;
+    check_matrix("observed", MatRef::from_column_major_slice(observed, n_obs, 1), (n_obs, 1))?;
+    check_matrix("predicted", predicted, (n_obs, n_members))?;
+    let limit = settings.largest;
+    match find(predicted, |value| value.abs() > limit) {
+        Some((row, column, value)) => Err(EsmdaError::TooLarge { row, column, value, limit }),
+        None => Ok(()),
+    }
+}
+
+fn check_matrix(
+    argument: &'static str,
+    matrix: MatRef<'_, f64>,
+    wanted: (usize, usize),
+) -> Result<(), EsmdaError> {
+    if matrix.shape() != wanted {
+        return Err(EsmdaError::Shape { argument, wanted, found: matrix.shape() });
+    }
+    match find(matrix, |value| !value.is_finite()) {
+        Some((row, column, value)) => Err(EsmdaError::NotFinite { argument, row, column, value }),
+        None => Ok(()),
+    }
+}
+
+/// The first entry, row by row, of which `wrong` is true.
+fn find(matrix: MatRef<'_, f64>, wrong: impl Fn(f64) -> bool) -> Option<(usize, usize, f64)> {
+    (0..matrix.nrows()).find_map(|row| {
+        let mut entries = matrix.row(row).iter().copied().enumerate();
+        entries.find(|(_, value)| wrong(*value)).map(|(column, value)| (row, column, value))
+    })
+}
