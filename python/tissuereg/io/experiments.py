@@ -64,13 +64,14 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     gravity = _gravity(top)
     boundaries = tuple(_boundary(table, mesh) for table in top.tables("boundary"))
     actuators = tuple(_actuator(table, mesh) for table in top.tables("actuator"))
+    mesh = _with_patches(top, mesh, boundaries, actuators)
     targets = _targets(top)
     measured = _measured(top, actuators, targets)
     top.finish()
     return Experiment(
         name=name,
         folder=file.parent,
-        mesh=_with_patches(top, mesh, boundaries, actuators),
+        mesh=mesh,
         material=material,
         young_std=young_std,
         poisson_std=poisson_std,

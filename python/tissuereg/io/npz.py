@@ -6,7 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -153,8 +153,13 @@ def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
         If there is no such file, or if it is no archive of numpy arrays.
     """
     file = existing_file(path)
+    with file.open("rb") as handle, _loaded(file, handle) as arrays:
+        yield Archive(file, arrays)
+
+
+def _loaded(file: Path, handle: BinaryIO) -> "np.lib.npyio.NpzFile":
     try:
-        arrays = np.load(file, allow_pickle=False)
+        arrays = np.load(handle, allow_pickle=False)
     except _SPOILT as error:
         pickled = "pickle" in str(error)
         reason = "and pickled objects are never loaded" if pickled else str(error) or type(error).__name__
@@ -163,8 +168,7 @@ def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
     if not isinstance(arrays, np.lib.npyio.NpzFile):
         message = f"{file} must be a numpy archive (.npz) with named arrays, got a single array (.npy)"
         raise FormatError(message, where=str(file))
-    with arrays:
-        yield Archive(file, arrays)
+    return arrays
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:

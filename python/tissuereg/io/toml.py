@@ -259,8 +259,9 @@ class Table:
             return None
         if not isinstance(value, dict):
             self.refuse(f"`{key}` must be a table", value)
-        inner = f"{self.place[1:-1]}.{key}" if self.place else key
-        return Table(self.file, f"[{inner}]", value)
+        if self.place.startswith("[["):
+            return Table(self.file, f"`{key}` of {self.place}", value)
+        return Table(self.file, f"[{self.place[1:-1]}.{key}]" if self.place else f"[{key}]", value)
 
     def tables(self, key: str) -> list["Table"]:
         """Take a list of tables, ``[[key]]``.

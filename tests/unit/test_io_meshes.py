@@ -1,0 +1,159 @@
+"""Meshes from files: what comes in, what is dropped, what is refused."""
+
+import meshio
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from tissuereg.errors import FormatError, MeshError, ShapeError
+from tissuereg.io.meshes import write_vtu
+
+MID_EDGES = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
+
+
+def second_order(mesh: tr.Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and ten-node tets on the same edges, mid-edge nodes behind the corners."""
+    pairs = np.sort(mesh.tets[:, MID_EDGES], axis=2)
+    edges, number = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
+    middles = mesh.nodes[edges].mean(axis=1)
+    return np.vstack([mesh.nodes, middles]), np.hstack([mesh.tets, mesh.n_nodes + number.reshape(-1, 6)])
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "vtk"])
+def test_node_sets_come_from_zero_one_point_data_of_any_name(block_mesh, tmp_path, suffix):
+    held = (block_mesh.nodes[:, 2] == 0).astype(float)
+    top = (block_mesh.nodes[:, 2] == 40).astype(np.int32)
+    height = block_mesh.nodes[:, 2]
+    point_data = {"fixed": held, "top": top, "height": height}
+    meshio.Mesh(block_mesh.nodes, [("tetra", block_mesh.tets)], point_data=point_data).write(tmp_path / f"b.{suffix}")
+    mesh = tr.read_mesh(tmp_path / f"b.{suffix}")
+    assert sorted(mesh.node_sets) == ["fixed", "top"]
+    assert np.array_equal(mesh.node_set("top"), np.flatnonzero(top))
+    assert mesh.digest() == block_mesh.digest()
+
+
+def test_what_is_written_is_read_back_bit_for_bit(block_mesh, tmp_path):
+    moved = np.linspace(0.0, 1.0, 3 * block_mesh.n_nodes).reshape(-1, 3)
+    write_vtu(tmp_path / "out.vtu", block_mesh, {"displacement_mm": moved, "std_mm": moved[:, 0]})
+    back = meshio.vtu.read(tmp_path / "out.vtu")
+    assert np.array_equal(back.point_data["displacement_mm"], moved)
+    assert np.array_equal(back.point_data["std_mm"], moved[:, 0])
+    assert np.array_equal(tr.read_mesh(tmp_path / "out.vtu").nodes, block_mesh.nodes)
+
+
+def test_values_of_another_length_are_not_written(block_mesh, tmp_path):
+    with pytest.raises(ShapeError, match="std_mm"):
+        write_vtu(tmp_path / "out.vtu", block_mesh, {"std_mm": np.zeros(3)})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_physical_groups_of_gmsh_are_node_sets(block_mesh, tmp_path):
+    base = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] == 0).all(axis=1)]
+    cells = [("triangle", base), ("tetra", block_mesh.tets)]
+    tags = [np.full(len(base), 7), np.full(block_mesh.n_tets, 1)]
+    content = meshio.Mesh(
+        block_mesh.nodes,
+        cells,
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data={"fixed": np.array([7, 2]), "body": np.array([1, 3])},
+    )
+    meshio.gmsh.write(tmp_path / "b.msh", content, fmt_version="2.2", binary=False)
+    mesh = tr.read_mesh(tmp_path / "b.msh")
+    assert np.array_equal(mesh.fixed_nodes, block_mesh.fixed_nodes)
+    assert len(mesh.node_set("body")) == block_mesh.n_nodes
+
+
+def test_ten_node_tets_lose_their_mid_edge_nodes_with_a_warning(block_mesh, tmp_path):
+    nodes, tets = second_order(block_mesh)
+    fixed = (nodes[:, 2] == 0).astype(int)
+    meshio.Mesh(nodes, [("tetra10", tets)], point_data={"fixed": fixed}).write(tmp_path / "b.vtu")
+    with pytest.warns(UserWarning, match=rf"{len(nodes) - block_mesh.n_nodes} mid-edge nodes .* were dropped"):
+        mesh = tr.read_mesh(tmp_path / "b.vtu")
+    assert mesh.digest() == block_mesh.digest()
+
+
+def test_nodes_of_no_tet_are_dropped_with_a_warning(block_mesh, tmp_path):
+    nodes = np.vstack([[[99.0, 99.0, 99.0]], block_mesh.nodes])
+    meshio.Mesh(nodes, [("tetra", block_mesh.tets + 1)], point_data={"fixed": (nodes[:, 2] == 0) * 1}).write(
+        tmp_path / "b.vtu"
+    )
+    with pytest.warns(UserWarning, match="1 nodes that belong to no tetrahedron"):
+        mesh = tr.read_mesh(tmp_path / "b.vtu")
+    assert mesh.digest() == block_mesh.digest()
+
+
+def test_an_archive_brings_nodes_tets_and_node_sets(block_mesh, tmp_path):
+    np.savez(
+        tmp_path / "b.npz",
+        nodes_mm=block_mesh.nodes.astype(np.float32),
+        tets=block_mesh.tets.astype(np.uint16),
+        fixed_nodes=block_mesh.fixed_nodes[::-1],
+        pad_nodes=[3, 4],
+        n_nodes=12,
+    )
+    mesh = tr.read_mesh(tmp_path / "b.npz")
+    assert np.array_equal(mesh.fixed_nodes, block_mesh.fixed_nodes)
+    assert mesh.node_set("pad").tolist() == [3, 4]
+    assert sorted(mesh.node_sets) == ["fixed", "pad"]
+
+
+@pytest.mark.parametrize(
+    "rule",
+    ["plane 0 0 1 40 0.1", "plane 0 0 -3 -40 0", (0, 0, 2, 40, 0.5), "top"],
+    ids=["text", "turned", "numbers", "set"],
+)
+def test_what_is_fixed_can_be_said_as_a_plane_or_a_set(block_mesh, tmp_path, rule):
+    top = np.flatnonzero(block_mesh.nodes[:, 2] == 40)
+    write_vtu(tmp_path / "b.vtu", block_mesh.with_node_set("top", top))
+    assert np.array_equal(tr.read_mesh(tmp_path / "b.vtu", fixed=rule).fixed_nodes, top)
+
+
+@pytest.mark.parametrize(
+    ("rule", "error", "words"),
+    [
+        ("plane 0 0 1 77 0.5", MeshError, "nearest is 37 mm away"),
+        ("plane 0 0 0 1 0.5", FormatError, "normal not zero"),
+        ("plane 0 0 1 40", FormatError, "plane nx ny nz d tol"),
+        ("plane 0 0 one 40 0.1", FormatError, "plane nx ny nz d tol"),
+        ("plane 0 0 1 40 -0.1", FormatError, "tol at least 0"),
+        ("plane 0 0 1 nan 0.1", FormatError, "plane nx ny nz d tol"),
+        ("lid", MeshError, "'lid'.*fixed"),
+    ],
+)
+def test_a_rule_that_holds_nothing_is_refused(block_mesh, tmp_path, rule, error, words):
+    write_vtu(tmp_path / "b.vtu", block_mesh)
+    with pytest.raises(error, match=words):
+        tr.read_mesh(tmp_path / "b.vtu", fixed=rule)
+
+
+def test_a_surface_file_points_to_the_mesher(shared_data):
+    with pytest.raises(FormatError, match=r"surface only.*pytetwild.*tissuereg\[mesh\]"):
+        tr.read_mesh(shared_data / "data" / "beam" / "beam.stl")
+
+
+def test_a_planar_mesh_is_named_for_what_it_holds(shared_data):
+    with pytest.raises(FormatError, match=r"must hold tetrahedra; it holds line, triangle only"):
+        tr.read_mesh(shared_data / "data" / "keloid" / "mesh.msh")
+
+
+def test_cells_that_are_no_tets_are_refused(tmp_path):
+    cube = np.array([[0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0], [0, 0, 9], [9, 0, 9], [9, 9, 9], [0, 9, 9]], float)
+    meshio.Mesh(cube, [("hexahedron", [list(range(8))])]).write(tmp_path / "b.vtu")
+    with pytest.raises(FormatError, match="made of tetrahedra; it also holds cells of kind hexahedron"):
+        tr.read_mesh(tmp_path / "b.vtu")
+
+
+def test_fixed_point_data_must_be_zero_or_one(block_mesh, tmp_path):
+    values = {"fixed": np.linspace(0, 1, block_mesh.n_nodes)}
+    meshio.Mesh(block_mesh.nodes, [("tetra", block_mesh.tets)], point_data=values).write(tmp_path / "b.vtu")
+    with pytest.raises(FormatError, match=r"'fixed'.*one 0 or 1 a node"):
+        tr.read_mesh(tmp_path / "b.vtu")
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "vtk", "msh"])
+def test_a_spoilt_file_is_a_format_error_and_prints_nothing(tmp_path, capsys, suffix):
+    (tmp_path / f"b.{suffix}").write_bytes(b"\x00\x01 no mesh at all\n" * 9)
+    with pytest.raises(FormatError, match=rf"b\.{suffix} must be a mesh of the kind that its name says"):
+        tr.read_mesh(tmp_path / f"b.{suffix}")
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", "")
