@@ -13,7 +13,7 @@ from tissuereg.errors import ExperimentError, FormatError, MaterialError, MeshEr
 from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
 from tissuereg.io.meshes import nodes_near_plane, read_mesh
-from tissuereg.io.toml import Table, open_toml
+from tissuereg.io.toml import Table, read_toml
 from tissuereg.material import GRAVITY_MM_PER_S2, Material
 from tissuereg.mesh import Mesh
 
@@ -56,7 +56,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     if not file.exists():
         message = f"an experiment must be a folder with an experiment.toml; no such file: {file}"
         raise FormatError(message, where=str(file))
-    top = open_toml(file)
+    top = read_toml(file)
     _refuse_what_cannot_run(top)
     name = top.text("name", file.absolute().parent.name)
     mesh = _mesh(top)
@@ -104,7 +104,7 @@ def is_experiment(path: str | os.PathLike[str]) -> bool:
     place = Path(path)
     if place.is_dir() or place.suffix.lower() != ".toml":
         return place.is_dir()
-    top = open_toml(place)
+    top = read_toml(place)
     return "markers" in top or "boundary" in top or top.get("kind") == "material-test"
 
 

@@ -312,7 +312,7 @@ class Table:
             self.refuse(f"only the keys {known} are known", ", ".join(unknown))
 
 
-def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_toml(path: str | os.PathLike[str]) -> Table:
     """Read a TOML file.
 
     Parameters
@@ -322,8 +322,8 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        As read.
+    Table
+        Its top; `Table.rest` gives it as a plain dict.
 
     Raises
     ------
@@ -335,27 +335,10 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     file = existing_file(path)
     try:
         with file.open("rb") as handle:
-            content: dict[str, Any] = tomllib.load(handle)
+            return Table(file, "", tomllib.load(handle))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         message = f"{file} must be a TOML file; it cannot be read: {error}"
         raise ExperimentError(message, where=str(file)) from error
-    return content
-
-
-def open_toml(path: str | os.PathLike[str]) -> Table:
-    """Read a TOML file for checked taking.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Returns
-    -------
-    Table
-        Its top.
-    """
-    return Table(Path(path), "", read_toml(path))
 
 
 def _is_number(value: object) -> bool:

@@ -1,0 +1,380 @@
+"""The command line: exit codes, JSON, files, and what stands on which stream."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.files import EXPERIMENT, GOOD_MARKERS, run, run_json, write_experiment, write_problem
+from support.meshes import block
+from tissuereg.cli import build_parser, solve
+from tissuereg.io.cases import read_histories
+from tissuereg.io.meshes import write_vtu
+from tissuereg.io.problems import read_problem, read_simulation
+
+COMMANDS = ("solve", "simulate", "train", "register", "demo", "bench")
+ENVELOPE = {"schema", "seconds", "threads", "machine", "versions"}
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory, monkeypatch):
+    """Keep priors out of the user's cache; they are shared within the run."""
+    monkeypatch.setenv("TISSUEREG_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+@pytest.fixture
+def problem(tmp_path):
+    return write_problem(tmp_path / "problem.npz")
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    """A mesh, three markers of which one was not seen, and one target, as files."""
+    write_vtu(tmp_path / "mesh.vtu", block())
+    (tmp_path / "markers.csv").write_text(GOOD_MARKERS)
+    (tmp_path / "targets.csv").write_text("target,x_mm,y_mm,z_mm\ndeep,15,10,20\n")
+    return tmp_path
+
+
+def process(*words, **settings):
+    command = [sys.executable, "-m", "tissuereg", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **settings)
+
+
+# --- words ---
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_says_purpose_units_defaults_and_an_example(command, capsys):
+    code, out, err = run(capsys, command, "--help")
+    assert code == 0
+    assert err == ""
+    assert f"usage: tissuereg {command}" in out
+    assert "example:\n  tissuereg " in out
+    assert "--json FILE" in out
+    assert "default" in out
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_every_example_in_the_help_is_a_command_line():
+    parser = build_parser()
+    for command in COMMANDS:
+        text = next(a for a in parser._actions if a.dest == "command").choices[command].epilog
+        for line in text.splitlines()[1:]:
+            assert parser.parse_args(line.split()[1:]).command == command
+
+
+def test_help_is_quick_to_import():
+    heavy = ("torch", "onnxruntime", "meshio", "scipy", "trimesh", "matplotlib", "tqdm")
+    ask = f"print([m for m in {heavy!r} if m in sys.modules])"
+    code = f"import sys\nfrom tissuereg.cli import main\nmain(['--help'])\n{ask}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_module_runs_as_a_command():
+    done = process("--version")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"tissuereg {tr.__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["sove"],
+        ["solve"],
+        ["solve", "a.npz"],
+        ["solve", "a.npz", "--out", "b.npz", "--tol", "0"],
+        ["solve", "a.npz", "--out", "b.npz", "--tol", "nan"],
+        ["solve", "a.npz", "--out", "b.npz", "--element", "hex8"],
+        ["solve", "a.npz", "--out", "b.npz", "--threads", "-1"],
+        ["solve", "a.npz", "--out", "b.npz", "--thread", "1"],
+        ["register", "a.vtu", "--out", "b"],
+        ["register", "a.vtu", "b.csv", "c.csv", "--out", "b"],
+        ["register", "a.vtu", "b.csv", "--out", "b", "--time", "3"],
+        ["register", "a.vtu", "b.csv", "--out", "b", "--seed", "1.5"],
+        ["bench", "everything"],
+    ],
+    ids=" ".join,
+)
+def test_bad_usage_exits_with_two_and_writes_the_error(words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, *words, *(["--json", "e.json"] if words else []))
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert "Traceback" not in err
+    if words:
+        said = json.loads((tmp_path / "e.json").read_text())
+        assert (said["schema"], said["error"]) == ("tissuereg.error/1", "UsageError")
+        assert [file.name for file in tmp_path.iterdir()] == ["e.json"]
+
+
+def test_markers_may_stand_behind_the_options(inputs, capsys):
+    code, said, _ = run_json(capsys, "register", inputs / "gone.vtu", "--out", inputs / "out", inputs / "markers.csv")
+    assert (code, said["where"]) == (2, str(inputs / "gone.vtu"))
+
+
+# --- how a command ends ---
+
+
+def test_an_interrupt_exits_with_130(problem, tmp_path, capsys, monkeypatch):
+    def interrupted(args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(solve, "run", interrupted)
+    code, said, err = run_json(capsys, "solve", problem, "--out", tmp_path / "u.npz")
+    assert (code, said["error"], err) == (130, "KeyboardInterrupt", "interrupted\n")
+
+
+def test_a_bug_exits_with_one_and_shows_its_traceback(problem, tmp_path, capsys, monkeypatch):
+    def buggy(args):
+        return 1 / 0
+
+    monkeypatch.setattr(solve, "run", buggy)
+    code, said, err = run_json(capsys, "solve", problem, "--out", tmp_path / "u.npz")
+    assert (code, said["error"]) == (1, "ZeroDivisionError")
+    assert "Traceback" in err
+    assert "this is a bug in tissuereg" in err
+
+
+def test_too_little_memory_exits_with_three(problem, tmp_path, capsys, monkeypatch):
+    def too_large(args):
+        raise MemoryError
+
+    monkeypatch.setattr(solve, "run", too_large)
+    code, said, _ = run_json(capsys, "solve", problem, "--out", tmp_path / "u.npz")
+    assert (code, said["error"]) == (3, "MemoryError")
+
+
+def test_debug_shows_the_traceback_of_bad_input(tmp_path, capsys):
+    code, _, err = run(capsys, "solve", tmp_path / "gone.npz", "--out", tmp_path / "u.npz", "--debug")
+    assert code == 2
+    assert "Traceback" in err
+    assert err.rstrip().splitlines()[-1].startswith("error: ") or "error: no such file" in err
+
+
+def test_json_that_cannot_be_written_is_told_before_the_work(problem, tmp_path, capsys):
+    code, _, err = run(capsys, "solve", problem, "--out", tmp_path / "u.npz", "--json", tmp_path)
+    assert code == 2
+    assert "must not be a folder" in err
+    assert not (tmp_path / "u.npz").exists()
+
+
+def test_an_output_never_replaces_an_input(problem, inputs, capsys):
+    before = problem.read_bytes()
+    code, said, _ = run_json(capsys, "solve", problem, "--out", problem)
+    assert (code, said["error"]) == (2, "UsageError")
+    assert problem.read_bytes() == before
+    rig = write_experiment(inputs / "rig")
+    for words in (
+        ["simulate", rig, "--out", rig],
+        ["register", rig, "--case", "lean", "--time", "11", "--out", rig],
+        ["register", inputs / "mesh.vtu", inputs / "markers.csv", "--targets", inputs / "targets.csv", "--out", inputs],
+    ):
+        code, said, _ = run_json(capsys, *words)
+        assert (code, said["error"]) == (2, "UsageError")
+        assert "must not replace an input" in said["message"]
+
+
+def test_ctrl_c_stops_a_long_run_within_seconds_and_leaves_nothing(tmp_path):
+    words = ["bench", "ensemble", "--members", "4000", "--element", "tet10", "--json", str(tmp_path / "b.json")]
+    with subprocess.Popen(
+        [sys.executable, "-m", "tissuereg", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as running:
+        time.sleep(4.0)
+        assert running.poll() is None
+        running.send_signal(signal.SIGINT)
+        _, err = running.communicate(timeout=20)
+    assert running.returncode == 130
+    assert "Traceback" not in err
+    assert "interrupted" in err
+    assert json.loads((tmp_path / "b.json").read_text())["schema"] == "tissuereg.error/1"
+
+
+# --- solve ---
+
+
+def test_solve_writes_a_field_and_tells_its_work(problem, tmp_path, capsys):
+    code, said, err = run_json(capsys, "solve", problem, "--out", tmp_path / "u.npz")
+    assert (code, err) == (0, "")
+    assert said["schema"] == "tissuereg.solve/1"
+    assert set(said) >= ENVELOPE
+    assert said["converged"] is True
+    assert said["load_fraction"] == 1.0
+    assert said["residual"] <= 1e-9
+    assert 0 < said["min_det_f"] <= 1.0
+    for counter in ("iterations", "solves", "factorisations", "load_steps"):
+        assert said[counter] >= 1
+    assert said["peak_mib"] > 10
+    seconds = said["seconds"]
+    assert set(seconds) == {"read", "analyse", "factor", "iterate", "write", "total"}
+    assert sum(seconds.values()) - seconds["total"] == pytest.approx(seconds["total"], rel=0.05)
+    expected = read_problem(problem)
+    found = tr.simulate(expected.mesh, expected.load, expected.material)
+    assert np.array_equal(read_simulation(tmp_path / "u.npz"), found.displacement)
+    assert said["largest_mm"] == np.linalg.norm(found.displacement, axis=1).max()
+
+
+def test_solve_gives_the_same_bits_at_any_thread_count(problem, tmp_path, capsys):
+    for element in ("tet4", "tet10"):
+        fields = []
+        for threads in (1, 2, 3):
+            words = ["solve", problem, "--out", tmp_path / "u.npz", "--threads", threads, "--element", element]
+            code, said, _ = run_json(capsys, *words)
+            assert (code, said["threads"]) == (0, threads)
+            fields.append((tmp_path / "u.npz").read_bytes())
+        assert fields[0] == fields[1] == fields[2]
+
+
+def test_without_json_solve_prints_a_summary(problem, tmp_path, capsys):
+    code, out, err = run(capsys, "solve", problem, "--out", tmp_path / "u.npz")
+    assert (code, err) == (0, "")
+    assert "largest displacement" in out
+    assert f"written: {tmp_path / 'u.npz'}" in out
+
+
+def test_json_to_a_file_leaves_the_summary_on_standard_output(problem, tmp_path, capsys):
+    code, out, _ = run(capsys, "solve", problem, "--out", tmp_path / "u.npz", "--json", tmp_path / "solve.json")
+    assert code == 0
+    assert "largest displacement" in out
+    assert json.loads((tmp_path / "solve.json").read_text())["converged"] is True
+
+
+def test_solve_agrees_with_a_reference(shared_data, tmp_path, capsys):
+    code, said, _ = run_json(
+        capsys, "solve", shared_data / "reference" / "dome_4k_push.npz", "--out", tmp_path / "u.npz"
+    )
+    assert code == 0
+    assert said["largest_difference_mm"] < 1e-6 * said["largest_mm"]
+
+
+# --- simulate ---
+
+
+def test_simulate_writes_an_experiment_in_its_own_format(tmp_path, capsys):
+    rig = write_experiment(tmp_path / "rig")
+    code, said, err = run_json(capsys, "simulate", rig, "--out", tmp_path / "sim", "--quiet")
+    assert (code, err) == (0, "")
+    assert said["schema"] == "tissuereg.simulate/1"
+    assert set(said) >= ENVELOPE | {"seed"}
+    assert (said["members"], said["failed"]) == (5, [])
+    assert said["members_per_s"] > 0
+    assert said["cases"] == {"rest": 2, "lean": 3}
+    files = ["case_lean.npz", "case_rest.npz", "forces.csv", "markers.csv", "targets.csv"]
+    assert sorted(file.name for file in (tmp_path / "sim").iterdir()) == files
+    pushed = read_histories(tmp_path / "sim" / "forces.csv", "actuator", "mN", ["push"])["lean"]["push"]
+    assert pushed.values[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert pushed.values[2][0] > 1.5 * pushed.values[1][0] > 0
+    with np.load(tmp_path / "sim" / "case_lean.npz") as kept:
+        assert kept["displacement_mm"].shape == (3, 120, 3)
+        patch = tr.read_experiment(rig).mesh.node_set("push")
+        assert np.allclose(kept["displacement_mm"][2, patch], [2.0, 0.0, 0.0])
+
+
+def test_simulate_makes_a_data_set_and_finishes_one_that_was_begun(tmp_path, capsys):
+    write_vtu(tmp_path / "mesh.vtu", block())
+    (tmp_path / "recipe.toml").write_text('[mesh]\nfile = "mesh.vtu"\n[data]\nmembers = 12\nchunk = 6\n')
+    words = ["simulate", tmp_path / "recipe.toml", "--out", tmp_path / "data", "--quiet"]
+    code, said, _ = run_json(capsys, *words)
+    assert code == 0
+    assert said["members"] + len(said["failed"]) == 12
+    first = (tmp_path / "data" / "chunk_0001.npz").read_bytes()
+    (tmp_path / "data" / "chunk_0001.npz").unlink()
+    code, again, _ = run_json(capsys, *words)
+    assert (code, again["members"]) == (0, said["members"])
+    assert (tmp_path / "data" / "chunk_0001.npz").read_bytes() == first
+
+
+# --- register ---
+
+
+def test_register_writes_four_files_and_tells_all(inputs, capsys):
+    out = inputs / "deep" / "out"
+    words = ["register", inputs / "mesh.vtu", inputs / "markers.csv", "--targets", inputs / "targets.csv", "--out", out]
+    code, said, err = run_json(capsys, *words, "--prior-members", 60, "--members", 80, "--steps", 4)
+    assert code == 0
+    assert "Traceback" not in err
+    assert set(said) >= ENVELOPE | {"seed", "markers", "targets", "body", "trust", "model"}
+    assert said["schema"] == "tissuereg.registration/1"
+    assert said["markers"]["used"] == ["P1", "P2"]
+    assert said["markers"]["dropped"] == [{"marker": "P3", "reason": "not seen"}]
+    assert said["markers"]["after_rms_mm"] < said["markers"]["before_rms_mm"] == pytest.approx(1.0)
+    assert set(said["targets"]["deep"]) >= {"reference_mm", "mean_mm", "covariance_mm2", "region90_radii_mm"}
+    assert said["seconds"]["total"] >= max(spent for name, spent in said["seconds"].items() if name != "total")
+    names = {"registered.vtu", "targets.csv", "registration.json", "registered.png"}
+    assert {file.name for file in out.iterdir()} == names
+    saved = json.loads((out / "registration.json").read_text())
+    for key in ("markers", "targets", "body", "trust", "model", "machine", "versions", "threads", "seed"):
+        assert saved[key] == said[key]
+    assert (out / "registered.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_register_takes_a_frame_of_an_experiment(tmp_path, capsys):
+    rig = write_experiment(tmp_path / "rig")
+    words = ["register", rig, "--case", "lean", "--time", 11.1, "--out", tmp_path / "out", "--prior-members", 60]
+    code, said, _ = run_json(capsys, *words, "--quiet")
+    assert code == 0
+    assert said["markers"]["used"] == ["P1", "P2"]
+    assert list(said["targets"]) == ["deep"]
+    assert said["targets"]["deep"]["simulation_mm"] is not None
+
+
+def test_a_warning_is_one_line_on_standard_error_and_stands_in_the_json(tmp_path, capsys):
+    toml = EXPERIMENT + "[gravity]\ndirection = [0, 0, -1]\nin_reference = true\n"
+    rig = write_experiment(tmp_path / "rig", toml=toml)
+    code, said, err = run_json(capsys, "simulate", rig, "--out", tmp_path / "sim", "--quiet")
+    assert code == 0
+    assert err.startswith("warning: gravity acts in the reference shape already")
+    assert ".py" not in err
+    assert "UserWarning" not in err
+    assert any("prestress" in note for note in said["warnings"])
+
+
+# --- bench ---
+
+
+def test_bench_tells_stages_and_counters(problem, capsys):
+    code, said, _ = run_json(capsys, "bench", "solve", "esmda", "--problem", problem, "--repeats", 2)
+    assert code == 0
+    assert said["schema"] == "tissuereg.bench/1"
+    names = [row["name"] for row in said["rows"]]
+    assert names[:2] == ["solve/problem/tet4", "solve/problem/tet10"]
+    assert "esmda/26x45x100/diagonal" in names
+    assert "esmda/26x300x1000/dense" in names
+    wanted = {
+        "name",
+        "n_nodes",
+        "threads",
+        "repeats",
+        "median_s",
+        "p99_s",
+        "stages_s",
+        "counters",
+        "residual",
+        "peak_mib",
+    }
+    for row in said["rows"]:
+        assert set(row) >= wanted
+        assert 0 < row["median_s"] <= row["p99_s"]
+        assert set(row["counters"]) == {"iterations", "solves", "factorisations", "analyses"}
+        assert sum(row["stages_s"].values()) == pytest.approx(row["median_s"], rel=0.5)
+    assert said["rows"][0]["counters"]["analyses"] == 1
+
+
+@pytest.mark.slow
+def test_bench_times_ensembles_and_registrations(capsys):
+    code, said, _ = run_json(
+        capsys, "bench", "ensemble", "register", "--repeats", 1, "--members", 8, "--element", "tet4"
+    )
+    assert code == 0
+    assert [row["name"] for row in said["rows"]][:3] == [
+        "ensemble/phantom/tet4/8",
+        "register/phantom/fitted",
+        "register/phantom/fitted-kept",
+    ]
