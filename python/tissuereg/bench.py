@@ -67,6 +67,7 @@ class _Run:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
+        """Time a block as one stage."""
         start = time.perf_counter()
         yield
         self.stages[name] = time.perf_counter() - start

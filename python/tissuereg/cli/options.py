@@ -138,6 +138,11 @@ def whole_number(least: int) -> Callable[[str], int]:
     -------
     callable
         Text to int.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        From the callable, if a text is no such number.
     """
 
     def parse(text: str) -> int:
