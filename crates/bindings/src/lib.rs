@@ -1,1 +1,31 @@
-//! See README.
+//! `tissuereg._core`: the two core crates as Python sees them.
+//!
+//! Every wrapper checks, views, releases the lock, calls and maps, and does nothing else. Arrays come in as C-ordered
+//! views (`arrays`), long calls run where Ctrl-C is heard (`lock`), errors leave as the classes of
+//! `tissuereg/errors.py` (`errors`).
+#![deny(unsafe_code)]
+
+mod arrays;
+mod errors;
+mod esmda;
+mod fem;
+mod lock;
+mod report;
+
+use pyo3::prelude::*;
+
+/// The compiled part of tissuereg.
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::esmda::{
+        Noise, Step, check_schedule, schedule_constant, schedule_geometric, screen_members,
+    };
+    #[pymodule_export]
+    use super::fem::{Body, ManySolutions, Solution, check_mesh, surface_triangles};
+
+    /// Version of all parts, from the workspace.
+    #[pymodule_export]
+    #[allow(non_upper_case_globals)]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+}

@@ -1,0 +1,213 @@
+//! One Python exception class a cause, with the numbers as attributes.
+//!
+//! The classes are written in Python (`tissuereg/errors.py`) and imported by name. Neither enum of the core crates is
+//! `#[non_exhaustive]`: a new variant does not compile here until it is mapped.
+
+use pyo3::PyTypeInfo;
+use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyType};
+use tissuereg_esmda::EsmdaError;
+use tissuereg_fem::FemError;
+
+use crate::report;
+
+mod imported {
+    #![allow(missing_docs)]
+    use pyo3::import_exception;
+
+    import_exception!(tissuereg.errors, TissueRegError);
+    import_exception!(tissuereg.errors, ShapeError);
+    import_exception!(tissuereg.errors, MeshError);
+    import_exception!(tissuereg.errors, SupportError);
+    import_exception!(tissuereg.errors, MaterialError);
+    import_exception!(tissuereg.errors, LoadError);
+    import_exception!(tissuereg.errors, MarkerError);
+    import_exception!(tissuereg.errors, ScheduleError);
+    import_exception!(tissuereg.errors, NoiseError);
+    import_exception!(tissuereg.errors, ConvergenceError);
+    import_exception!(tissuereg.errors, EnsembleError);
+}
+
+/// The classes that the binding raises.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Class {
+    Base,
+    Shape,
+    Mesh,
+    Support,
+    Material,
+    Load,
+    Marker,
+    Schedule,
+    Noise,
+    Convergence,
+    Ensemble,
+}
+
+impl Class {
+    fn of(self, py: Python<'_>) -> Bound<'_, PyType> {
+        match self {
+            Self::Base => imported::TissueRegError::type_object(py),
+            Self::Shape => imported::ShapeError::type_object(py),
+            Self::Mesh => imported::MeshError::type_object(py),
+            Self::Support => imported::SupportError::type_object(py),
+            Self::Material => imported::MaterialError::type_object(py),
+            Self::Load => imported::LoadError::type_object(py),
+            Self::Marker => imported::MarkerError::type_object(py),
+            Self::Schedule => imported::ScheduleError::type_object(py),
+            Self::Noise => imported::NoiseError::type_object(py),
+            Self::Convergence => imported::ConvergenceError::type_object(py),
+            Self::Ensemble => imported::EnsembleError::type_object(py),
+        }
+    }
+}
+
+/// An exception of a class, with its place.
+pub(crate) fn raise(py: Python<'_>, class: Class, message: &str, place: Option<&str>) -> PyErr {
+    raise_with(py, class, message, place, |_| Ok(()))
+}
+
+/// The same, with further attributes. What goes wrong while it is made is raised in its stead.
+fn raise_with(
+    py: Python<'_>,
+    class: Class,
+    message: &str,
+    place: Option<&str>,
+    details: impl FnOnce(&Bound<'_, PyDict>) -> PyResult<()>,
+) -> PyErr {
+    let made = || {
+        let keywords = PyDict::new(py);
+        keywords.set_item("where", place)?;
+        details(&keywords)?;
+        class.of(py).call((message,), Some(&keywords))
+    };
+    made().map_or_else(|error| error, PyErr::from_value)
+}
+
+/// The exception for an error of `tissuereg-fem`; `member` where it concerns one of many.
+pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) -> PyErr {
+    use FemError as E;
+    let message = match member {
+        Some(member) => format!("member {member}: {error}"),
+        None => error.to_string(),
+    };
+    let (class, place) = fem_class(error);
+    let place = match (member, place) {
+        (Some(member), Some(place)) => Some(format!("member {member}, {place}")),
+        (Some(member), None) => Some(format!("member {member}")),
+        (None, place) => place,
+    };
+    if matches!(error, E::Cancelled) {
+        return PyKeyboardInterrupt::new_err(message);
+    }
+    raise_with(py, class, &message, place.as_deref(), |details| match error {
+        E::NonFiniteNode { node, .. }
+        | E::UnusedNode { node, .. }
+        | E::HeldNodeOutOfRange { node, .. }
+        | E::HeldNodeRepeated { node } => details.set_item("node", node),
+        E::NodeOutOfRange { tet, node, .. } | E::RepeatedNode { tet, node } => {
+            details.set_item("tet", tet)?;
+            details.set_item("node", node)
+        }
+        E::InvertedTet { tet, volume, .. } | E::DegenerateTet { tet, volume, .. } => {
+            details.set_item("tet", tet)?;
+            details.set_item("volume", volume)
+        }
+        E::OverlappingTets { triangle, .. } => details.set_item("triangle", triangle.to_vec()),
+        E::Unconstrained(rigid) => {
+            details.set_item("modes", &rigid.modes)?;
+            details.set_item("node", rigid.node)?;
+            details.set_item("n_parts", rigid.n_parts)
+        }
+        E::BadYoung { entry, .. } | E::BadPoisson { entry, .. } => details.set_item("entry", entry),
+        E::NonFinite { row, .. } => details.set_item("row", row),
+        E::NotOnSurface { row, triangle } => {
+            details.set_item("row", row)?;
+            details.set_item("triangle", triangle.to_vec())
+        }
+        E::InvertedStart { tet, .. } => details.set_item("tet", tet),
+        E::NoEquilibrium(failure) => details.set_item("report", report::of_failure(py, failure)?),
+        E::EmptyMesh { .. }
+        | E::SingularStiffness { .. }
+        | E::TooLarge { .. }
+        | E::WrongLength { .. }
+        | E::BadSetting { .. }
+        | E::Cancelled => Ok(()),
+    })
+}
+
+/// Class and place.
+fn fem_class(error: &FemError) -> (Class, Option<String>) {
+    use FemError as E;
+    match error {
+        E::EmptyMesh { .. } | E::SingularStiffness { .. } | E::TooLarge { .. } => {
+            (Class::Mesh, None)
+        }
+        E::NonFiniteNode { node, .. } | E::UnusedNode { node, .. } => {
+            (Class::Mesh, Some(format!("node {node}")))
+        }
+        E::NodeOutOfRange { tet, .. }
+        | E::RepeatedNode { tet, .. }
+        | E::InvertedTet { tet, .. }
+        | E::DegenerateTet { tet, .. } => (Class::Mesh, Some(format!("tet {tet}"))),
+        E::OverlappingTets { triangle: [a, b, c], .. } => {
+            (Class::Mesh, Some(format!("triangle {a} {b} {c}")))
+        }
+        E::HeldNodeOutOfRange { node, .. } | E::HeldNodeRepeated { node } => {
+            (Class::Support, Some(format!("held node {node}")))
+        }
+        E::Unconstrained(rigid) => (Class::Support, Some(format!("node {}", rigid.node))),
+        E::BadYoung { entry, .. } => (Class::Material, Some(format!("young, entry {entry}"))),
+        E::BadPoisson { entry, .. } => (Class::Material, Some(format!("poisson, entry {entry}"))),
+        E::WrongLength { what, .. } => (Class::Shape, Some((*what).to_owned())),
+        E::NonFinite { what, row } => (Class::Load, Some(format!("{what}, row {row}"))),
+        E::NotOnSurface { row, .. } => (Class::Load, Some(format!("triangle {row}"))),
+        E::BadSetting { name, .. } => (Class::Base, Some((*name).to_owned())),
+        E::InvertedStart { tet, .. } => (Class::Load, Some(format!("start, tet {tet}"))),
+        E::NoEquilibrium(failure) => {
+            let worst = failure.worst_tets.first();
+            (Class::Convergence, worst.map(|worst| format!("tet {}", worst.tet)))
+        }
+        E::Cancelled => (Class::Base, None),
+    }
+}
+
+/// The exception for an error of `tissuereg-esmda`.
+pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
+    use EsmdaError as E;
+    let (class, place) = match error {
+        E::EmptySchedule | E::ScheduleSum { .. } => (Class::Schedule, None),
+        E::Decrease { .. } => (Class::Schedule, Some("decrease".to_owned())),
+        E::Alpha { step, .. } | E::StepBeyondSchedule { step, .. } => {
+            (Class::Schedule, Some(format!("step {step}")))
+        }
+        E::NoiseStd { obs, .. } => (Class::Noise, Some(format!("observation {obs}"))),
+        E::NoiseNotFinite { row, column, .. } | E::NoiseNotSymmetric { row, column, .. } => {
+            (Class::Noise, Some(format!("row {row}, column {column}")))
+        }
+        E::NoiseNotPositiveDefinite { pivot } => (Class::Noise, Some(format!("pivot {pivot}"))),
+        E::Overflow => (Class::Noise, None),
+        E::Shape { argument, .. } => (Class::Shape, Some((*argument).to_owned())),
+        E::NoObservations => (Class::Shape, Some("predicted".to_owned())),
+        E::NotFinite { argument: "observed", row, .. } => {
+            (Class::Marker, Some(format!("observed, row {row}")))
+        }
+        E::NotFinite { argument, column, .. } => {
+            (Class::Ensemble, Some(format!("{argument}, member {column}")))
+        }
+        E::TooLarge { column, .. } => {
+            (Class::Ensemble, Some(format!("predicted, member {column}")))
+        }
+        E::TooFewMembers { .. } | E::NoConvergence { .. } => (Class::Ensemble, None),
+    };
+    raise_with(py, class, &error.to_string(), place.as_deref(), |details| match error {
+        E::TooFewMembers { dropped, .. } => {
+            let dropped: Vec<(usize, String)> =
+                dropped.iter().map(|(member, reason)| (*member, reason.to_string())).collect();
+            details.set_item("dropped", dropped)
+        }
+        E::NoiseNotPositiveDefinite { pivot } => details.set_item("pivot", pivot),
+        _ => Ok(()),
+    })
+}

@@ -1,0 +1,338 @@
+//! Meshes, bodies and solves.
+
+mod many;
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use numpy::IntoPyArray;
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use tissuereg_fem::{
+    Element, FemError, Load, LoadSteps, Material, Mesh, Method, SolveSettings, Stiffness,
+};
+
+pub(crate) use self::many::ManySolutions;
+use crate::arrays::{self, View};
+use crate::errors::{self, Class};
+use crate::{lock, report};
+
+/// Raises MeshError unless nodes, float64 (n, 3) mm, and tets, int64 (m, 4), make a mesh.
+#[pyfunction]
+pub(crate) fn check_mesh(
+    py: Python<'_>,
+    nodes: &Bound<'_, PyAny>,
+    tets: &Bound<'_, PyAny>,
+) -> PyResult<()> {
+    mesh_of(py, nodes, tets).map(|_| ())
+}
+
+/// Surface triangles of a mesh, int64 (t, 3), normals outward.
+#[pyfunction]
+pub(crate) fn surface_triangles<'py>(
+    py: Python<'py>,
+    nodes: &Bound<'py, PyAny>,
+    tets: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyArray2<i64>>> {
+    arrays::from_triangles(py, mesh_of(py, nodes, tets)?.surface_triangles())
+}
+
+fn mesh_of(py: Python<'_>, nodes: &Bound<'_, PyAny>, tets: &Bound<'_, PyAny>) -> PyResult<Mesh> {
+    let nodes = View::<f64>::new("nodes", nodes, &[&[None, Some(3)]])?.rows::<3>().to_vec();
+    let tets = View::<i64>::new("tets", tets, &[&[None, Some(4)]])?.indices::<4>(
+        py,
+        "tets",
+        Class::Mesh,
+    )?;
+    let mesh = py.detach(|| Mesh::new(nodes, tets));
+    mesh.map_err(|error| errors::from_fem(py, &error, None))
+}
+
+/// A supported mesh, analysed once for any number of solves.
+#[pyclass(frozen, module = "tissuereg._core")]
+pub(crate) struct Body(tissuereg_fem::Body);
+
+#[pymethods]
+impl Body {
+    #[new]
+    #[pyo3(signature = (nodes, tets, held_nodes, *, element="tet4"))]
+    fn new(
+        py: Python<'_>,
+        nodes: &Bound<'_, PyAny>,
+        tets: &Bound<'_, PyAny>,
+        held_nodes: &Bound<'_, PyAny>,
+        element: &str,
+    ) -> PyResult<Self> {
+        let element = match element {
+            "tet4" => Element::Tet4,
+            "tet10" => Element::Tet10,
+            other => return Err(bad_choice(py, "element", "`tet4` or `tet10`", other)),
+        };
+        let held = View::<i64>::new("held_nodes", held_nodes, &[&[None]])?;
+        let held = held.indices::<1>(py, "held_nodes", Class::Support)?.into_flattened();
+        let mesh = mesh_of(py, nodes, tets)?;
+        let body = py.detach(|| tissuereg_fem::Body::new(mesh, element, held));
+        body.map(Self).map_err(|error| errors::from_fem(py, &error, None))
+    }
+
+    /// Undeformed positions of all nodes, float64 (n_nodes, 3), mm: corner nodes, then mid-edge nodes.
+    #[getter]
+    fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        arrays::from_points(py, self.0.nodes().to_vec())
+    }
+
+    /// Corners of every tet, int64 (n_tets, 4).
+    #[getter]
+    fn tets<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i64>>> {
+        let tets = self.0.mesh().tets();
+        let flat = tets.as_flattened().iter().map(|&node| node as i64).collect();
+        arrays::from_vec(py, flat, [tets.len(), 4])
+    }
+
+    /// Held nodes as given, int64 (h,).
+    #[getter]
+    fn held_nodes<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        let held: Vec<i64> = self.0.held_nodes().iter().map(|&node| node as i64).collect();
+        held.into_pyarray(py)
+    }
+
+    /// Ends of the edge in whose middle each node after the corner nodes lies, int64 (n_nodes - n_corner_nodes, 2).
+    #[getter]
+    fn mid_edges<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i64>>> {
+        let edges = self.0.mid_edges();
+        let flat = edges.as_flattened().iter().map(|&node| node as i64).collect();
+        arrays::from_vec(py, flat, [edges.len(), 2])
+    }
+
+    /// Triangles of corner nodes, int64 (t, 3), normals outward.
+    #[getter]
+    fn surface_triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i64>>> {
+        arrays::from_triangles(py, self.0.mesh().surface_triangles())
+    }
+
+    /// Number of nodes, mid-edge nodes included.
+    #[getter]
+    fn n_nodes(&self) -> usize {
+        self.0.n_nodes()
+    }
+
+    /// Number of nodes of the mesh.
+    #[getter]
+    fn n_corner_nodes(&self) -> usize {
+        self.0.n_corner_nodes()
+    }
+
+    /// Number of tets.
+    #[getter]
+    fn n_tets(&self) -> usize {
+        self.0.n_tets()
+    }
+
+    /// Number of unknown displacement components.
+    #[getter]
+    fn n_unknowns(&self) -> usize {
+        self.0.n_unknowns()
+    }
+
+    /// "tet4" or "tet10".
+    #[getter]
+    fn element(&self) -> &'static str {
+        match self.0.element() {
+            Element::Tet4 => "tet4",
+            Element::Tet10 => "tet10",
+        }
+    }
+
+    /// Seconds that making it took.
+    #[getter]
+    fn analyse_seconds(&self) -> f64 {
+        self.0.analyse_seconds()
+    }
+
+    /// Consistent nodal forces, float64 (n_nodes, 3) mN, of tractions, float64 (t, 3) kPa, on surface triangles.
+    fn traction_forces<'py>(
+        &self,
+        py: Python<'py>,
+        triangles: &Bound<'py, PyAny>,
+        traction: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let triangles = View::<i64>::new("triangles", triangles, &[&[None, Some(3)]])?
+            .indices::<3>(py, "triangles", Class::Load)?;
+        let traction =
+            View::<f64>::new("traction", traction, &[&[Some(triangles.len()), Some(3)]])?;
+        let forces = self.0.traction_forces(&triangles, traction.rows::<3>());
+        arrays::from_points(py, forces.map_err(|error| errors::from_fem(py, &error, None))?)
+    }
+
+    /// Equilibrium under one load. The arrays given must not be written to meanwhile.
+    #[pyo3(signature = (young, poisson, *, forces=None, body_force=None, prescribed=None, start=None, tolerance=1e-9,
+                        max_iterations=1000, method="auto", load_steps=0, threads=0))]
+    #[allow(clippy::too_many_arguments)]
+    fn solve(
+        &self,
+        py: Python<'_>,
+        young: &Bound<'_, PyAny>,
+        poisson: &Bound<'_, PyAny>,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+        start: Option<&Bound<'_, PyAny>>,
+        tolerance: f64,
+        max_iterations: usize,
+        method: &str,
+        load_steps: usize,
+        threads: usize,
+    ) -> PyResult<Solution> {
+        let body = &self.0;
+        let moduli: [&[Option<usize>]; 2] = [&[Some(1)], &[Some(body.n_tets())]];
+        let young = View::<f64>::new("young", young, &moduli)?;
+        let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
+        let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
+        let three = Some(3);
+        let forces = View::<f64>::optional("forces", forces, &[&[all, three], &[corners, three]])?;
+        let body_force = View::<f64>::optional("body_force", body_force, &[&[three]])?;
+        let n_held = Some(body.held_nodes().len());
+        let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[n_held, three]])?;
+        let start = View::<f64>::optional("start", start, &[&[all, three]])?;
+        let settings = settings_of(py, tolerance, max_iterations, method, load_steps, threads)?;
+
+        let mapped = |error: FemError| errors::from_fem(py, &error, None);
+        let material = material_of(young.slice(), poisson.slice()).map_err(mapped)?;
+        let load = Load {
+            nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
+            body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
+            prescribed: prescribed.map(|rows| rows.rows::<3>().to_vec()),
+        };
+        let start = start.as_ref().map(View::rows::<3>);
+        let cancel = Arc::new(AtomicBool::new(false));
+        let settings = SolveSettings { cancel: Some(cancel.clone()), ..settings };
+        let answer = lock::run_watched(
+            py,
+            &cancel,
+            |_| Ok(()),
+            || match start {
+                None => tissuereg_fem::solve(body, &material, &load, &settings),
+                Some(start) => tissuereg_fem::solve_from(body, &material, &load, start, &settings),
+            },
+        )?;
+        Solution::new(py, answer.map_err(mapped)?, tolerance)
+    }
+
+    /// Equilibria of many members, in parallel, each on one thread. The arrays given must not be written to meanwhile.
+    #[pyo3(signature = (young, poisson, *, forces=None, body_force=None, prescribed=None, tolerance=1e-9,
+                        max_iterations=1000, method="auto", load_steps=0, threads=0, progress=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn solve_many(
+        &self,
+        py: Python<'_>,
+        young: &Bound<'_, PyAny>,
+        poisson: &Bound<'_, PyAny>,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+        tolerance: f64,
+        max_iterations: usize,
+        method: &str,
+        load_steps: usize,
+        threads: usize,
+        progress: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<ManySolutions> {
+        let settings = settings_of(py, tolerance, max_iterations, method, load_steps, threads)?;
+        let members = many::Members::new(&self.0, young, poisson, forces, body_force, prescribed)?;
+        members.solve(py, &self.0, settings, progress)
+    }
+
+    fn __getnewargs_ex__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<((Points<'py>, Tets<'py>, Nodes<'py>), Bound<'py, PyDict>)> {
+        let corners = self.0.mesh().nodes().to_vec();
+        let arguments = (arrays::from_points(py, corners)?, self.tets(py)?, self.held_nodes(py));
+        let keywords = PyDict::new(py);
+        keywords.set_item("element", self.element())?;
+        Ok((arguments, keywords))
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "Body(n_nodes={}, n_tets={}, n_held={}, element=\"{}\")",
+            self.0.n_nodes(),
+            self.0.n_tets(),
+            self.0.held_nodes().len(),
+            self.element()
+        )
+    }
+}
+
+type Points<'py> = Bound<'py, PyArray2<f64>>;
+type Tets<'py> = Bound<'py, PyArray2<i64>>;
+type Nodes<'py> = Bound<'py, PyArray1<i64>>;
+
+/// An equilibrium.
+#[pyclass(frozen, module = "tissuereg._core")]
+pub(crate) struct Solution {
+    /// Displacement of all nodes, float64 (n_nodes, 3), mm.
+    #[pyo3(get)]
+    displacement: Py<PyArray2<f64>>,
+    /// Force of the support at each held node, float64 (h, 3), mN.
+    #[pyo3(get)]
+    reactions: Py<PyArray2<f64>>,
+    /// Work done.
+    #[pyo3(get)]
+    report: Py<PyDict>,
+}
+
+impl Solution {
+    fn new(py: Python<'_>, solution: tissuereg_fem::Solution, tolerance: f64) -> PyResult<Self> {
+        Ok(Self {
+            displacement: arrays::from_points(py, solution.displacement)?.unbind(),
+            reactions: arrays::from_points(py, solution.reactions)?.unbind(),
+            report: report::of_solve(py, &solution.report, tolerance)?.unbind(),
+        })
+    }
+}
+
+#[pymethods]
+impl Solution {
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let report = self.report.bind(py);
+        let iterations = report.get_item("iterations")?;
+        Ok(format!("Solution(iterations={})", iterations.map_or("?".to_owned(), |n| n.to_string())))
+    }
+}
+
+/// A material from one value or one a tet of each modulus.
+fn material_of(young: &[f64], poisson: &[f64]) -> Result<Material, FemError> {
+    Material::new(match (young, poisson) {
+        (&[young], &[poisson]) => Stiffness::Uniform { young, poisson },
+        (&[young], poisson) => {
+            Stiffness::PerTet { young: vec![young; poisson.len()], poisson: poisson.to_vec() }
+        }
+        (young, poisson) => Stiffness::PerTet { young: young.to_vec(), poisson: poisson.to_vec() },
+    })
+}
+
+fn settings_of(
+    py: Python<'_>,
+    tolerance: f64,
+    max_iterations: usize,
+    method: &str,
+    load_steps: usize,
+    threads: usize,
+) -> PyResult<SolveSettings> {
+    let method = match method {
+        "auto" => Method::Auto,
+        "newton" => Method::Newton,
+        "quasi-newton" => Method::QuasiNewton,
+        other => return Err(bad_choice(py, "method", "`auto`, `newton` or `quasi-newton`", other)),
+    };
+    let load_steps = if load_steps == 0 { LoadSteps::Auto } else { LoadSteps::Equal(load_steps) };
+    let settings =
+        SolveSettings { tolerance, max_iterations, method, load_steps, ..SolveSettings::default() };
+    Ok(SolveSettings { n_threads: threads, ..settings })
+}
+
+fn bad_choice(py: Python<'_>, name: &str, wanted: &str, found: &str) -> PyErr {
+    errors::raise(py, Class::Base, &format!("`{name}` must be {wanted}, got `{found}`"), Some(name))
+}

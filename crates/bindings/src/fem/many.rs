@@ -1,0 +1,164 @@
+//! Many members on one body.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use numpy::PyArray3;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+use tissuereg_fem::{Body, FemError, Load, Material, Member, Outcome, SolveSettings, solve_many};
+
+use super::material_of;
+use crate::arrays::{self, View};
+use crate::{errors, lock, report};
+
+/// Equilibria of many members; those that failed are rows of NaN.
+#[pyclass(frozen, module = "tissuereg._core")]
+pub(crate) struct ManySolutions {
+    /// Displacement of all nodes, float64 (n_members, n_nodes, 3), mm.
+    #[pyo3(get)]
+    displacement: Py<PyArray3<f64>>,
+    /// Force of the support at each held node, float64 (n_members, h, 3), mN.
+    #[pyo3(get)]
+    reactions: Py<PyArray3<f64>>,
+    /// Members without equilibrium, each with its reason.
+    #[pyo3(get)]
+    failed: Py<PyList>,
+    /// Work done, one entry a member; empty for one that failed.
+    #[pyo3(get)]
+    reports: Py<PyList>,
+}
+
+#[pymethods]
+impl ManySolutions {
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let (n, n_failed) = (self.reports.bind(py).len(), self.failed.bind(py).len());
+        format!("ManySolutions(n_members={n}, n_failed={n_failed})")
+    }
+}
+
+/// Materials and loads of all members, checked and copied.
+pub(super) struct Members {
+    materials: Vec<Material>,
+    loads: Vec<Load>,
+}
+
+impl Members {
+    pub(super) fn new(
+        body: &Body,
+        young: &Bound<'_, PyAny>,
+        poisson: &Bound<'_, PyAny>,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let (n_tets, three) = (Some(body.n_tets()), Some(3));
+        let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
+        let py = young.py();
+        let young = View::<f64>::new("young", young, &[&[None], &[None, n_tets]])?;
+        let n = young.shape()[0];
+        let k = Some(n);
+        let poisson = View::<f64>::new("poisson", poisson, &[&[k], &[k, n_tets]])?;
+        let forces =
+            View::<f64>::optional("forces", forces, &[&[k, all, three], &[k, corners, three]])?;
+        let body_force = View::<f64>::optional("body_force", body_force, &[&[k, three]])?;
+        let n_held = Some(body.held_nodes().len());
+        let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[k, n_held, three]])?;
+
+        let rows = |view: &Option<View<'_, f64>>, member: usize| {
+            view.as_ref().map(|view| {
+                let rows = view.rows::<3>();
+                let each = rows.len() / n;
+                rows[member * each..(member + 1) * each].to_vec()
+            })
+        };
+        let mut members = Self { materials: Vec::with_capacity(n), loads: Vec::with_capacity(n) };
+        for member in 0..n {
+            let (of_young, of_poisson) = (part(&young, member, n), part(&poisson, member, n));
+            let material = material_of(of_young, of_poisson)
+                .map_err(|error| errors::from_fem(py, &error, Some(member)))?;
+            members.materials.push(material);
+            members.loads.push(Load {
+                nodal_forces: rows(&forces, member),
+                body_force: body_force.as_ref().map_or([0.0; 3], |rows| rows.rows()[member]),
+                prescribed: rows(&prescribed, member),
+            });
+        }
+        Ok(members)
+    }
+
+    /// Solves all; calls `progress` with the number of finished members whenever it has grown.
+    pub(super) fn solve(
+        &self,
+        py: Python<'_>,
+        body: &Body,
+        settings: SolveSettings,
+        progress: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<ManySolutions> {
+        let (cancel, finished) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicUsize::new(0)));
+        let tolerance = settings.tolerance;
+        let settings = SolveSettings {
+            cancel: Some(cancel.clone()),
+            progress: Some(finished.clone()),
+            ..settings
+        };
+        let members: Vec<Member> = self
+            .materials
+            .iter()
+            .zip(&self.loads)
+            .map(|(material, load)| Member { material, load, start: None })
+            .collect();
+        let mut said = 0;
+        let tick = |_: Python<'_>| {
+            let now = finished.load(Ordering::Relaxed);
+            if let Some(progress) = progress.filter(|_| now != said) {
+                said = now;
+                progress.call1((now,))?;
+            }
+            Ok(())
+        };
+        let outcomes =
+            lock::run_watched(py, &cancel, tick, || solve_many(body, &members, &settings))?;
+        collect(py, body, outcomes, tolerance)
+    }
+}
+
+/// One member's entries of an array with the member axis first.
+fn part<'a>(view: &'a View<'_, f64>, member: usize, n_members: usize) -> &'a [f64] {
+    let each = view.slice().len() / n_members;
+    &view.slice()[member * each..(member + 1) * each]
+}
+
+/// Arrays of all outcomes. What would be wrong for any member is raised, with the first member that shows it.
+fn collect(
+    py: Python<'_>,
+    body: &Body,
+    outcomes: Vec<Outcome>,
+    tolerance: f64,
+) -> PyResult<ManySolutions> {
+    let (n, n_nodes, n_held) = (outcomes.len(), body.n_nodes(), body.held_nodes().len());
+    let mut displacement = vec![f64::NAN; n * n_nodes * 3];
+    let mut reactions = vec![f64::NAN; n * n_held * 3];
+    let (failed, reports) = (PyList::empty(py), PyList::empty(py));
+    for (member, outcome) in outcomes.into_iter().enumerate() {
+        match outcome {
+            Outcome::Solved(solution) => {
+                let range = |each: usize| member * each * 3..(member + 1) * each * 3;
+                displacement[range(n_nodes)].copy_from_slice(solution.displacement.as_flattened());
+                reactions[range(n_held)].copy_from_slice(solution.reactions.as_flattened());
+                reports.append(report::of_solve(py, &solution.report, tolerance)?)?;
+            }
+            Outcome::Failed(error) if FemError::is_recoverable(&error) => {
+                failed.append((member, error.to_string()))?;
+                reports.append(PyDict::new(py))?;
+            }
+            Outcome::Failed(error) => return Err(errors::from_fem(py, &error, Some(member))),
+        }
+    }
+    Ok(ManySolutions {
+        displacement: arrays::from_vec(py, displacement, [n, n_nodes, 3])?.unbind(),
+        reactions: arrays::from_vec(py, reactions, [n, n_held, 3])?.unbind(),
+        failed: failed.unbind(),
+        reports: reports.unbind(),
+    })
+}

@@ -1,0 +1,86 @@
+//! Long calls: the interpreter lock is released, Ctrl-C is heard, threads are chosen.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Duration;
+
+use faer::Par;
+use pyo3::prelude::*;
+use rayon::ThreadPool;
+
+/// How often signals are looked for.
+const POLL: Duration = Duration::from_millis(50);
+
+/// Runs `work` on a thread of its own, without the lock, and returns what it returns.
+///
+/// Meanwhile `tick` is called every 50 ms, and once at the end, and signals are looked for. If either raises, `cancel`
+/// is set, the work is waited for (it looks at `cancel` often), and the exception goes on.
+pub(crate) fn run_watched<T: Send>(
+    py: Python<'_>,
+    cancel: &AtomicBool,
+    mut tick: impl FnMut(Python<'_>) -> PyResult<()>,
+    work: impl FnOnce() -> T + Send,
+) -> PyResult<T> {
+    std::thread::scope(|scope| {
+        let (finished, mut waiting) = mpsc::channel::<()>();
+        let worker = scope.spawn(move || {
+            // Dropped when the work is done, and when it panics.
+            let _finished = finished;
+            work()
+        });
+        let mut raised = None;
+        loop {
+            let (receiver, said) = py.detach(move || {
+                let said = waiting.recv_timeout(POLL);
+                (waiting, said)
+            });
+            waiting = receiver;
+            if raised.is_none() {
+                raised = py.check_signals().and_then(|()| tick(py)).err();
+            }
+            if raised.is_some() {
+                cancel.store(true, Ordering::Relaxed);
+            }
+            if said == Err(RecvTimeoutError::Disconnected) {
+                break;
+            }
+        }
+        match (py.detach(|| worker.join()), raised) {
+            (Err(panic), _) => std::panic::resume_unwind(panic),
+            (Ok(_), Some(error)) => Err(error),
+            (Ok(value), None) => Ok(value),
+        }
+    })
+}
+
+/// Runs something short without the lock on `threads` threads (0: all cores).
+pub(crate) fn run_released<T: Send>(
+    py: Python<'_>,
+    threads: usize,
+    work: impl FnOnce(Par) -> T + Send,
+) -> T {
+    py.detach(|| match threads {
+        1 => work(Par::Seq),
+        0 => work(Par::rayon(0)),
+        n => match pool_of(n) {
+            Some(pool) => pool.install(|| work(NonZeroUsize::new(n).map_or(Par::Seq, Par::Rayon))),
+            None => work(Par::Seq),
+        },
+    })
+}
+
+/// A pool of `n` threads, made once; `None` where the system gives no threads.
+fn pool_of(n: usize) -> Option<Arc<ThreadPool>> {
+    static POOLS: OnceLock<Mutex<BTreeMap<usize, Arc<ThreadPool>>>> = OnceLock::new();
+    let mut pools =
+        POOLS.get_or_init(Mutex::default).lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(pool) = pools.get(&n) {
+        return Some(pool.clone());
+    }
+    let pool = Arc::new(rayon::ThreadPoolBuilder::new().num_threads(n).build().ok()?);
+    pools.insert(n, pool.clone());
+    Some(pool)
+}
