@@ -1,0 +1,147 @@
+from collections.abc import Callable
+from typing import Any, Final, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Floats = NDArray[np.float64]
+_Integers = NDArray[np.int64]
+_Element = Literal["tet4", "tet10"]
+
+__all__ = [
+    "Body",
+    "ManySolutions",
+    "Noise",
+    "Solution",
+    "Step",
+    "__version__",
+    "check_mesh",
+    "check_schedule",
+    "schedule_constant",
+    "schedule_geometric",
+    "screen_members",
+    "surface_triangles",
+]
+
+__version__: Final[str]
+
+def check_mesh(nodes: _Floats, tets: _Integers) -> None: ...
+def surface_triangles(nodes: _Floats, tets: _Integers) -> _Integers: ...
+def schedule_constant(n_steps: int) -> _Floats: ...
+def schedule_geometric(n_steps: int, decrease: float) -> _Floats: ...
+def check_schedule(alphas: _Floats, *, total: float = 1.0) -> _Floats: ...
+def screen_members(predicted: _Floats, limit: float) -> tuple[_Integers, list[tuple[int, str]]]: ...
+
+@final
+class Body:
+    def __new__(cls, nodes: _Floats, tets: _Integers, held_nodes: _Integers, *, element: str = "tet4") -> Body: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[_Floats, _Integers, _Integers], dict[str, str]]: ...
+    @property
+    def nodes(self) -> _Floats: ...
+    @property
+    def tets(self) -> _Integers: ...
+    @property
+    def held_nodes(self) -> _Integers: ...
+    @property
+    def mid_edges(self) -> _Integers: ...
+    @property
+    def surface_triangles(self) -> _Integers: ...
+    @property
+    def n_nodes(self) -> int: ...
+    @property
+    def n_corner_nodes(self) -> int: ...
+    @property
+    def n_tets(self) -> int: ...
+    @property
+    def n_unknowns(self) -> int: ...
+    @property
+    def element(self) -> _Element: ...
+    @property
+    def analyse_seconds(self) -> float: ...
+    def traction_forces(self, triangles: _Integers, traction: _Floats) -> _Floats: ...
+    def solve(
+        self,
+        young: _Floats,
+        poisson: _Floats,
+        *,
+        forces: _Floats | None = None,
+        body_force: _Floats | None = None,
+        prescribed: _Floats | None = None,
+        start: _Floats | None = None,
+        tolerance: float = 1e-9,
+        max_iterations: int = 1000,
+        method: str = "auto",
+        load_steps: int = 0,
+        threads: int = 0,
+    ) -> Solution: ...
+    def solve_many(
+        self,
+        young: _Floats,
+        poisson: _Floats,
+        *,
+        forces: _Floats | None = None,
+        body_force: _Floats | None = None,
+        prescribed: _Floats | None = None,
+        tolerance: float = 1e-9,
+        max_iterations: int = 1000,
+        method: str = "auto",
+        load_steps: int = 0,
+        threads: int = 0,
+        progress: Callable[[int], object] | None = None,
+    ) -> ManySolutions: ...
+
+@final
+class Solution:
+    @property
+    def displacement(self) -> _Floats: ...
+    @property
+    def reactions(self) -> _Floats: ...
+    @property
+    def report(self) -> dict[str, Any]: ...
+
+@final
+class ManySolutions:
+    @property
+    def displacement(self) -> _Floats: ...
+    @property
+    def reactions(self) -> _Floats: ...
+    @property
+    def failed(self) -> list[tuple[int, str]]: ...
+    @property
+    def reports(self) -> list[dict[str, Any]]: ...
+
+@final
+class Noise:
+    @staticmethod
+    def diagonal(std: _Floats) -> Noise: ...
+    @staticmethod
+    def dense(covariance: _Floats) -> Noise: ...
+    @property
+    def n_obs(self) -> int: ...
+
+@final
+class Step:
+    def __new__(
+        cls,
+        predicted: _Floats,
+        observed: _Floats,
+        noise: Noise,
+        draws: _Floats,
+        *,
+        alpha: float,
+        threads: int = 0,
+    ) -> Step: ...
+    @staticmethod
+    def square_root(
+        predicted: _Floats,
+        observed: _Floats,
+        noise: Noise,
+        *,
+        alpha: float,
+        threads: int = 0,
+    ) -> Step: ...
+    def apply(self, parameters: _Floats) -> _Floats: ...
+    @property
+    def n_members(self) -> int: ...
+    @property
+    def factorisation(self) -> str: ...
