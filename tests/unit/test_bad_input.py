@@ -98,13 +98,13 @@ PROBLEMS: dict[str, tuple[dict[str, Any], type[TissueRegError], str]] = {
     "a node is in no tet": ({"nodes_mm": np.vstack([block().nodes, [[1.0, 1.0, 1.0]]])}, MeshError, r"node 120"),
     "a coordinate is NaN": (
         {"nodes_mm": one_nan()},
-        FormatError,
-        r"'nodes_mm' in .* must be finite, got nan at \[7, 1\]",
+        MeshError,
+        r"problem\.npz: node coordinates must be finite.*node 7 is",
     ),
     "a coordinate is infinite": (
         {"nodes_mm": block().nodes + np.array([0.0, 0.0, np.inf])},
-        FormatError,
-        r"'nodes_mm'.* finite",
+        MeshError,
+        r"problem\.npz: node coordinates must be finite.*node 0 is",
     ),
     "lengths are in metres": (
         {"nodes_mm": block().nodes / 1000},

@@ -48,7 +48,11 @@ BAD = {
     ),
     "forces not finite": ({"forces_mN": np.full((120, 3), np.nan)}, FormatError, r"finite, got nan at \[0, 0\]"),
     "planar nodes": ({"nodes_mm": np.zeros((120, 2))}, FormatError, r"`nodes_mm` must have shape \(any, 3\)"),
-    "nodes not finite": ({"nodes_mm": np.full((120, 3), np.inf)}, FormatError, "'nodes_mm' in .* must be finite"),
+    "nodes not finite": (
+        {"nodes_mm": np.full((120, 3), np.inf)},
+        MeshError,
+        r"p\.npz: node coordinates must be finite",
+    ),
     "tets as floats": ({"tets": np.zeros((4, 4))}, FormatError, "`tets` must hold integers"),
     "text": ({"young_kPa": "soft"}, FormatError, "'young_kPa' in .* must hold real numbers"),
     "complex": ({"young_kPa": 10.0 + 1j}, FormatError, "'young_kPa' in .* must hold real numbers"),

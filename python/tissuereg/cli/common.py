@@ -121,7 +121,8 @@ def progress_bar(what: str, *, quiet: bool) -> Iterator[Progress | None]:
         return
     from tqdm import tqdm
 
-    with tqdm(desc=what, file=sys.stderr, unit="", leave=True, delay=0.3) as bar:
+    pause = 0.1 if sys.stderr.isatty() else 5.0  # a log file needs a line now and then, no animation
+    with tqdm(desc=what, file=sys.stderr, unit="", delay=0.3, mininterval=pause, maxinterval=pause) as bar:
 
         def report(done: int, in_all: int) -> None:
             bar.total = in_all

@@ -16,6 +16,7 @@ from tissuereg.cli.options import (
     refuse_overwriting,
     whole_number,
 )
+from tissuereg.errors import MeshError
 
 if TYPE_CHECKING:
     from tissuereg.registration import RegisterSettings
@@ -154,7 +155,11 @@ def _from_files(args: argparse.Namespace) -> dict[str, Any]:
         if getattr(args, name) is not None:
             _refuse(f"--{name} must be left out with a mesh file; it chooses a frame of an experiment", f"--{name}")
     mesh = read_mesh(args.path, fixed=args.fixed)
-    _ = mesh.fixed_nodes  # says at once that nothing is held
+    try:
+        _ = mesh.fixed_nodes  # says at once that nothing is held
+    except MeshError as error:
+        error.args = (f"{args.path}: {error}; name the held nodes with --fixed",)
+        raise
     return {"mesh": mesh, "markers": read_markers(args.markers[0], std=args.std), "targets": {}}
 
 

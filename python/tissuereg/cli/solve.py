@@ -65,10 +65,10 @@ def run(args: argparse.Namespace) -> Outcome:
     solving = clock.lap("solve")
     write_solution(args.out, problem, found.displacement, found.reactions)
     clock.lap("write")
-    seconds = clock.seconds
+    spent = clock.seconds
     factor = float(found.report["seconds"]["factor"])
-    del seconds["solve"]
-    seconds = {**seconds, "factor": factor, "iterate": solving - factor, "total": seconds["total"]}
+    spent = {**spent, "factor": factor, "iterate": solving - factor}
+    seconds = {stage: spent[stage] for stage in ("read", "analyse", "factor", "iterate", "write", "total")}
     content: dict[str, Any] = {
         "schema": "tissuereg.solve/1",
         "converged": True,

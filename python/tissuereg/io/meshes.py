@@ -80,7 +80,7 @@ def mesh_from_archive(archive: Archive) -> Mesh:
     Mesh
         Its node sets are named without ``_nodes``.
     """
-    nodes = archive.floats("nodes_mm", None, 3)
+    nodes = archive.floats("nodes_mm", None, 3, finite=False)  # `Mesh` names the node that is not
     tets = archive.indices("tets", None, 4)
     sets = {
         name.removesuffix("_nodes"): archive.indices(name, None)

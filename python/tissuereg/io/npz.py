@@ -45,8 +45,8 @@ class Archive:
         """Names of the arrays, in file order."""
         return list(self._arrays)
 
-    def floats(self, name: str, *shape: int | None) -> FloatArray:
-        """Return an array of finite numbers.
+    def floats(self, name: str, *shape: int | None, finite: bool = True) -> FloatArray:
+        """Return an array of numbers.
 
         Parameters
         ----------
@@ -54,6 +54,8 @@ class Archive:
             Name in the archive.
         *shape : int or None
             Wanted shape; None stands for any length.
+        finite : bool
+            Whether NaN and infinities are refused.
 
         Returns
         -------
@@ -66,7 +68,7 @@ class Archive:
             If it is missing, spoilt, not numeric, of another shape or not finite.
         """
         array = self._checked(name, float_array, shape)
-        if not np.isfinite(array).all():
+        if finite and not np.isfinite(array).all():
             place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
             message = f"array '{name}' in {self.path} must be finite, got {array[place]} at {list(place)}"
             raise FormatError(message, where=f"{self.path}:{name}")
