@@ -22,6 +22,9 @@ const FIRST_ATTEMPT: usize = 120;
 /// Iterations after which a load step is halved.
 const STEP_ITERATIONS: usize = 40;
 
+/// Both limits, where the metric is never renewed.
+const QUASI_NEWTON_ITERATIONS: usize = 400;
+
 /// Steps that took no more iterations than this are followed by one twice as long.
 const EASY: usize = 12;
 
@@ -51,8 +54,7 @@ impl Path<'_> {
             LoadSteps::Auto => {
                 let mut attempt = state;
                 let rest_metric = self.metric.clone();
-                let ended =
-                    self.step(&mut attempt, 1.0, FIRST_ATTEMPT.min(self.iterations_left()))?;
+                let ended = self.step(&mut attempt, 1.0, self.limit(FIRST_ATTEMPT))?;
                 if ended.stop.is_none() {
                     return Ok(self.finish(attempt, ended));
                 }
@@ -78,8 +80,7 @@ impl Path<'_> {
             if self.problem.settings.method == Method::Auto && fraction > 0.0 {
                 self.metric = Metric::at_state(self.problem, &state, self.workspace)?;
             }
-            let limit = STEP_ITERATIONS.min(self.iterations_left());
-            let ended = self.step(&mut attempt, target, limit)?;
+            let ended = self.step(&mut attempt, target, self.limit(STEP_ITERATIONS))?;
             if ended.stop.is_none() {
                 state = attempt;
                 fraction = target;
@@ -102,6 +103,15 @@ impl Path<'_> {
                 return Err(self.failure(fraction, target, &attempt, ended));
             }
         }
+    }
+
+    /// Iterations allowed in one descent, given what is usual.
+    fn limit(&self, usual: usize) -> usize {
+        let own = match self.problem.settings.method {
+            Method::QuasiNewton => QUASI_NEWTON_ITERATIONS,
+            Method::Auto | Method::Newton => usual,
+        };
+        own.min(self.iterations_left())
     }
 
     fn iterations_left(&self) -> usize {

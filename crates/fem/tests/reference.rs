@@ -1,0 +1,56 @@
+//! Does it agree with others?
+
+mod common;
+
+use std::path::Path;
+
+use common::{largest, largest_difference, npz};
+use tissuereg_fem::{Body, Element, Load, Material, Mesh, SolveSettings, solve};
+
+#[test]
+fn a_bent_bar_agrees_with_scikit_fem() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/bar_reference.npz");
+    let arrays = npz::read(&path).expect("committed");
+    let material =
+        Material::neo_hookean(arrays["young_kPa"].values[0], arrays["poisson"].values[0])
+            .expect("sound");
+    let load = Load {
+        body_force: arrays["body_force"].rows3()[0],
+        ..Load::from_forces(arrays["forces_mN"].rows3())
+    };
+    for (element, name) in
+        [(Element::Tet4, "displacement_tet4_mm"), (Element::Tet10, "displacement_tet10_mm")]
+    {
+        let mesh =
+            Mesh::new(arrays["nodes_mm"].rows3(), arrays["tets"].index_rows()).expect("sound");
+        let body = Body::new(mesh, element, arrays["fixed_nodes"].indices()).expect("held");
+        let answer = solve(&body, &material, &load, &SolveSettings::default()).expect("bends");
+        let reference = arrays[name].rows3();
+        let error = largest_difference(&answer.displacement[..body.n_corner_nodes()], &reference);
+        assert!(error < 1e-8 * largest(&reference), "{name}: {error} mm");
+    }
+}
+
+/// Files beside the repository: domes solved by FEBio, felupe, scikit-fem and dolfinx.
+#[test]
+fn the_shared_domes_agree_with_four_solvers() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference");
+    let files = ["dome_4k_pull", "dome_4k_push", "dome_4k_pull_nu049", "dome_20k_pull"];
+    for name in files {
+        let path = folder.join(format!("{name}.npz"));
+        let Ok(arrays) = npz::read(&path) else {
+            println!("skipped: {} is not there", path.display());
+            continue;
+        };
+        let mesh =
+            Mesh::new(arrays["nodes_mm"].rows3(), arrays["tets"].index_rows()).expect("sound");
+        let body = Body::new(mesh, Element::Tet4, arrays["fixed_nodes"].indices()).expect("held");
+        let young = arrays["young_kPa"].values[0];
+        let material = Material::neo_hookean(young, arrays["poisson"].values[0]).expect("sound");
+        let load = Load::from_forces(arrays["forces_mN"].rows3());
+        let answer = solve(&body, &material, &load, &SolveSettings::default()).expect("an answer");
+        let reference = arrays["displacement_mm"].rows3();
+        let error = largest_difference(&answer.displacement, &reference);
+        assert!(error < 1e-8 * largest(&reference), "{name}: {error} mm");
+    }
+}

@@ -1,0 +1,85 @@
+//! Is it still cheap? Iterations, factorisations and analyses are part of the contract.
+
+mod common;
+
+use common::{bar, clamped_at_x0, nodes_where};
+use tissuereg_fem::{
+    Body, Element, Load, Material, Member, Method, SolveSettings, Supports, solve, solve_many,
+};
+
+fn pulled_bar(force: f64) -> (Body, Load) {
+    let body = clamped_at_x0(bar([8, 4, 4], [40.0, 20.0, 20.0]), Element::Tet4);
+    let tips = nodes_where(body.mesh(), |x| x[0] > 40.0 - 1e-9);
+    let mut forces = vec![[0.0; 3]; body.n_nodes()];
+    for &tip in &tips {
+        forces[tip] = [force / tips.len() as f64, 0.0, 0.0];
+    }
+    (body, Load::from_forces(forces))
+}
+
+#[test]
+fn a_stretch_of_a_tenth_takes_one_factor_and_few_iterations() {
+    let (body, load) = pulled_bar(400.0);
+    let material = Material::neo_hookean(10.0, 0.45).expect("sound");
+    let report =
+        solve(&body, &material, &load, &SolveSettings::default()).expect("stretches").report;
+    assert_eq!((report.analyses, report.factorisations, report.load_steps), (1, 1, 1));
+    assert!((8..=16).contains(&report.iterations), "{report:?}");
+    assert_eq!(report.solves, report.iterations);
+    assert!(report.evaluations <= report.iterations + 2, "{report:?}");
+}
+
+#[test]
+fn newton_takes_five_factors() {
+    let (body, load) = pulled_bar(400.0);
+    let material = Material::neo_hookean(10.0, 0.45).expect("sound");
+    let settings = SolveSettings { method: Method::Newton, ..SolveSettings::default() };
+    let report = solve(&body, &material, &load, &settings).expect("stretches").report;
+    assert!((4..=6).contains(&report.iterations), "{report:?}");
+    // The rest factor serves the linear start of moved supports and the rounding estimate.
+    assert_eq!(report.factorisations, report.iterations + 1);
+}
+
+#[test]
+fn no_load_takes_no_iteration() {
+    let (body, _) = pulled_bar(0.0);
+    let material = Material::neo_hookean(10.0, 0.45).expect("sound");
+    let answer =
+        solve(&body, &material, &Load::default(), &SolveSettings::default()).expect("rests");
+    assert_eq!(answer.report.iterations, 0);
+    assert!(answer.displacement.iter().all(|u| *u == [0.0; 3]));
+}
+
+#[test]
+fn a_held_body_without_unknowns_is_solved_at_once() {
+    let mesh = bar([1, 1, 1], [10.0; 3]);
+    let all: Vec<usize> = (0..mesh.n_nodes()).collect();
+    let body = Body::new(mesh, Element::Tet4, Supports::from(all)).expect("held");
+    let material = Material::neo_hookean(10.0, 0.45).expect("sound");
+    let rows: Vec<[f64; 3]> = body.nodes().iter().map(|x| [0.1 * x[0], 0.0, 0.0]).collect();
+    let answer =
+        solve(&body, &material, &Load::from_prescribed(rows.clone()), &SolveSettings::default())
+            .expect("nothing to find");
+    assert_eq!(answer.displacement, rows);
+    assert_eq!(answer.report.iterations, 0);
+}
+
+/// Proportional stiffness under proportional load is the same problem: the iterations must be the
+/// same as well, since the factor is shared and scaled.
+#[test]
+fn members_of_proportional_stiffness_take_the_same_iterations() {
+    let (body, load) = pulled_bar(400.0);
+    let (_, double_load) = pulled_bar(800.0);
+    let one = Material::neo_hookean(10.0, 0.45).expect("sound");
+    let two = Material::neo_hookean(20.0, 0.45).expect("sound");
+    let members = [
+        Member { material: &one, load: &load, start: None },
+        Member { material: &two, load: &double_load, start: None },
+    ];
+    let reports: Vec<_> = solve_many(&body, &members, &SolveSettings::default())
+        .into_iter()
+        .map(|o| o.solution().expect("stretches").report)
+        .collect();
+    assert_eq!(reports[0].iterations, reports[1].iterations);
+    assert_eq!(reports[0].factorisations, 1);
+}
