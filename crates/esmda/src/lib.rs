@@ -1,4 +1,63 @@
-//! Ensemble smoother with multiple data assimilation, one step at a time.
+//! Ensemble smoother with multiple data assimilation (ES-MDA), one step at a time.
+//!
+//! An ensemble of parameters, one column a member, is drawn towards observations through what each member predicts for
+//! them. No gradient of the model is needed, and the spread that is left says how well the parameters are known. The
+//! model stays with the caller: run it, hand over the predictions, apply the step, repeat.
+//!
+//! # A tour
+//!
+//! One parameter with the prior N(0, 1), observed directly as 3 with noise of standard deviation 1. The posterior is
+//! known: mean 3/2, variance 1/2. Three members can carry the prior exactly:
+//!
+//! ```
+//! use faer::{Mat, mat};
+//! use tissuereg_esmda::{NoiseCovariance, Schedule, Step, StepSettings, screen_members};
+//!
+//! let prior = mat![[-1.0, 0.0, 1.0]]; // (n_parameters, n_members): mean 0, variance 1
+//! let observed = [3.0];
+//! let noise = NoiseCovariance::diagonal(&[1.0])?;
+//! let settings = StepSettings::default();
+//!
+//! let mean = |x: &Mat<f64>| x.row(0).iter().sum::<f64>() / 3.0;
+//! let variance = |x: &Mat<f64>| x.row(0).iter().map(|v| (v - mean(x)).powi(2)).sum::<f64>() / 2.0;
+//!
+//! // The same data assimilated in four steps, each with its noise inflated so that they add up to the data once.
+//! let schedule = Schedule::geometric(4, 2.0)?;
+//! let mut members = prior.clone();
+//! for &alpha in schedule.alphas() {
+//!     let predicted = members.clone(); // the model: here, the parameter itself
+//!     screen_members(predicted.as_ref(), 1e6).at_least(3)?; // failed runs would be dropped here
+//!     let step = Step::prepare_square_root(predicted.as_ref(), &observed, &noise, alpha, &settings)?;
+//!     step.apply(members.as_mut())?;
+//! }
+//! assert!((mean(&members) - 1.5).abs() < 1e-14);
+//! assert!((variance(&members) - 0.5).abs() < 1e-14);
+//!
+//! // The stochastic form draws every member to an observation of its own. The draws are an argument: the same draws
+//! // give the same bits. These three have mean 0, variance 1 and no correlation with the prior, so the answer is exact
+//! // again; with random ones it is exact in the limit of many members.
+//! let third = 1.0 / 3.0_f64.sqrt();
+//! let draws = mat![[third, -2.0 * third, third]];
+//! let mut members = prior.clone();
+//! let step = Step::prepare(prior.as_ref(), &observed, &noise, 1.0, draws.as_ref(), &settings)?;
+//! step.apply(members.as_mut())?;
+//! assert!((mean(&members) - 1.5).abs() < 1e-14);
+//! assert!((variance(&members) - 0.5).abs() < 1e-14);
+//! # Ok::<(), tissuereg_esmda::EsmdaError>(())
+//! ```
+//!
+//! # What is where
+//!
+//! * [`step`]: the update and its formula; [`Step::prepare`] returns what has [`Step::apply`].
+//! * [`schedule`]: inflation coefficients, checked: `sum 1 / alpha = 1`.
+//! * [`noise`]: `C_d`, diagonal or dense, factored once.
+//! * [`screening`]: failed members, dropped with their reason.
+//!
+//! # Conventions
+//!
+//! A row is a parameter or an observation, a column a member. Observations, predictions and noise share one unit, any;
+//! parameters may have one each. All is `f64`. Bits depend on the input alone: there is no randomness in here, and
+//! threads ([`StepSettings::par`]) never change the order of a sum.
 #![forbid(unsafe_code)]
 
 mod error;
@@ -13,3 +72,8 @@ pub use noise::NoiseCovariance;
 pub use schedule::Schedule;
 pub use screening::{Reason, Screening, screen_members};
 pub use step::{Factorisation, Side, Step, StepReport, StepSettings};
+
+/// The README's code runs as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct ReadMe;

@@ -1,5 +1,5 @@
 //! Problems with known answers, shared by tests, benches and examples.
-#![allow(dead_code)]
+#![allow(dead_code, missing_docs, clippy::unwrap_used)]
 
 use faer::prelude::Solve;
 use faer::{Mat, MatRef, Side};
