@@ -1,5 +1,6 @@
 //! Is the mathematics consistent? Stress against energy, tangent against stress, forces against
 //! the energy of a whole body.
+#![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 

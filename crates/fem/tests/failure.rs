@@ -1,4 +1,5 @@
 //! Does it fail well? Every variant with its message, and no panic on random broken input.
+#![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 

@@ -1,5 +1,6 @@
 //! What must not matter: the frame, the order of nodes and tetrahedra, the unit system, the
 //! number of threads, the other members, the path to the load.
+#![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 

@@ -1,4 +1,5 @@
 //! Is it right where the answer is known?
+#![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 

@@ -1,4 +1,5 @@
 //! Does it agree with others?
+#![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 

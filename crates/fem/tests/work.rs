@@ -1,4 +1,5 @@
 //! Is it still cheap? Iterations, factorisations and analyses are part of the contract.
+#![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 

@@ -1,5 +1,5 @@
 //! Meshes and helpers shared by tests, benches and examples.
-#![allow(dead_code)]
+#![allow(dead_code, clippy::expect_used)]
 
 pub mod npz;
 
