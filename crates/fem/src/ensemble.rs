@@ -101,7 +101,6 @@ pub fn solve_many(body: &Body, members: &[Member], settings: &SolveSettings) -> 
             groups
                 .order
                 .par_iter()
-                .with_max_len(1)
                 .map_init(|| Solver::new(body, false), |solver, &index| one(solver, index))
                 .collect()
         } else {

@@ -81,6 +81,7 @@ mod body;
 mod element;
 mod ensemble;
 mod error;
+mod groups;
 mod load;
 pub mod material;
 mod mesh;

@@ -5,6 +5,7 @@
 //! shared by more than two tetrahedra. What follows may rely on it.
 
 use crate::error::FemError;
+use crate::groups::Groups;
 
 /// Volume over longest edge cubed below which a tetrahedron counts as flat.
 ///
@@ -36,6 +37,7 @@ pub struct Mesh {
     nodes: Vec<[f64; 3]>,
     tets: Vec<[usize; 4]>,
     surface_triangles: Vec<[usize; 3]>,
+    blocks: Vec<usize>,
 }
 
 impl Mesh {
@@ -62,8 +64,10 @@ impl Mesh {
         check_indices(&nodes, &tets)?;
         check_volumes(&nodes, &tets)?;
         check_use(nodes.len(), &tets)?;
-        let surface_triangles = boundary_faces(&tets)?;
-        Ok(Self { nodes, tets, surface_triangles })
+        let faces = sorted_faces(&tets);
+        let surface_triangles = boundary_faces(&tets, &faces)?;
+        let blocks = blocks_by_tet(tets.len(), &faces);
+        Ok(Self { nodes, tets, surface_triangles, blocks })
     }
 
     /// Node coordinates, mm.
@@ -90,6 +94,11 @@ impl Mesh {
     /// order of the tetrahedra that own them.
     pub fn surface_triangles(&self) -> &[[usize; 3]] {
         &self.surface_triangles
+    }
+
+    /// Block of each tetrahedron: those connected through triangles share one.
+    pub(crate) fn blocks(&self) -> &[usize] {
+        &self.blocks
     }
 
     /// Volume of one tetrahedron, mm³.
@@ -167,7 +176,7 @@ fn check_use(n_nodes: usize, tets: &[[usize; 4]]) -> Result<(), FemError> {
 type KeyedFace = ([usize; 3], usize);
 
 /// All faces of all tetrahedra, sorted so that equal triangles are neighbours.
-pub(crate) fn sorted_faces(tets: &[[usize; 4]]) -> Vec<KeyedFace> {
+fn sorted_faces(tets: &[[usize; 4]]) -> Vec<KeyedFace> {
     let mut faces = Vec::with_capacity(4 * tets.len());
     for (tet, corners) in tets.iter().enumerate() {
         for (f, face) in FACES.iter().enumerate() {
@@ -180,8 +189,7 @@ pub(crate) fn sorted_faces(tets: &[[usize; 4]]) -> Vec<KeyedFace> {
     faces
 }
 
-fn boundary_faces(tets: &[[usize; 4]]) -> Result<Vec<[usize; 3]>, FemError> {
-    let faces = sorted_faces(tets);
+fn boundary_faces(tets: &[[usize; 4]], faces: &[KeyedFace]) -> Result<Vec<[usize; 3]>, FemError> {
     let mut boundary = Vec::new();
     for group in faces.chunk_by(|a, b| a.0 == b.0) {
         match group {
@@ -197,6 +205,16 @@ fn boundary_faces(tets: &[[usize; 4]]) -> Result<Vec<[usize; 3]>, FemError> {
     }
     boundary.sort_unstable();
     Ok(boundary.into_iter().map(|p| FACES[p % 4].map(|a| tets[p / 4][a])).collect())
+}
+
+fn blocks_by_tet(n_tets: usize, faces: &[KeyedFace]) -> Vec<usize> {
+    let mut groups = Groups::new(n_tets);
+    for pair in faces.windows(2) {
+        if pair[0].0 == pair[1].0 {
+            groups.join(pair[0].1 / 4, pair[1].1 / 4);
+        }
+    }
+    groups.numbered()
 }
 
 fn edge(nodes: &[[f64; 3]], from: usize, to: usize) -> [f64; 3] {

@@ -10,7 +10,8 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3};
 
 use crate::error::FemError;
-use crate::mesh::{Mesh, sorted_faces};
+use crate::groups::Groups;
+use crate::mesh::Mesh;
 
 /// Parts of more blocks than this are only checked as if they were one block: the dense null
 /// space would cost more than the solve. A mechanism in them still shows as a failing pivot.
@@ -61,7 +62,7 @@ impl std::fmt::Display for RigidModes {
 ///
 /// [`FemError::Unconstrained`] for the first part that can move.
 pub(crate) fn check_rigid_modes(mesh: &Mesh, held: &[[bool; 3]]) -> Result<(), FemError> {
-    let blocks = blocks_by_tet(mesh);
+    let blocks = mesh.blocks();
     let parts = parts_by_node(mesh);
     let n_parts = parts.iter().max().map_or(0, |&p| p + 1);
     let mut part_blocks = vec![Vec::new(); n_parts];
@@ -72,7 +73,7 @@ pub(crate) fn check_rigid_modes(mesh: &Mesh, held: &[[bool; 3]]) -> Result<(), F
             part_blocks[parts[mesh.tets()[tet][0]]].push(block);
         }
     }
-    let block_nodes = nodes_by_block(mesh, &blocks, n_blocks);
+    let block_nodes = nodes_by_block(mesh, blocks, n_blocks);
     for (part, members) in part_blocks.iter().enumerate() {
         let part_nodes: Vec<usize> = (0..mesh.n_nodes()).filter(|&n| parts[n] == part).collect();
         let whole = [part_nodes.clone()];
@@ -92,54 +93,6 @@ pub(crate) fn check_rigid_modes(mesh: &Mesh, held: &[[bool; 3]]) -> Result<(), F
         }
     }
     Ok(())
-}
-
-/// Representative of each item after joining pairs; then numbered from 0 in order of appearance.
-struct Groups(Vec<usize>);
-
-impl Groups {
-    fn new(n: usize) -> Self {
-        Self((0..n).collect())
-    }
-
-    fn root(&mut self, mut item: usize) -> usize {
-        while self.0[item] != item {
-            self.0[item] = self.0[self.0[item]];
-            item = self.0[item];
-        }
-        item
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        let (low, high) = (a.min(b), a.max(b));
-        self.0[high] = low;
-    }
-
-    fn numbered(mut self) -> Vec<usize> {
-        let mut number = vec![usize::MAX; self.0.len()];
-        let mut next = 0;
-        (0..self.0.len())
-            .map(|item| {
-                let root = self.root(item);
-                if number[root] == usize::MAX {
-                    number[root] = next;
-                    next += 1;
-                }
-                number[root]
-            })
-            .collect()
-    }
-}
-
-fn blocks_by_tet(mesh: &Mesh) -> Vec<usize> {
-    let mut groups = Groups::new(mesh.n_tets());
-    for pair in sorted_faces(mesh.tets()).windows(2) {
-        if pair[0].0 == pair[1].0 {
-            groups.join(pair[0].1 / 4, pair[1].1 / 4);
-        }
-    }
-    groups.numbered()
 }
 
 fn parts_by_node(mesh: &Mesh) -> Vec<usize> {

@@ -1,0 +1,147 @@
+//! Internal forces and energy.
+
+use rayon::prelude::*;
+
+use super::{CHUNK, Loops, PARALLEL_FROM, displacement_gradient, local};
+use crate::element::{Element, Geometry, Rule, TET4, TET10};
+use crate::material::{Hyperelastic, Material};
+
+/// Energy and smallest volume ratio of a state.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Energy {
+    /// Strain energy, µJ.
+    pub(crate) total: f64,
+    /// Smallest det F of all quadrature points.
+    pub(crate) min_det_f: f64,
+}
+
+impl Energy {
+    const NOTHING: Self = Self { total: 0.0, min_det_f: f64::INFINITY };
+
+    fn and(self, other: Self) -> Self {
+        Self { total: self.total + other.total, min_det_f: self.min_det_f.min(other.min_det_f) }
+    }
+}
+
+/// Write the internal forces of a displacement and return its energy; none where an element is
+/// inverted (the forces are then unspecified).
+///
+/// # Shapes
+///
+/// `displacement` and `force` `(3 n_nodes)`, mm and mN. `buffer` is kept by the caller between
+/// calls and only used in parallel.
+pub(crate) fn internal_force_into(
+    geometry: &Geometry,
+    material: &Material,
+    displacement: &[f64],
+    force: &mut [f64],
+    buffer: &mut Vec<f64>,
+    parallel: bool,
+) -> Option<Energy> {
+    let loops = Loops { geometry, material, displacement };
+    let parallel = parallel && geometry.n_elements() >= PARALLEL_FROM;
+    match (geometry.element, parallel) {
+        (Element::Tet4, false) => loops.serial(&TET4, force),
+        (Element::Tet10, false) => loops.serial(&TET10, force),
+        (Element::Tet4, true) => loops.parallel(&TET4, force, buffer),
+        (Element::Tet10, true) => loops.parallel(&TET10, force, buffer),
+    }
+}
+
+impl Loops<'_> {
+    fn serial<const N: usize, const Q: usize>(
+        &self,
+        rule: &Rule<N, Q>,
+        force: &mut [f64],
+    ) -> Option<Energy> {
+        force.fill(0.0);
+        let n = self.geometry.n_elements();
+        let mut sum = Energy::NOTHING;
+        for first in (0..n).step_by(CHUNK) {
+            let mut chunk = Energy::NOTHING;
+            for element in first..n.min(first + CHUNK) {
+                let (energy, rows) = self.element(rule, element)?;
+                chunk = chunk.and(energy);
+                for (a, &node) in self.geometry.nodes_of(element).iter().enumerate() {
+                    for i in 0..3 {
+                        force[3 * node as usize + i] += rows[a][i];
+                    }
+                }
+            }
+            sum = sum.and(chunk);
+        }
+        Some(sum)
+    }
+
+    fn parallel<const N: usize, const Q: usize>(
+        &self,
+        rule: &Rule<N, Q>,
+        force: &mut [f64],
+        buffer: &mut Vec<f64>,
+    ) -> Option<Energy> {
+        buffer.resize(3 * N * self.geometry.n_elements(), 0.0);
+        let chunks: Option<Vec<Energy>> = buffer
+            .par_chunks_mut(3 * N * CHUNK)
+            .enumerate()
+            .map(|(c, slots)| {
+                let mut chunk = Energy::NOTHING;
+                for (k, slot) in slots.chunks_exact_mut(3 * N).enumerate() {
+                    let (energy, rows) = self.element(rule, c * CHUNK + k)?;
+                    chunk = chunk.and(energy);
+                    slot.copy_from_slice(rows.as_flattened());
+                }
+                Some(chunk)
+            })
+            .collect();
+        let chunks = chunks?;
+        let (start, places) = &self.geometry.node2place;
+        force.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(c, rows)| {
+            for (k, row) in rows.chunks_exact_mut(3).enumerate() {
+                let node = c * CHUNK + k;
+                row.fill(0.0);
+                for &place in &places[start[node] as usize..start[node + 1] as usize] {
+                    for i in 0..3 {
+                        row[i] += buffer[3 * place as usize + i];
+                    }
+                }
+            }
+        });
+        Some(chunks.into_iter().fold(Energy::NOTHING, Energy::and))
+    }
+
+    /// Energy and nodal forces of one element.
+    #[inline(always)]
+    fn element<const N: usize, const Q: usize>(
+        &self,
+        rule: &Rule<N, Q>,
+        element: usize,
+    ) -> Option<(Energy, [[f64; 3]; N])> {
+        let u = local::<N>(self.geometry, element, self.displacement);
+        let inverse_jacobian = &self.geometry.inverse_jacobian[element];
+        let weight = self.geometry.volume[element] / Q as f64;
+        let mut energy = Energy::NOTHING;
+        let mut rows = [[0.0; 3]; N];
+        for (point, gradients) in rule.gradients.iter().enumerate() {
+            let h = displacement_gradient(&u, gradients, inverse_jacobian);
+            let answer = self.material.law_at(element, point).response(&h)?;
+            energy = energy.and(Energy { total: weight * answer.energy, min_det_f: answer.det_f });
+            // P (∂ξ/∂X)ᵀ, the stress seen from the reference element.
+            let mut pulled = [[0.0; 3]; 3];
+            for i in 0..3 {
+                for k in 0..3 {
+                    for j in 0..3 {
+                        pulled[i][k] += weight * answer.stress[i][j] * inverse_jacobian[k][j];
+                    }
+                }
+            }
+            for a in 0..N {
+                for i in 0..3 {
+                    for k in 0..3 {
+                        rows[a][i] += pulled[i][k] * gradients[a][k];
+                    }
+                }
+            }
+        }
+        Some((energy, rows))
+    }
+}

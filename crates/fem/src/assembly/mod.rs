@@ -1,0 +1,102 @@
+//! Energy, internal forces and tangent of a displacement field.
+//!
+//! For every element and quadrature point, with `h` from [`crate::element`] and weight `w`:
+//!
+//! ```text
+//! W    += w ψ(h)
+//! f_ai += w Σ_j P_ij ∂N_a/∂X_j                           (3) a node
+//! K_ab += w Σ_jl ∂N_a/∂X_j A_ijkl ∂N_b/∂X_l              (3, 3) a pair of nodes
+//! ```
+//!
+//! In parallel, element forces are written to a buffer and then summed node by node in the order
+//! of the elements; alone, they are added at once, in the same order. Energies are summed in fixed
+//! chunks. So the bits do not depend on the number of threads.
+
+mod force;
+mod tangent;
+
+pub(crate) use force::{Energy, internal_force_into};
+pub(crate) use tangent::{TangentKind, tangent_into, tangent_product_into};
+
+use crate::element::{Element, Geometry, Rule, TET4, TET10};
+use crate::material::{Material, Matrix3};
+
+/// Elements whose energies are summed together.
+const CHUNK: usize = 256;
+
+/// Bodies with fewer elements than this are not worth a second thread.
+const PARALLEL_FROM: usize = 2_000;
+
+/// What every loop over elements reads.
+#[derive(Clone, Copy)]
+struct Loops<'a> {
+    geometry: &'a Geometry,
+    material: &'a Material,
+    displacement: &'a [f64],
+}
+
+#[inline(always)]
+fn local<const N: usize>(geometry: &Geometry, element: usize, values: &[f64]) -> [[f64; 3]; N] {
+    let nodes = &geometry.connectivity[element * N..(element + 1) * N];
+    std::array::from_fn(|a| {
+        let flat = 3 * nodes[a] as usize;
+        [values[flat], values[flat + 1], values[flat + 2]]
+    })
+}
+
+#[inline(always)]
+fn displacement_gradient<const N: usize>(
+    u: &[[f64; 3]; N],
+    gradients: &[[f64; 3]; N],
+    inverse_jacobian: &[[f64; 3]; 3],
+) -> Matrix3 {
+    let mut local = [[0.0; 3]; 3];
+    for a in 0..N {
+        for i in 0..3 {
+            for k in 0..3 {
+                local[i][k] += u[a][i] * gradients[a][k];
+            }
+        }
+    }
+    let mut h = [[0.0; 3]; 3];
+    for i in 0..3 {
+        for j in 0..3 {
+            for k in 0..3 {
+                h[i][j] += local[i][k] * inverse_jacobian[k][j];
+            }
+        }
+    }
+    h
+}
+
+/// Smallest det F of every element of a displacement.
+///
+/// # Shapes
+///
+/// `displacement` `(3 n_nodes)`, mm; one entry an element, dimensionless.
+pub(crate) fn det_f_by_element(geometry: &Geometry, displacement: &[f64]) -> Vec<f64> {
+    match geometry.element {
+        Element::Tet4 => det_f_with(&TET4, geometry, displacement),
+        Element::Tet10 => det_f_with(&TET10, geometry, displacement),
+    }
+}
+
+fn det_f_with<const N: usize, const Q: usize>(
+    rule: &Rule<N, Q>,
+    geometry: &Geometry,
+    displacement: &[f64],
+) -> Vec<f64> {
+    (0..geometry.n_elements())
+        .map(|element| {
+            let u = local::<N>(geometry, element, displacement);
+            let jacobian = &geometry.inverse_jacobian[element];
+            rule.gradients
+                .iter()
+                .map(|g| {
+                    let h = displacement_gradient(&u, g, jacobian);
+                    1.0 + crate::material::det_f_minus_one(&h)
+                })
+                .fold(f64::INFINITY, f64::min)
+        })
+        .collect()
+}
