@@ -1,0 +1,105 @@
+"""Checkpoints: a training's whole state in one file, replaced whole after every epoch."""
+
+import contextlib
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from tissuereg_training.errors import CheckpointError
+
+if TYPE_CHECKING:
+    from tissuereg_training.fit import FitState
+    from tissuereg_training.model import GraphVae
+
+_STATE = ("epoch", "best_epoch", "best_error", "best_weights", "history")
+
+
+class Checkpoint:
+    """A checkpoint file beside the model folder it is going to be.
+
+    Parameters
+    ----------
+    folder : Path
+        `MODEL.training`, made when the first epoch is saved.
+    fingerprint : str
+        Of settings, seed and data; a checkpoint of another fingerprint is refused.
+    """
+
+    def __init__(self, folder: Path, fingerprint: str) -> None:
+        self.folder, self.fingerprint = folder, fingerprint
+        self.path = folder / "last.pt"
+
+    def exists(self) -> bool:
+        """Return whether there is something to continue from."""
+        return self.path.is_file()
+
+    def discard(self) -> None:
+        """Delete the checkpoint, and its folder if nothing else is in it."""
+        self.path.unlink(missing_ok=True)
+        shutil.rmtree(self.folder / "__pycache__", ignore_errors=True)
+        with contextlib.suppress(OSError):
+            self.folder.rmdir()
+
+    def save(self, model: "GraphVae", optimiser: torch.optim.Optimizer, state: "FitState") -> None:
+        """Write everything; the file before it stays until the new one is whole.
+
+        Parameters
+        ----------
+        model : GraphVae
+            Network.
+        optimiser : torch.optim.Optimizer
+            Its moments.
+        state : FitState
+            Progress and best weights.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        whole = {
+            "fingerprint": self.fingerprint,
+            "model": model.state_dict(),
+            "optimiser": optimiser.state_dict(),
+            **{name: getattr(state, name) for name in _STATE},
+        }
+        unfinished = self.path.with_suffix(".part")
+        torch.save(whole, unfinished)
+        unfinished.replace(self.path)
+
+    def load_into(self, model: "GraphVae", optimiser: torch.optim.Optimizer, state: "FitState") -> None:
+        """Take everything from the file; do nothing where there is none.
+
+        Parameters
+        ----------
+        model, optimiser, state
+            Changed in place.
+
+        Raises
+        ------
+        CheckpointError
+            If the file is spoilt, or of other settings, seed or data.
+        """
+        if not self.exists():
+            return
+        whole = self._read()
+        if whole["fingerprint"] != self.fingerprint:
+            message = (
+                f"{self.path} must be a checkpoint of this recipe, seed and data; it is another run's. "
+                "Start anew with --fresh, or train into another folder"
+            )
+            raise CheckpointError(message, where=str(self.path))
+        model.load_state_dict(whole["model"])
+        optimiser.load_state_dict(whole["optimiser"])
+        for name in _STATE:
+            setattr(state, name, whole[name])
+
+    def _read(self) -> dict[str, Any]:
+        try:
+            whole = torch.load(self.path, weights_only=True)
+            missing = {"fingerprint", "model", "optimiser", *_STATE} - set(whole)
+        except Exception as error:  # torch raises pickle, zip, runtime and type errors for spoilt files
+            message = f"{self.path} must be a whole checkpoint: {error}. Start anew with --fresh"
+            raise CheckpointError(message, where=str(self.path)) from error
+        if missing:
+            message = f"{self.path} must be a whole checkpoint; it lacks {', '.join(sorted(missing))}. Use --fresh"
+            raise CheckpointError(message, where=str(self.path))
+        return dict(whole)

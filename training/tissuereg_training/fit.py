@@ -1,0 +1,219 @@
+"""The training loop: seeded, resumable, the best validation epoch kept.
+
+All chance of an epoch (order, blends, noise) is drawn from a generator seeded with (seed, epoch), so a resumed run
+needs no generator state and repeats an uninterrupted one.
+"""
+
+import copy
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+
+from tissuereg_training.checkpoint import Checkpoint
+from tissuereg_training.data import FieldArray, Split
+from tissuereg_training.errors import DivergenceError
+from tissuereg_training.evaluate import mean_error
+from tissuereg_training.graph import Hierarchy
+from tissuereg_training.losses import kl_divergence, kl_share, one_cycle, reconstruction
+from tissuereg_training.model import GraphVae, sampled_latents
+from tissuereg_training.recipe import TrainSettings
+
+Report = Callable[[str], None]
+
+
+@dataclass
+class FitState:
+    """How far a training has come; what a checkpoint holds besides weights and optimiser.
+
+    Attributes
+    ----------
+    epoch : int
+        Epochs done.
+    best_epoch : int
+        Epoch (1-based) of the kept weights; 0 before the first that may be chosen.
+    best_error : float
+        Its mean Euclidean validation error in mm.
+    best_weights : dict
+        The kept weights.
+    history : list of dict
+        A row an epoch: epoch, reconstruction, kl, valid_mm, seconds.
+    """
+
+    epoch: int = 0
+    best_epoch: int = 0
+    best_error: float = float("inf")
+    best_weights: dict[str, Any] = field(default_factory=dict)
+    history: list[dict[str, float]] = field(default_factory=list)
+
+
+def new_model(levels: Hierarchy, settings: TrainSettings, seed: int) -> GraphVae:
+    """Return an untrained network; its start depends on the seed alone."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return GraphVae(levels, settings.channels, settings.n_bases, settings.n_latent)
+
+
+def set_normalisation(model: GraphVae, train: FieldArray) -> None:
+    """Take mean field and scale (rms of a component about it) from the training split.
+
+    Parameters
+    ----------
+    model : GraphVae
+        Gets the two buffers.
+    train : ndarray of float32, shape (n_train, n_nodes, 3)
+        mm.
+
+    Raises
+    ------
+    DivergenceError
+        If all fields are the same, so that there is nothing to learn.
+    """
+    mean = train.mean(axis=0, dtype=np.float64)
+    scale = float(np.sqrt(np.mean((train - mean) ** 2)))
+    if not scale > 0:
+        message = "the training fields must differ from each other; they are all the same"
+        raise DivergenceError(message, where="displacement_mm")
+    model.mean_mm.copy_(torch.from_numpy(mean))
+    model.scale_mm.fill_(scale)
+
+
+def fit(
+    model: GraphVae,
+    fields: FieldArray,
+    split: Split,
+    settings: TrainSettings,
+    *,
+    seed: int,
+    checkpoint: Checkpoint | None = None,
+    report: Report | None = None,
+) -> FitState:
+    """Train a network; afterwards it holds the weights of the best validation epoch.
+
+    Parameters
+    ----------
+    model : GraphVae
+        Normalised; trained in place.
+    fields : ndarray of float32, shape (n_members, n_nodes, 3)
+        All fields in mm.
+    split : Split
+        Which are for what.
+    settings : TrainSettings
+        How.
+    seed : int
+        Source of all chance.
+    checkpoint : Checkpoint, optional
+        Continued from where it holds something, written after every epoch.
+    report : callable of str, optional
+        Hears a line every few seconds.
+
+    Returns
+    -------
+    FitState
+        Its history has a row an epoch.
+
+    Raises
+    ------
+    DivergenceError
+        If the loss is no longer finite.
+    CheckpointError
+        If the checkpoint belongs to another run.
+
+    Notes
+    -----
+    Cost a step: M n_edges batch min(I, O) multiply-adds a convolution and direction, three directions; the README
+    holds times.
+    """
+    optimiser = torch.optim.Adam(model.parameters(), lr=settings.learning_rate, fused=True)
+    state = FitState()
+    if checkpoint is not None:
+        checkpoint.load_into(model, optimiser, state)
+    train = model.normalised(torch.from_numpy(fields[split.train]))
+    n_batches = max(1, round(len(train) / settings.batch))
+    said = time.perf_counter()
+    while state.epoch < settings.epochs:
+        start = time.perf_counter()
+        row = _epoch(model, optimiser, train, n_batches, settings, seed, state.epoch)
+        state.epoch += 1
+        row["valid_mm"] = mean_error(model, fields[split.valid])
+        row["seconds"] = time.perf_counter() - start
+        state.history.append({"epoch": state.epoch, **row})
+        may_choose = kl_share(state.epoch - 1, settings.epochs, settings.kl_warmup) == 1.0
+        if may_choose and row["valid_mm"] < state.best_error:
+            state.best_epoch, state.best_error = state.epoch, row["valid_mm"]
+            state.best_weights = copy.deepcopy(model.state_dict())
+        if checkpoint is not None:
+            checkpoint.save(model, optimiser, state)
+        if report is not None and (time.perf_counter() - said > 5 or state.epoch == settings.epochs):
+            said = time.perf_counter()
+            report(_line(state, settings))
+    model.load_state_dict(state.best_weights)
+    return state
+
+
+def _epoch(
+    model: GraphVae,
+    optimiser: torch.optim.Adam,
+    train: torch.Tensor,
+    n_batches: int,
+    settings: TrainSettings,
+    seed: int,
+    epoch: int,
+) -> dict[str, float]:
+    """Run one epoch; return its mean reconstruction term and KL."""
+    rng = np.random.default_rng([seed, 11, epoch])
+    weight = settings.kl_weight * kl_share(epoch, settings.epochs, settings.kl_warmup)
+    sums = np.zeros(2)
+    for number, rows in enumerate(np.array_split(rng.permutation(len(train)), n_batches)):
+        step = epoch * n_batches + number
+        for group in optimiser.param_groups:
+            group["lr"] = one_cycle(step, settings.epochs * n_batches, settings.learning_rate, settings.rise)
+        x = _blended(train, rows, settings.mixing, rng)
+        mean, log_variance = model.encode(x)
+        noise = torch.from_numpy(rng.standard_normal(mean.shape, dtype=np.float32))
+        found = model.decode(sampled_latents(mean, log_variance, noise))
+        missed = reconstruction(found, x, settings.loss)
+        kl = kl_divergence(mean, log_variance).sum()
+        loss = missed + weight * kl
+        if not bool(torch.isfinite(loss)):
+            message = (
+                f"the loss must stay finite, got {loss.item()} in epoch {epoch + 1}, step {number + 1}; "
+                "lower [train] learning_rate"
+            )
+            raise DivergenceError(message, where=f"epoch {epoch + 1}")
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(model.parameters(), settings.gradient_limit)
+        optimiser.step()
+        sums += (missed.item(), kl.item())
+    return {"reconstruction": sums[0] / n_batches, "kl": sums[1] / n_batches}
+
+
+def _blended(train: torch.Tensor, rows: Any, share: float, rng: np.random.Generator) -> torch.Tensor:
+    """Return the rows, a share of them blended with others of the training split."""
+    x = train[rows]
+    if share == 0.0:
+        return x
+    partners = rng.integers(len(train), size=len(rows))
+    weights = np.where(rng.random(len(rows)) < share, rng.random(len(rows)), 1.0)
+    w = torch.from_numpy(weights.astype(np.float32))[:, None, None]
+    return w * x + (1.0 - w) * train[partners]
+
+
+def _line(state: FitState, settings: TrainSettings) -> str:
+    row = state.history[-1]
+    best = f"best {state.best_error:.4f} mm in {state.best_epoch}" if state.best_epoch else "KL warming up"
+    left = np.mean([r["seconds"] for r in state.history[-20:]]) * (settings.epochs - state.epoch)
+    return (
+        f"epoch {state.epoch}/{settings.epochs}: loss {row['reconstruction']:.4f}, KL {row['kl']:.1f} nats, "
+        f"valid {row['valid_mm']:.4f} mm ({best}), {row['seconds']:.2f} s an epoch, {left:.0f} s left"
+    )
+
+
+def to_stderr(line: str) -> None:
+    """Print a line of progress."""
+    print(line, file=sys.stderr, flush=True)

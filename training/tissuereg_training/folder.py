@@ -1,0 +1,108 @@
+"""The model folder: four files, there all together or not at all."""
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import onnx
+
+from tissuereg_training.errors import OutputError
+
+CARD = "model.json"
+
+
+def check_out(out: Path) -> None:
+    """Refuse early a place where no model folder can be put.
+
+    Parameters
+    ----------
+    out : Path
+        Where the model shall stand.
+
+    Raises
+    ------
+    OutputError
+        If it is a file, a folder that holds something else, or lies where nothing may be written.
+    """
+    if out.is_file():
+        message = f"the model must be written to a folder, {out} is a file"
+        raise OutputError(message, where=str(out))
+    if out.is_dir() and any(out.iterdir()) and not (out / CARD).is_file():
+        message = f"{out} must be new, empty or a model folder, which is replaced; it holds other files"
+        raise OutputError(message, where=str(out))
+    standing = next(folder for folder in out.absolute().parents if folder.exists())
+    if not standing.is_dir() or not os.access(standing, os.W_OK | os.X_OK):
+        message = f"{out} must lie in a folder that can be written; {standing} cannot"
+        raise OutputError(message, where=str(out))
+
+
+def write_model(
+    out: Path,
+    encoder: onnx.ModelProto,
+    decoder: onnx.ModelProto,
+    weights: dict[str, npt.NDArray[Any]],
+    card: dict[str, Any],
+) -> dict[str, Any]:
+    """Write the model folder.
+
+    Parameters
+    ----------
+    out : Path
+        Where it shall stand; an older model there is replaced.
+    encoder, decoder : onnx.ModelProto
+        The networks.
+    weights : dict of str to ndarray
+        Content of ``decoder_weights.npz``.
+    card : dict
+        Content of ``model.json``; the files' SHA-256 is added.
+
+    Returns
+    -------
+    dict
+        The card as written.
+
+    Raises
+    ------
+    OutputError
+        If the operating system refuses; nothing is left behind then.
+    """
+    out = out.absolute()
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        new = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+        try:
+            (new / "encoder.onnx").write_bytes(encoder.SerializeToString(deterministic=True))
+            (new / "decoder.onnx").write_bytes(decoder.SerializeToString(deterministic=True))
+            with (new / "decoder_weights.npz").open("wb") as stream:
+                np.savez_compressed(stream, **weights)  # type: ignore[arg-type]
+            files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(new.iterdir())}
+            card = {**card, "files": files}
+            (new / CARD).write_text(json.dumps(card, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            new.chmod(0o755)
+            _put_in_place(new, out)
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+    except OSError as error:
+        message = f"the model folder {out} must be writable: {error.strerror or error}"
+        raise OutputError(message, where=str(out)) from error
+    return card
+
+
+def _put_in_place(new: Path, out: Path) -> None:
+    if not out.exists():
+        new.rename(out)
+        return
+    old = new.with_name(f"{new.name}-old")
+    out.rename(old)
+    try:
+        new.rename(out)
+    except OSError:
+        old.rename(out)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
