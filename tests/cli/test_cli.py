@@ -337,6 +337,48 @@ def test_a_warning_is_one_line_on_standard_error_and_stands_in_the_json(tmp_path
     assert any("prestress" in note for note in said["warnings"])
 
 
+# --- train ---
+
+
+def test_train_hands_the_whole_line_to_the_training_package(tmp_path, capsys, monkeypatch):
+    package = tmp_path / "tissuereg_training"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "cli.py").write_text("import json\n\n\ndef main(words):\n    print(json.dumps(words))\n    return 3\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("tissuereg_training", "tissuereg_training.cli"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    words = [
+        "train",
+        "r.toml",
+        "--out",
+        tmp_path / "m",
+        "--data",
+        "d",
+        "--fresh",
+        "--seed",
+        3,
+        "--json",
+        "-",
+        "--quiet",
+    ]
+    code, out, _ = run(capsys, *words)
+    assert code == 3
+    told = [
+        "r.toml",
+        "--data=d",
+        f"--out={tmp_path / 'm'}",
+        "--threads=0",
+        "--seed=3",
+        "--json=-",
+        "--fresh",
+        "--quiet",
+    ]
+    assert json.loads(out) == told
+    for name in ("tissuereg_training", "tissuereg_training.cli"):
+        sys.modules.pop(name)
+
+
 # --- bench ---
 
 

@@ -37,6 +37,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     with warnings_as_lines(debug=debug) as notes:
         try:
             outcome = _run(words, target)
+            if isinstance(outcome, int):
+                return outcome
             _deliver(outcome, target, notes)
         except SystemExit as done:  # --help and --version
             return int(done.code or 0)
@@ -67,10 +69,12 @@ def build_parser() -> Parser:
     return parser
 
 
-def _run(words: list[str], target: str | None) -> Outcome:
+def _run(words: list[str], target: str | None) -> Outcome | int:
     args = parse(build_parser(), words)
     if target not in (None, "-"):
         check_file_target(target)
+    if getattr(args, "speaks_for_itself", False):
+        return int(args.run(args))
     with _nothing_on_stdout() if target == "-" else contextlib.nullcontext():
         outcome: Outcome = args.run(args)
     return outcome
@@ -118,8 +122,9 @@ def _fail(error: BaseException, target: str | None, *, debug: bool) -> int:
 
 
 def _verdict(error: BaseException) -> tuple[int, str]:
-    if isinstance(error, TissueRegError):
-        return error.exit_code, str(error)
+    code = getattr(error, "exit_code", None)  # the training package has a class tree of its own
+    if isinstance(code, int):
+        return code, str(error)
     if isinstance(error, KeyboardInterrupt):
         return 130, "interrupted"
     if isinstance(error, MemoryError):

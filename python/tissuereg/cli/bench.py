@@ -34,7 +34,8 @@ def add_parser(commands: Any) -> None:
     how.add_argument("--element", choices=["tet4", "tet10"], help=text)
     text = "members of 'ensemble' (default: 32)"
     how.add_argument("--members", type=whole_number(1), default=32, metavar="N", help=text)
-    add_common(parser, seed="seed of random events and draws (default: 0)")
+    seed = "seed of random events and draws (default: 0)"
+    add_common(parser, seed=seed, threads="threads to use (default: all cores)")
     parser.set_defaults(run=run, choices=choices, late="what", room=len(choices))
 
 

@@ -72,7 +72,11 @@ def command_parser(commands: Any, name: str, purpose: str, details: str, example
     return parser
 
 
-def add_common(parser: Parser, *, seed: str | None = None, threads: bool = True) -> None:
+#: Help of ``--threads`` where the result is the same bits at any number.
+_THREADS = "threads to use (default: all cores); the result does not depend on it"
+
+
+def add_common(parser: Parser, *, seed: str | None = None, threads: str = _THREADS) -> None:
     """Add the options that every command has.
 
     Parameters
@@ -81,15 +85,13 @@ def add_common(parser: Parser, *, seed: str | None = None, threads: bool = True)
         Of the command.
     seed : str, optional
         Help of ``--seed``; None leaves the option out.
-    threads : bool
-        Whether the command computes in parallel.
+    threads : str
+        Help of ``--threads``.
     """
     group = parser.add_argument_group("running")
     if seed is not None:
         group.add_argument("--seed", type=whole_number(0), metavar="N", help=seed)
-    if threads:
-        text = "threads to use (default: all cores); the result does not depend on it"
-        group.add_argument("--threads", type=whole_number(0), default=0, metavar="N", help=text)
+    group.add_argument("--threads", type=whole_number(0), default=0, metavar="N", help=threads)
     group.add_argument("--json", metavar="FILE", help="write one JSON object to FILE; - is standard output")
     group.add_argument("--quiet", action="store_true", help="no progress on standard error")
     group.add_argument("--debug", action="store_true", help="show the traceback of an error")

@@ -5,7 +5,6 @@ import importlib
 import importlib.util
 from typing import Any
 
-from tissuereg.cli.common import Outcome, seconds_line
 from tissuereg.cli.options import add_common, command_parser
 from tissuereg.errors import MissingPackageError
 
@@ -30,12 +29,17 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("recipe", metavar="RECIPE.toml", help="table [train]; the recipe that made the data")
     parser.add_argument("--data", required=True, metavar="DATA", help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="MODEL", help="folder for the model and its checkpoints")
-    add_common(parser, seed="seed of split, start and batches (default: the recipe's, which is 0 unless it says so)")
-    parser.set_defaults(run=run)
+    start = parser.add_argument_group("start").add_mutually_exclusive_group()
+    text = "continue from the last epoch, and fail where there is none (default: continue if there is one)"
+    start.add_argument("--resume", action="store_true", help=text)
+    start.add_argument("--fresh", action="store_true", help="start anew and discard what was begun")
+    seed = "seed of split, start and batches (default: the recipe's, which is 0 unless it says so)"
+    add_common(parser, seed=seed, threads="threads to use (default: all cores)")
+    parser.set_defaults(run=run, speaks_for_itself=True)
 
 
-def run(args: argparse.Namespace) -> Outcome:
-    """Hand over to the training package.
+def run(args: argparse.Namespace) -> int:
+    """Hand over to the training package, which writes its own JSON and summary.
 
     Parameters
     ----------
@@ -44,8 +48,8 @@ def run(args: argparse.Namespace) -> Outcome:
 
     Returns
     -------
-    Outcome
-        Schema ``tissuereg.train/1``.
+    int
+        Exit code.
 
     Raises
     ------
@@ -62,20 +66,12 @@ def run(args: argparse.Namespace) -> Outcome:
         raise MissingPackageError(message, where="tissuereg_training")
     check_folder_target(args.out)
     training = importlib.import_module("tissuereg_training.cli")
-    trained: dict[str, Any] = training.main(
-        args.recipe, args.data, args.out, seed=args.seed, threads=args.threads, progress=not args.quiet
-    )
-    content = {"schema": "tissuereg.train/1", **trained}
-    return Outcome(content, _summary(content, args.out), args.threads)
+    return int(training.main(_words(args)))
 
 
-def _summary(content: dict[str, Any], out: str) -> str:
-    errors = content["errors_mm"]
-    told = ", ".join(f"{name} {errors[name]:.3f}" for name in ("train", "valid", "test", "pca") if name in errors)
-    return "\n".join(
-        [
-            f"{content['epochs']} epochs; mean error in mm: {told} (pca: as many principal components, same split)",
-            seconds_line(content["seconds"]),
-            f"written: {out}",
-        ]
-    )
+def _words(args: argparse.Namespace) -> list[str]:
+    """Return the command line again, for the other parser."""
+    flags = [f"--{name}" for name in ("resume", "fresh", "quiet", "debug") if getattr(args, name)]
+    options = {"data": args.data, "out": args.out, "threads": args.threads, "seed": args.seed, "json": args.json}
+    given = [f"--{name}={value}" for name, value in options.items() if value is not None]
+    return [args.recipe, *given, *flags]
