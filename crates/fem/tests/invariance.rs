@@ -196,3 +196,43 @@ fn a_field_of_equal_values_is_a_uniform_material() {
         [&uniform, &field].map(|m| solve(&body, m, &load, &settings).expect("bends").displacement);
     assert_eq!(answers[0], answers[1]);
 }
+
+/// A quarter of a turn of one end against the other in load steps: far beyond what one step survives.
+#[test]
+fn a_bar_can_be_twisted_by_its_ends() {
+    let mesh = bar([8, 2, 2], [40.0, 10.0, 10.0]);
+    let ends = nodes_where(&mesh, |x| x[0] < 1e-9 || x[0] > 40.0 - 1e-9);
+    let body = Body::new(mesh, Element::Tet4, &ends).expect("held");
+    let (s, c) = 1.5_f64.sin_cos();
+    let turn = |x: &[f64; 3]| {
+        let (y, z) = (x[1] - 5.0, x[2] - 5.0);
+        [0.0, c * y - s * z - y, s * y + c * z - z]
+    };
+    let rows = ends.iter().map(|&n| match body.nodes()[n] {
+        x if x[0] > 20.0 => turn(&x),
+        _ => [0.0; 3],
+    });
+    let load = Load::from_prescribed(rows.collect());
+    let material = Material::neo_hookean(10.0, 0.4).expect("sound");
+    let moment = |method, load_steps| {
+        let settings = SolveSettings { method, load_steps, ..SolveSettings::default() };
+        let answer = solve(&body, &material, &load, &settings).expect("twists");
+        let moment: f64 = ends
+            .iter()
+            .zip(&answer.reactions)
+            .filter(|(n, _)| body.nodes()[**n][0] > 20.0)
+            .map(|(&n, r)| {
+                let x: [f64; 3] =
+                    std::array::from_fn(|i| body.nodes()[n][i] + answer.displacement[n][i] - 5.0);
+                x[1] * r[2] - x[2] * r[1]
+            })
+            .sum();
+        moment
+    };
+    let reference = moment(Method::Auto, LoadSteps::Auto);
+    assert!(reference > 100.0, "{reference} mN mm");
+    for method in [Method::Auto, Method::Newton] {
+        let other = moment(method, LoadSteps::Equal(8));
+        assert!((other / reference - 1.0).abs() < 1e-6, "{method:?}: {other} {reference}");
+    }
+}

@@ -44,6 +44,9 @@ impl Path<'_> {
             LoadSteps::Equal(n) => {
                 for k in 1..=n {
                     let (from, to) = ((k - 1) as f64 / n as f64, k as f64 / n as f64);
+                    if k > 1 && self.problem.load.moves_supports {
+                        self.renew_metric(&state)?;
+                    }
                     let ended = self.step(&mut state, to, self.iterations_left())?;
                     if ended.stop.is_some() {
                         return Err(self.failure(from, to, &state, ended));
@@ -77,8 +80,8 @@ impl Path<'_> {
         loop {
             let target = if fraction + 1.01 * step >= 1.0 { 1.0 } else { fraction + step };
             let mut attempt = state.clone();
-            if self.problem.settings.method == Method::Auto && fraction > 0.0 {
-                self.metric = Metric::at_state(self.problem, &state, self.workspace)?;
+            if fraction > 0.0 {
+                self.renew_metric(&state)?;
             }
             let ended = self.step(&mut attempt, target, self.limit(STEP_ITERATIONS))?;
             if ended.stop.is_none() {
@@ -102,6 +105,14 @@ impl Path<'_> {
                 let ended = Ended { stop: Some(reason), ..ended };
                 return Err(self.failure(fraction, target, &attempt, ended));
             }
+        }
+    }
+
+    /// Renew the metric at an equilibrium, where the method does such things by itself.
+    fn renew_metric(&mut self, state: &State) -> Result<(), FemError> {
+        match self.problem.settings.method {
+            Method::Auto => self.metric.renew(self.problem, state, self.workspace),
+            Method::Newton | Method::QuasiNewton => Ok(()),
         }
     }
 

@@ -47,8 +47,27 @@ impl Metric {
         self.factor.diagonal_norm() / self.scale
     }
 
+    /// Replace by the tangent at a state; kept as it is where no factor of that can be made.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::TooLarge`].
+    pub(crate) fn renew(
+        &mut self,
+        problem: &Problem,
+        state: &State,
+        workspace: &mut Workspace,
+    ) -> Result<(), FemError> {
+        match Self::at_state(problem, state, workspace) {
+            Ok(metric) => *self = metric,
+            Err(FemError::SingularStiffness { .. }) => {}
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
     /// Metric of the tangent at a state; positive definite by clamping where the tangent is not.
-    pub(crate) fn at_state(
+    fn at_state(
         problem: &Problem,
         state: &State,
         workspace: &mut Workspace,

@@ -100,7 +100,7 @@ impl Minimiser {
             }
             self.history.push(residual);
             if self.wants_refresh(problem, tolerance, fresh) {
-                *metric = Metric::at_state(problem, state, workspace)?;
+                metric.renew(problem, state, workspace)?;
                 self.memory.clear();
                 self.history.clear();
                 self.history.push(residual);
@@ -114,7 +114,7 @@ impl Minimiser {
                 // The memory may be misled by curvature that has gone; the bare metric descends.
                 self.memory.clear();
             } else if problem.settings.method == Method::Auto && !fresh {
-                *metric = Metric::at_state(problem, state, workspace)?;
+                metric.renew(problem, state, workspace)?;
                 fresh = true;
             } else {
                 return Ok(ended(Some(StopReason::Stalled)));
