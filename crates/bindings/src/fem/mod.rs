@@ -168,7 +168,7 @@ impl Body {
     /// Equilibrium under one load. The arrays given must not be written to meanwhile.
     #[pyo3(signature = (young, poisson, *, forces=None, body_force=None, prescribed=None, start=None, tolerance=1e-9,
                         max_iterations=1000, method="auto", load_steps=0, threads=0))]
-    #[allow(clippy::too_many_arguments)]
+    #[allow(clippy::too_many_arguments)] // keywords in Python
     fn solve(
         &self,
         py: Python<'_>,
@@ -222,7 +222,7 @@ impl Body {
     /// Equilibria of many members, in parallel, each on one thread. The arrays given must not be written to meanwhile.
     #[pyo3(signature = (young, poisson, *, forces=None, body_force=None, prescribed=None, tolerance=1e-9,
                         max_iterations=1000, method="auto", load_steps=0, threads=0, progress=None))]
-    #[allow(clippy::too_many_arguments)]
+    #[allow(clippy::too_many_arguments)] // keywords in Python
     fn solve_many(
         &self,
         py: Python<'_>,
