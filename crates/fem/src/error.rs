@@ -220,10 +220,10 @@ impl FemError {
 /// Why an equilibrium search ended, and the last good state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "no equilibrium at load fraction {tried_fraction:.4} after {iterations} iterations: residual {residual:.3e} mN, \
-     asked for {tolerance:.3e} mN; the last equilibrium found is at load fraction {load_fraction:.4}; {reason}; \
-     smallest det F = {min_det_f:.3e}, worst tetrahedra {}; {}",
-    worst_list(.worst_tets), .reason.suggestion()
+    "no equilibrium at load fraction {tried_fraction:.4} after {iterations} iterations{}; the last \
+     equilibrium found is at load fraction {load_fraction:.4}; {reason}; smallest det F = \
+     {min_det_f:.3e}, worst tetrahedra {}; {}",
+    residual_clause(*.residual, *.tolerance), worst_list(.worst_tets), .reason.suggestion()
 )]
 pub struct NoEquilibrium {
     /// Largest fraction of the load for which an equilibrium was found.
@@ -232,9 +232,10 @@ pub struct NoEquilibrium {
     pub tried_fraction: f64,
     /// Iterations done in all.
     pub iterations: usize,
-    /// Norm of the residual forces at the end, mN.
+    /// Norm of the residual forces at the end, mN; 0 where supports could not be moved, so that
+    /// no forces were balanced.
     pub residual: f64,
-    /// Norm that was asked for, mN.
+    /// Norm that was asked for, mN; 0 in the same case.
     pub tolerance: f64,
     /// Smallest det F of the state where the search ended, dimensionless.
     pub min_det_f: f64,
@@ -291,6 +292,13 @@ impl StopReason {
             Self::Stalled => "ask for a tolerance above the rounding of these forces",
         }
     }
+}
+
+fn residual_clause(residual: f64, tolerance: f64) -> String {
+    if tolerance == 0.0 {
+        return String::new();
+    }
+    format!(": residual {residual:.3e} mN, asked for {tolerance:.3e} mN")
 }
 
 fn worst_list(worst: &[WorstTet]) -> String {

@@ -140,7 +140,7 @@ impl Path<'_> {
         if !self.move_supports(state, target) {
             return Ok(Ended {
                 stop: Some(StopReason::PrescribedInverts),
-                residual: f64::NAN,
+                residual: 0.0,
                 tolerance: 0.0,
                 iterations: 0,
             });
