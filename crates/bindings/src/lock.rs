@@ -14,45 +14,54 @@ use rayon::ThreadPool;
 /// How often signals are looked for.
 const POLL: Duration = Duration::from_millis(50);
 
+/// How long cancelled work is waited for; a factorisation under way cannot be cut short.
+const PATIENCE: Duration = Duration::from_millis(500);
+
 /// Runs `work` on a thread of its own, without the lock, and returns what it returns.
 ///
 /// Meanwhile `tick` is called every 50 ms, and once at the end, and signals are looked for. If either raises, `cancel`
-/// is set, the work is waited for (it looks at `cancel` often), and the exception goes on.
-pub(crate) fn run_watched<T: Send>(
+/// is set and the exception goes on: at once where the work looks at `cancel` often, and after half a second in any
+/// case. Work that is left behind ends by itself at its next look; this is why it owns all it uses.
+pub(crate) fn run_watched<T: Send + 'static>(
     py: Python<'_>,
     cancel: &AtomicBool,
     mut tick: impl FnMut(Python<'_>) -> PyResult<()>,
-    work: impl FnOnce() -> T + Send,
+    work: impl FnOnce() -> T + Send + 'static,
 ) -> PyResult<T> {
-    std::thread::scope(|scope| {
-        let (finished, mut waiting) = mpsc::channel::<()>();
-        let worker = scope.spawn(move || {
-            // Dropped when the work is done, and when it panics.
-            let _finished = finished;
-            work()
-        });
-        let mut raised = None;
-        loop {
-            let (receiver, said) = py.detach(move || {
-                let said = waiting.recv_timeout(POLL);
-                (waiting, said)
-            });
-            waiting = receiver;
-            if raised.is_none() {
-                raised = py.check_signals().and_then(|()| tick(py)).err();
-            }
-            if raised.is_some() {
-                cancel.store(true, Ordering::Relaxed);
-            }
-            if said == Err(RecvTimeoutError::Disconnected) {
-                break;
-            }
+    let (finished, mut waiting) = mpsc::channel::<()>();
+    let worker = std::thread::Builder::new().spawn(move || {
+        // Dropped when the work is done, and when it panics.
+        let _finished = finished;
+        work()
+    })?;
+    loop {
+        let (receiver, said) = wait(py, waiting, POLL);
+        waiting = receiver;
+        if let Err(error) = py.check_signals().and_then(|()| tick(py)) {
+            cancel.store(true, Ordering::Relaxed);
+            let _ended_or_left = wait(py, waiting, PATIENCE);
+            return Err(error);
         }
-        match (py.detach(|| worker.join()), raised) {
-            (Err(panic), _) => std::panic::resume_unwind(panic),
-            (Ok(_), Some(error)) => Err(error),
-            (Ok(value), None) => Ok(value),
+        if said == Err(RecvTimeoutError::Disconnected) {
+            return match py.detach(|| worker.join()) {
+                Ok(value) => Ok(value),
+                Err(panic) => std::panic::resume_unwind(panic),
+            };
         }
+    }
+}
+
+type Waiting = mpsc::Receiver<()>;
+
+/// Waits without the lock until the sender is dropped, or for some time.
+fn wait(
+    py: Python<'_>,
+    waiting: Waiting,
+    time: Duration,
+) -> (Waiting, Result<(), RecvTimeoutError>) {
+    py.detach(move || {
+        let said = waiting.recv_timeout(time);
+        (waiting, said)
     })
 }
 

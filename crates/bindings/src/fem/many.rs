@@ -89,9 +89,9 @@ impl Members {
 
     /// Solves all; calls `progress` with the number of finished members whenever it has grown.
     pub(super) fn solve(
-        &self,
+        self,
         py: Python<'_>,
-        body: &Body,
+        body: &Arc<Body>,
         settings: SolveSettings,
         progress: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<ManySolutions> {
@@ -102,12 +102,13 @@ impl Members {
             progress: Some(finished.clone()),
             ..settings
         };
-        let members: Vec<Member> = self
-            .materials
-            .iter()
-            .zip(&self.loads)
-            .map(|(material, load)| Member { material, load, start: None })
-            .collect();
+        let shared = body.clone();
+        let work = move || {
+            let pairs = self.materials.iter().zip(&self.loads);
+            let members: Vec<Member> =
+                pairs.map(|(material, load)| Member { material, load, start: None }).collect();
+            solve_many(&shared, &members, &settings)
+        };
         let mut said = 0;
         let tick = |_: Python<'_>| {
             let now = finished.load(Ordering::Relaxed);
@@ -117,8 +118,7 @@ impl Members {
             }
             Ok(())
         };
-        let outcomes =
-            lock::run_watched(py, &cancel, tick, || solve_many(body, &members, &settings))?;
+        let outcomes = lock::run_watched(py, &cancel, tick, work)?;
         collect(py, body, outcomes, tolerance)
     }
 }

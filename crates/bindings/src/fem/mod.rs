@@ -51,7 +51,7 @@ fn mesh_of(py: Python<'_>, nodes: &Bound<'_, PyAny>, tets: &Bound<'_, PyAny>) ->
 
 /// A supported mesh, analysed once for any number of solves.
 #[pyclass(frozen, module = "tissuereg._core")]
-pub(crate) struct Body(tissuereg_fem::Body);
+pub(crate) struct Body(Arc<tissuereg_fem::Body>);
 
 #[pymethods]
 impl Body {
@@ -73,7 +73,7 @@ impl Body {
         let held = held.indices::<1>(py, "held_nodes", Class::Support)?.into_flattened();
         let mesh = mesh_of(py, nodes, tets)?;
         let body = py.detach(|| tissuereg_fem::Body::new(mesh, element, held));
-        body.map(Self).map_err(|error| errors::from_fem(py, &error, None))
+        body.map(|body| Self(Arc::new(body))).map_err(|error| errors::from_fem(py, &error, None))
     }
 
     /// Undeformed positions of all nodes, float64 (n_nodes, 3), mm: corner nodes, then mid-edge nodes.
@@ -165,7 +165,7 @@ impl Body {
         arrays::from_points(py, forces.map_err(|error| errors::from_fem(py, &error, None))?)
     }
 
-    /// Equilibrium under one load. The arrays given must not be written to meanwhile.
+    /// Equilibrium under one load.
     #[pyo3(signature = (young, poisson, *, forces=None, body_force=None, prescribed=None, start=None, tolerance=1e-9,
                         max_iterations=1000, method="auto", load_steps=0, threads=0))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
@@ -204,22 +204,19 @@ impl Body {
             body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
             prescribed: prescribed.map(|rows| rows.rows::<3>().to_vec()),
         };
-        let start = start.as_ref().map(View::rows::<3>);
+        let start = start.map(|rows| rows.rows::<3>().to_vec());
+        let body = self.0.clone();
         let cancel = Arc::new(AtomicBool::new(false));
         let settings = SolveSettings { cancel: Some(cancel.clone()), ..settings };
-        let answer = lock::run_watched(
-            py,
-            &cancel,
-            |_| Ok(()),
-            || match start {
-                None => tissuereg_fem::solve(body, &material, &load, &settings),
-                Some(start) => tissuereg_fem::solve_from(body, &material, &load, start, &settings),
-            },
-        )?;
+        let work = move || match start {
+            None => tissuereg_fem::solve(&body, &material, &load, &settings),
+            Some(start) => tissuereg_fem::solve_from(&body, &material, &load, &start, &settings),
+        };
+        let answer = lock::run_watched(py, &cancel, |_| Ok(()), work)?;
         Solution::new(py, answer.map_err(mapped)?, tolerance)
     }
 
-    /// Equilibria of many members, in parallel, each on one thread. The arrays given must not be written to meanwhile.
+    /// Equilibria of many members, in parallel, each on one thread.
     #[pyo3(signature = (young, poisson, *, forces=None, body_force=None, prescribed=None, tolerance=1e-9,
                         max_iterations=1000, method="auto", load_steps=0, threads=0, progress=None))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
