@@ -97,7 +97,7 @@ class Checkpoint:
             whole = torch.load(self.path, weights_only=True)
             missing = {"fingerprint", "model", "optimiser", *_STATE} - set(whole)
         except Exception as error:  # torch raises pickle, zip, runtime and type errors for spoilt files
-            message = f"{self.path} must be a whole checkpoint: {error}. Start anew with --fresh"
+            message = f"{self.path} must be a whole checkpoint: {str(error).splitlines()[0]}. Start anew with --fresh"
             raise CheckpointError(message, where=str(self.path)) from error
         if missing:
             message = f"{self.path} must be a whole checkpoint; it lacks {', '.join(sorted(missing))}. Use --fresh"

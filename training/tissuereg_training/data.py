@@ -228,10 +228,11 @@ def _read_card(folder: Path) -> dict[str, Any]:
 
 def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                message = f"{path} must be an .npz archive, got a single array"
-                raise FormatError(message, where=str(path))
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            message = f"{path} must be an .npz archive, got a single array"
+            raise FormatError(message, where=str(path))
+        with archive:
             missing = [name for name in names if name not in archive]
             if missing:
                 message = f"{path} must hold {', '.join(names)}; it lacks {', '.join(missing)}"

@@ -5,11 +5,11 @@ Batch-first inside, `(batch, n_nodes, channels)`. A convolution takes one of two
 * **Encoder**, coefficients first: `gather_neighbours` (n, D) lists every node's neighbours, padded to the largest
   degree D; `mix` is a product of the padded coefficients (n, M, D) with the gathered features, `multiply_bases` the
   product over (M, I).
-* **Decoder**, bases first: `multiply_bases` is one product with (I, M O); then unpooling and the sum over neighbours are one
-  table. Both are linear with nothing between them, so `c_ikm = sum_j a_ijm rho'_jk` stands for the two, and its edges
-  (fine node i, coarse node k) are *fewer* than the convolution's own. Stored by edges, it is laid out in full,
+* **Decoder**, bases first: `multiply_bases` is one product with (I, M O); then unpooling and the sum over neighbours
+  are one table. Both are linear with nothing between them, so `c_ikm = sum_j a_ijm rho'_jk` stands for the two, and its
+  edges (fine node i, coarse node k) are *fewer* than the convolution's own. Stored by edges, it is laid out in full,
   (n_fine, n_coarse M), when the file is loaded (`scatter_edges`, folded by onnxruntime), because a dense product beats
-  a gather there: at 1,213 nodes by far. Above `DENSE_LIMIT` the neighbours are gathered instead.
+  a gather there: 8 to 16 times at 1,213 nodes. Above `DENSE_LIMIT` the neighbours are gathered instead.
 
 The decoder's input `nodes` has a default, all nodes in order; given, the last layer is computed at those nodes alone.
 """

@@ -190,7 +190,7 @@ def _epoch(
         torch.nn.utils.clip_grad_norm_(model.parameters(), settings.gradient_limit)
         optimiser.step()
         sums += (missed.item(), kl.item())
-    return {"reconstruction": sums[0] / n_batches, "kl": sums[1] / n_batches}
+    return {"reconstruction": float(sums[0] / n_batches), "kl": float(sums[1] / n_batches)}
 
 
 def _blended(train: torch.Tensor, rows: Any, share: float, rng: np.random.Generator) -> torch.Tensor:

@@ -45,9 +45,10 @@ class VertexConv(nn.Module):
         self.mixes_first = n_in < n_out
         self.pattern = EdgePattern(edges, n_nodes, n_nodes, n_bases)
         degree = len(edges) / n_nodes
-        # Variance is kept: a sum over M bases, `degree` neighbours and `n_in` channels of unit terms.
-        self.coefficients = nn.Parameter(torch.randn(n_bases, len(edges)) / (degree * n_bases) ** 0.5)
-        self.bases = nn.Parameter(torch.randn(n_bases, n_in, n_out) / n_in**0.5)
+        # Small coefficients beside bases of size one: Adam's steps, alike for all, then move the coefficients most.
+        # Starts of the same product but other shares (a / sqrt(degree M), B / sqrt(I)) learned far more slowly.
+        self.coefficients = nn.Parameter(torch.randn(n_bases, len(edges)) / (degree * n_bases))
+        self.bases = nn.Parameter(torch.randn(n_bases, n_in, n_out))
         self.bias = nn.Parameter(torch.zeros(n_out))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:

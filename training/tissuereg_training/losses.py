@@ -72,5 +72,5 @@ def one_cycle(step: int, n_steps: int, peak: float, rise: float) -> float:
 
 def kl_share(epoch: int, n_epochs: int, warmup: float) -> float:
     """Return the share of the KL weight in force in an epoch, 0-based: linear over the warm-up, then one."""
-    n_warm = warmup * n_epochs
+    n_warm = int(warmup * n_epochs)
     return 1.0 if epoch >= n_warm else epoch / n_warm

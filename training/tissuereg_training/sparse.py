@@ -63,7 +63,6 @@ class EdgePattern:
         self._rows_t = _int32(np.concatenate([[0], np.cumsum(counts)]))
         self._columns_t = _int32(row[order])
         self._order_t = torch.from_numpy(order)
-        self._zeros = self._csr(torch.zeros(n_values * n_edges))
 
     @property
     def n_edges(self) -> int:
@@ -83,7 +82,8 @@ class EdgePattern:
 
     def sampled(self, spread_side: torch.Tensor, other_side: torch.Tensor) -> torch.Tensor:
         """Return the product of (M * n_owners, w) and (n_others, w) transposed, at the pattern, (M, n_edges)."""
-        product = torch.sparse.sampled_addmm(self._zeros, spread_side, other_side.t(), beta=0.0)
+        zeros = self._csr(torch.zeros(self.n_values * self.n_edges, dtype=spread_side.dtype))
+        product = torch.sparse.sampled_addmm(zeros, spread_side, other_side.t(), beta=0.0)
         values: torch.Tensor = product.values()
         return values.view(self.n_values, -1)
 
@@ -214,7 +214,7 @@ def _split_product(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
     if n_columns < _NARROW:
         joined = left @ right.transpose(0, 1).reshape(left.shape[1], -1)
         return joined.view(-1, n_bases, n_columns).transpose(0, 1).contiguous()
-    result = torch.empty(n_bases, left.shape[0], n_columns)
+    result = left.new_empty(n_bases, left.shape[0], n_columns)
     for factor, out in zip(right, result, strict=True):
         torch.mm(left, factor, out=out)
     return result
@@ -232,7 +232,7 @@ def _joined_product(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
 
 def _product(matrix: torch.Tensor, dense: torch.Tensor) -> torch.Tensor:
     # `matrix @ dense` would fill, copy and fill again before the product is written.
-    result = torch.empty(matrix.shape[0], dense.shape[1])
+    result = dense.new_empty(matrix.shape[0], dense.shape[1])
     return torch.addmm(result, matrix, dense, beta=0.0, out=result)
 
 

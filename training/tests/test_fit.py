@@ -1,0 +1,211 @@
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from tissuereg_training.checkpoint import Checkpoint
+from tissuereg_training.data import split_members
+from tissuereg_training.errors import CheckpointError, DivergenceError, EnsembleError
+from tissuereg_training.evaluate import code_spread, codes, mean_error, measured_prior
+from tissuereg_training.fit import fit, new_model, set_normalisation
+from tissuereg_training.graph import hierarchy
+from tissuereg_training.losses import kl_divergence, kl_share, one_cycle, reconstruction
+from tissuereg_training.pca import pca_error
+from tissuereg_training.recipe import TrainSettings
+
+from conftest import make_block, smooth_fields
+
+SETTINGS = TrainSettings(epochs=6, batch=8, n_latent=4, channels=(4, 8), kl_weight=1e-3)
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def block():
+    return make_block(4, 4, 4)
+
+
+@pytest.fixture(scope="module")
+def fields(block):
+    return smooth_fields(block, 60, 1)
+
+
+@pytest.fixture
+def start(block, fields):
+    split = split_members(60, 0, 4)
+    levels = hierarchy(block.n_nodes, block.tets, 2)
+
+    def make(settings=SETTINGS):
+        model = new_model(levels, settings, 0)
+        set_normalisation(model, fields[split.train])
+        return model, split
+
+    return make
+
+
+def test_a_resumed_training_equals_an_uninterrupted_one(start, fields, tmp_path, monkeypatch):
+    settings = dataclasses.replace(SETTINGS, mixing=0.5)
+    whole, split = start(settings)
+    state = fit(whole, fields, split, settings, seed=7)
+
+    killed, _ = start(settings)
+    checkpoint = Checkpoint(tmp_path / "c", "same")
+    save = Checkpoint.save
+
+    def save_and_stop(self, model, optimiser, state):
+        save(self, model, optimiser, state)
+        if state.epoch == 4:
+            raise Stop
+
+    monkeypatch.setattr(Checkpoint, "save", save_and_stop)
+    with pytest.raises(Stop):
+        fit(killed, fields, split, settings, seed=7, checkpoint=checkpoint)
+    monkeypatch.undo()
+    resumed, _ = start(settings)
+    again = fit(resumed, fields, split, settings, seed=7, checkpoint=checkpoint)
+
+    assert (again.epoch, again.best_epoch) == (state.epoch, state.best_epoch) == (6, state.best_epoch)
+    for a, b in zip(whole.parameters(), resumed.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)  # the same bits
+    assert [r["valid_mm"] for r in again.history] == [r["valid_mm"] for r in state.history]
+
+
+def test_checkpoints_of_another_run_or_spoilt_ones_are_refused(start, fields, tmp_path):
+    model, split = start()
+    settings = dataclasses.replace(SETTINGS, epochs=1)
+    fit(model, fields, split, settings, seed=0, checkpoint=Checkpoint(tmp_path, "mine"))
+    with pytest.raises(CheckpointError, match="another run's"):
+        fit(model, fields, split, settings, seed=0, checkpoint=Checkpoint(tmp_path, "yours"))
+    (tmp_path / "last.pt").write_bytes(b"spoilt")
+    with pytest.raises(CheckpointError, match="whole checkpoint"):
+        fit(model, fields, split, settings, seed=0, checkpoint=Checkpoint(tmp_path, "mine"))
+
+
+def test_the_best_validation_epoch_after_the_warm_up_is_kept(start, fields):
+    model, split = start()
+    state = fit(model, fields, split, SETTINGS, seed=0)
+    allowed = {r["epoch"]: r["valid_mm"] for r in state.history if kl_share(int(r["epoch"]) - 1, 6, 0.3) == 1.0}
+    assert state.best_epoch == min(allowed, key=allowed.get)
+    assert min(allowed) == 2
+    assert mean_error(model, fields[split.valid]) == pytest.approx(allowed[state.best_epoch], rel=1e-6)
+
+
+def test_the_same_seed_gives_the_same_network_and_another_seed_another(start, fields):
+    ends = []
+    for seed in (0, 0, 1):
+        model, split = start()
+        fit(model, fields, split, dataclasses.replace(SETTINGS, epochs=2), seed=seed)
+        ends.append(torch.cat([p.detach().ravel() for p in model.parameters()]))
+    assert torch.equal(ends[0], ends[1])
+    assert not torch.equal(ends[0], ends[2])
+
+
+def test_a_loss_that_leaves_the_finite_numbers_is_reported(start, fields):
+    model, split = start()
+    with torch.no_grad():
+        model.fully_connected.bias[0] = torch.nan
+    with pytest.raises(DivergenceError, match="loss must stay finite"):
+        fit(model, fields, split, SETTINGS, seed=0)
+
+
+def test_equal_fields_are_refused(start, fields):
+    model, _ = start()
+    with pytest.raises(DivergenceError, match="all the same"):
+        set_normalisation(model, np.repeat(fields[:1], 40, axis=0))
+
+
+def test_a_field_is_not_centred_on_itself(start, fields):
+    model, _ = start()
+    shift = np.array([5.0, 0.0, 0.0], np.float32)
+    there, moved = (codes(model, fields[:3] + s)[0] for s in (0.0 * shift, shift))
+    assert (there - moved).abs().max() > 1e-3
+    x = model.normalised(torch.from_numpy(fields[:3] + shift)) - model.normalised(torch.from_numpy(fields[:3]))
+    torch.testing.assert_close(x[..., 0], torch.full((3, 64), 5.0) / model.scale_mm, rtol=1e-4, atol=1e-4)
+
+
+def test_kl_draws_the_codes_towards_the_unit_gaussian(start, fields):
+    ends = {}
+    for weight in (1e-6, 1e-2):
+        settings = dataclasses.replace(SETTINGS, kl_weight=weight, kl_warmup=0.0, epochs=250)
+        model, split = start(settings)
+        history = fit(model, fields, split, settings, seed=0).history
+        spread = code_spread(model, fields[split.train], 0)
+        ends[weight] = (history[-1]["kl"], spread["aggregate_std_mean"])
+    assert ends[1e-2][0] < 0.6 * ends[1e-6][0]
+    # Means and variances together have the prior's spread, though the means alone have not.
+    assert ends[1e-2][1] == pytest.approx(1.0, abs=0.15)
+
+
+def test_kl_is_that_of_two_gaussians_and_zero_at_the_prior():
+    assert kl_divergence(torch.zeros(2, 3), torch.zeros(2, 3)).tolist() == [0, 0, 0]
+    mean, log_variance = torch.tensor([[0.7]]), torch.tensor([[-1.2]])
+    q = torch.distributions.Normal(mean, torch.exp(0.5 * log_variance))
+    wanted = torch.distributions.kl_divergence(q, torch.distributions.Normal(0.0, 1.0))
+    torch.testing.assert_close(kl_divergence(mean, log_variance), wanted.ravel())
+
+
+def test_schedules_start_low_peak_once_and_end_at_nothing():
+    rates = np.array([one_cycle(s, 200, 2e-3, 0.3) for s in range(200)])
+    assert rates.max() == pytest.approx(2e-3, rel=1e-3)
+    assert 55 <= rates.argmax() <= 65
+    assert rates[0] == pytest.approx(8e-5)
+    assert rates[-1] < 1e-6
+    assert (np.diff(np.sign(np.diff(rates))) != 0).sum() == 1
+    assert [kl_share(e, 10, 0.4) for e in (0, 1, 2, 4, 9)] == [0.0, 0.25, 0.5, 1.0, 1.0]
+    assert one_cycle(0, 1, 2e-3, 0.3) > 0
+    assert kl_share(0, 10, 0.0) == kl_share(0, 1, 0.3) == kl_share(9, 10, 0.99) == 1.0
+
+
+def test_reconstruction_terms_are_what_they_are_called():
+    found, wanted = torch.zeros(1, 2, 3), torch.tensor([[[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]]])
+    assert reconstruction(found, wanted, "distance").item() == pytest.approx(2.5, abs=1e-3)
+    assert reconstruction(found, wanted, "squared").item() == pytest.approx(25 / 6)
+
+
+def test_mismatch_is_measured_about_zero_and_replaced_by_the_spread_where_there_are_no_pairs(start, fields):
+    model, split = start()
+    said, true = fields[:9], fields[20:29]
+    prior = measured_prior(model, fields[split.train], said, true)
+    apart = (codes(model, true)[0] - codes(model, said)[0]).numpy()
+    np.testing.assert_allclose(prior["mismatch_covariance"], apart.T @ apart / 9, rtol=1e-4, atol=1e-7)
+    mean, log_variance = codes(model, fields[split.train])
+    wanted = np.cov(mean.numpy().T) + np.diag(np.exp(log_variance.numpy()).mean(axis=0))
+    np.testing.assert_allclose(prior["covariance"], wanted, rtol=1e-4, atol=1e-6)
+    alone = measured_prior(model, fields[split.train], said[:0], true[:0])
+    assert alone["mismatch_covariance"] == alone["covariance"]
+    assert alone["mismatch_pairs"] == 0
+
+
+def test_pca_is_exact_at_full_rank_and_equals_the_singular_value_decomposition():
+    rng = np.random.default_rng(0)
+    low = (rng.normal(size=(30, 3)) @ rng.normal(size=(3, 60)) + 2.0).reshape(30, 20, 3).astype(np.float32)
+    assert pca_error(low[:20], low[20:], 3) < 1e-5
+    high = rng.normal(size=(30, 20, 3)).astype(np.float32)
+    mean = high[:20].mean(axis=0)
+    _, _, v = np.linalg.svd((high[:20] - mean).reshape(20, -1), full_matrices=False)
+    rows = (high[20:] - mean).reshape(10, -1)
+    missed = (rows - rows @ v[:5].T @ v[:5]).reshape(10, 20, 3)
+    assert pca_error(high[:20], high[20:], 5) == pytest.approx(np.linalg.norm(missed, axis=2).mean(), rel=1e-5)
+
+
+def test_splits_are_80_10_10_disjoint_and_seeded():
+    split = split_members(300, 4, 26)
+    assert [len(s) for s in (split.train, split.valid, split.test)] == [240, 30, 30]
+    assert len(set(np.concatenate([split.train, split.valid, split.test]).tolist())) == 300
+    assert np.array_equal(split.test, split_members(300, 4, 26).test)
+    assert not np.array_equal(split.test, split_members(300, 5, 26).test)
+    for n in (5, 32):
+        with pytest.raises(EnsembleError, match=f"got {n} members"):
+            split_members(n, 0, 26)
+
+
+def test_a_start_depends_on_the_seed_alone(start):
+    torch.manual_seed(1)
+    first = copy.deepcopy(start()[0].state_dict())
+    torch.manual_seed(2)
+    for name, value in start()[0].state_dict().items():
+        assert torch.equal(value, first[name])
