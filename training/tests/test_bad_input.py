@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import RECIPE, make_workplace
 
 from tissuereg_training.errors import ExperimentError
 from tissuereg_training.recipe import TrainSettings, read_recipe
-
-from conftest import RECIPE, make_workplace
 
 
 def spoil(path, **arrays):
@@ -136,7 +135,7 @@ def test_too_few_members(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text, words",
+    ("text", "words"),
     [
         ("[train]\nepoch = 3", r"and nothing else, got: epoch"),
         ("[trian]\n", r"nothing else, got: trian"),

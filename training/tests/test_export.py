@@ -4,6 +4,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from conftest import make_block, smooth_fields
 
 from tissuereg_training import export
 from tissuereg_training.errors import ParityError
@@ -11,8 +12,6 @@ from tissuereg_training.evaluate import codes, decoded
 from tissuereg_training.export import decoder_onnx, decoder_weights, encoder_onnx, folded_edges
 from tissuereg_training.graph import hierarchy
 from tissuereg_training.parity import checked_parity, onnx_session
-
-from conftest import make_block, smooth_fields
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +57,7 @@ def test_onnx_says_what_torch_says(model, block):
 
 
 @pytest.mark.parametrize(
-    "part, table",
+    ("part", "table"),
     [
         ("encoder", "encoder/conv2/coefficients"),
         ("encoder", "encoder/log_variance/bias"),

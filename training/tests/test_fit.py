@@ -4,6 +4,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from conftest import make_block, smooth_fields
 
 from tissuereg_training.checkpoint import Checkpoint
 from tissuereg_training.data import split_members
@@ -15,12 +16,10 @@ from tissuereg_training.losses import kl_divergence, kl_share, one_cycle, recons
 from tissuereg_training.pca import pca_error
 from tissuereg_training.recipe import TrainSettings
 
-from conftest import make_block, smooth_fields
-
 SETTINGS = TrainSettings(epochs=6, batch=8, n_latent=4, channels=(4, 8), kl_weight=1e-3)
 
 
-class Stop(Exception):
+class StopError(Exception):
     pass
 
 
@@ -59,10 +58,10 @@ def test_a_resumed_training_equals_an_uninterrupted_one(start, fields, tmp_path,
     def save_and_stop(self, model, optimiser, state):
         save(self, model, optimiser, state)
         if state.epoch == 4:
-            raise Stop
+            raise StopError
 
     monkeypatch.setattr(Checkpoint, "save", save_and_stop)
-    with pytest.raises(Stop):
+    with pytest.raises(StopError):
         fit(killed, fields, split, settings, seed=7, checkpoint=checkpoint)
     monkeypatch.undo()
     resumed, _ = start(settings)

@@ -23,7 +23,7 @@ def test_the_graph_has_the_edges_of_the_tets_and_a_loop_at_every_node():
     assert np.array_equal(graph[4], [0, 0, 0, 0, 1])
 
 
-@pytest.mark.parametrize("coarse_edges, reach", [("wide", 3), ("reduced", 2)])
+@pytest.mark.parametrize(("coarse_edges", "reach"), [("wide", 3), ("reduced", 2)])
 def test_centres_cover_every_node_stand_apart_and_are_joined_within_the_reach(block_1331, coarse_edges, reach):
     levels = hierarchy(block_1331.n_nodes, block_1331.tets, 1, coarse_edges)
     graph, centres = graph_of_tets(block_1331.n_nodes, block_1331.tets), levels.centres[0]

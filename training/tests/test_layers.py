@@ -1,12 +1,11 @@
 import numpy as np
 import pytest
 import torch
+from conftest import make_block
 
 from tissuereg_training.graph import hierarchy
 from tissuereg_training.layers import DensityPool, VertexConv
 from tissuereg_training.sparse import EdgePattern, collect, products, spread, sum_of_products
-
-from conftest import make_block
 
 EDGES = np.array([[0, 0], [0, 2], [1, 0], [1, 1], [1, 3], [2, 2], [2, 3]])
 
@@ -40,7 +39,7 @@ def test_hand_written_gradients_agree_with_finite_differences():
         assert torch.autograd.gradcheck(sum_of_products, (double(2, 4, width), double(2, width, 3)))
 
 
-@pytest.mark.parametrize("n_in, n_out", [(3, 5), (5, 3), (4, 4), (3, 20), (20, 3)])
+@pytest.mark.parametrize(("n_in", "n_out"), [(3, 5), (5, 3), (4, 4), (3, 20), (20, 3)])
 def test_convolution_and_its_gradients_equal_the_formula_edge_by_edge(n_in, n_out):
     block = make_block(3, 3, 3)
     edges = hierarchy(27, block.tets, 1).edges[0]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import RECIPE, smooth_fields
 
 import tissuereg_training
 from tissuereg_training import pipeline
@@ -16,8 +17,6 @@ from tissuereg_training.cli import main
 from tissuereg_training.data import mesh_digest
 from tissuereg_training.errors import CheckpointError
 from tissuereg_training.parity import onnx_session
-
-from conftest import RECIPE, smooth_fields
 
 FILES = ["decoder.onnx", "decoder_weights.npz", "encoder.onnx", "model.json"]
 

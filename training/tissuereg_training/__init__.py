@@ -3,9 +3,14 @@
 ``train(recipe, data, out)`` does it all; ``python -m tissuereg_training`` and ``tissuereg train`` are its commands.
 """
 
+import os
 from typing import Any
 
 from tissuereg_training.errors import TissueRegError
+
+# Read when torch is loaded. A step is some hundred short parallel regions; threads that wait by spinning make it
+# ten times slower on a machine that has other work, and hardly faster on one that has none.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 def train(*args: Any, **settings: Any) -> dict[str, Any]:

@@ -63,7 +63,7 @@ class TrainSettings:
     learning_rate: float = 2e-3
     rise: float = 0.3
     loss: str = "distance"
-    kl_weight: float = 1e-4
+    kl_weight: float = 1e-3
     kl_warmup: float = 0.3
     mixing: float = 0.0
     n_latent: int = 26
