@@ -15,7 +15,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(scope="session")
 def block_mesh() -> tr.Mesh:
-    """A block of 30 x 20 x 40 mm, 384 tets; the face z = 0 is the node set ``fixed``."""
+    """A block of 30 x 20 x 40 mm, 360 tets; the face z = 0 is the node set ``fixed``."""
     return block()
 
 

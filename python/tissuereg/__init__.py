@@ -22,7 +22,23 @@ from tissuereg.result import Registration
 from tissuereg.simulate import Simulation, Simulator, simulate
 
 __all__ = [
-    "Experiment", "Load", "Markers", "Material", "Mesh", "RegisterSettings", "Registration", "Simulation", "Simulator",
-    "TissueRegError", "__version__", "errors", "phantom", "read_experiment", "read_markers", "read_mesh", "read_targets",
-    "register", "simulate",
-]  # fmt: skip
+    "Experiment",
+    "Load",
+    "Markers",
+    "Material",
+    "Mesh",
+    "RegisterSettings",
+    "Registration",
+    "Simulation",
+    "Simulator",
+    "TissueRegError",
+    "__version__",
+    "errors",
+    "phantom",
+    "read_experiment",
+    "read_markers",
+    "read_mesh",
+    "read_targets",
+    "register",
+    "simulate",
+]

@@ -87,7 +87,7 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
     return np.ascontiguousarray(array, dtype=np.int64)
 
 
-def frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def frozen(array: npt.NDArray[Any]) -> Any:
     """Return a read-only view, so that plain data cannot change under its owner."""
     view = array.view()
     view.flags.writeable = False

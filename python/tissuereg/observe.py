@@ -136,9 +136,11 @@ def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatA
     import trimesh
 
     surface = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
-    feet, _, triangles = trimesh.proximity.closest_point(surface, places)
-    weights = trimesh.triangles.points_to_barycentric(mesh.nodes[mesh.surface[triangles]], feet)
-    weights = np.clip(weights, 0.0, None)
+    proximity: Any = trimesh.proximity  # trimesh leaves these functions without annotations
+    feet, _, triangles = proximity.closest_point(surface, places)
+    corners = mesh.nodes[mesh.surface[triangles]]
+    to_barycentric: Any = trimesh.triangles.points_to_barycentric
+    weights = np.clip(to_barycentric(corners, feet), 0.0, None)
     weights /= weights.sum(axis=1, keepdims=True)
     return np.asarray(triangles, np.int64), np.asarray(weights), np.asarray(feet)
 

@@ -86,7 +86,7 @@ class Posterior:
             held.append(targets.predict(fields[:, targets.nodes]))
         n = latents.shape[1]
         variance = factor * np.maximum(square - np.einsum("ni,ni->n", total, total) / n, 0.0) / (n - 1)
-        own = model.error_fields
+        own = model.errors(ensemble.mean)
         variance += np.mean(np.einsum("eni,eni->en", own, own), axis=0) if len(own) else 0.0
         at_markers, at_targets = np.concatenate(seen), np.concatenate(held)
         error_at_targets = _own_errors(targets.predict(own[:, targets.nodes]))

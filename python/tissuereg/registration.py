@@ -155,26 +155,55 @@ def register(
                 )
             else:
                 latent = _as_model(model, body, threads)
-            measured = marks.displacement[seen].ravel()
-            noise = _noise(latent, observed, marks, seen)
-            predict = _predictor(latent, observed, seen)
-            rng = np.random.default_rng([seed, 2])
-            prior, widening = widened(latent.prior(given), predict, measured, noise, rng)
         with clock.stage("assimilate"):
-            ensemble = assimilate(
-                predict,
-                measured,
-                noise,
-                prior,
-                rng=rng,
-                n_members=settings.n_members,
-                n_steps=settings.n_steps,
-                decrease=settings.decrease,
-                threads=threads,
-            )
+            fit = _fit(latent, given, observed, marks, seen, settings, seed, threads)
         with clock.stage("decode"):
-            posterior = Posterior.of(latent, ensemble, observed, inner)
-    return _result(body, marks, seen, given, latent, prior, widening, noise, ensemble, posterior, inner, clock, seed)
+            posterior = Posterior.of(latent, fit.ensemble, observed, inner)
+    return _result(body, marks, seen, given, latent, fit, posterior, inner, clock, seed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A posterior ensemble with the prior and the noise that gave it."""
+
+    prior: Gaussian
+    widening: float
+    noise: FloatArray
+    ensemble: Assimilation
+
+
+def _fit(
+    latent: LatentModel,
+    simulation: FloatArray | None,
+    observed: MarkerObservation,
+    markers: Markers,
+    seen: Any,
+    settings: RegisterSettings,
+    seed: int,
+    threads: int,
+) -> _Fit:
+    """Return the posterior ensemble: once to find the place, once with the model's error of that place."""
+    measured = markers.displacement[seen].ravel()
+    predict = _predictor(latent, observed, seen)
+    encoded = latent.prior(simulation)
+    place: FloatArray | None = None
+    for _ in range(2):
+        noise = _noise(latent.errors(place), observed, markers, seen)
+        rng = np.random.default_rng([seed, 2])
+        prior, widening = widened(encoded, predict, measured, noise, rng)
+        ensemble = assimilate(
+            predict,
+            measured,
+            noise,
+            prior,
+            rng=rng,
+            n_members=settings.n_members,
+            n_steps=settings.n_steps,
+            decrease=settings.decrease,
+            threads=threads,
+        )
+        place = ensemble.mean
+    return _Fit(prior, widening, noise, ensemble)
 
 
 def _result(
@@ -183,10 +212,7 @@ def _result(
     seen: Any,
     simulation: FloatArray | None,
     latent: LatentModel,
-    prior: Gaussian,
-    widening: float,
-    noise: FloatArray,
-    ensemble: Assimilation,
+    fit: _Fit,
     posterior: Posterior,
     inner: TargetObservation,
     clock: Clock,
@@ -198,18 +224,18 @@ def _result(
     start = observed.predict(before[observed.nodes])
     residual = markers.displacement[seen] - posterior.marker_mean[seen]
     ratios = det_f(mesh, posterior.displacement)
-    off = ensemble.mean - prior.mean
+    off = fit.ensemble.mean - fit.prior.mean
     rows = (3 * seen[:, None] + np.arange(3)).ravel()
     notes = []
-    if widening > 9.0:
-        times = np.sqrt(widening)
+    if fit.widening > 9.0:
+        times = np.sqrt(fit.widening)
         notes.append(f"the simulation is farther off than it usually is: its prior had to be widened {times:.1f}-fold")
     trust = judge(
         tuple(markers.names[i] for i in seen),
         residual,
-        noise,
+        fit.noise,
         posterior.marker_covariance[np.ix_(rows, rows)],
-        float(off @ np.linalg.solve(prior.covariance, off)),
+        float(off @ np.linalg.solve(fit.prior.covariance, off)),
         float(ratios.min()),
         notes,
     )
@@ -232,7 +258,10 @@ def _result(
             markers.names[i]: Target(
                 markers.reference[i],
                 markers.reference[i] + posterior.marker_mean[i],
-                posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] + posterior.marker_error[i],
+                # What a tracker would see: the body's spread and the tracker's own.
+                posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+                + posterior.marker_error[i]
+                + markers.std[i] ** 2 * np.eye(3),
                 None if simulation is None else markers.reference[i] + start[i],
             )
             for i in unseen
@@ -252,7 +281,7 @@ def _result(
         model=dict(latent.card),
         seconds=dict(clock.seconds),
         seed=seed,
-        dropped_members=ensemble.dropped,
+        dropped_members=fit.ensemble.dropped,
     )
 
 
@@ -317,8 +346,8 @@ def _predictor(latent: LatentModel, observed: MarkerObservation, seen: Any) -> C
     return predict
 
 
-def _noise(latent: LatentModel, observed: MarkerObservation, markers: Markers, seen: Any) -> FloatArray:
-    """Return C_d: the tracker's noise and the model's own error at the markers."""
-    errors = observed.predict(latent.error_fields[:, observed.nodes])[:, seen]
+def _noise(own: FloatArray, observed: MarkerObservation, markers: Markers, seen: Any) -> FloatArray:
+    """Return C_d: the tracker's noise and the model's own errors (fields) at the markers."""
+    errors = observed.predict(own[:, observed.nodes])[:, seen]
     tracker = np.repeat(markers.std[seen] ** 2, 3)
     return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), -1)))

@@ -123,7 +123,7 @@ class Registration:
     targets : dict of str to Target
         Inner points.
     unseen : dict of str to Target
-        Where the markers that were not seen must be.
+        Where a tracker would see the markers that were not seen; the covariance includes the tracker's own.
     markers : MarkerFit
         Residuals, used and dropped markers.
     all_markers : Markers

@@ -22,8 +22,8 @@ def own_cache(tmp_path_factory, monkeypatch):
 def leaned(block_mesh):
     """A block pulled sideways at its top: displacement by ten-node elements, twice as stiff, tilted load."""
     top = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] > 40 - 1e-9).all(axis=1)]
-    true_load = tr.Load(traction=(top, (0.55, 0.2, 0.1)))
-    believed = tr.Load(traction=(top, (0.55, 0.05, 0.0)))
+    true_load = tr.Load(traction=(top, (0.2, 0.07, 0.03)))
+    believed = tr.Load(traction=(top, (0.2, 0.02, 0.0)))
     truth = tr.simulate(block_mesh, true_load, tr.Material(16.0, 0.46), element="tet10").displacement
     return truth, believed
 
@@ -102,7 +102,8 @@ def test_a_marker_that_was_not_seen_is_listed_and_predicted(block_mesh, leaned, 
     assert "M5" not in result.markers.used
     predicted = result.unseen["M5"]
     off = predicted.mean - seen.measured[4]
-    assert np.linalg.norm(off) < 0.15 * np.linalg.norm(seen.measured[4] - seen.reference[4])
+    assert off @ np.linalg.solve(predicted.covariance, off) < 16.3  # 99.9 % of chi-square, 3 degrees
+    assert np.sqrt(np.trace(predicted.covariance)) < 0.5 * np.linalg.norm(seen.measured[4] - seen.reference[4])
 
 
 def test_a_marker_ten_sigma_off_is_named(block_mesh, seen):
@@ -125,7 +126,9 @@ def test_a_foreign_simulation_is_the_start_and_is_improved(block_mesh, leaned, s
     said = tr.simulate(block_mesh, believed, tr.Material(8.0, 0.45)).displacement
     result = tr.register(block_mesh, seen, simulation=said, settings=FEW)
     assert result.markers.before_rms_mm > 5 * result.markers.after_rms_mm
-    assert np.linalg.norm(result.displacement - truth, axis=1).mean() < 0.15 * np.linalg.norm(said - truth, axis=1).mean()
+    assert (
+        np.linalg.norm(result.displacement - truth, axis=1).mean() < 0.15 * np.linalg.norm(said - truth, axis=1).mean()
+    )
 
 
 def test_the_phantom_is_registered_by_the_shipped_network():

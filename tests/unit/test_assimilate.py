@@ -71,7 +71,12 @@ def test_too_few_survivors_raise_and_list_the_lost():
     _, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(7))
     with pytest.raises(EnsembleError, match="at least 20 ensemble members must survive, 0 of 50") as caught:
         assimilate(
-            lambda z: np.full((9, z.shape[1]), np.nan), observed, noise, prior, rng=np.random.default_rng(0), n_members=50
+            lambda z: np.full((9, z.shape[1]), np.nan),
+            observed,
+            noise,
+            prior,
+            rng=np.random.default_rng(0),
+            n_members=50,
         )
     assert len(caught.value.dropped) == 50
 

@@ -11,7 +11,7 @@ def test_a_marker_off_the_surface_follows_a_rigid_motion_exactly(block_mesh):
     places = np.array([[20.0, 10.0, 45.0], [-6.0, 12.0, 15.0]])  # 5 mm above the top, 6 mm off a side
     observation = MarkerObservation(block_mesh, places, ("top", "side"))
     turn, shift = Rotation.from_rotvec([0.3, -0.2, 0.5]), np.array([1.0, 2.0, -3.0])
-    field = turn.apply(block_mesh.nodes) + shift - block_mesh.nodes
+    field = turn.apply(block_mesh.nodes.copy()) + shift - block_mesh.nodes
     np.testing.assert_allclose(
         observation.predict(field[observation.nodes]), turn.apply(places) + shift - places, atol=1e-12
     )
@@ -21,7 +21,9 @@ def test_a_marker_on_the_surface_is_linear_in_its_triangle(block_mesh):
     observation = MarkerObservation(block_mesh, [[13.0, 7.0, 40.0]], ("top",))
     gradient = np.array([[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.3, 0.0, 0.05]])
     field = block_mesh.nodes @ gradient.T
-    np.testing.assert_allclose(observation.predict(field[observation.nodes])[0], gradient @ [13.0, 7.0, 40.0], atol=1e-12)
+    np.testing.assert_allclose(
+        observation.predict(field[observation.nodes])[0], gradient @ [13.0, 7.0, 40.0], atol=1e-12
+    )
 
 
 def test_a_marker_far_off_the_body_is_refused(block_mesh):

@@ -25,4 +25,4 @@ def copied_displacement(reference: Any, measured: Any, points: Any) -> FloatArra
     before = float_array("reference", reference, (None, 3))
     after = float_array("measured", measured, (len(before), 3))
     wanted = float_array("points", points, (None, 3))
-    return np.broadcast_to((after - before).mean(axis=0), wanted.shape).copy()
+    return np.tile((after - before).mean(axis=0), (len(wanted), 1))

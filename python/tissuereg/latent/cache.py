@@ -43,7 +43,7 @@ def load_cached(key: str) -> PcaModel | None:
     try:
         with np.load(path, allow_pickle=False) as kept:
             card = json.loads(str(kept["card"]))
-            return PcaModel(kept["centre"], kept["components"], kept["error_fields"], card)
+            return PcaModel(kept["centre"], kept["components"], kept["error_fields"], kept["error_sizes"], card)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
 
@@ -67,6 +67,7 @@ def store_cached(key: str, model: PcaModel) -> None:
                 centre=model.centre,
                 components=model.components,
                 error_fields=model.error_fields,
+                error_sizes=model.error_sizes,
                 card=np.array(json.dumps(model.card)),
             )
         for old in sorted(folder.glob("prior_*.npz"), key=lambda p: p.stat().st_mtime)[:-MOST_FILES]:

@@ -12,7 +12,7 @@ centre, along that motion. The fields' leading principal components about the ce
 import hashlib
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,9 +24,16 @@ from tissuereg.latent.cache import load_cached, store_cached
 from tissuereg.latent.pca import PcaModel
 from tissuereg.load import Load
 from tissuereg.material import Material
-from tissuereg.simulate.sampling import EventSampler, linear_answers
-from tissuereg.simulate.solve import Simulator
-from tissuereg.simulate.variation import Variation
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.sampling import Event, EventSampler, linear_answers
+from tissuereg.simulate.solve import Simulations, Simulator
+from tissuereg.simulate.variation import Variation, random_inclusion
+
+#: A member that needs more iterations is far beyond what tissue does; it fails instead of holding up the others.
+_SOLVE = {"tolerance": 1e-5, "max_iterations": 150}
+
+#: How often the random events are halved where the body cannot bear them.
+_MOST_HALVINGS = 3
 
 #: Half-width of the central 90 % of a unit Gaussian.
 _HALF_90 = 1.6449
@@ -42,8 +49,10 @@ class FittedPriorSettings:
         Simulations.
     n_latent : int
         Principal components kept.
-    held_out_share : float
-        Share of the members that measure what the components miss.
+    n_held_out : int
+        Further simulations, by another model, that measure what the components miss.
+    most_nodes_of_tet10 : int
+        Up to this many nodes that other model has ten-node elements.
     variation : Variation
         Spreads of what is believed.
     least_event_share : float
@@ -54,10 +63,11 @@ class FittedPriorSettings:
 
     n_members: int = 300
     n_latent: int = 26
-    held_out_share: float = 0.15
+    n_held_out: int = 16
+    most_nodes_of_tet10: int = 2500
     variation: Variation = field(default_factory=Variation)
     least_event_share: float = 0.05
-    most_event_share: float = 0.25
+    most_event_share: float = 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +142,7 @@ def fit_prior(
     Warns
     -----
     UserWarning
-        Names the markers whose motion the prior's 90 % range cannot cover.
+        Names the markers whose motion the prior's 90 % range cannot cover; says when the body could not bear the loads.
 
     Notes
     -----
@@ -145,9 +155,9 @@ def fit_prior(
     centre = np.zeros((simulator.mesh.n_nodes, 3)) if simulation is None else simulation
     rng = np.random.default_rng([seed, 1])
     sampler = EventSampler(simulator.mesh, held_nodes=simulator.held_nodes)
-    events = [sampler.draw(rng) for _ in range(settings.n_members)]
+    events = [sampler.draw(rng) for _ in range(settings.n_held_out + settings.n_members)]
     answers, unit = linear_answers(simulator, events, material, threads=threads)
-    share = rng.uniform(0.1, 1.0, settings.n_members)
+    share = rng.uniform(0.1, 1.0, len(events))
     size, uncovered = _event_size(simulator, motion, centre, answers * share[:, None, None], settings)
     if uncovered:
         _warn_uncovered(uncovered)
@@ -156,31 +166,85 @@ def fit_prior(
     if cached is not None:
         return cached
     variations = [settings.variation.draw(load or Load(), material, rng) for _ in events]
-    loads = [e.load(simulator, size * s * u, v[0]) for e, s, u, v in zip(events, share, unit, variations, strict=True)]
-    report = None if progress is None else (lambda done: progress(done, len(loads)))
-    found = simulator.solve_many(loads, [v[1] for v in variations], tolerance=1e-5, threads=threads, progress=report)
-    if len(found.solved) < settings.n_members // 2:
-        message = (
-            f"at least half of the {settings.n_members} simulations behind the prior must find equilibrium, "
-            f"{len(found.solved)} did; first failure: {found.failed[0][1]}"
-        )
-        raise EnsembleError(message, dropped=found.failed)
+    kept = events[settings.n_held_out :], (share * unit)[settings.n_held_out :], variations[settings.n_held_out :]
+    found, loaded = _solve_members(simulator, *kept, size, threads, progress)
     fields = found.displacement[found.solved]
+    others = _held_out(simulator, events, loaded * share * unit, variations, settings, rng, threads)
     if simulation is not None and load is None:
         # A foreign simulation's load is unknown: its own shape, softer or stiffer, stands for the modulus.
-        softness = np.exp(settings.variation.young_log_std * rng.standard_normal(len(fields)))
-        fields = fields + softness[:, None, None] * simulation
-    n_held_out = int(settings.held_out_share * len(fields))
+        softness = np.exp(settings.variation.young_log_std * rng.standard_normal(len(fields) + len(others)))
+        fields = fields + softness[: len(fields), None, None] * simulation
+        others = others + softness[len(fields) :, None, None] * simulation
     model = PcaModel.fit(
-        fields[n_held_out:],
-        fields[:n_held_out],
+        fields,
+        others,
         centre=centre,
         n_latent=settings.n_latent,
-        card={"kind": "pca", "source": "fitted here", "members": len(fields), "event_size_mm": size},
+        card={"kind": "pca", "source": "fitted here", "members": len(fields), "event_size_mm": loaded},
     )
     model.card["pca26_test_error_mm"] = model.card.get("test_error_mm")
     store_cached(key, model)
     return model
+
+
+def _solve_members(
+    simulator: Simulator,
+    events: list[Event],
+    unit: FloatArray,
+    variations: list[tuple[Load, Material]],
+    size: float,
+    threads: int,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Simulations, float]:
+    """Return the members' solutions and the size of the events that the body could bear."""
+    report = None if progress is None else (lambda done: progress(done, len(events)))
+    for halvings in range(_MOST_HALVINGS + 1):
+        scale = size * 0.5**halvings
+        loads = [e.load(simulator, scale * u, v[0]) for e, u, v in zip(events, unit, variations, strict=True)]
+        found = simulator.solve_many(loads, [v[1] for v in variations], threads=threads, progress=report, **_SOLVE)
+        if len(found.solved) >= len(events) // 2:
+            if halvings:
+                warnings.warn(
+                    f"the body cannot bear the loads that its markers' motion asks for: {len(events)} simulations "
+                    f"were repeated at {scale / size:.3g} of their size, and the prior may be too narrow. Give the "
+                    "load or a simulation",
+                    stacklevel=4,
+                )
+            return found, scale
+    message = (
+        f"at least half of the {len(events)} simulations behind the prior must find equilibrium, {len(found.solved)} "
+        f"did; first failure: {found.failed[0][1]}"
+    )
+    raise EnsembleError(message, dropped=found.failed)
+
+
+def _held_out(
+    simulator: Simulator,
+    events: list[Event],
+    scale: FloatArray,
+    variations: list[tuple[Load, Material]],
+    settings: FittedPriorSettings,
+    rng: np.random.Generator,
+    threads: int,
+) -> FloatArray:
+    """Return fields of another model: a stiff ball somewhere and, on small meshes, ten-node elements."""
+    mesh = simulator.mesh
+    small = mesh.n_nodes <= settings.most_nodes_of_tet10
+    other = Simulator(mesh, element="tet10", held_nodes=simulator.held_nodes) if small else simulator
+    n = settings.n_held_out
+    loads = [e.load(other, s, v[0]) for e, s, v in zip(events[:n], scale[:n], variations[:n], strict=True)]
+    materials = [
+        replace(v[1], young=v[1].young_array * random_inclusion(mesh, rng, *_inclusion_range(mesh)))
+        for v in variations[:n]
+    ]
+    found = other.solve_many(loads, materials, threads=threads, **_SOLVE)
+    return found.displacement[found.solved]
+
+
+def _inclusion_range(mesh: Mesh) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return ranges of radius in mm and contrast of the stiff ball that a body may hide."""
+    extent = float(np.max(np.ptp(mesh.nodes, axis=0)))
+    return (0.05 * extent, 0.12 * extent), (1.0, 5.0)
 
 
 def _event_size(

@@ -42,9 +42,19 @@ class LatentModel(Protocol):
         """What the result says of the model: `kind`, `source`, `members`, `test_error_mm`, `pca26_test_error_mm`."""
         ...
 
-    @property
-    def error_fields(self) -> FloatArray:
-        """Truth minus reconstruction of fields the model never saw, mm, shape (n_fields, n_nodes, 3)."""
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the reconstruction errors to expect: truth minus reconstruction of fields the model never saw.
+
+        Parameters
+        ----------
+        latents : ndarray of float64, shape (n_latent,), optional
+            Where the errors are wanted; a typical place where absent.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_fields, n_nodes, 3)
+            mm.
+        """
         ...
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:

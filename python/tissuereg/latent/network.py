@@ -48,8 +48,8 @@ class NetworkModel:
         _check_files(self.folder, card)
         if card["mesh_digest"] != mesh.digest():
             message = (
-                f"the model in {self.folder} must have been trained for this mesh: it knows a mesh of {card['n_nodes']} nodes "
-                f"({card['mesh_digest'][:12]}), got one of {mesh.n_nodes} nodes ({mesh.digest()[:12]}); "
+                f"the model in {self.folder} must have been trained for this mesh: it knows a mesh of {card['n_nodes']} "
+                f"nodes ({card['mesh_digest'][:12]}), got one of {mesh.n_nodes} nodes ({mesh.digest()[:12]}); "
                 "train one (`tissuereg train`) or leave the model out, and a prior is fitted here"
             )
             raise ModelError(message, where=str(self.folder))
@@ -79,9 +79,8 @@ class NetworkModel:
         """Number of mesh nodes."""
         return int(self._card["n_nodes"])
 
-    @property
-    def error_fields(self) -> FloatArray:
-        """Truth minus reconstruction of fields the network never saw, mm, shape (n_fields, n_nodes, 3)."""
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return truth minus reconstruction of fields the network never saw; the same everywhere."""
         return self._errors
 
     def encode(self, field: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -107,9 +106,10 @@ class NetworkModel:
         """Return displacement fields, one a column of `latents`; see `LatentModel.decode`."""
         batches = [latents[:, i : i + _BATCH] for i in range(0, latents.shape[1], _BATCH)]
         extra = {} if nodes is None or not self._has_nodes else {"nodes": np.asarray(nodes, np.int64)}
-        run = lambda batch: self._decoder.run(  # noqa: E731
-            ["displacement"], {"z": np.ascontiguousarray(batch.T, np.float32), **extra}
-        )[0]
+
+        def run(batch: FloatArray) -> Any:
+            return self._decoder.run(["displacement"], {"z": np.ascontiguousarray(batch.T, np.float32), **extra})[0]
+
         if len(batches) == 1:
             fields = run(batches[0])
         else:

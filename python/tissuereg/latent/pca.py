@@ -8,6 +8,9 @@ from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import EnsembleError
 from tissuereg.latent.model import Gaussian
 
+#: A small held-out field says little about the error of one more than this many times its size.
+_MOST_SCALING = 3.0
+
 
 class PcaModel:
     """``field = centre + sum_q components[q] * z[q]`` with unit prior variance a latent.
@@ -20,16 +23,24 @@ class PcaModel:
         Each scaled by its standard deviation, mm.
     error_fields : ndarray of float64, shape (n_fields, n_nodes, 3)
         Truth minus reconstruction of held-out fields, mm.
+    error_sizes : ndarray of float64, shape (n_fields,)
+        Root mean square distance of those fields from the centre, mm.
     card : dict
         What the result says of the model.
     """
 
     def __init__(
-        self, centre: FloatArray, components: FloatArray, error_fields: FloatArray, card: dict[str, Any]
+        self,
+        centre: FloatArray,
+        components: FloatArray,
+        error_fields: FloatArray,
+        error_sizes: FloatArray,
+        card: dict[str, Any],
     ) -> None:
         self.centre = centre
         self.components = components
         self.error_fields = error_fields
+        self.error_sizes = error_sizes
         self.card = card
 
     @classmethod
@@ -82,10 +93,13 @@ class PcaModel:
         components = vectors[:, order].T @ rows / np.sqrt(len(rows))
         largest = np.abs(components).argmax(axis=1)
         components *= np.sign(components[np.arange(len(components)), largest])[:, None]
-        model = cls(centre, components.reshape(-1, *centre.shape), np.empty((0, *centre.shape)), dict(card))
+        model = cls(
+            centre, components.reshape(-1, *centre.shape), np.empty((0, *centre.shape)), np.empty(0), dict(card)
+        )
         if len(held_out):
             latents = np.stack([model.encode(field) for field in held_out], axis=1)
             model.error_fields = held_out - model.decode(latents)
+            model.error_sizes = _rms(held_out - centre)
             model.card["test_error_mm"] = float(np.linalg.norm(model.error_fields, axis=2).mean())
         return model
 
@@ -122,6 +136,25 @@ class PcaModel:
         flat = latents.T @ rows.reshape(self.n_latent, -1)
         return np.asarray(centre + flat.reshape(latents.shape[1], *centre.shape))
 
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the reconstruction errors to expect; see `LatentModel.errors`.
+
+        Notes
+        -----
+        What the components miss grows in proportion to the distance from the centre, so each held-out error is
+        brought to the size of the field that `latents` stand for.
+        """
+        if latents is None or len(self.error_fields) == 0:
+            return self.error_fields
+        size = _rms(self.decode(latents[:, None]) - self.centre)[0]
+        scale = np.minimum(size / np.maximum(self.error_sizes, 1e-12), _MOST_SCALING)
+        return np.asarray(self.error_fields * scale[:, None, None])
+
     def prior(self, simulation: FloatArray | None) -> Gaussian:
         """Return the unit Gaussian about the centre, which is the simulation the model was fitted around."""
         return Gaussian(np.zeros(self.n_latent), np.eye(self.n_latent))
+
+
+def _rms(fields: FloatArray) -> FloatArray:
+    """Return the root mean square node displacement (n_fields,) of fields (n_fields, n_nodes, 3)."""
+    return np.asarray(np.sqrt(np.mean(np.sum(fields**2, axis=2), axis=1)))

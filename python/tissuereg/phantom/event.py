@@ -18,8 +18,8 @@ LESION_MM, LESION_RADIUS_MM, LESION_CONTRAST = (14.0, -10.0, 26.0), 9.0, 4.0
 
 #: The two pushers: outward direction of the pad seen from `_PAD_ORIGIN_MM`, push in mN.
 _PAD_ORIGIN_MM = (0.0, -3.0, 18.0)
-_PUSHERS = (((1.0, 0.1, 0.15), (-950.0, 60.0, -120.0)), ((-0.1, 1.0, 0.2), (60.0, -620.0, -90.0)))
-_PAD_RADIUS_MM = 14.0
+_PUSHERS = (((1.0, 0.1, 0.15), (-6600.0, 400.0, -800.0)), ((-0.1, 1.0, 0.2), (400.0, -4400.0, -600.0)))
+_PAD_RADIUS_MM = 22.0
 
 #: What is believed, and what is true: modulus in kPa, factor on the pushes, their tilt about z in degrees.
 _BELIEVED_YOUNG, _TRUE_YOUNG = 10.0, 12.5

@@ -31,7 +31,7 @@ def registration_figure(result: "Registration") -> Any:
 
     figure = Figure(figsize=(12.5, 5.6), layout="constrained")
     FigureCanvasAgg(figure)
-    colours = None
+    colours: Any = None
     for column, view in enumerate(_VIEWS):
         axes: Any = figure.add_subplot(1, 2, column + 1, projection="3d")
         colours = _draw_body(axes, result)

@@ -7,6 +7,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.load import Load
 from tissuereg.material import Material
+from tissuereg.mesh import Mesh
 
 
 @dataclass(frozen=True)
@@ -66,3 +67,30 @@ def _turn(rng: np.random.Generator, log_std: float, tilt_deg: float) -> FloatArr
 
     vector = np.deg2rad(tilt_deg) * rng.standard_normal(3)
     return np.asarray(Rotation.from_rotvec(vector).as_matrix() * np.exp(log_std * rng.standard_normal()))
+
+
+def random_inclusion(
+    mesh: Mesh, rng: np.random.Generator, radius: tuple[float, float], contrast: tuple[float, float]
+) -> FloatArray:
+    """Return the factor on Young's modulus of every tet that a ball around a random node makes.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    rng : numpy.random.Generator
+        Source of chance.
+    radius : (float, float)
+        Range of the ball's radius in mm.
+    contrast : (float, float)
+        Range of the modulus inside over that outside.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_tets,)
+        `contrast` where a tet's centre lies in the ball, 1 elsewhere.
+    """
+    centres = mesh.nodes[mesh.tets].mean(axis=1)
+    centre = mesh.nodes[rng.integers(mesh.n_nodes)]
+    size, factor = rng.uniform(*radius), rng.uniform(*contrast)
+    return np.where(np.linalg.norm(centres - centre, axis=1) <= size, factor, 1.0)
