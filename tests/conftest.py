@@ -4,11 +4,12 @@ import sys
 from pathlib import Path
 
 import pytest
+
 import tissuereg as tr
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from support.meshes import block  # noqa: E402
+from support.meshes import block
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

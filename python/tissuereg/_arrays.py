@@ -1,6 +1,6 @@
 """The one place where a user's array is checked and, visibly, converted."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +9,8 @@ from tissuereg.errors import ShapeError
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+_Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
@@ -87,8 +89,8 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
     return np.ascontiguousarray(array, dtype=np.int64)
 
 
-def frozen(array: npt.NDArray[Any]) -> Any:
+def frozen(array: _Array) -> _Array:
     """Return a read-only view, so that plain data cannot change under its owner."""
-    view = array.view()
+    view: _Array = array.view()
     view.flags.writeable = False
     return view

@@ -8,7 +8,10 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
-from tissuereg.phantom.event import LESION_MM, make_event
+from tissuereg.io.atomic import atomic_folder
+from tissuereg.io.meshes import write_vtu
+from tissuereg.io.tables import write_markers, write_points
+from tissuereg.phantom.event import LESION_MM, PhantomEvent, make_event
 from tissuereg.registration import register
 from tissuereg.result import Registration
 from tissuereg.simulate.solve import simulate
@@ -20,7 +23,8 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
     Parameters
     ----------
     out : path-like
-        Folder for ``registered.vtu``, ``targets.csv``, ``registration.json``, ``registered.png``, ``report.html``.
+        Folder for ``registered.vtu``, ``targets.csv``, ``registration.json``, ``registered.png``, ``report.html``,
+        and ``input/`` with the mesh, markers, targets and simulation that the command ``register`` takes.
     seed : int
         Of markers, noise and ensemble.
     threads : int
@@ -49,12 +53,25 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
     seconds = {**clock.seconds, **result.seconds}
     seconds["total"] += sum(clock.seconds.values())
     answer = {**result.to_json(), "truth": _errors(event, simulation, result), "seconds": seconds}
-    result.save(out, {"truth": answer["truth"], "seconds": seconds})
-    result.report(Path(out) / "report.html")
+    with atomic_folder(out) as draft:
+        result.save(draft, {"truth": answer["truth"], "seconds": seconds})
+        result.report(draft / "report.html")
+        _write_input(draft / "input", event, simulation)
     return answer
 
 
-def _errors(event: Any, simulation: FloatArray, result: Registration) -> dict[str, Any]:
+def _write_input(folder: Path, event: PhantomEvent, simulation: FloatArray) -> None:
+    """Write what was given to `register`, as files that the `register` command takes."""
+    folder.mkdir()
+    held = np.zeros(event.mesh.n_nodes, dtype=np.int8)
+    held[event.mesh.fixed_nodes] = 1
+    write_vtu(folder / "body.vtu", event.mesh, {"fixed": held})
+    write_markers(folder / "markers.csv", event.markers)
+    write_points(folder / "targets.csv", {"lesion": LESION_MM})
+    np.savez_compressed(folder / "simulation.npz", displacement_mm=simulation)
+
+
+def _errors(event: PhantomEvent, simulation: FloatArray, result: Registration) -> dict[str, Any]:
     """Return the errors before and after, mean Euclidean, mm."""
     lesion = result.target("lesion")
     registered = event.markers.measured - np.array([result.markers.residual_mm[n] for n in event.markers.names])

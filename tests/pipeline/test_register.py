@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+
 import tissuereg as tr
 from tissuereg.errors import MarkerError, ModelError, ShapeError
 from tissuereg.latent.fitted import FittedPriorSettings

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from tissuereg.assimilate import assimilate, balanced_draws
 from tissuereg.errors import EnsembleError
 from tissuereg.latent.model import Gaussian

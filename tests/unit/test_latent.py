@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from tissuereg.errors import EnsembleError
 from tissuereg.latent.model import error_covariance
 from tissuereg.latent.pca import PcaModel

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+
 from tissuereg.errors import MarkerError
 from tissuereg.observe import MarkerObservation, TargetObservation
 

@@ -1,6 +1,7 @@
 """The answer to "can I trust this?" under known misfits."""
 
 import numpy as np
+
 from tissuereg.trust import judge
 
 NAMES = tuple(f"P{i}" for i in range(8))

@@ -76,6 +76,34 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     return {name: np.array(row.numbers(_PLACE)) for name, row in zip(names, rows, strict=True)}
 
 
+def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
+    """Write markers as `read_markers` reads them, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to.
+    markers : Markers
+        Those that were not seen get empty cells.
+    """
+    rows = zip(markers.names, markers.reference, markers.measured, markers.std, strict=True)
+    cells = [(name, *map(float, place), *map(float, seen), float(std)) for name, place, seen, std in rows]
+    write_table(path, ("marker", *_PLACE, *_MOVED, "std_mm"), cells)
+
+
+def write_points(path: str | os.PathLike[str], points: Mapping[str, Any]) -> None:
+    """Write inner points of the undeformed body as `read_targets` reads them, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to.
+    points : mapping of str to array_like of float, shape (3,)
+        mm.
+    """
+    write_table(path, ("target", *_PLACE), [(name, *map(float, place)) for name, place in points.items()])
+
+
 def write_targets(path: str | os.PathLike[str], targets: Mapping[str, Mapping[str, Any]]) -> None:
     """Write registered targets as a table, whole or not at all.
 

@@ -48,8 +48,9 @@ class NetworkModel:
         _check_files(self.folder, card)
         if card["mesh_digest"] != mesh.digest():
             message = (
-                f"the model in {self.folder} must have been trained for this mesh: it knows a mesh of {card['n_nodes']} "
-                f"nodes ({card['mesh_digest'][:12]}), got one of {mesh.n_nodes} nodes ({mesh.digest()[:12]}); "
+                f"the model in {self.folder} must have been trained for this mesh: it knows a mesh of "
+                f"{card['n_nodes']} nodes ({card['mesh_digest'][:12]}), got one of {mesh.n_nodes} nodes "
+                f"({mesh.digest()[:12]}); "
                 "train one (`tissuereg train`) or leave the model out, and a prior is fitted here"
             )
             raise ModelError(message, where=str(self.folder))
