@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+
 import tissuereg as tr
 from tissuereg.baselines import copied_displacement, rigid_displacement, spline_displacement
 

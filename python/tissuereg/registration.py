@@ -155,6 +155,8 @@ def register(
                 )
             else:
                 latent = _as_model(model, body, threads)
+                if given is not None and isinstance(latent, NetworkModel):
+                    latent = latent.around(given)
         with clock.stage("assimilate"):
             fit = _fit(latent, given, observed, marks, seen, settings, seed, threads)
         with clock.stage("decode"):

@@ -90,6 +90,39 @@ class LatentModel(Protocol):
         ...
 
 
+#: A small field says little about the error of one more than this many times its size.
+_MOST_SCALING = 3.0
+
+
+class ScaledErrors:
+    """Errors of fields of known size, brought to the size of another field: they grow in proportion.
+
+    Parameters
+    ----------
+    fields : array_like of float, shape (n_fields, n_nodes, 3)
+        Truth minus reconstruction, mm.
+    sizes : array_like of float, shape (n_fields,)
+        Root mean square displacement of what was to be reconstructed, mm.
+    """
+
+    def __init__(self, fields: Any, sizes: Any) -> None:
+        self.fields: FloatArray = np.asarray(fields, dtype=np.float64)
+        self.sizes: FloatArray = np.asarray(sizes, dtype=np.float64)
+
+    def at(self, field: FloatArray | None) -> FloatArray:
+        """Return the errors to expect beside a field (n_nodes, 3) in mm; as they were measured where it is None."""
+        if field is None or len(self.fields) == 0:
+            return self.fields
+        size = rms_displacement(field[None])[0]
+        scale = np.minimum(size / np.maximum(self.sizes, 1e-12), _MOST_SCALING)
+        return np.asarray(self.fields * scale[:, None, None])
+
+
+def rms_displacement(fields: FloatArray) -> FloatArray:
+    """Return the root mean square node displacement (n_fields,) of fields (n_fields, n_nodes, 3), mm."""
+    return np.asarray(np.sqrt(np.mean(np.sum(fields**2, axis=2), axis=1)))
+
+
 def error_covariance(rows: FloatArray) -> FloatArray:
     """Return the covariance of reconstruction errors about zero.
 

@@ -11,10 +11,13 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import ModelError
-from tissuereg.latent.model import Gaussian
+from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement
 from tissuereg.mesh import Mesh
 
 CARD_SCHEMA = "tissuereg.model/1"
+
+#: A simulation that says next to nothing does not make the truth certain.
+_LEAST_SIZE_MM = 0.3
 
 #: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
 _BATCH = 25
@@ -60,7 +63,8 @@ class NetworkModel:
         self._decoder = _session(self.folder / "decoder.onnx")
         self._has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
         with np.load(self.folder / "decoder_weights.npz", allow_pickle=False) as weights:
-            self._errors = np.asarray(weights["error_fields_mm"], dtype=np.float64)
+            self._errors = ScaledErrors(weights["error_fields_mm"], weights["error_sizes_mm"])
+            self._change_errors = ScaledErrors(weights["change_error_fields_mm"], weights["change_sizes_mm"])
         errors = card["errors_mm"]
         self.card = {
             "kind": card["kind"],
@@ -81,8 +85,23 @@ class NetworkModel:
         return int(self._card["n_nodes"])
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return truth minus reconstruction of fields the network never saw; the same everywhere."""
-        return self._errors
+        """Return the reconstruction errors to expect; see `LatentModel.errors`. They grow with the displacement."""
+        return self._errors.at(None if latents is None else self.decode(latents[:, None])[0])
+
+    def around(self, simulation: FloatArray) -> "AnchoredModel":
+        """Return the model of what may have happened instead of a simulation.
+
+        Parameters
+        ----------
+        simulation : ndarray of float64, shape (n_nodes, 3)
+            What a simulation says of the moment, mm.
+
+        Returns
+        -------
+        AnchoredModel
+            Decodes to the simulation itself at the simulation's own code.
+        """
+        return AnchoredModel(self, simulation, self._change_errors)
 
     def encode(self, field: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance of q(z | field).
@@ -131,13 +150,70 @@ class NetworkModel:
         Returns
         -------
         Gaussian
-            Covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation).
+            Covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation), which is taken
+            relative to the size of the simulated event, because a larger event is wrong by more.
         """
         known = self._card["prior"]
         if simulation is None:
             return Gaussian(np.asarray(known["mean"], np.float64), np.asarray(known["covariance"], np.float64))
         mean, variance = self.encode(simulation)
-        return Gaussian(mean, np.diag(variance) + np.asarray(known["mismatch_covariance"], np.float64))
+        relative = known.get("relative_mismatch_covariance")
+        if relative is None:
+            return Gaussian(mean, np.diag(variance) + np.asarray(known["mismatch_covariance"], np.float64))
+        size = max(float(rms_displacement(simulation[None])[0]), _LEAST_SIZE_MM)
+        return Gaussian(mean, np.diag(variance) + size**2 * np.asarray(relative, np.float64))
+
+
+class AnchoredModel:
+    """``field = simulation + decoder(z) - decoder(encoder(simulation))``: what the code loses of the simulation stays.
+
+    Parameters
+    ----------
+    network : NetworkModel
+        Encoder and decoder.
+    simulation : ndarray of float64, shape (n_nodes, 3)
+        The anchor, mm.
+    change_errors : ScaledErrors
+        What the network misses of changes from a simulation to the truth.
+
+    Notes
+    -----
+    On the phantom's pairs the error of a truth coded and decoded is 0.41 mm in the median as a whole field and 0.17 mm
+    as a change from its simulation. Where no pairs were simulated, the errors of whole fields stand in.
+    """
+
+    def __init__(self, network: NetworkModel, simulation: FloatArray, change_errors: "ScaledErrors") -> None:
+        self._network = network
+        self._errors = change_errors
+        self._simulation = simulation
+        code, _ = network.encode(simulation)
+        self._remainder: FloatArray = simulation - network.decode(code[:, None])[0]
+        self.card = network.card
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return self._network.n_latent
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        return self._network.n_nodes
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields, one a column of `latents`; see `LatentModel.decode`."""
+        remainder = self._remainder if nodes is None else self._remainder[nodes]
+        return np.asarray(self._network.decode(latents, nodes) + remainder)
+
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the errors of the change to expect; see `LatentModel.errors`. They grow with the change."""
+        if not len(self._errors.fields):
+            return self._network.errors(latents)
+        return self._errors.at(None if latents is None else self.decode(latents[:, None])[0] - self._simulation)
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return where the truth is expected; see `NetworkModel.prior`."""
+        return self._network.prior(simulation)
 
 
 def _session(path: Path) -> Any:

@@ -6,10 +6,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import EnsembleError
-from tissuereg.latent.model import Gaussian
-
-#: A small held-out field says little about the error of one more than this many times its size.
-_MOST_SCALING = 3.0
+from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement
 
 
 class PcaModel:
@@ -99,7 +96,7 @@ class PcaModel:
         if len(held_out):
             latents = np.stack([model.encode(field) for field in held_out], axis=1)
             model.error_fields = held_out - model.decode(latents)
-            model.error_sizes = _rms(held_out - centre)
+            model.error_sizes = rms_displacement(held_out - centre)
             model.card["test_error_mm"] = float(np.linalg.norm(model.error_fields, axis=2).mean())
         return model
 
@@ -144,17 +141,9 @@ class PcaModel:
         What the components miss grows in proportion to the distance from the centre, so each held-out error is
         brought to the size of the field that `latents` stand for.
         """
-        if latents is None or len(self.error_fields) == 0:
-            return self.error_fields
-        size = _rms(self.decode(latents[:, None]) - self.centre)[0]
-        scale = np.minimum(size / np.maximum(self.error_sizes, 1e-12), _MOST_SCALING)
-        return np.asarray(self.error_fields * scale[:, None, None])
+        away = None if latents is None else self.decode(latents[:, None])[0] - self.centre
+        return ScaledErrors(self.error_fields, self.error_sizes).at(away)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
         """Return the unit Gaussian about the centre, which is the simulation the model was fitted around."""
         return Gaussian(np.zeros(self.n_latent), np.eye(self.n_latent))
-
-
-def _rms(fields: FloatArray) -> FloatArray:
-    """Return the root mean square node displacement (n_fields,) of fields (n_fields, n_nodes, 3)."""
-    return np.asarray(np.sqrt(np.mean(np.sum(fields**2, axis=2), axis=1)))
