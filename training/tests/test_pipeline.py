@@ -86,6 +86,20 @@ def test_error_fields_are_what_the_model_misses_of_the_pairs_truths(trained):
     np.testing.assert_allclose(kept, missed, rtol=1e-3, atol=1e-3 * np.abs(missed).max())
 
 
+def test_change_errors_are_what_the_model_misses_from_simulation_to_truth(trained):
+    with np.load(trained.folder / "model" / "decoder_weights.npz", allow_pickle=False) as weights:
+        plain, change = weights["error_fields_mm"], weights["change_error_fields_mm"]
+        sizes = weights["change_sizes_mm"]
+    data = np.load(trained.folder / "data" / "pairs.npz", allow_pickle=False)
+    said, true = data["simulation_mm"], data["truth_mm"]
+    encoder, decoder = (session(trained.folder / "model" / f"{name}.onnx") for name in ("encoder", "decoder"))
+    code = encoder.run(["mean"], {"displacement": said})[0]
+    missed_of_said = said - decoder.run(None, {"z": code})[0]
+    # Half precision: 11 bits of each of the two.
+    np.testing.assert_allclose(change, plain - missed_of_said, atol=2e-3 * np.abs(plain).max())
+    np.testing.assert_allclose(sizes, np.sqrt(((true - said) ** 2).sum(axis=2).mean(axis=1)), rtol=1e-5)
+
+
 def session(path):
     import onnx
 

@@ -48,6 +48,31 @@ def error_fields(model: GraphVae, fields: FieldArray) -> FieldArray:
     return np.concatenate([np.empty((0, *fields.shape[1:]), np.float32), *missed])
 
 
+def change_error_fields(model: GraphVae, simulations: FieldArray, truths: FieldArray) -> FieldArray:
+    """Return what the network misses of the change from a simulation to the truth.
+
+    Parameters
+    ----------
+    model : GraphVae
+        Trained.
+    simulations, truths : ndarray of float32, shape (n_pairs, n_nodes, 3)
+        Pairs in mm.
+
+    Returns
+    -------
+    ndarray of float32, shape (n_pairs, n_nodes, 3)
+        ``(truth - simulation) - (decode(encode truth) - decode(encode simulation))``, mm: the error left when the part
+        of the simulation that the code loses is added to what the decoder says.
+    """
+    return error_fields(model, truths) - error_fields(model, simulations)
+
+
+def root_mean_square(fields: FieldArray) -> FieldArray:
+    """Return the root mean square node displacement (n_fields,) of fields (n_fields, n_nodes, 3)."""
+    sizes: FieldArray = np.sqrt(np.mean(np.sum(fields.astype(np.float64) ** 2, axis=2), axis=1))
+    return sizes
+
+
 def mean_error(model: GraphVae, fields: FieldArray) -> float:
     """Return the mean Euclidean node error of reconstructed fields, mm."""
     return float(np.linalg.norm(error_fields(model, fields), axis=2).mean(dtype=np.float64))
@@ -106,20 +131,25 @@ def measured_prior(model: GraphVae, train: FieldArray, simulations: FieldArray, 
     Returns
     -------
     dict
-        ``mean`` (q), ``covariance`` (q, q), ``mismatch_covariance`` (q, q), ``mismatch_pairs``. Without pairs nothing
-        is known of the mismatch, and the covariance of the codes stands in for it: a truth anywhere in the family.
+        ``mean`` (q), ``covariance`` (q, q), ``mismatch_covariance`` (q, q), ``mismatch_pairs``, and
+        ``relative_mismatch_covariance`` (q, q), 1/mm^2: the same of differences over the root mean square displacement
+        of the simulation, because a larger event is wrong by more. Without pairs nothing is known of the mismatch,
+        the covariance of the codes stands in for it (a truth anywhere in the family), and the last is None.
     """
     mean, log_variance = (t.numpy().astype(np.float64) for t in codes(model, train))
     covariance = np.cov(mean, rowvar=False, ddof=1).reshape(model.n_latent, model.n_latent)
     covariance = covariance + np.diag(np.exp(log_variance).mean(axis=0))
-    mismatch = covariance
+    mismatch, relative = covariance, None
     if len(truths):
         apart = (codes(model, truths)[0] - codes(model, simulations)[0]).numpy().astype(np.float64)
         mismatch = apart.T @ apart / len(apart)
+        apart /= root_mean_square(simulations)[:, None]
+        relative = (apart.T @ apart / len(apart)).tolist()
     return {
         "mean": mean.mean(axis=0).tolist(),
         "covariance": covariance.tolist(),
         "mismatch_covariance": mismatch.tolist(),
+        "relative_mismatch_covariance": relative,
         "mismatch_pairs": len(truths),
     }
 

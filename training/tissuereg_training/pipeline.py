@@ -19,7 +19,14 @@ from tissuereg_training.data import (
     split_members,
 )
 from tissuereg_training.errors import CheckpointError
-from tissuereg_training.evaluate import code_spread, error_fields, mean_error, measured_prior
+from tissuereg_training.evaluate import (
+    change_error_fields,
+    code_spread,
+    error_fields,
+    mean_error,
+    measured_prior,
+    root_mean_square,
+)
 from tissuereg_training.export import decoder_onnx, decoder_weights, encoder_onnx
 from tissuereg_training.fit import FitState, fit, new_model, set_normalisation
 from tissuereg_training.folder import check_out, write_model
@@ -113,7 +120,7 @@ def train(
             encoder, decoder = encoder_onnx(model, facts), decoder_onnx(model, facts)
             fields = dataset.fields[split.test][:32]
             card["parity"] = checked_parity(model, encoder, decoder, fields, seed)
-            weights = {**decoder_weights(model), "error_fields_mm": errors}
+            weights = {**decoder_weights(model), **errors}
             write_model(out, encoder, decoder, weights, card)
             checkpoint.discard()
     told = {k: card[k] for k in ("errors_mm", "epochs", "best_epoch", "parity", "kl_weight", "levels", "members")}
@@ -172,10 +179,20 @@ def _card(
     }
 
 
-def _error_fields(model: GraphVae, dataset: Dataset, split: Split) -> np.ndarray[Any, np.dtype[np.float16]]:
-    """Return what the network misses of fields it never saw: the pairs' truths, or the test split without pairs."""
-    unseen = dataset.truths if len(dataset.truths) else dataset.fields[split.test]
-    return error_fields(model, unseen[:N_ERROR_FIELDS]).astype(np.float16)
+def _error_fields(model: GraphVae, dataset: Dataset, split: Split) -> dict[str, np.ndarray[Any, np.dtype[Any]]]:
+    """Return what the network misses of fields it never saw: the pairs' truths, or the test split without pairs.
+
+    ``error_fields_mm`` of whole fields, ``change_error_fields_mm`` of the change from simulation to truth, both
+    (e, n_nodes, 3), and ``error_sizes_mm``, ``change_sizes_mm``, the root mean square of what was to be said.
+    """
+    unseen = (dataset.truths if len(dataset.truths) else dataset.fields[split.test])[:N_ERROR_FIELDS]
+    said, true = dataset.simulations[:N_ERROR_FIELDS], dataset.truths[:N_ERROR_FIELDS]
+    return {
+        "error_fields_mm": error_fields(model, unseen).astype(np.float16),
+        "error_sizes_mm": root_mean_square(unseen),
+        "change_error_fields_mm": change_error_fields(model, said, true).astype(np.float16),
+        "change_sizes_mm": root_mean_square(true - said),
+    }
 
 
 def _facts(card: dict[str, Any]) -> dict[str, Any]:
