@@ -192,7 +192,7 @@ def _fit(
     for _ in range(2):
         noise = _noise(latent.errors(place), observed, markers, seen)
         rng = np.random.default_rng([seed, 2])
-        prior, widening = widened(encoded, predict, measured, noise, rng)
+        prior, widening = widened(encoded, latent.prior(None), predict, measured, noise, rng)
         ensemble = assimilate(
             predict,
             measured,

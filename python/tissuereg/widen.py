@@ -19,17 +19,20 @@ _LEVEL = 0.05
 
 def widened(
     prior: Gaussian,
+    family: Gaussian,
     predict: Callable[[FloatArray], FloatArray],
     observed: FloatArray,
     noise: FloatArray,
     rng: np.random.Generator,
 ) -> tuple[Gaussian, float]:
-    """Return the prior, its covariance scaled up where the innovation is too large for it, and the factor.
+    """Return the prior, widened where the innovation is too large for it, and the factor.
 
     Parameters
     ----------
     prior : Gaussian
         Where the latents are expected.
+    family : Gaussian
+        Where the latents of all fields that the model was made from lie; no direction is widened beyond its spread.
     predict : callable
         Latents (n_latent, n_members) to predictions (n_obs, n_members) in mm.
     observed : ndarray of float64, shape (n_obs,)
@@ -42,36 +45,45 @@ def widened(
     Returns
     -------
     prior : Gaussian
-        The same mean; the covariance times the factor.
+        The same mean; covariance ``((s C)^-1 + L^-1)^-1`` with the prior's C and the family's L, which is s C where
+        that is small beside L and L where it is large. Untouched where s = 1.
     factor : float
-        Smallest s >= 1 with ``v' (s C_yy + C_d)^-1 v = n_obs`` for the innovation v, if ``s = 1`` misses the 95 %
-        quantile of its chi-square law; 1 otherwise.
+        Smallest s >= 1 with ``v' (H C(s) H' + C_d)^-1 v = n_obs`` for the innovation v, if ``s = 1`` misses the 95 %
+        quantile of its chi-square law; 1 otherwise, and at most `MOST`.
 
     Notes
     -----
     The maximum-likelihood inflation of data assimilation, J. L. Anderson, "An adaptive covariance inflation error
-    correction algorithm for ensemble filters", Tellus A 59, 210-224, 2007, with one factor for the whole prior.
+    correction algorithm for ensemble filters", Tellus A 59, 210-224, 2007, with one factor for the whole prior. The
+    bound matters: on 80 pairs of the phantom, widening without it sent some codes where the decoder had never been,
+    and those bodies ended farther off than they began.
     """
-    from scipy.linalg import eigh
     from scipy.optimize import brentq
     from scipy.stats import chi2
 
     root = np.linalg.cholesky(prior.covariance)
-    sample = prior.mean[:, None] + root @ rng.standard_normal((len(prior.mean), _N_MEMBERS))
-    predicted = predict(np.concatenate([prior.mean[:, None], sample], axis=1))
+    draws = rng.standard_normal((len(prior.mean), _N_MEMBERS))
+    predicted = predict(np.concatenate([prior.mean[:, None], prior.mean[:, None] + root @ draws], axis=1))
     centre, spread = predicted[:, 0], predicted[:, 1:]
-    spread = spread[:, np.isfinite(spread).all(axis=0)]
-    if spread.shape[1] < 2 or not np.isfinite(centre).all():
+    whole = np.isfinite(spread).all(axis=0)
+    if whole.sum() <= len(prior.mean) or not np.isfinite(centre).all():
         return prior, 1.0
-    values, vectors = eigh(np.atleast_2d(np.cov(spread)), noise)  # vectors whiten the noise
-    along = (vectors.T @ (observed - centre)) ** 2
-    values = np.maximum(values, 0.0)
+    # Predictions as a linear function of latents, by regression on the draws.
+    slope = np.linalg.lstsq(draws[:, whole].T, (spread[:, whole] - centre[:, None]).T, rcond=None)[0].T
+    slope = np.linalg.solve(root.T, slope.T).T
+    precision, bound = np.linalg.inv(prior.covariance), np.linalg.inv(family.covariance)
+    innovation = observed - centre
 
-    def misfit(factor: float) -> float:
-        return float(np.sum(along / (factor * values + 1.0)))
+    def covariance(factor: float) -> FloatArray:
+        return np.asarray(np.linalg.inv(precision / factor + bound))
+
+    def misfit(spread_of_latents: FloatArray) -> float:
+        return float(innovation @ np.linalg.solve(slope @ spread_of_latents @ slope.T + noise, innovation))
 
     n_obs = len(observed)
-    if misfit(1.0) <= chi2.isf(_LEVEL, n_obs):
+    if misfit(prior.covariance) <= chi2.isf(_LEVEL, n_obs):
         return prior, 1.0
-    factor = MOST if misfit(MOST) > n_obs else float(brentq(lambda s: misfit(s) - n_obs, 1.0, MOST))
-    return Gaussian(prior.mean, factor * prior.covariance), factor
+    # The bound can only raise the misfit, so it is above n_obs at s = 1.
+    enough = misfit(covariance(MOST)) <= n_obs
+    factor = float(brentq(lambda s: misfit(covariance(s)) - n_obs, 1.0, MOST)) if enough else MOST
+    return Gaussian(prior.mean, covariance(factor)), factor
