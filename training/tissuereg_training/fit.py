@@ -194,14 +194,16 @@ def _epoch(
 
 
 def _blended(train: torch.Tensor, rows: Any, share: float, rng: np.random.Generator) -> torch.Tensor:
-    """Return the rows, a share of them blended with others of the training split."""
+    """Return the rows, a share of them replaced by weighted sums with others of the training split."""
     x = train[rows]
     if share == 0.0:
         return x
     partners = rng.integers(len(train), size=len(rows))
-    weights = np.where(rng.random(len(rows)) < share, rng.random(len(rows)), 1.0)
-    w = torch.from_numpy(weights.astype(np.float32))[:, None, None]
-    return w * x + (1.0 - w) * train[partners]
+    own, other = rng.uniform(-1.0, 1.0, (2, len(rows)))
+    chosen = rng.random(len(rows)) < share
+    weights = np.where(chosen, (own, other), ((1.0,), (0.0,))).astype(np.float32)
+    w = torch.from_numpy(weights)[:, :, None, None]
+    return w[0] * x + w[1] * train[partners]
 
 
 def _line(state: FitState, settings: TrainSettings) -> str:

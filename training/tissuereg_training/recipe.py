@@ -44,8 +44,8 @@ class TrainSettings:
     kl_warmup : float
         Share of the epochs in which that weight rises from zero; no epoch before its end can be chosen as the best.
     mixing : float
-        Share of a batch's fields that are blended, each with another training field (weights w and 1 - w, w uniform
-        in [0, 1]). Worth trying where members are few.
+        Share of a batch's fields that are replaced by weighted sums with another training field, both weights uniform
+        in [-1, 1]: fields that no load makes, but near enough to teach. For a few hundred members.
     n_latent : int
         Latents.
     channels : tuple of int
