@@ -34,6 +34,7 @@ def registration_figure(result: "Registration") -> Any:
     colours: Any = None
     for column, view in enumerate(_VIEWS):
         axes: Any = figure.add_subplot(1, 2, column + 1, projection="3d")
+        axes.computed_zorder = False  # markers and regions stay readable through the body
         colours = _draw_body(axes, result)
         _draw_markers(axes, result)
         for name, target in result.targets.items():
@@ -96,14 +97,14 @@ def _draw_region(axes: Any, region: Any, name: str) -> None:
     around, along = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
     unit = np.stack([np.cos(around) * np.sin(along), np.sin(around) * np.sin(along), np.cos(along)], axis=-1)
     shell = region.centre + (unit * region.radii) @ region.axes
-    axes.plot_wireframe(*np.moveaxis(shell, -1, 0), color="crimson", linewidth=0.4, alpha=0.8)
-    axes.text(*region.centre, f" {name}, 90 %", color="crimson", fontsize=8)
+    axes.plot_wireframe(*np.moveaxis(shell, -1, 0), color="crimson", linewidth=0.6, alpha=0.9, zorder=8)
+    axes.text(*region.centre, f"   {name}, 90 %", color="crimson", fontsize=9, weight="bold", zorder=9)
 
 
 def _equal_box(axes: Any, result: "Registration") -> None:
     points: FloatArray = np.concatenate([result.mesh.nodes, result.mesh.nodes + result.displacement])
     low, high = points.min(axis=0), points.max(axis=0)
-    axes.set_box_aspect(high - low)
+    axes.set_box_aspect(high - low, zoom=1.15)
     for set_limits, a, b, title in zip(
         (axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, ("x, mm", "y, mm", "z, mm"), strict=True
     ):
