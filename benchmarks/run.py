@@ -63,7 +63,8 @@ def main() -> None:
     for row in answer["rows"]:
         print(f"{row['name']:32s} {row['n_nodes'] or 0:7d} nodes  median {1000 * row['median_s']:9.2f} ms")
     for row in answer["reference"]:
-        print(f"{row['name']:32s} cold {1000 * row['cold_s']['median']:9.1f} ms  off {row['largest_difference_mm']:.1e} mm")
+        cold, off = 1000 * row["cold_s"]["median"], row["largest_difference_mm"]
+        print(f"{row['name']:32s} cold {cold:9.1f} ms  off {off:.1e} mm")
 
 
 if __name__ == "__main__":
