@@ -257,7 +257,7 @@ pub struct WorstTet {
 /// What stopped an equilibrium search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StopReason {
-    /// The iterations allowed were used up.
+    /// The iterations allowed were used up, or factorisations took the time of as many.
     IterationsUsedUp,
     /// Load steps became smaller than the smallest allowed.
     StepTooSmall,
@@ -270,7 +270,9 @@ pub enum StopReason {
 impl std::fmt::Display for StopReason {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
-            Self::IterationsUsedUp => "the iterations allowed were used up",
+            Self::IterationsUsedUp => {
+                "the iterations allowed, or their time in factorisations, were used up"
+            }
             Self::StepTooSmall => "load steps became too small",
             Self::PrescribedInverts => "the prescribed displacements would invert a tetrahedron",
             Self::Stalled => "the residual stopped falling",
@@ -289,7 +291,9 @@ impl StopReason {
             Self::PrescribedInverts => {
                 "reduce the prescribed displacements or check their unit (mm)"
             }
-            Self::Stalled => "ask for a tolerance above the rounding of these forces",
+            Self::Stalled => {
+                "ask for a tolerance above the rounding of these forces, or check their unit (mN)"
+            }
         }
     }
 }

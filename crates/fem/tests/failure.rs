@@ -243,6 +243,39 @@ fn a_load_beyond_all_bounds_is_reported() {
     assert_says(&error.to_string(), &["no equilibrium", "residual", "mN", "smallest det F"]);
 }
 
+/// Squares of such forces overflow; an infinite tolerance must not pass for equilibrium.
+#[test]
+fn a_load_beyond_the_range_of_squares_is_no_equilibrium_at_rest() {
+    let body = held_bar();
+    for force in [1e160, 1e200, -1e300] {
+        let load = Load::from_forces(vec![[0.0, force, 0.0]; 12]);
+        for load_steps in [LoadSteps::Auto, LoadSteps::Equal(2)] {
+            let settings = SolveSettings { load_steps, ..SolveSettings::default() };
+            let error = solve(&body, &soft(), &load, &settings).expect_err("absurd");
+            let FemError::NoEquilibrium(report) = &error else { panic!("{error}") };
+            assert_eq!(report.load_fraction, 0.0, "{error}");
+            assert_says(&error.to_string(), &["unit (mN)"]);
+        }
+    }
+}
+
+/// Factors count as the iterations they cost, so that a hopeless search on a large mesh ends.
+#[test]
+fn factorisations_of_a_hopeless_search_are_bounded() {
+    let body = clamped_at_x0(bar([20, 10, 10], [30.0, 15.0, 15.0]), Element::Tet4);
+    let end: Vec<[usize; 3]> = (body.mesh().surface_triangles().iter().copied())
+        .filter(|t| t.iter().all(|&n| body.nodes()[n][0] > 30.0 - 1e-9))
+        .collect();
+    let pull = vec![[200.0, 30.0, 0.0]; end.len()];
+    let load = Load::from_forces(body.traction_forces(&end, &pull).expect("facets"));
+    let settings = SolveSettings { max_iterations: 600, ..SolveSettings::default() };
+    let error = solve(&body, &soft(), &load, &settings).expect_err("twenty times its stiffness");
+    let FemError::NoEquilibrium(report) = &error else { panic!("{error}") };
+    assert_eq!(report.reason, StopReason::IterationsUsedUp, "{error}");
+    assert!(report.iterations < 600, "the factors must have counted: {error}");
+    assert!(report.load_fraction > 0.0, "{error}");
+}
+
 #[test]
 fn too_few_iterations_are_reported() {
     let body = held_bar();

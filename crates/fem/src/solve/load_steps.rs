@@ -5,7 +5,7 @@
 //! by longer ones.
 
 use super::metric::Metric;
-use super::minimise::{Ended, Goal, Minimiser};
+use super::minimise::{Ended, Goal, Minimiser, iterations_per_factor};
 use super::problem::{Problem, State, Workspace};
 use super::settings::{LoadSteps, Method};
 use crate::error::{FemError, NoEquilibrium, StopReason};
@@ -71,19 +71,20 @@ impl Path<'_> {
         }
     }
 
-    /// Load steps from rest that adapt to what succeeds.
+    /// Load steps from rest that adapt to what succeeds; every attempt starts with the metric of
+    /// the last equilibrium.
     fn adaptive_steps(&mut self) -> Result<State, FemError> {
         self.workspace.report.load_steps = 0;
+        let allowed = self.work_done() + self.problem.settings.max_iterations as f64;
+        let mut metric = self.metric.clone();
         let mut state = State::at_rest(self.problem.body.n_nodes());
         let mut fraction = 0.0;
         let mut step: f64 = 0.25;
         loop {
             let target = if fraction + 1.01 * step >= 1.0 { 1.0 } else { fraction + step };
             let mut attempt = state.clone();
-            if fraction > 0.0 {
-                self.renew_metric(&state)?;
-            }
             let ended = self.step(&mut attempt, target, self.limit(STEP_ITERATIONS))?;
+            let used_up = self.iterations_left() == 0 || self.work_done() > allowed;
             if ended.stop.is_none() {
                 state = attempt;
                 fraction = target;
@@ -93,18 +94,34 @@ impl Path<'_> {
                 if ended.iterations <= EASY {
                     step *= 2.0;
                 }
+                self.renew_metric(&state)?;
+                metric = self.metric.clone();
                 continue;
             }
             step *= 0.5;
-            if step < SMALLEST_STEP || self.iterations_left() == 0 {
+            if step < SMALLEST_STEP || used_up {
                 let reason = match ended.stop {
-                    _ if self.iterations_left() == 0 => StopReason::IterationsUsedUp,
+                    _ if used_up => StopReason::IterationsUsedUp,
                     Some(StopReason::PrescribedInverts) => StopReason::PrescribedInverts,
                     _ => StopReason::StepTooSmall,
                 };
                 let ended = Ended { stop: Some(reason), ..ended };
                 return Err(self.failure(fraction, target, &attempt, ended));
             }
+            self.metric = metric.clone();
+        }
+    }
+
+    /// Work so far, in iterations: a factor counts as many as take its time, so that a hopeless
+    /// search on a large mesh, where factors cost most, ends no later than the setting implies.
+    fn work_done(&self) -> f64 {
+        let report = &self.workspace.report;
+        match self.problem.settings.method {
+            Method::Auto => {
+                report.iterations as f64
+                    + report.factorisations as f64 * iterations_per_factor(self.problem)
+            }
+            Method::Newton | Method::QuasiNewton => report.iterations as f64,
         }
     }
 

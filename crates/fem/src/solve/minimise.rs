@@ -92,6 +92,10 @@ impl Minimiser {
             let tolerance = goal.tolerance * problem.load_norm(state, goal.fraction)
                 + rounding_floor(metric, state);
             let ended = |stop| Ended { stop, residual, tolerance, iterations };
+            // Infinite where squares overflow, and then no measure of anything.
+            if !(residual.is_finite() && tolerance.is_finite()) {
+                return Ok(ended(Some(StopReason::Stalled)));
+            }
             if residual <= tolerance {
                 return Ok(ended(None));
             }
@@ -171,10 +175,15 @@ impl Minimiser {
         }
         let (now, before) = (self.history[n - 1], self.history[n - 1 - WINDOW]);
         let rate = (now / before).ln() / WINDOW as f64;
-        let cost = problem.body.pattern().factor_to_solve() / RATIO_PER_ITERATION;
+        let cost = iterations_per_factor(problem);
         let remaining = if rate < 0.0 { (tolerance / now).ln() / rate } else { f64::INFINITY };
         remaining > cost + AFTER_REFRESH
     }
+}
+
+/// Iterations that take as long as one factorisation.
+pub(super) fn iterations_per_factor(problem: &Problem) -> f64 {
+    problem.body.pattern().factor_to_solve() / RATIO_PER_ITERATION
 }
 
 /// Norm of the rounding errors of the internal forces, mN: each force is a sum of products of
