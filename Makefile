@@ -30,7 +30,7 @@ $(BIN)/python:
 # The wheel is rebuilt when a source changed; the stamp stands for what is installed.
 $(VENV)/.installed: $(BIN)/python $(RUST_SOURCES) $(PACKAGE_FILES) pyproject.toml README.md
 	rm -rf target/wheels
-	$(BIN)/maturin build --release --quiet --out target/wheels
+	$(BIN)/maturin build --release --quiet --interpreter $(BIN)/python --out target/wheels
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps target/wheels/tissuereg-*.whl
 	$(BIN)/python -m pip install --quiet target/wheels/tissuereg-*.whl
 	touch $@

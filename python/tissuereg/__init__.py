@@ -10,6 +10,7 @@ from tissuereg import errors, phantom
 from tissuereg._version import __version__
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment import Experiment
+from tissuereg.frames import register_frame
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.tables import read_markers, read_targets
@@ -40,5 +41,6 @@ __all__ = [
     "read_mesh",
     "read_targets",
     "register",
+    "register_frame",
     "simulate",
 ]

@@ -77,7 +77,7 @@ def test_layers_point_downwards():
         {"mesh", "material", "markers", "load", "experiment", "trust"},
         {"observe", "simulate", "latent", "assimilate", "io", "posterior", "widen", "phantom", "baselines"},
         {"registration", "result", "report"},
-        {"demo", "bench"},
+        {"demo", "bench", "frames"},
         {"cli", "__main__"},
     ]
     rank = {part: level for level, parts in enumerate(layers) for part in parts}

@@ -164,8 +164,8 @@ def _from_files(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
+    from tissuereg.frames import frame_input
     from tissuereg.io.experiments import read_experiment
-    from tissuereg.simulate.experiment import believed_case
 
     for name in ("markers", "fixed", "std"):
         if getattr(args, name) not in (None, []):
@@ -175,16 +175,7 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
         if getattr(args, name) is None:
             _refuse(f"--{name} must be given with an experiment", f"--{name}")
     experiment = read_experiment(args.path)
-    frame = experiment.frame(args.case, args.time)
-    believed = believed_case(experiment, experiment.case(args.case), element=args.element, threads=args.threads)
-    return {
-        "mesh": experiment.mesh,
-        "markers": frame.markers,
-        "targets": dict(experiment.targets),
-        "load": believed.loads[frame.index],
-        "material": experiment.material,
-        "held_nodes": believed.simulator.held_nodes,
-    }
+    return frame_input(experiment, args.case, args.time, element=args.element, threads=args.threads)
 
 
 def _refuse(message: str, where: str) -> NoReturn:
