@@ -20,7 +20,7 @@ GOALS = {"own_weight": 0.4, "load_52g": 1.2}
 def answer(shared_data, tmp_path_factory):
     pytest.importorskip("pytetwild", reason="the extra `mesh` is not installed")
     folder = tmp_path_factory.mktemp("beam")
-    for path in (shared_data / "beam").glob("*"):
+    for path in (shared_data / "data" / "beam").glob("*"):
         if path.suffix in {".csv", ".stl"}:
             shutil.copy(path, folder / path.name)
     blind(folder / "own_weight_a.csv", folder / "own_weight_unseen.csv")
