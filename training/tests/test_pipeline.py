@@ -180,7 +180,12 @@ def test_a_killed_command_goes_on_and_gives_the_same_model(workplace):
     workplace.recipe.write_text(recipe)
     words = [str(workplace.recipe), "--data", str(workplace.data), "--threads", "1"]
     assert main([*words, "--out", str(workplace.folder / "whole"), "--quiet"]) == 0
-    command = [sys.executable, "-m", "tissuereg_training", *words, "--out", str(workplace.folder / "model")]
+    # A run in the background of a shell starts with the interrupt ignored.
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from tissuereg_training.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", code, *words, "--out", str(workplace.folder / "model")]
     running = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
     checkpoint = workplace.folder / "model.training" / "last.pt"
     give_up = time.monotonic() + 60
