@@ -214,7 +214,7 @@ def _one_ensemble(element: str, settings: BenchSettings) -> Callable[[], _Run]:
     sampler, rng = EventSampler(mesh), np.random.default_rng([settings.seed, 6])
     events = [sampler.draw(rng) for _ in range(settings.members)]
     _, unit = linear_answers(prepared, events, material, threads=settings.threads)
-    sizes = unit * rng.uniform(2.0, 0.1 * sampler.extent, settings.members)
+    sizes = unit * rng.uniform(2.0, 0.1 * mesh.extent, settings.members)
     loads = [event.load(prepared, size) for event, size in zip(events, sizes, strict=True)]
     forces = np.stack([nodal for nodal in map(prepared.forces, loads) if nodal is not None])
     body_forces = np.stack([load.body_force for load in loads])

@@ -124,6 +124,11 @@ class Mesh:
         return Mesh(self.nodes, self.tets, {**self.node_sets, name: indices})
 
     @cached_property
+    def extent(self) -> float:
+        """Largest extent along an axis, mm."""
+        return float(np.max(np.ptp(self.nodes, axis=0)))
+
+    @cached_property
     def surface(self) -> IntArray:
         """Boundary triangles, outward normals, shape (n_triangles, 3)."""
         return frozen(surface_triangles(self.nodes, self.tets))

@@ -61,7 +61,7 @@ class MarkerObservation:
         places = float_array("reference", reference, (None, 3))
         triangles, weights, feet = _closest_triangles(mesh, places)
         self.distance: FloatArray = np.linalg.norm(places - feet, axis=1)
-        _check_distance(self.distance, names, float(np.max(np.ptp(mesh.nodes, axis=0))))
+        _check_distance(self.distance, names, mesh.extent)
         patches = _patches(mesh, triangles)
         self.nodes: IntArray = np.unique(np.concatenate([mesh.surface[triangles].ravel(), *patches]))
         self._foot_nodes = np.searchsorted(self.nodes, mesh.surface[triangles])
@@ -185,7 +185,6 @@ class _Locator:
         self._origin = mesh.nodes[mesh.tets[:, 0]]
         edges = np.stack([mesh.nodes[mesh.tets[:, i]] - self._origin for i in (1, 2, 3)], axis=2)
         self._inverse = np.linalg.inv(edges)
-        self._extent = float(np.max(np.ptp(mesh.nodes, axis=0)))
 
     def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
         """Return the tet that holds a point, or the closest one, and the barycentric weights (4,)."""
@@ -202,10 +201,10 @@ class _Locator:
         clipped /= clipped.sum(axis=1, keepdims=True)
         gap = np.linalg.norm(np.einsum("tc,tcx->tx", clipped, self._mesh.nodes[self._mesh.tets]) - point, axis=1)
         tet = int(np.argmin(gap))
-        if gap[tet] > FARTHEST_TARGET_SHARE * self._extent:
+        if gap[tet] > FARTHEST_TARGET_SHARE * self._mesh.extent:
             message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap[tet]:.1f} mm outside"
             raise MarkerError(message, where=name)
-        if gap[tet] > WARN_TARGET_SHARE * self._extent:
+        if gap[tet] > WARN_TARGET_SHARE * self._mesh.extent:
             text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it rides on the closest tet"
             warnings.warn(text, stacklevel=4)
         return tet, weights[tet]

@@ -134,13 +134,14 @@ def register(
             if not len(seen):
                 message = f"at least one marker must have been seen; all {len(marks)} are missing"
                 raise MarkerError(message, where="markers")
+        simulator: Simulator | None = None
         if given is None and load is not None:
             with clock.stage("simulate"):
                 simulator = Simulator(body, element=element, held_nodes=held_nodes)
                 given = simulator.solve(load, material or Material(), threads=threads).displacement
         with clock.stage("prior"):
             if model is None:
-                simulator = Simulator(body, element=element, held_nodes=held_nodes)
+                simulator = simulator or Simulator(body, element=element, held_nodes=held_nodes)
                 motion = _motion(observed, marks, seen)
                 latent: LatentModel = fit_prior(
                     simulator,

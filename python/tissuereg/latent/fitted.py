@@ -243,7 +243,7 @@ def _held_out(
 
 def _inclusion_range(mesh: Mesh) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return ranges of radius in mm and contrast of the stiff ball that a body may hide."""
-    extent = float(np.max(np.ptp(mesh.nodes, axis=0)))
+    extent = mesh.extent
     return (0.05 * extent, 0.12 * extent), (1.0, 5.0)
 
 
@@ -264,7 +264,7 @@ def _event_size(
     # What the modulus alone explains: the centre's own motion, stretched.
     explained = settings.variation.young_log_std * np.abs(np.einsum("mx,mx->m", seen, towards))
     missing = np.sqrt(np.maximum((length / _HALF_90) ** 2 - explained**2, 0.0))
-    extent = float(np.max(np.ptp(simulator.mesh.nodes, axis=0)))
+    extent = simulator.mesh.extent
     most = settings.most_event_share * extent
     least = max(settings.least_event_share * float(np.linalg.norm(centre, axis=1).max()), 3.0 * motion.std)
     needed = missing / np.maximum(per_size, 1e-12)

@@ -133,8 +133,8 @@ def _events(
 ) -> tuple[list[Event], FloatArray]:
     """Return random events and their sizes in mN under `material`."""
     data = recipe.data
-    sampler = EventSampler(simulator.mesh)
-    radius = (data.radius_mm[0] / sampler.extent, data.radius_mm[1] / sampler.extent)
+    extent = simulator.mesh.extent
+    radius = (data.radius_mm[0] / extent, data.radius_mm[1] / extent)
     sampler = EventSampler(simulator.mesh, EventSettings(data.n_patches, radius, data.body_force_share))
     events = [sampler.draw(rng) for _ in range(n)]
     _, unit = linear_answers(simulator, events, material, threads=threads)

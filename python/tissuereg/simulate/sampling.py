@@ -74,13 +74,7 @@ class EventSampler:
         self._triangles = mesh.surface[free]
         self._centres = corners.mean(axis=1)[free]
         self._areas = np.linalg.norm(normal, axis=1)[free]
-        self._extent = float(np.max(np.ptp(mesh.nodes, axis=0)))
         self._volume = float(mesh.volumes.sum())
-
-    @property
-    def extent(self) -> float:
-        """Largest extent of the body in mm."""
-        return self._extent
 
     def draw(self, rng: np.random.Generator) -> "Event":
         """Return one event of unit total force (1 mN a patch, 1 mN for the body force).
@@ -99,7 +93,7 @@ class EventSampler:
         patches = []
         for _ in range(int(rng.integers(settings.n_patches[0], settings.n_patches[1] + 1))):
             centre = self._centres[rng.choice(len(self._areas), p=self._areas / self._areas.sum())]
-            radius = self._extent * rng.uniform(*settings.radius_share)
+            radius = self.mesh.extent * rng.uniform(*settings.radius_share)
             rows = np.flatnonzero(np.linalg.norm(self._centres - centre, axis=1) <= radius)
             direction = _direction(rng) * rng.uniform(0.3, 1.0)
             patches.append((self._triangles[rows], direction / self._areas[rows].sum()))
@@ -173,7 +167,7 @@ def linear_answers(
     Solved by the nonlinear solver under loads that move the body by about 1e-4 of its extent, so that the answer
     is linear to about 1e-4; cost: a few back-substitutions an event.
     """
-    extent = float(np.max(np.ptp(simulator.mesh.nodes, axis=0)))
+    extent = simulator.mesh.extent
     force_per_mm = float(np.median(material.young_array)) * extent  # stiffness of a cube of this size, mN/mm
     scale = np.full(len(events), force_per_mm * _SMALL * extent)
     loads = [event.load(simulator, s) for event, s in zip(events, scale, strict=True)]
