@@ -2,9 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{CHUNK, Loops, PARALLEL_FROM, displacement_gradient, local};
+use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, displacement_gradient, local};
 use crate::element::{Element, Geometry, Rule, TET4, TET10};
-use crate::material::{Hyperelastic, Material};
 
 /// Energy and smallest volume ratio of a state.
 #[derive(Debug, Clone, Copy)]
@@ -30,15 +29,15 @@ impl Energy {
 ///
 /// `displacement` and `force` `(3 n_nodes)`, mm and mN. `buffer` is kept by the caller between
 /// calls and only used in parallel.
-pub(crate) fn internal_force_into(
+pub(crate) fn internal_force_into<M: PointModel>(
     geometry: &Geometry,
-    material: &Material,
+    model: &M,
     displacement: &[f64],
     force: &mut [f64],
     buffer: &mut Vec<f64>,
     parallel: bool,
 ) -> Option<Energy> {
-    let loops = Loops { geometry, material, displacement };
+    let loops = Loops { geometry, model, displacement };
     let parallel = parallel && geometry.n_elements() >= PARALLEL_FROM;
     match (geometry.element, parallel) {
         (Element::Tet4, false) => loops.serial(&TET4, force),
@@ -48,7 +47,7 @@ pub(crate) fn internal_force_into(
     }
 }
 
-impl Loops<'_> {
+impl<M: PointModel> Loops<'_, M> {
     fn serial<const N: usize, const Q: usize>(
         &self,
         rule: &Rule<N, Q>,
@@ -123,7 +122,7 @@ impl Loops<'_> {
         let mut rows = [[0.0; 3]; N];
         for (point, gradients) in rule.gradients.iter().enumerate() {
             let h = displacement_gradient(&u, gradients, inverse_jacobian);
-            let answer = self.material.law_at(element, point).response(&h)?;
+            let answer = self.model.response(element, point, &h)?;
             energy = energy.and(Energy { total: weight * answer.energy, min_det_f: answer.det_f });
             // P (∂ξ/∂X)ᵀ, the stress seen from the reference element.
             let mut pulled = [[0.0; 3]; 3];

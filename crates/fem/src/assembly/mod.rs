@@ -19,7 +19,7 @@ pub(crate) use force::{Energy, internal_force_into};
 pub(crate) use tangent::{TangentKind, tangent_into, tangent_product_into};
 
 use crate::element::{Element, Geometry, Rule, TET4, TET10};
-use crate::material::{Material, Matrix3};
+use crate::material::{Hyperelastic, Material, Matrix3, Response, Tangent};
 
 /// Elements whose energies are summed together.
 const CHUNK: usize = 256;
@@ -27,11 +27,32 @@ const CHUNK: usize = 256;
 /// Bodies with fewer elements than this are not worth a second thread.
 const PARALLEL_FROM: usize = 2_000;
 
+/// What a body answers at its quadrature points. The loops below know nothing else of what it is
+/// made of or has been through.
+pub(crate) trait PointModel: Sync {
+    /// Energy, stress and volume ratio; none where the point is inverted.
+    fn response(&self, element: usize, point: usize, h: &Matrix3) -> Option<Response>;
+
+    /// `∂P/∂h`; none where the point is inverted.
+    fn tangent(&self, element: usize, point: usize, h: &Matrix3) -> Option<Tangent>;
+}
+
+impl PointModel for Material {
+    #[inline(always)]
+    fn response(&self, element: usize, point: usize, h: &Matrix3) -> Option<Response> {
+        self.law_at(element, point).response(h)
+    }
+
+    #[inline(always)]
+    fn tangent(&self, element: usize, point: usize, h: &Matrix3) -> Option<Tangent> {
+        self.law_at(element, point).tangent(h)
+    }
+}
+
 /// What every loop over elements reads.
-#[derive(Clone, Copy)]
-struct Loops<'a> {
+struct Loops<'a, M: PointModel> {
     geometry: &'a Geometry,
-    material: &'a Material,
+    model: &'a M,
     displacement: &'a [f64],
 }
 

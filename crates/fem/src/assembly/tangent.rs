@@ -3,9 +3,9 @@
 use nalgebra::{SMatrix, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::{CHUNK, Loops, PARALLEL_FROM, displacement_gradient, local};
+use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, displacement_gradient, local};
 use crate::element::{Element, Geometry, Rule, TET4, TET10};
-use crate::material::{Hyperelastic, Material, Matrix3, Tangent};
+use crate::material::{Matrix3, Tangent};
 use crate::system::pattern::Pattern;
 
 /// Which tangent an assembly forms.
@@ -23,10 +23,10 @@ pub(crate) enum TangentKind {
 ///
 /// `displacement` `(3 n_nodes)`, none for the undeformed state; `values` one entry an entry of
 /// the pattern, mN/mm.
-pub(crate) fn tangent_into(
+pub(crate) fn tangent_into<M: PointModel>(
     geometry: &Geometry,
     pattern: &Pattern,
-    material: &Material,
+    model: &M,
     displacement: Option<&[f64]>,
     kind: TangentKind,
     parallel: bool,
@@ -40,7 +40,7 @@ pub(crate) fn tangent_into(
             &zero
         }
     };
-    let loops = Loops { geometry, material, displacement };
+    let loops = Loops { geometry, model, displacement };
     let parallel = parallel && geometry.n_elements() >= PARALLEL_FROM;
     match geometry.element {
         Element::Tet4 => loops.tangent::<4, 1, 10>(&TET4, pattern, kind, parallel, values),
@@ -48,7 +48,7 @@ pub(crate) fn tangent_into(
     }
 }
 
-impl Loops<'_> {
+impl<M: PointModel> Loops<'_, M> {
     fn tangent<const N: usize, const Q: usize, const PAIRS: usize>(
         &self,
         rule: &Rule<N, Q>,
@@ -94,7 +94,7 @@ impl Loops<'_> {
         let weight = self.geometry.volume[element] / Q as f64;
         for (point, gradients) in rule.gradients.iter().enumerate() {
             let h = displacement_gradient(&u, gradients, inverse_jacobian);
-            let Some(mut tangent) = self.material.law_at(element, point).tangent(&h) else {
+            let Some(mut tangent) = self.model.tangent(element, point, &h) else {
                 return false;
             };
             if kind == TangentKind::Clamped {
@@ -170,21 +170,21 @@ fn clamp(tangent: &mut Tangent) {
 /// # Shapes
 ///
 /// All `(3 n_nodes)`; `product` in mN.
-pub(crate) fn tangent_product_into(
+pub(crate) fn tangent_product_into<M: PointModel>(
     geometry: &Geometry,
-    material: &Material,
+    model: &M,
     displacement: &[f64],
     direction: &[f64],
     product: &mut [f64],
 ) -> bool {
-    let loops = Loops { geometry, material, displacement };
+    let loops = Loops { geometry, model, displacement };
     match geometry.element {
         Element::Tet4 => loops.product(&TET4, direction, product),
         Element::Tet10 => loops.product(&TET10, direction, product),
     }
 }
 
-impl Loops<'_> {
+impl<M: PointModel> Loops<'_, M> {
     fn product<const N: usize, const Q: usize>(
         &self,
         rule: &Rule<N, Q>,
@@ -199,7 +199,7 @@ impl Loops<'_> {
             let weight = self.geometry.volume[element] / Q as f64;
             for (point, gradients) in rule.gradients.iter().enumerate() {
                 let h = displacement_gradient(&u, gradients, inverse_jacobian);
-                let Some(tangent) = self.material.law_at(element, point).tangent(&h) else {
+                let Some(tangent) = self.model.tangent(element, point, &h) else {
                     return false;
                 };
                 let dh = displacement_gradient(&d, gradients, inverse_jacobian);
