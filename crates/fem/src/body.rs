@@ -9,8 +9,8 @@ use crate::load::{check_finite, check_length};
 use crate::mesh::Mesh;
 use crate::solve::RestCache;
 use crate::supports::Supports;
-use crate::system::check_rigid_modes;
 use crate::system::pattern::Pattern;
+use crate::system::{Cliques, check_rigid_modes};
 
 /// A supported mesh with its element data, elimination order and symbolic factor.
 ///
@@ -80,7 +80,8 @@ impl Body {
         }
         let (geometry, nodes) = Geometry::new(&mesh, element, &edges);
         let held = with_mid_edges(&mesh, &edges, held_corners);
-        let pattern = Pattern::new(&nodes, &geometry.connectivity, element.n_nodes(), &held)?;
+        let cliques = Cliques::new(&geometry.connectivity, element.n_nodes());
+        let pattern = Pattern::new(&nodes, cliques, &held)?;
         Ok(Self {
             mesh,
             supports,

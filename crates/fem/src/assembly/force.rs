@@ -1,7 +1,10 @@
 //! Internal forces and energy.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
+use super::lanes::{Eight, WIDTH};
 use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, displacement_gradient, local};
 use crate::element::{Element, Geometry, Rule, TET4, TET10};
 
@@ -57,16 +60,14 @@ impl<M: PointModel> Loops<'_, M> {
         let n = self.geometry.n_elements();
         let mut sum = Energy::NOTHING;
         for first in (0..n).step_by(CHUNK) {
-            let mut chunk = Energy::NOTHING;
-            for element in first..n.min(first + CHUNK) {
-                let (energy, rows) = self.element(rule, element)?;
-                chunk = chunk.and(energy);
+            let chunk = self.chunk(rule, first..n.min(first + CHUNK), |element, rows| {
                 for (a, &node) in self.geometry.nodes_of(element).iter().enumerate() {
+                    let row = &mut force[3 * node as usize..3 * node as usize + 3];
                     for i in 0..3 {
-                        force[3 * node as usize + i] += rows[a][i];
+                        row[i] += rows[a][i];
                     }
                 }
-            }
+            })?;
             sum = sum.and(chunk);
         }
         Some(sum)
@@ -83,13 +84,12 @@ impl<M: PointModel> Loops<'_, M> {
             .par_chunks_mut(3 * N * CHUNK)
             .enumerate()
             .map(|(c, slots)| {
-                let mut chunk = Energy::NOTHING;
-                for (k, slot) in slots.chunks_exact_mut(3 * N).enumerate() {
-                    let (energy, rows) = self.element(rule, c * CHUNK + k)?;
-                    chunk = chunk.and(energy);
-                    slot.copy_from_slice(rows.as_flattened());
-                }
-                Some(chunk)
+                let first = c * CHUNK;
+                let elements = first..first + slots.len() / (3 * N);
+                self.chunk(rule, elements, |element, rows| {
+                    let slot = 3 * N * (element - first);
+                    slots[slot..slot + 3 * N].copy_from_slice(rows.as_flattened());
+                })
             })
             .collect();
         let chunks = chunks?;
@@ -106,6 +106,51 @@ impl<M: PointModel> Loops<'_, M> {
             }
         });
         Some(chunks.into_iter().fold(Energy::NOTHING, Energy::and))
+    }
+
+    /// Evaluate some elements in order and hand each one's nodal forces to `take`.
+    #[inline(always)]
+    fn chunk<const N: usize, const Q: usize>(
+        &self,
+        rule: &Rule<N, Q>,
+        elements: Range<usize>,
+        mut take: impl FnMut(usize, &[[f64; 3]; N]),
+    ) -> Option<Energy> {
+        let mut sum = Energy::NOTHING;
+        if let (4, Some(laws)) = (N, self.model.neo_hookean()) {
+            for first in elements.clone().step_by(WIDTH) {
+                let last = elements.end.min(first + WIDTH);
+                let Self { geometry, displacement, .. } = *self;
+                let eight =
+                    pulp::Arch::new().dispatch(Eight { geometry, laws, displacement, first });
+                for element in first..last {
+                    if !eight.near {
+                        let (energy, rows) = self.element(rule, element)?;
+                        sum = sum.and(energy);
+                        take(element, &rows);
+                        continue;
+                    }
+                    let l = element - first;
+                    let mut rows = [[0.0; 3]; N];
+                    for k in 0..3 {
+                        for i in 0..3 {
+                            let force = eight.force[k][i][l];
+                            rows[k + 1][i] = force;
+                            rows[0][i] -= force;
+                        }
+                    }
+                    sum = sum.and(Energy { total: eight.energy[l], min_det_f: eight.det_f[l] });
+                    take(element, &rows);
+                }
+            }
+            return Some(sum);
+        }
+        for element in elements {
+            let (energy, rows) = self.element(rule, element)?;
+            sum = sum.and(energy);
+            take(element, &rows);
+        }
+        Some(sum)
     }
 
     /// Energy and nodal forces of one element.

@@ -13,13 +13,14 @@
 //! chunks. So the bits do not depend on the number of threads.
 
 mod force;
+mod lanes;
 mod tangent;
 
 pub(crate) use force::{Energy, internal_force_into};
-pub(crate) use tangent::{TangentKind, tangent_into, tangent_product_into};
+pub(crate) use tangent::{ElementTangents, TangentKind, tangent_product_into};
 
 use crate::element::{Element, Geometry, Rule, TET4, TET10};
-use crate::material::{Hyperelastic, Material, Matrix3, Response, Tangent};
+use crate::material::{Hyperelastic, Material, Matrix3, NeoHookean, Response, Tangent};
 
 /// Elements whose energies are summed together.
 const CHUNK: usize = 256;
@@ -35,6 +36,28 @@ pub(crate) trait PointModel: Sync {
 
     /// `∂P/∂h`; none where the point is inverted.
     fn tangent(&self, element: usize, point: usize, h: &Matrix3) -> Option<Tangent>;
+
+    /// The laws of a plain neo-Hookean body, for which the loops have faster forms: one for all,
+    /// one an element, or one a point.
+    fn neo_hookean(&self) -> Option<&[NeoHookean]> {
+        None
+    }
+}
+
+/// The entry for a point of a field that has one for all, one an element, or one a point.
+#[inline(always)]
+fn entry<T: Copy>(
+    field: &[T],
+    n_elements: usize,
+    n_points: usize,
+    element: usize,
+    point: usize,
+) -> T {
+    match field.len() {
+        1 => field[0],
+        n if n == n_elements => field[element],
+        _ => field[element * n_points + point],
+    }
 }
 
 impl PointModel for Material {
@@ -46,6 +69,10 @@ impl PointModel for Material {
     #[inline(always)]
     fn tangent(&self, element: usize, point: usize, h: &Matrix3) -> Option<Tangent> {
         self.law_at(element, point).tangent(h)
+    }
+
+    fn neo_hookean(&self) -> Option<&[NeoHookean]> {
+        self.plain_neo_hookean()
     }
 }
 
@@ -59,10 +86,12 @@ struct Loops<'a, M: PointModel> {
 #[inline(always)]
 fn local<const N: usize>(geometry: &Geometry, element: usize, values: &[f64]) -> [[f64; 3]; N] {
     let nodes = &geometry.connectivity[element * N..(element + 1) * N];
-    std::array::from_fn(|a| {
+    let mut rows = [[0.0; 3]; N];
+    for a in 0..N {
         let flat = 3 * nodes[a] as usize;
-        [values[flat], values[flat + 1], values[flat + 2]]
-    })
+        rows[a].copy_from_slice(&values[flat..flat + 3]);
+    }
+    rows
 }
 
 #[inline(always)]

@@ -1,12 +1,11 @@
-//! The tangent as a sparse matrix, and its product with a direction.
+//! The tangent element by element, and its product with a direction.
 
 use nalgebra::{SMatrix, SymmetricEigen};
-use rayon::prelude::*;
 
-use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, displacement_gradient, local};
+use super::{Loops, PointModel, displacement_gradient, entry, local};
 use crate::element::{Element, Geometry, Rule, TET4, TET10};
-use crate::material::{Matrix3, Tangent};
-use crate::system::pattern::Pattern;
+use crate::material::{Matrix3, NeoHookean, Tangent};
+use crate::system::factor::Blocks;
 
 /// Which tangent an assembly forms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,90 +16,66 @@ pub(crate) enum TangentKind {
     Clamped,
 }
 
-/// Write the lower triangle of the tangent at a displacement; false where an element is inverted.
-///
-/// # Shapes
-///
-/// `displacement` `(3 n_nodes)`, none for the undeformed state; `values` one entry an entry of
-/// the pattern, mN/mm.
-pub(crate) fn tangent_into<M: PointModel>(
-    geometry: &Geometry,
-    pattern: &Pattern,
-    model: &M,
-    displacement: Option<&[f64]>,
+/// The tangent at a displacement, element by element.
+pub(crate) struct ElementTangents<'a, M: PointModel> {
+    loops: Loops<'a, M>,
     kind: TangentKind,
-    parallel: bool,
-    values: &mut [f64],
-) -> bool {
-    let zero;
-    let displacement = match displacement {
-        Some(u) => u,
-        None => {
-            zero = vec![0.0; 3 * (geometry.node2place.0.len() - 1)];
-            &zero
+}
+
+impl<'a, M: PointModel> ElementTangents<'a, M> {
+    /// # Shapes
+    ///
+    /// `displacement` `(3 n_nodes)`, mm.
+    pub(crate) fn new(
+        geometry: &'a Geometry,
+        model: &'a M,
+        displacement: &'a [f64],
+        kind: TangentKind,
+    ) -> Self {
+        Self { loops: Loops { geometry, model, displacement }, kind }
+    }
+}
+
+impl<M: PointModel> Blocks for ElementTangents<'_, M> {
+    fn width(&self) -> usize {
+        self.loops.geometry.element.n_nodes()
+    }
+
+    fn blocks_into(&self, element: usize, blocks: &mut [[f64; 9]]) -> bool {
+        match self.loops.geometry.element {
+            Element::Tet4 => self.loops.element_tangent(&TET4, element, self.kind, blocks),
+            Element::Tet10 => self.loops.element_tangent(&TET10, element, self.kind, blocks),
         }
-    };
-    let loops = Loops { geometry, model, displacement };
-    let parallel = parallel && geometry.n_elements() >= PARALLEL_FROM;
-    match geometry.element {
-        Element::Tet4 => loops.tangent::<4, 1, 10>(&TET4, pattern, kind, parallel, values),
-        Element::Tet10 => loops.tangent::<10, 4, 55>(&TET10, pattern, kind, parallel, values),
     }
 }
 
 impl<M: PointModel> Loops<'_, M> {
-    fn tangent<const N: usize, const Q: usize, const PAIRS: usize>(
-        &self,
-        rule: &Rule<N, Q>,
-        pattern: &Pattern,
-        kind: TangentKind,
-        parallel: bool,
-        values: &mut [f64],
-    ) -> bool {
-        values.fill(0.0);
-        let n = self.geometry.n_elements();
-        let mut blocks = vec![[[0.0; 9]; PAIRS]; n.min(8 * CHUNK)];
-        for first in (0..n).step_by(8 * CHUNK) {
-            let count = (n - first).min(8 * CHUNK);
-            let fill = |(k, slot): (usize, &mut [[f64; 9]; PAIRS])| {
-                self.element_tangent(rule, first + k, kind, slot)
-            };
-            let sound = if parallel {
-                blocks[..count].par_iter_mut().with_min_len(32).enumerate().all(fill)
-            } else {
-                blocks[..count].iter_mut().enumerate().all(fill)
-            };
-            if !sound {
-                return false;
-            }
-            for (k, block) in blocks[..count].iter().enumerate() {
-                let element = first + k;
-                pattern.add_element_into(element, self.geometry.nodes_of(element), block, values);
-            }
-        }
-        true
-    }
-
-    fn element_tangent<const N: usize, const Q: usize, const PAIRS: usize>(
+    fn element_tangent<const N: usize, const Q: usize>(
         &self,
         rule: &Rule<N, Q>,
         element: usize,
         kind: TangentKind,
-        blocks: &mut [[f64; 9]; PAIRS],
+        blocks: &mut [[f64; 9]],
     ) -> bool {
-        *blocks = [[0.0; 9]; PAIRS];
+        blocks.fill([0.0; 9]);
         let u = local::<N>(self.geometry, element, self.displacement);
         let inverse_jacobian = &self.geometry.inverse_jacobian[element];
         let weight = self.geometry.volume[element] / Q as f64;
         for (point, gradients) in rule.gradients.iter().enumerate() {
             let h = displacement_gradient(&u, gradients, inverse_jacobian);
+            let spatial = spatial_gradients(gradients, inverse_jacobian);
+            if let (Some(laws), TangentKind::Exact) = (self.model.neo_hookean(), kind) {
+                let law = entry(laws, self.geometry.n_elements(), Q, element, point);
+                let Some((inverse_f, twist)) = law.tangent_parts(&h) else { return false };
+                add_neo_hookean(&law, &inverse_f, twist, &spatial, weight, blocks);
+                continue;
+            }
             let Some(mut tangent) = self.model.tangent(element, point, &h) else {
                 return false;
             };
             if kind == TangentKind::Clamped {
                 clamp(&mut tangent);
             }
-            let spatial = spatial_gradients(gradients, inverse_jacobian);
             add_blocks(&tangent, &spatial, weight, blocks);
         }
         true
@@ -112,15 +87,64 @@ fn spatial_gradients<const N: usize>(
     gradients: &[[f64; 3]; N],
     inverse_jacobian: &[[f64; 3]; 3],
 ) -> [[f64; 3]; N] {
-    gradients.map(|g| std::array::from_fn(|j| (0..3).map(|k| g[k] * inverse_jacobian[k][j]).sum()))
+    let mut spatial = [[0.0; 3]; N];
+    for a in 0..N {
+        for j in 0..3 {
+            for k in 0..3 {
+                spatial[a][j] += gradients[a][k] * inverse_jacobian[k][j];
+            }
+        }
+    }
+    spatial
+}
+
+/// Add the blocks of a neo-Hookean point. With `G = F⁻ᵀ` and `g_a' = G g_a` they are
+///
+/// ```text
+/// w (μ (g_a·g_b) I + (μ − λ ln J) g_b' ⊗ g_a' + λ g_a' ⊗ g_b')
+/// ```
+#[inline(always)]
+fn add_neo_hookean<const N: usize>(
+    law: &NeoHookean,
+    inverse_f: &Matrix3,
+    twist: f64,
+    gradients: &[[f64; 3]; N],
+    weight: f64,
+    blocks: &mut [[f64; 9]],
+) {
+    let mut pushed = [[0.0; 3]; N];
+    for a in 0..N {
+        for i in 0..3 {
+            for j in 0..3 {
+                pushed[a][i] += inverse_f[i][j] * gradients[a][j];
+            }
+        }
+    }
+    let (mu, twist, lambda) = (weight * law.mu, weight * twist, weight * law.lambda);
+    let mut pair = 0;
+    for a in 0..N {
+        for b in 0..=a {
+            let (ga, gb) = (&gradients[a], &gradients[b]);
+            let diagonal = mu * (ga[0] * gb[0] + ga[1] * gb[1] + ga[2] * gb[2]);
+            let block = &mut blocks[pair];
+            pair += 1;
+            for i in 0..3 {
+                for k in 0..3 {
+                    block[3 * i + k] +=
+                        twist * pushed[b][i] * pushed[a][k] + lambda * pushed[a][i] * pushed[b][k];
+                }
+                block[4 * i] += diagonal;
+            }
+        }
+    }
 }
 
 /// Add `w ∂N_a/∂X_j A_ijkl ∂N_b/∂X_l` for all pairs `a >= b`.
-fn add_blocks<const N: usize, const PAIRS: usize>(
+fn add_blocks<const N: usize>(
     tangent: &Tangent,
     gradients: &[[f64; 3]; N],
     weight: f64,
-    blocks: &mut [[f64; 9]; PAIRS],
+    blocks: &mut [[f64; 9]],
 ) {
     for a in 0..N {
         // Σ_j ∂N_a/∂X_j A_ijkl, rows i, columns 3 k + l.

@@ -186,6 +186,11 @@ impl Material {
         if self.laws.len() == 1 { &self.laws[0] } else { &self.laws[tet] }
     }
 
+    /// The laws of a neo-Hookean material: one for all or one a tetrahedron.
+    pub(crate) fn plain_neo_hookean(&self) -> Option<&[NeoHookean]> {
+        Some(&self.laws)
+    }
+
     /// Check that the field fits a body of `n_tets` tetrahedra.
     pub(crate) fn check_size(&self, n_tets: usize) -> Result<(), FemError> {
         if self.is_uniform() || self.laws.len() == n_tets {

@@ -159,6 +159,22 @@ impl NeoHookean {
     }
 }
 
+impl NeoHookean {
+    /// `F⁻ᵀ` and `μ − λ ln J`, of which the tangent is made; none where inverted.
+    #[inline(always)]
+    pub(crate) fn tangent_parts(&self, h: &Matrix3) -> Option<(Matrix3, f64)> {
+        let kinematics = Kinematics::new(h)?;
+        let mut g = kinematics.cof_f(h);
+        let inverse_j = 1.0 / kinematics.det_f;
+        for row in &mut g {
+            for v in row {
+                *v *= inverse_j;
+            }
+        }
+        Some((g, self.mu - self.lambda * kinematics.log))
+    }
+}
+
 impl Hyperelastic for NeoHookean {
     fn energy(&self, h: &Matrix3) -> Option<f64> {
         Kinematics::new(h).map(|k| self.energy_of(h, &k))

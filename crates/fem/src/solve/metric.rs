@@ -8,13 +8,12 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-use crate::assembly::{TangentKind, tangent_into};
+use crate::assembly::{ElementTangents, TangentKind};
 use crate::body::Body;
 use crate::error::FemError;
 use crate::material::{Material, Stiffness};
 use crate::solve::problem::{Problem, State, Workspace};
-use crate::solve::settings::Method;
-use crate::system::factor::Factor;
+use crate::system::factor::{Factor, Making};
 
 /// Factor of `K / scale⁻¹`: a solve with it is multiplied by `scale`.
 #[derive(Debug, Clone)]
@@ -34,17 +33,18 @@ impl Metric {
     ) {
         workspace.report.solves += 1;
         self.factor.solve_into(
-            problem.body.pattern(),
+            &problem.body.pattern().fronts,
             self.scale,
             rhs,
             out,
             &mut workspace.solve_scratch,
+            problem.parallel,
         );
     }
 
     /// Euclidean norm of the diagonal of the matrix, mN/mm.
-    pub(crate) fn diagonal_norm(&self) -> f64 {
-        self.factor.diagonal_norm() / self.scale
+    pub(crate) fn diagonal_norm(&self, problem: &Problem) -> f64 {
+        self.factor.diagonal_norm(&problem.body.pattern().fronts) / self.scale
     }
 
     /// Replace by the tangent at a state; kept as it is where no factor of that can be made.
@@ -73,19 +73,10 @@ impl Metric {
         workspace: &mut Workspace,
     ) -> Result<Self, FemError> {
         let start = Instant::now();
-        let pattern = problem.body.pattern();
-        let double = problem.settings.method == Method::Newton;
-        let make = |values: &[f64]| match double {
-            true => Factor::double(pattern, values),
-            false => Factor::single_or_double(pattern, values),
-        };
         let mut result = Err(FemError::SingularStiffness { pivot: 0, n_dofs: 0 });
         for kind in [TangentKind::Exact, TangentKind::Clamped] {
             workspace.report.factorisations += 1;
-            result = match problem.tangent(state, kind, workspace) {
-                Some(values) => make(values),
-                None => break,
-            };
+            result = problem.factor(state, kind);
             if !matches!(result, Err(FemError::SingularStiffness { .. })) {
                 break;
             }
@@ -151,18 +142,11 @@ impl Shape {
 
     /// Factor of the undeformed stiffness of this shape.
     pub(crate) fn factor(&self, body: &Body, parallel: bool) -> Result<Factor, FemError> {
-        let pattern = body.pattern();
-        let mut values = vec![0.0; pattern.n_entries()];
-        tangent_into(
-            body.geometry(),
-            pattern,
-            &self.material()?,
-            None,
-            TangentKind::Exact,
-            parallel,
-            &mut values,
-        );
-        Factor::single_or_double(pattern, &values)
+        let material = self.material()?;
+        let at_rest = vec![0.0; 3 * body.n_nodes()];
+        let matrix = ElementTangents::new(body.geometry(), &material, &at_rest, TangentKind::Exact);
+        let making = Making { parallel, cancel: None };
+        Factor::single_or_double(&body.pattern().fronts, &matrix, making)
     }
 }
 

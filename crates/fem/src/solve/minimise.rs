@@ -90,7 +90,7 @@ impl Minimiser {
             problem.check_cancel()?;
             let residual = norm(&self.residual);
             let tolerance = goal.tolerance * problem.load_norm(state, goal.fraction)
-                + rounding_floor(metric, state);
+                + rounding_floor(problem, metric, state);
             let ended = |stop| Ended { stop, residual, tolerance, iterations };
             // Infinite where squares overflow, and then no measure of anything.
             if !(residual.is_finite() && tolerance.is_finite()) {
@@ -183,12 +183,12 @@ impl Minimiser {
 
 /// Iterations that take as long as one factorisation.
 pub(super) fn iterations_per_factor(problem: &Problem) -> f64 {
-    problem.body.pattern().factor_to_solve() / RATIO_PER_ITERATION
+    problem.body.pattern().fronts.factor_to_solve() / RATIO_PER_ITERATION
 }
 
 /// Norm of the rounding errors of the internal forces, mN: each force is a sum of products of
 /// stiffness and displacement, and carries the rounding of its largest terms.
-fn rounding_floor(metric: &Metric, state: &State) -> f64 {
+fn rounding_floor(problem: &Problem, metric: &Metric, state: &State) -> f64 {
     let largest = state.displacement.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    16.0 * f64::EPSILON * largest * metric.diagonal_norm()
+    16.0 * f64::EPSILON * largest * metric.diagonal_norm(problem)
 }

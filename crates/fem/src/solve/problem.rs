@@ -1,15 +1,17 @@
 //! One equilibrium problem and the state it is in.
 
 use crate::assembly::{
-    Energy, TangentKind, det_f_by_element, internal_force_into, tangent_into, tangent_product_into,
+    ElementTangents, Energy, TangentKind, det_f_by_element, internal_force_into,
+    tangent_product_into,
 };
 use crate::body::Body;
 use crate::error::{FemError, WorstTet};
 use crate::load::NodalLoad;
 use crate::material::Material;
 use crate::solve::report::SolveReport;
-use crate::solve::settings::SolveSettings;
-use crate::system::factor::SolveScratch;
+use crate::solve::settings::{Method, SolveSettings};
+use crate::system::SolveScratch;
+use crate::system::factor::{Factor, Making};
 
 /// What does not change during a solve.
 pub(crate) struct Problem<'a> {
@@ -46,7 +48,6 @@ pub(crate) struct Workspace {
     pub(crate) report: SolveReport,
     pub(crate) solve_scratch: SolveScratch,
     element_forces: Vec<f64>,
-    matrix_values: Vec<f64>,
 }
 
 impl Problem<'_> {
@@ -98,25 +99,16 @@ impl Problem<'_> {
         if self.load.moves_supports { f64::max(applied, reaction).sqrt() } else { applied.sqrt() }
     }
 
-    /// Values of the tangent at a state, in the workspace; false where an element is inverted.
-    pub(crate) fn tangent<'w>(
-        &self,
-        state: &State,
-        kind: TangentKind,
-        workspace: &'w mut Workspace,
-    ) -> Option<&'w [f64]> {
-        let pattern = self.body.pattern();
-        workspace.matrix_values.resize(pattern.n_entries(), 0.0);
-        tangent_into(
-            self.body.geometry(),
-            pattern,
-            self.material,
-            Some(&state.displacement),
-            kind,
-            self.parallel,
-            &mut workspace.matrix_values,
-        )
-        .then_some(&workspace.matrix_values)
+    /// Factor of the tangent at a state.
+    pub(crate) fn factor(&self, state: &State, kind: TangentKind) -> Result<Factor, FemError> {
+        let (body, fronts) = (self.body, &self.body.pattern().fronts);
+        let matrix =
+            ElementTangents::new(body.geometry(), self.material, &state.displacement, kind);
+        let making = Making { parallel: self.parallel, cancel: self.settings.cancel.as_deref() };
+        match self.settings.method {
+            Method::Newton => Factor::double(fronts, &matrix, making),
+            Method::Auto | Method::QuasiNewton => Factor::single_or_double(fronts, &matrix, making),
+        }
     }
 
     /// Tangent at a state times a direction `(3 n_nodes)`; none where an element is inverted.

@@ -1,6 +1,8 @@
 //! Undirected graphs in compressed rows, and elimination trees on them.
 
-/// Neighbours of every vertex, ascending, without the vertex itself.
+use super::cliques::Cliques;
+
+/// Neighbours of every vertex, without the vertex itself.
 #[derive(Debug, Clone)]
 pub(super) struct Graph {
     start: Vec<usize>,
@@ -8,20 +10,14 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Graph whose vertices `vertex[node]` are joined where two nodes share an element.
+    /// Graph whose vertices `vertex[node]` are joined where two nodes share a clique.
     ///
     /// # Shapes
     ///
-    /// `elements` flat, `width` nodes an element; `vertex` one entry a node, `u32::MAX` for nodes
-    /// that are no vertex.
-    pub(super) fn of_elements(
-        elements: &[u32],
-        width: usize,
-        vertex: &[u32],
-        n_vertices: usize,
-    ) -> Self {
+    /// `vertex` one entry a node, `u32::MAX` for nodes that are no vertex.
+    pub(super) fn of_cliques(cliques: Cliques, vertex: &[u32], n_vertices: usize) -> Self {
         let mut own = vec![0usize; n_vertices + 1];
-        for &node in elements {
+        for &node in cliques.nodes() {
             let v = vertex[node as usize];
             if v != u32::MAX {
                 own[v as usize + 1] += 1;
@@ -31,11 +27,11 @@ impl Graph {
             own[v + 1] += own[v];
         }
         let mut cursor = own.clone();
-        let mut vertex2element = vec![0u32; own[n_vertices]];
-        for (place, &node) in elements.iter().enumerate() {
+        let mut vertex2clique = vec![0u32; own[n_vertices]];
+        for (place, &node) in cliques.nodes().iter().enumerate() {
             let v = vertex[node as usize];
             if v != u32::MAX {
-                vertex2element[cursor[v as usize]] = (place / width) as u32;
+                vertex2clique[cursor[v as usize]] = cliques.owner(place) as u32;
                 cursor[v as usize] += 1;
             }
         }
@@ -44,9 +40,8 @@ impl Graph {
         let mut mark = vec![u32::MAX; n_vertices];
         for v in 0..n_vertices {
             mark[v] = v as u32;
-            let first = neighbours.len();
-            for &e in &vertex2element[own[v]..own[v + 1]] {
-                for &node in &elements[e as usize * width..(e as usize + 1) * width] {
+            for &clique in &vertex2clique[own[v]..own[v + 1]] {
+                for &node in cliques.get(clique as usize) {
                     let w = vertex[node as usize];
                     if w != u32::MAX && mark[w as usize] != v as u32 {
                         mark[w as usize] = v as u32;
@@ -54,7 +49,6 @@ impl Graph {
                     }
                 }
             }
-            neighbours[first..].sort_unstable();
             start.push(neighbours.len());
         }
         Self { start, neighbours }

@@ -1,11 +1,16 @@
-//! What is made once a body: parts and rigid modes, the elimination order, the sparsity pattern
-//! and its symbolic factor; and the numeric factor made from them.
+//! What is made once a body: parts and rigid modes, the elimination order and the symbolic factor;
+//! and the numeric factor made from them.
 
+mod cliques;
 pub(crate) mod factor;
+mod fronts;
 mod graph;
 mod ordering;
 pub(crate) mod pattern;
 mod rigid;
+mod substitute;
 
+pub(crate) use cliques::Cliques;
 pub use rigid::RigidModes;
 pub(crate) use rigid::check_rigid_modes;
+pub(crate) use substitute::SolveScratch;

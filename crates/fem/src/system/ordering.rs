@@ -11,38 +11,34 @@ use faer::sparse::SymbolicSparseColMatRef;
 use faer::sparse::linalg::amd;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
-use super::graph::{Graph, column_counts, elimination_tree, inverse, postorder};
+use super::cliques::Cliques;
+use super::fronts::{Analysis, analyse};
+use super::graph::{Graph, elimination_tree, postorder};
 
 /// Sets of at most this many nodes are not cut further.
 const LEAF: usize = 24;
 
-/// An order of the vertices with the operations that its factor costs.
-#[derive(Debug)]
-pub(super) struct Ordering {
-    /// Vertex at each position; postordered, so that supernodes are contiguous.
-    pub(super) order: Vec<u32>,
-    /// Sum of squared column lengths of the factor, in unknowns: about its multiply-adds.
-    pub(super) operations: f64,
-}
-
-/// Return the cheaper of the two orders.
-pub(super) fn best_ordering(graph: &Graph, points: &[[f64; 3]]) -> Ordering {
-    let geometric = finished(graph, nested_dissection(graph, points));
-    match minimum_degree(graph).map(|order| finished(graph, order)) {
-        Some(other) if other.operations < geometric.operations => other,
+/// Return the fronts of the cheaper of the two orders.
+pub(super) fn best_analysis(
+    graph: &Graph,
+    points: &[[f64; 3]],
+    free_axes: &[u8],
+    cliques: Cliques,
+    vertex: &[u32],
+) -> Analysis {
+    let finished = |order: Vec<u32>| {
+        let tree = elimination_tree(graph, &order);
+        let order: Vec<u32> = postorder(&tree).iter().map(|&k| order[k as usize]).collect();
+        analyse(graph, &order, free_axes, cliques, vertex)
+    };
+    let (geometric, other) = rayon::join(
+        || finished(nested_dissection(graph, points)),
+        || minimum_degree(graph).map(finished),
+    );
+    match other {
+        Some(other) if other.fronts.work() < geometric.fronts.work() => other,
         _ => geometric,
     }
-}
-
-/// Postorder an order and count its operations.
-fn finished(graph: &Graph, order: Vec<u32>) -> Ordering {
-    let tree = elimination_tree(graph, &order);
-    let operations = column_counts(graph, &order, &tree)
-        .iter()
-        .map(|&c| 3.0 * (3.0 * f64::from(c) + 2.0).powi(2))
-        .sum();
-    let order = postorder(&tree).iter().map(|&k| order[k as usize]).collect();
-    Ordering { order, operations }
 }
 
 /// Approximate minimum degree by faer; none where it fails for want of memory.
@@ -50,7 +46,7 @@ fn minimum_degree(graph: &Graph) -> Option<Vec<u32>> {
     let n = graph.n_vertices();
     let (start, neighbours) = graph.parts();
     let start: Vec<u32> = start.iter().map(|&s| u32::try_from(s).ok()).collect::<Option<_>>()?;
-    let pattern = SymbolicSparseColMatRef::new_checked(n, n, &start, None, neighbours);
+    let pattern = SymbolicSparseColMatRef::new_unsorted_checked(n, n, &start, None, neighbours);
     let mut order = vec![0u32; n];
     let mut position = vec![0u32; n];
     let mut memory =
@@ -213,9 +209,4 @@ impl Cut<'_> {
             w = previous;
         }
     }
-}
-
-/// Positions of vertices under an order (re-exported for the pattern).
-pub(super) fn positions(order: &[u32]) -> Vec<u32> {
-    inverse(order)
 }

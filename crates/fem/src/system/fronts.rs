@@ -1,0 +1,472 @@
+//! Symbolic factorisation: dense fronts, and where everything goes in them.
+//!
+//! Nodes are eliminated in groups, *fronts*. A front owns consecutive unknowns (its columns) and
+//! couples them to unknowns of later fronts (its rows). Its factor is one dense panel,
+//!
+//! ```text
+//! [ L_own  ]   (n_own, n_own)
+//! [ L_rows ]   (n_rows, n_own)
+//! ```
+//!
+//! and eliminating its columns leaves an update `(n_rows, n_rows)` that is added to its parent, of
+//! whose unknowns all its rows are (multifrontal method: Duff and Reid, ACM Trans. Math. Softw. 9,
+//! 302, 1983). Children stand before their parents and every subtree is contiguous, in fronts, in
+//! unknowns and in panels, so that subtrees can be worked on at the same time.
+
+use super::cliques::Cliques;
+use super::graph::{Graph, column_counts, elimination_tree, inverse};
+
+/// Columns of a panel that stand together: each such step holds the rows from its first column on,
+/// column by column.
+pub(super) const STEP: usize = 8;
+
+/// No front, no place.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Fronts of up to this many unknowns take in a child whatever zeros that stores.
+const TINY: usize = 24;
+
+/// Largest share of stored zeros up to a number of own unknowns of the merged front.
+const ZERO_SHARE: [(usize, f64); 3] = [(96, 0.4), (192, 0.15), (usize::MAX, 0.06)];
+
+/// One front.
+#[derive(Debug, Clone)]
+pub(super) struct Front {
+    /// First own unknown.
+    pub(super) first: usize,
+    /// Number of own unknowns.
+    pub(super) n_own: usize,
+    /// Number of rows below them.
+    pub(super) n_rows: usize,
+    /// Place of its rows in [`Fronts::rows`].
+    pub(super) rows: usize,
+    /// Place of its panel.
+    pub(super) panel: usize,
+    /// Place of its local vector in a solve.
+    pub(super) local: usize,
+    /// Its parent, [`NONE`] for a root.
+    pub(super) parent: u32,
+    /// First front of its subtree.
+    pub(super) first_below: usize,
+    /// Its children in [`Fronts::children`].
+    pub(super) children: std::ops::Range<usize>,
+    /// Cliques that are added in it, in [`Fronts::cliques`].
+    pub(super) cliques: std::ops::Range<usize>,
+    /// Multiply-adds of its subtree.
+    pub(super) work: f64,
+}
+
+impl Front {
+    /// Number of unknowns that take part.
+    pub(super) fn size(&self) -> usize {
+        self.n_own + self.n_rows
+    }
+
+    /// Steps of the panel: first column, number of columns, place from the panel's begin.
+    pub(super) fn steps(&self) -> impl DoubleEndedIterator<Item = Step> + '_ {
+        let whole = self.n_own / STEP;
+        (0..self.n_own.div_ceil(STEP)).map(move |k| {
+            let first = k * STEP;
+            let n_columns = if k < whole { STEP } else { self.n_own - first };
+            // Σ STEP (size − STEP i) over the steps before.
+            let begin = STEP * (k * self.size() - STEP * (k * k.saturating_sub(1) / 2));
+            Step { first, n_columns, begin, n_rows: self.size() - first }
+        })
+    }
+
+    /// Entries of the panel.
+    pub(super) fn panel_len(&self) -> usize {
+        self.steps().last().map_or(0, |step| step.begin + step.n_columns * step.n_rows)
+    }
+}
+
+/// Some columns of a panel.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Step {
+    pub(super) first: usize,
+    pub(super) n_columns: usize,
+    pub(super) begin: usize,
+    /// Rows from `first` on.
+    pub(super) n_rows: usize,
+}
+
+/// Where a node of a clique lies in a front: local unknown of its first free axis, and its free
+/// axes as bits.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Spot {
+    pub(super) first: u32,
+    pub(super) axes: u8,
+}
+
+/// All fronts of a matrix.
+#[derive(Debug)]
+pub(crate) struct Fronts {
+    pub(super) fronts: Vec<Front>,
+    /// Unknowns of the rows of all fronts, ascending in each.
+    pub(super) rows: Vec<u32>,
+    /// Place of each of these rows among the unknowns of the parent front.
+    pub(super) in_parent: Vec<u32>,
+    pub(super) children: Vec<u32>,
+    /// Fronts without parent.
+    pub(super) roots: Vec<u32>,
+    /// Cliques by the front in which they are added.
+    pub(super) cliques: Vec<u32>,
+    /// Spots of the nodes of all cliques, in the order of the cliques.
+    pub(super) spots: Vec<Spot>,
+    pub(super) n_unknowns: usize,
+    /// Entries of all panels.
+    pub(super) n_entries: usize,
+    /// Unknowns of all fronts, rows included.
+    pub(super) n_local: usize,
+    /// Multiply-adds of a factorisation.
+    pub(super) work: f64,
+}
+
+/// An order of the nodes with the fronts that it leads to.
+pub(super) struct Analysis {
+    /// Vertex of the graph at each position; fronts own consecutive positions.
+    pub(super) order: Vec<u32>,
+    pub(super) fronts: Fronts,
+}
+
+impl Fronts {
+    /// Work of a factorisation over entries of the factor: its cost in units of a solve.
+    pub(crate) fn factor_to_solve(&self) -> f64 {
+        self.work / self.n_entries.max(1) as f64
+    }
+
+    /// Bytes of a factor of `size`-byte numbers.
+    pub(crate) fn n_entries(&self) -> usize {
+        self.n_entries
+    }
+
+    /// Multiply-adds of a factorisation.
+    pub(crate) fn work(&self) -> f64 {
+        self.work
+    }
+
+    /// Places of the local vectors of a subtree.
+    pub(super) fn local_range(&self, root: u32) -> std::ops::Range<usize> {
+        let front = &self.fronts[root as usize];
+        self.fronts[front.first_below].local..front.local + front.size()
+    }
+
+    pub(super) fn rows_of(&self, front: &Front) -> &[u32] {
+        &self.rows[front.rows..front.rows + front.n_rows]
+    }
+
+    pub(super) fn in_parent_of(&self, front: &Front) -> &[u32] {
+        &self.in_parent[front.rows..front.rows + front.n_rows]
+    }
+
+    pub(super) fn children_of(&self, front: &Front) -> &[u32] {
+        &self.children[front.children.clone()]
+    }
+}
+
+/// Find the fronts of a graph under a postordered elimination order.
+///
+/// # Shapes
+///
+/// `order` vertex at each position; `free_axes` bits of the free axes of each vertex;
+/// `vertex_of_node` one entry a node, [`NONE`] where all axes are held.
+pub(super) fn analyse(
+    graph: &Graph,
+    order: &[u32],
+    free_axes: &[u8],
+    cliques: Cliques,
+    vertex_of_node: &[u32],
+) -> Analysis {
+    let groups = Groups::merged(graph, order, free_axes);
+    let order = groups.order;
+    let position = inverse(&order);
+    let width = |v: u32| free_axes[v as usize].count_ones() as usize;
+    let n = order.len();
+
+    let mut first_unknown = vec![0usize; n + 1];
+    for (k, &v) in order.iter().enumerate() {
+        first_unknown[k + 1] = first_unknown[k] + width(v);
+    }
+    let n_fronts = groups.starts.len() - 1;
+    let mut front_of = vec![0u32; n];
+    for f in 0..n_fronts {
+        front_of[groups.starts[f]..groups.starts[f + 1]].fill(f as u32);
+    }
+
+    // Rows of each front as positions: neighbours of its nodes and rows of its children.
+    let mut rows_start = vec![0usize];
+    let mut rows: Vec<u32> = Vec::new();
+    let mut parent = vec![NONE; n_fronts];
+    let mut children_of: Vec<Vec<u32>> = vec![Vec::new(); n_fronts];
+    let mut mark = vec![NONE; n];
+    for f in 0..n_fronts {
+        let end = groups.starts[f + 1];
+        let begin = rows.len();
+        for &v in &order[groups.starts[f]..end] {
+            for &w in graph.neighbours(v as usize) {
+                let p = position[w as usize];
+                if p as usize >= end && mark[p as usize] != f as u32 {
+                    mark[p as usize] = f as u32;
+                    rows.push(p);
+                }
+            }
+        }
+        for &c in &children_of[f] {
+            for k in rows_start[c as usize]..rows_start[c as usize + 1] {
+                let p = rows[k];
+                if p as usize >= end && mark[p as usize] != f as u32 {
+                    mark[p as usize] = f as u32;
+                    rows.push(p);
+                }
+            }
+        }
+        rows[begin..].sort_unstable();
+        rows_start.push(rows.len());
+        if let Some(&p) = rows[begin..].first() {
+            parent[f] = front_of[p as usize];
+            children_of[parent[f] as usize].push(f as u32);
+        }
+    }
+
+    let mut built = Fronts {
+        fronts: Vec::with_capacity(n_fronts),
+        rows: Vec::new(),
+        in_parent: Vec::new(),
+        children: Vec::new(),
+        roots: Vec::new(),
+        cliques: Vec::new(),
+        spots: Vec::new(),
+        n_unknowns: first_unknown[n],
+        n_entries: 0,
+        n_local: 0,
+        work: 0.0,
+    };
+    // Local unknown of a position in a front, for its parent's children and its cliques.
+    let mut local = vec![NONE; n];
+    for f in 0..n_fronts {
+        let (begin, end) = (groups.starts[f], groups.starts[f + 1]);
+        let first = first_unknown[begin];
+        let n_own = first_unknown[end] - first;
+        let rows_at = built.rows.len();
+        for &p in &rows[rows_start[f]..rows_start[f + 1]] {
+            let p = p as usize;
+            built.rows.extend((first_unknown[p]..first_unknown[p + 1]).map(|u| u as u32));
+        }
+        let n_rows = built.rows.len() - rows_at;
+        let children = built.children.len()..built.children.len() + children_of[f].len();
+        built.children.extend(&children_of[f]);
+        let mut work = front_work(n_own, n_rows);
+        let mut first_below = f;
+        for &c in &children_of[f] {
+            work += built.fronts[c as usize].work;
+            first_below = first_below.min(built.fronts[c as usize].first_below);
+        }
+        if parent[f] == NONE {
+            built.roots.push(f as u32);
+            built.work += work;
+        }
+        built.fronts.push(Front {
+            first,
+            n_own,
+            n_rows,
+            rows: rows_at,
+            panel: built.n_entries,
+            local: built.n_local,
+            parent: parent[f],
+            first_below,
+            children,
+            cliques: 0..0,
+            work,
+        });
+        built.n_entries += built.fronts[f].panel_len();
+        built.n_local += n_own + n_rows;
+    }
+    built.in_parent = vec![NONE; built.rows.len()];
+    let owner = owners(cliques, vertex_of_node, &position, &front_of);
+    let mut by_front: Vec<Vec<u32>> = vec![Vec::new(); n_fronts];
+    for (clique, &front) in owner.iter().enumerate() {
+        if front != NONE {
+            by_front[front as usize].push(clique as u32);
+        }
+    }
+    for f in 0..n_fronts {
+        let (begin, end) = (groups.starts[f], groups.starts[f + 1]);
+        let mut next = 0u32;
+        let mut place = |p: usize| {
+            local[p] = next;
+            next += (first_unknown[p + 1] - first_unknown[p]) as u32;
+        };
+        (begin..end).for_each(&mut place);
+        rows[rows_start[f]..rows_start[f + 1]].iter().for_each(|&p| place(p as usize));
+        for &c in &children_of[f] {
+            let at = built.fronts[c as usize].rows;
+            let mut k = at;
+            for &p in &rows[rows_start[c as usize]..rows_start[c as usize + 1]] {
+                let p = p as usize;
+                for axis in 0..first_unknown[p + 1] - first_unknown[p] {
+                    built.in_parent[k] = local[p] + axis as u32;
+                    k += 1;
+                }
+            }
+        }
+        let clique_begin = built.cliques.len();
+        for &clique in &by_front[f] {
+            built.cliques.push(clique);
+            for &node in cliques.get(clique as usize) {
+                let v = vertex_of_node[node as usize];
+                built.spots.push(match v {
+                    NONE => Spot { first: 0, axes: 0 },
+                    _ => Spot {
+                        first: local[position[v as usize] as usize],
+                        axes: free_axes[v as usize],
+                    },
+                });
+            }
+        }
+        built.fronts[f].cliques = clique_begin..built.cliques.len();
+    }
+    Analysis { order, fronts: built }
+}
+
+/// Front in which each clique is added: that of its node eliminated first.
+fn owners(cliques: Cliques, vertex: &[u32], position: &[u32], front_of: &[u32]) -> Vec<u32> {
+    (0..cliques.len())
+        .map(|clique| {
+            cliques
+                .get(clique)
+                .iter()
+                .map(|&node| vertex[node as usize])
+                .filter(|&v| v != NONE)
+                .map(|v| position[v as usize])
+                .min()
+                .map_or(NONE, |first| front_of[first as usize])
+        })
+        .collect()
+}
+
+/// Multiply-adds of one front: `Σ (rows left)²` over its columns, halved for symmetry.
+fn front_work(n_own: usize, n_rows: usize) -> f64 {
+    let (a, b) = (n_rows as f64, (n_own + n_rows) as f64);
+    0.5 * (b * (b + 1.0) * (2.0 * b + 1.0) - a * (a + 1.0) * (2.0 * a + 1.0)) / 6.0
+}
+
+/// Positions grouped into fronts.
+struct Groups {
+    order: Vec<u32>,
+    /// First position of each group, and the number of positions.
+    starts: Vec<usize>,
+}
+
+/// A group while groups are merged.
+struct Group {
+    /// Own positions under the first order.
+    own: Vec<u32>,
+    /// Own unknowns and rows, in unknowns.
+    n_own: usize,
+    n_rows: usize,
+    /// Entries stored that are zero.
+    zeros: f64,
+    children: Vec<u32>,
+}
+
+impl Groups {
+    /// Columns of equal structure make a group; small groups are merged into their parents where
+    /// that stores few zeros.
+    fn merged(graph: &Graph, order: &[u32], free_axes: &[u8]) -> Self {
+        let tree = elimination_tree(graph, order);
+        let count = column_counts(graph, order, &tree);
+        let n = order.len();
+        let width = |k: usize| free_axes[order[k] as usize].count_ones() as usize;
+        let mut group_of = vec![0u32; n];
+        let mut groups: Vec<Group> = Vec::new();
+        let mut parent_position = Vec::new();
+        for k in 0..n {
+            let joins = k > 0 && tree[k - 1] == k as u32 && count[k - 1] == count[k] + 1;
+            if !joins {
+                groups.push(Group {
+                    own: Vec::new(),
+                    n_own: 0,
+                    n_rows: 0,
+                    zeros: 0.0,
+                    children: Vec::new(),
+                });
+                parent_position.push(NONE);
+            }
+            let g = groups.len() - 1;
+            group_of[k] = g as u32;
+            groups[g].own.push(k as u32);
+            groups[g].n_own += width(k);
+            // Unknowns of the rows, taken as three a node: exact where no axis is held alone.
+            groups[g].n_rows = 3 * count[k] as usize;
+            parent_position[g] = tree[k];
+        }
+        let mut roots = Vec::new();
+        for g in 0..groups.len() {
+            match parent_position[g] {
+                NONE => roots.push(g as u32),
+                p => {
+                    let parent = group_of[p as usize] as usize;
+                    groups[parent].children.push(g as u32);
+                }
+            }
+        }
+        for g in 0..groups.len() {
+            Self::take_in_children(&mut groups, g);
+        }
+        let mut result = Self { order: Vec::with_capacity(n), starts: vec![0] };
+        for root in roots {
+            result.emit(&groups, root as usize, order);
+        }
+        result
+    }
+
+    fn take_in_children(groups: &mut [Group], g: usize) {
+        let mut candidates = std::mem::take(&mut groups[g].children);
+        // The child that shares most is asked first.
+        candidates.sort_by_key(|&c| (std::cmp::Reverse(groups[c as usize].n_rows), c));
+        let mut kept = Vec::new();
+        for c in candidates {
+            let child = &groups[c as usize];
+            let parent = &groups[g];
+            let n_own = child.n_own + parent.n_own;
+            let stored = |own: usize, rows: usize| own as f64 * (own as f64 * 0.5 + rows as f64);
+            let merged = stored(n_own, parent.n_rows);
+            let zeros =
+                merged - stored(child.n_own, child.n_rows) - stored(parent.n_own, parent.n_rows)
+                    + child.zeros
+                    + parent.zeros;
+            let share = ZERO_SHARE.iter().find(|(n, _)| n_own <= *n).map_or(0.0, |(_, s)| *s);
+            if n_own <= TINY || zeros <= share * merged {
+                let (own, grandchildren) = {
+                    let child = &mut groups[c as usize];
+                    (std::mem::take(&mut child.own), std::mem::take(&mut child.children))
+                };
+                let parent = &mut groups[g];
+                let mut all = own;
+                all.append(&mut parent.own);
+                parent.own = all;
+                parent.n_own = n_own;
+                parent.zeros = zeros;
+                kept.extend(grandchildren);
+            } else {
+                kept.push(c);
+            }
+        }
+        kept.sort_unstable();
+        groups[g].children = kept;
+    }
+
+    /// Children before parents, without recursion (paths may be as long as the mesh).
+    fn emit(&mut self, groups: &[Group], root: usize, order: &[u32]) {
+        let mut stack = vec![(root, 0)];
+        while let Some((g, next)) = stack.pop() {
+            if let Some(&child) = groups[g].children.get(next) {
+                stack.push((g, next + 1));
+                stack.push((child as usize, 0));
+            } else {
+                self.order.extend(groups[g].own.iter().map(|&k| order[k as usize]));
+                self.starts.push(self.order.len());
+            }
+        }
+    }
+}
