@@ -11,9 +11,10 @@ use super::problem::{Problem, State, Workspace, dot, norm};
 use super::settings::Method;
 use crate::error::{FemError, StopReason};
 
-/// Multiply-adds of a factor over entries of a factor, per unit of "one iteration": measured,
-/// factor 29 ms and iteration 2.2 ms at a ratio of 680 (4,000 nodes), 560 and 25 at 1,700 (20,000).
-const RATIO_PER_ITERATION: f64 = 60.0;
+/// Iterations that take as long as a factorisation, by its multiply-adds over its entries `x`:
+/// `FACTOR_COST[0] + FACTOR_COST[1] x`. Measured on one thread: 21 at x = 236 (4,000 nodes), 27 at
+/// 695 (20,000); on two threads a third less.
+const FACTOR_COST: [f64; 2] = [14.0, 0.0125];
 
 /// Iterations that a fresh metric still needs, for the decision to make one.
 const AFTER_REFRESH: f64 = 7.0;
@@ -183,7 +184,7 @@ impl Minimiser {
 
 /// Iterations that take as long as one factorisation.
 pub(super) fn iterations_per_factor(problem: &Problem) -> f64 {
-    problem.body.pattern().fronts.factor_to_solve() / RATIO_PER_ITERATION
+    FACTOR_COST[0] + FACTOR_COST[1] * problem.body.pattern().fronts.factor_to_solve()
 }
 
 /// Norm of the rounding errors of the internal forces, mN: each force is a sum of products of

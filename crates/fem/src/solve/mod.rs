@@ -73,8 +73,10 @@ pub fn solve(
     settings.in_pool(|| {
         let parallel = settings.is_parallel();
         let mut solver = Solver::new(body, parallel);
-        solver.solve(Task { material, load, start: None }, settings, || {
-            body.rest_cache().metric(body, material, parallel)
+        settings.awake(|| {
+            solver.solve(Task { material, load, start: None }, settings, || {
+                body.rest_cache().metric(body, material, parallel)
+            })
         })
     })
 }

@@ -121,8 +121,44 @@ impl SolveSettings {
         }
     }
 
+    /// Run with the other threads of the pool kept awake.
+    ///
+    /// The parallel parts of an iteration take a fraction of a millisecond, about as long as it
+    /// takes to wake a sleeping thread.
+    pub(crate) fn awake<R: Send>(&self, run: impl FnOnce() -> R + Send) -> R {
+        if !self.is_parallel() {
+            return run();
+        }
+        let done = AtomicBool::new(false);
+        let look_for_work = || {
+            while !done.load(Ordering::Relaxed) {
+                if rayon::yield_now() != Some(rayon::Yield::Executed) {
+                    std::hint::spin_loop();
+                }
+            }
+        };
+        rayon::in_place_scope(|scope| {
+            for _ in 1..rayon::current_num_threads() {
+                scope.spawn(|_| look_for_work());
+            }
+            let end = RaiseOnDrop(&done);
+            let result = run();
+            drop(end);
+            result
+        })
+    }
+
     /// Whether a solve may use more than one thread.
     pub(crate) fn is_parallel(&self) -> bool {
         self.n_threads != 1 && rayon::current_num_threads() > 1
+    }
+}
+
+/// Raises a flag when it goes, also by a panic.
+struct RaiseOnDrop<'a>(&'a AtomicBool);
+
+impl Drop for RaiseOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
     }
 }
