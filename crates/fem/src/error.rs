@@ -182,8 +182,8 @@ pub enum FemError {
         /// The value found.
         found: f64,
     },
-    /// The displacement to start from turns a tetrahedron inside out.
-    #[error("the displacement to start from inverts tetrahedron {tet}: det F = {det_f:.3e}")]
+    /// A displacement given, to start from or to examine, turns a tetrahedron inside out.
+    #[error("the displacement given inverts tetrahedron {tet}: det F = {det_f:.3e}")]
     InvertedStart {
         /// Index of the worst tetrahedron.
         tet: usize,

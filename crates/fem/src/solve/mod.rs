@@ -5,6 +5,7 @@
 //! unknowns. Modules, from the inside out: `problem` evaluates a state, `metric` holds factors,
 //! `lbfgs` and `line_search` make a step, `minimise` repeats it, `load_steps` leads to the load.
 
+mod inspect;
 mod lbfgs;
 mod line_search;
 mod load_steps;
@@ -16,6 +17,7 @@ mod settings;
 
 use std::time::Instant;
 
+pub use inspect::{internal_forces, is_stable};
 pub(crate) use metric::{Metric, RestCache, Shape, SharedRest};
 pub use report::{Solution, SolveReport, StageSeconds};
 pub use settings::{LoadSteps, Method, SolveSettings};
