@@ -220,7 +220,8 @@ impl FemError {
 /// Why an equilibrium search ended, and the last good state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "no equilibrium at load fraction {tried_fraction:.4} after {iterations} iterations{}; the last \
+    "no equilibrium at load fraction {tried_fraction:.4} after {iterations} iterations and \
+     {factorisations} factorisations{}; the last \
      equilibrium found is at load fraction {load_fraction:.4}; {reason}; smallest det F = \
      {min_det_f:.3e}, worst tetrahedra {}; {}",
     residual_clause(*.residual, *.tolerance), worst_list(.worst_tets), .reason.suggestion()
@@ -228,10 +229,14 @@ impl FemError {
 pub struct NoEquilibrium {
     /// Largest fraction of the load for which an equilibrium was found.
     pub load_fraction: f64,
+    /// Displacement of every node in that equilibrium, mm: a start for a search under less load.
+    pub displacement: Vec<[f64; 3]>,
     /// The fraction at which the search ended.
     pub tried_fraction: f64,
     /// Iterations done in all.
     pub iterations: usize,
+    /// Numeric factors made in all.
+    pub factorisations: usize,
     /// Norm of the residual forces at the end, mN; 0 where supports could not be moved, so that
     /// no forces were balanced.
     pub residual: f64,

@@ -24,7 +24,16 @@ fn manufactured_equilibria_are_reached_from_rest() {
         let started = std::time::Instant::now();
         let outcome = attempt(&case, &field);
         if std::env::var("VERBOSE").is_ok() {
-            eprintln!("{seed} {:?} {:?} J {:.2} supports move {} {} unknowns {} rejected {}", outcome, started.elapsed(), field.min_det_f, field.moves_supports, case.body.n_unknowns(), field.rejected, case.words);
+            eprintln!(
+                "{seed} {:?} {:?} J {:.2} supports move {} {} unknowns {} rejected {}",
+                outcome,
+                started.elapsed(),
+                field.min_det_f,
+                field.moves_supports,
+                case.body.n_unknowns(),
+                field.rejected,
+                case.words
+            );
         }
         match outcome {
             Ok((i, f)) => {

@@ -58,9 +58,7 @@ pub fn internal_forces(
         false,
     );
     match energy {
-        Some(energy) if energy.total.is_finite() => {
-            Ok(state.force.as_chunks::<3>().0.to_vec())
-        }
+        Some(energy) if energy.total.is_finite() => Ok(state.force.as_chunks::<3>().0.to_vec()),
         _ => Err(inverted(body, &state.displacement)),
     }
 }

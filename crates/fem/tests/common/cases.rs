@@ -97,7 +97,8 @@ pub fn mesh(random: &mut Random) -> (Mesh, String) {
         let power = random.within(1.5, 2.5);
         for x in &mut nodes {
             let part: f64 = x[axis] / size[axis];
-            x[axis] = size[axis] * part.signum() * (0.15 * part.abs() + 0.85 * part.abs().powf(power));
+            x[axis] =
+                size[axis] * part.signum() * (0.15 * part.abs() + 0.85 * part.abs().powf(power));
         }
     }
     match Mesh::new(nodes, tets) {
@@ -267,9 +268,8 @@ fn smooth_field(body: &Body, moves_supports: bool, random: &mut Random) -> Vec<[
 /// Smallest det F at corners of the elements, by hand.
 pub fn min_det_f(body: &Body, displacement: &[[f64; 3]]) -> f64 {
     let mesh = body.mesh();
-    let place = |n: usize| -> [f64; 3] {
-        std::array::from_fn(|i| body.nodes()[n][i] + displacement[n][i])
-    };
+    let place =
+        |n: usize| -> [f64; 3] { std::array::from_fn(|i| body.nodes()[n][i] + displacement[n][i]) };
     let middle = |a: usize, b: usize| {
         let edge = [a.min(b), a.max(b)];
         body.mid_edges().binary_search(&edge).ok().map(|e| place(body.n_corner_nodes() + e))
