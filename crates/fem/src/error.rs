@@ -157,12 +157,14 @@ pub enum FemError {
         found: usize,
     },
     /// A load or a displacement is NaN or infinite.
-    #[error("{what} must be finite; row {row} is not")]
+    #[error("{what} must be finite; row {row} is ({}, {}, {})", .values[0], .values[1], .values[2])]
     NonFinite {
         /// What the array holds.
         what: &'static str,
         /// Index of the first row that is not finite.
         row: usize,
+        /// The row as given.
+        values: [f64; 3],
     },
     /// A loaded triangle is no facet of the body's surface.
     #[error("triangle {row} with nodes {} {} {} is no facet of the body's surface", .triangle[0], .triangle[1], .triangle[2])]
@@ -170,6 +172,19 @@ pub enum FemError {
         /// Row of the triangle.
         row: usize,
         /// Its corner nodes as given.
+        triangle: [usize; 3],
+    },
+    /// A loaded triangle is listed twice, so that its traction would count twice.
+    #[error(
+        "triangle {row} with nodes {} {} {} is the facet of row {first} again; each facet may be listed once",
+        .triangle[0], .triangle[1], .triangle[2]
+    )]
+    RepeatedFacet {
+        /// Row of the second mention.
+        row: usize,
+        /// Row of the first.
+        first: usize,
+        /// Its corner nodes as given in `row`.
         triangle: [usize; 3],
     },
     /// A setting is outside its range.
