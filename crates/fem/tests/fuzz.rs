@@ -13,7 +13,7 @@ use tissuereg_fem::{
     Supports, solve,
 };
 
-/// Cases of the quick tier; `TISSUEREG_CASES` asks for more.
+/// Cases of the quick tier; `make test-sturdy` asks for more by `TISSUEREG_CASES`.
 const CASES: u64 = 400;
 
 const MAX_ITERATIONS: usize = 60;

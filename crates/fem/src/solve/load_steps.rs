@@ -17,19 +17,19 @@ const SMALLEST_STEP: f64 = 1.0 / 512.0;
 /// Residual over load of steps before the last.
 const STEP_TOLERANCE: f64 = 1e-4;
 
-/// Iterations after which the first attempt at the full load gives way to others.
-const FIRST_ATTEMPT: usize = 60;
-
 /// Iterations after which a load step is halved.
 const STEP_ITERATIONS: usize = 40;
 
-/// Both limits, where the metric is never renewed.
+/// The same where the metric is never renewed.
 const QUASI_NEWTON_ITERATIONS: usize = 400;
 
-/// Iterations of a long descent, with a factor in each.
-const LONG_DESCENT: usize = 100;
+/// Iterations of a long descent: at the full load, and past a limit point. A column buckles in 300.
+const LONG_DESCENT: usize = 400;
 
-/// Failures from one equilibrium after which a long descent is tried, as past a limit point no
+/// Iterations with a factor in each at the end of a long descent that has not arrived.
+const NEWTON_ITERATIONS: usize = 60;
+
+/// Failures from one equilibrium after which a long descent is made, as past a limit point no
 /// step is short enough.
 const FAILURES: usize = 3;
 
@@ -70,11 +70,13 @@ impl Path<'_> {
             LoadSteps::Equal(n) => self.equal_steps(n, from, state),
             LoadSteps::Auto => {
                 let metric = self.metric.clone();
-                let limit = self.limit(FIRST_ATTEMPT);
+                let limit = self.limit(STEP_ITERATIONS);
                 let ended = self.step(&mut state, from, 1.0, limit)?;
+                let ended = self.go_on(&mut state, 1.0, ended, 0.5 * self.allowed)?;
                 if ended.stop.is_none() {
                     return Ok(self.finish(state, ended));
                 }
+                self.allowed += self.work_done();
                 let state = State::at_rest(self.problem.body.n_nodes());
                 self.adaptive_steps(Reached { state, fraction: 0.0, metric })
             }
@@ -112,7 +114,6 @@ impl Path<'_> {
     /// equilibrium and with its metric.
     fn adaptive_steps(&mut self, mut reached: Reached) -> Result<State, FemError> {
         self.workspace.report.load_steps = 0;
-        self.allowed += self.work_done();
         let mut step: f64 = 0.25;
         let mut failures = 0;
         loop {
@@ -147,7 +148,7 @@ impl Path<'_> {
         }
     }
 
-    /// Try to go from an equilibrium to that at another fraction, by dearer and dearer means;
+    /// Try to go from an equilibrium to that at another fraction, by a long descent where `long`;
     /// where that ended, and how.
     fn climb(
         &mut self,
@@ -155,52 +156,51 @@ impl Path<'_> {
         target: f64,
         long: bool,
     ) -> Result<(State, Ended), FemError> {
-        let method = self.problem.settings.method;
-        let (state, ended) = self.attempt(reached, target, method, STEP_ITERATIONS)?;
-        let settled = ended.stop.is_none_or(|stop| stop == StopReason::PrescribedInverts);
-        if !long || settled || method != Method::Auto || self.used_up() {
-            return Ok((state, ended));
+        self.metric = reached.metric.clone();
+        let mut state = reached.state.clone();
+        let limit = self.limit(STEP_ITERATIONS);
+        let mut ended = self.step(&mut state, Some(reached.fraction), target, limit)?;
+        if long && !is_settled(ended) {
+            ended = self.go_on(&mut state, target, ended, self.allowed)?;
+            if !is_settled(ended) {
+                ended = self.newton(&mut state, target)?;
+            }
+            self.workspace.report.long_descents += usize::from(ended.stop.is_none());
         }
-        let (state, ended) = self.attempt(reached, target, Method::Newton, LONG_DESCENT)?;
-        self.workspace.report.long_descents += usize::from(ended.stop.is_none());
         Ok((state, ended))
     }
 
-    /// Try to go from an equilibrium to another fraction by one method.
-    fn attempt(
+    /// Continue a descent that has used up its iterations, up to some work in all.
+    fn go_on(
         &mut self,
-        reached: &Reached,
+        state: &mut State,
         target: f64,
-        method: Method,
-        limit: usize,
-    ) -> Result<(State, Ended), FemError> {
+        mut ended: Ended,
+        work: f64,
+    ) -> Result<Ended, FemError> {
+        let begin = self.workspace.report.iterations;
+        while ended.stop == Some(StopReason::IterationsUsedUp)
+            && self.workspace.report.iterations - begin < LONG_DESCENT
+            && self.work_done() < work
+            && self.iterations_left() > 0
+        {
+            ended = self.descend(self.problem, state, target, self.limit(STEP_ITERATIONS))?;
+        }
+        Ok(ended)
+    }
+
+    /// The last resort: a descent with a factor in every iteration.
+    fn newton(&mut self, state: &mut State, target: f64) -> Result<Ended, FemError> {
+        let each = 1.0 + 2.0 * iterations_per_factor(self.problem);
+        let affordable = ((self.allowed - self.work_done()) / each).max(0.0) as usize;
+        let method = match self.problem.settings.method {
+            Method::Auto | Method::Newton => Method::Newton,
+            Method::QuasiNewton => Method::QuasiNewton,
+        };
         let settings = SolveSettings { method, ..self.problem.settings.clone() };
         let problem = Problem { settings: &settings, ..*self.problem };
-        let limit = match method {
-            Method::Newton if self.problem.settings.method == Method::Auto => {
-                limit.min(self.affordable())
-            }
-            _ => self.limit(limit),
-        };
-        let mut state = reached.state.clone();
-        let mut path = Path {
-            problem: &problem,
-            minimiser: &mut *self.minimiser,
-            workspace: &mut *self.workspace,
-            metric: reached.metric.clone(),
-            supports: self.supports.clone(),
-            allowed: self.allowed,
-        };
-        let ended = path.step(&mut state, Some(reached.fraction), target, limit)?;
-        self.metric = path.metric;
-        Ok((state, ended))
-    }
-
-    /// Iterations with a factor in each, or two where one is indefinite, for the time that is left.
-    fn affordable(&self) -> usize {
-        let each = 1.0 + 2.0 * iterations_per_factor(self.problem);
-        let affordable = ((self.allowed - self.work_done()) / each).max(1.0) as usize;
-        affordable.min(self.iterations_left())
+        let limit = NEWTON_ITERATIONS.min(affordable).min(self.iterations_left());
+        self.descend(&problem, state, target, limit)
     }
 
     /// Whether the search has taken the time it may.
@@ -263,10 +263,21 @@ impl Path<'_> {
                 iterations: 0,
             });
         }
-        let own = self.problem.settings.tolerance;
+        self.descend(self.problem, state, target, max_iterations)
+    }
+
+    /// Descend from a state to the equilibrium at `target`.
+    fn descend(
+        &mut self,
+        problem: &Problem,
+        state: &mut State,
+        target: f64,
+        max_iterations: usize,
+    ) -> Result<Ended, FemError> {
+        let own = problem.settings.tolerance;
         let tolerance = if target < 1.0 { own.max(STEP_TOLERANCE) } else { own };
         let goal = Goal { fraction: target, tolerance, max_iterations };
-        self.minimiser.run(self.problem, goal, state, &mut self.metric, self.workspace)
+        self.minimiser.run(problem, goal, state, &mut self.metric, self.workspace)
     }
 
     /// Move held nodes to where they are at `target`, and let the others follow: by the common
@@ -363,4 +374,9 @@ impl Path<'_> {
             reason: ended.stop.unwrap_or(StopReason::Stalled),
         }))
     }
+}
+
+/// Whether more iterations would change nothing.
+fn is_settled(ended: Ended) -> bool {
+    matches!(ended.stop, None | Some(StopReason::PrescribedInverts))
 }
