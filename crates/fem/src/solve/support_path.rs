@@ -114,7 +114,7 @@ impl Turn {
         let sign = (u * v_t).determinant().signum();
         let matrix = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
         let rotation = Rotation3::from_matrix_unchecked(matrix).scaled_axis();
-        if !(rotation.norm() > STRAIGHT) {
+        if rotation.norm().is_nan() || rotation.norm() <= STRAIGHT {
             return None;
         }
         let turn = Self { nodes, centre, shift: new_centre - centre, rotation };
