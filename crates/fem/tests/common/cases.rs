@@ -9,8 +9,10 @@ use tissuereg_fem::{
 use super::{Random, bar_arrays};
 
 /// Laws that cases draw from; a new one is one entry more.
-pub const LAWS: &[(&str, fn(Stiffness) -> Result<Material, FemError>)] =
-    &[("neo-Hookean", Material::new)];
+pub const LAWS: &[(&str, Law)] = &[("neo-Hookean", Material::new)];
+
+/// Makes a material of a field of stiffness.
+pub type Law = fn(Stiffness) -> Result<Material, FemError>;
 
 /// Smallest det F of a manufactured field.
 pub const SMALLEST_DET_F: f64 = 0.2;
@@ -130,10 +132,10 @@ fn supported(mesh: &Mesh, element: Element, random: &mut Random) -> (Body, Strin
             }
             _ => (Supports::from(end.to_vec()), "clamped at one end"),
         };
-        if let Ok(body) = Body::new(mesh.clone(), element, supports) {
-            if body.n_unknowns() > 0 {
-                return (body, format!("{words} ({count} of {} nodes)", mesh.n_nodes()));
-            }
+        if let Ok(body) = Body::new(mesh.clone(), element, supports)
+            && body.n_unknowns() > 0
+        {
+            return (body, format!("{words} ({count} of {} nodes)", mesh.n_nodes()));
         }
     }
 }
