@@ -11,11 +11,12 @@ DATA ?= ../shared/data
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: help demo test test-rust test-python test-training lint rust-docs wheel install install-dev training beam bench phantom-data phantom-model clean
+.PHONY: help demo test test-rust test-sturdy test-python test-training lint rust-docs wheel install install-dev training beam bench phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
 	@echo "make test            all tests of the Rust crates and the Python package (no torch)"
+	@echo "make test-sturdy     a thousand known equilibria, two thousand random inputs"
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
@@ -49,6 +50,10 @@ test: test-rust test-python
 
 test-rust:
 	$(CARGO) test --workspace --exclude tissuereg-bindings
+
+test-sturdy:
+	TISSUEREG_CASES=1000 $(CARGO) test -p tissuereg-fem --test manufactured -- --nocapture
+	TISSUEREG_CASES=2000 $(CARGO) test -p tissuereg-fem --test fuzz
 
 test-python: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest

@@ -85,7 +85,9 @@ class ConvergenceError(TissueRegError, RuntimeError):
     Attributes
     ----------
     report : dict
-        Work done and the last good state: `load_fraction`, `residual`, `iterations`, `min_det_f`, `worst_tets`.
+        The last equilibrium found: `load_fraction` and `displacement` (n_nodes, 3), mm. Where the search ended:
+        `tried_fraction`, `residual_mN`, `tolerance_mN`, `min_det_f`, `worst_tets`, `reason`. Work done: `iterations`,
+        `factorisations`.
     """
 
     exit_code = 3

@@ -110,6 +110,10 @@ def test_a_load_without_equilibrium_raises_convergence_error_with_a_report(body)
     assert report["iterations"] <= 5
     assert report["worst_tets"]
     assert report["residual_mN"] > report["tolerance_mN"]
+    assert report["factorisations"] >= 1
+    # Nothing was found within five iterations but the rest shape.
+    assert report["load_fraction"] == 0.0
+    np.testing.assert_array_equal(report["displacement"], np.zeros_like(body.nodes))
 
 
 def test_a_member_without_equilibrium_is_a_row_and_not_an_exception(body):

@@ -122,7 +122,7 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         }
         E::BadYoung { entry, .. } | E::BadPoisson { entry, .. } => details.set_item("entry", entry),
         E::NonFinite { row, .. } => details.set_item("row", row),
-        E::NotOnSurface { row, triangle } => {
+        E::NotOnSurface { row, triangle } | E::RepeatedFacet { row, triangle, .. } => {
             details.set_item("row", row)?;
             details.set_item("triangle", triangle.to_vec())
         }
@@ -161,8 +161,10 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
         E::BadYoung { entry, .. } => (Class::Material, Some(format!("young, entry {entry}"))),
         E::BadPoisson { entry, .. } => (Class::Material, Some(format!("poisson, entry {entry}"))),
         E::WrongLength { what, .. } => (Class::Shape, Some((*what).to_owned())),
-        E::NonFinite { what, row } => (Class::Load, Some(format!("{what}, row {row}"))),
-        E::NotOnSurface { row, .. } => (Class::Load, Some(format!("triangle {row}"))),
+        E::NonFinite { what, row, .. } => (Class::Load, Some(format!("{what}, row {row}"))),
+        E::NotOnSurface { row, .. } | E::RepeatedFacet { row, .. } => {
+            (Class::Load, Some(format!("triangle {row}")))
+        }
         E::BadSetting { name, .. } => (Class::Base, Some((*name).to_owned())),
         E::InvertedStart { tet, .. } => (Class::Load, Some(format!("start, tet {tet}"))),
         E::NoEquilibrium(failure) => {

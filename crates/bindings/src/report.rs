@@ -4,6 +4,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tissuereg_fem::{NoEquilibrium, SolveReport};
 
+use crate::arrays;
+
 /// Work of a solve that found its equilibrium.
 ///
 /// `residual` is over the norm of the load, as `tolerance` in the call is; with `_mN` as computed.
@@ -22,6 +24,7 @@ pub(crate) fn of_solve<'py>(
     dict.set_item("factorisations", report.factorisations)?;
     dict.set_item("analyses", report.analyses)?;
     dict.set_item("load_steps", report.load_steps)?;
+    dict.set_item("long_descents", report.long_descents)?;
     dict.set_item("load_fraction", report.load_fraction)?;
     dict.set_item("residual", over_load(report.residual, report.tolerance, tolerance))?;
     dict.set_item("residual_mN", report.residual)?;
@@ -32,7 +35,7 @@ pub(crate) fn of_solve<'py>(
     Ok(dict)
 }
 
-/// Where a solve without equilibrium ended.
+/// Where a solve without equilibrium ended, and the last equilibrium it found.
 pub(crate) fn of_failure<'py>(
     py: Python<'py>,
     failure: &NoEquilibrium,
@@ -41,7 +44,9 @@ pub(crate) fn of_failure<'py>(
     let dict = PyDict::new(py);
     dict.set_item("load_fraction", failure.load_fraction)?;
     dict.set_item("tried_fraction", failure.tried_fraction)?;
+    dict.set_item("displacement", arrays::from_points(py, failure.displacement.clone())?)?;
     dict.set_item("iterations", failure.iterations)?;
+    dict.set_item("factorisations", failure.factorisations)?;
     dict.set_item("residual_mN", failure.residual)?;
     dict.set_item("tolerance_mN", failure.tolerance)?;
     dict.set_item("min_det_f", failure.min_det_f)?;

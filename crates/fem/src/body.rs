@@ -163,7 +163,8 @@ impl Body {
     ///
     /// # Errors
     ///
-    /// [`FemError::WrongLength`], [`FemError::NonFinite`], [`FemError::NotOnSurface`].
+    /// [`FemError::WrongLength`], [`FemError::NonFinite`], [`FemError::NotOnSurface`],
+    /// [`FemError::RepeatedFacet`].
     ///
     /// # Examples
     ///
@@ -183,12 +184,16 @@ impl Body {
     ) -> Result<Vec<[f64; 3]>, FemError> {
         check_length("traction (one row a triangle)", triangles.len(), traction.len())?;
         check_finite("traction", traction)?;
-        let surface: std::collections::BTreeSet<[usize; 3]> =
-            self.mesh.surface_triangles().iter().map(|&t| ascending(t)).collect();
+        // Facets of the surface with the row that loads them.
+        let mut surface: BTreeMap<[usize; 3], Option<usize>> =
+            self.mesh.surface_triangles().iter().map(|&t| (ascending(t), None)).collect();
         let mut forces = vec![[0.0; 3]; self.n_nodes()];
         for (row, (&triangle, t)) in triangles.iter().zip(traction).enumerate() {
-            if !surface.contains(&ascending(triangle)) {
+            let Some(loaded_by) = surface.get_mut(&ascending(triangle)) else {
                 return Err(FemError::NotOnSurface { row, triangle });
+            };
+            if let Some(first) = loaded_by.replace(row) {
+                return Err(FemError::RepeatedFacet { row, first, triangle });
             }
             let third = area(triangle.map(|n| self.nodes[n])) / 3.0;
             for node in self.facet_carriers(triangle) {

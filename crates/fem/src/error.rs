@@ -157,12 +157,14 @@ pub enum FemError {
         found: usize,
     },
     /// A load or a displacement is NaN or infinite.
-    #[error("{what} must be finite; row {row} is not")]
+    #[error("{what} must be finite; row {row} is ({}, {}, {})", .values[0], .values[1], .values[2])]
     NonFinite {
         /// What the array holds.
         what: &'static str,
         /// Index of the first row that is not finite.
         row: usize,
+        /// The row as given.
+        values: [f64; 3],
     },
     /// A loaded triangle is no facet of the body's surface.
     #[error("triangle {row} with nodes {} {} {} is no facet of the body's surface", .triangle[0], .triangle[1], .triangle[2])]
@@ -170,6 +172,19 @@ pub enum FemError {
         /// Row of the triangle.
         row: usize,
         /// Its corner nodes as given.
+        triangle: [usize; 3],
+    },
+    /// A loaded triangle is listed twice, so that its traction would count twice.
+    #[error(
+        "triangle {row} with nodes {} {} {} is the facet of row {first} again; each facet may be listed once",
+        .triangle[0], .triangle[1], .triangle[2]
+    )]
+    RepeatedFacet {
+        /// Row of the second mention.
+        row: usize,
+        /// Row of the first.
+        first: usize,
+        /// Its corner nodes as given in `row`.
         triangle: [usize; 3],
     },
     /// A setting is outside its range.
@@ -182,8 +197,8 @@ pub enum FemError {
         /// The value found.
         found: f64,
     },
-    /// The displacement to start from turns a tetrahedron inside out.
-    #[error("the displacement to start from inverts tetrahedron {tet}: det F = {det_f:.3e}")]
+    /// A displacement given, to start from or to examine, turns a tetrahedron inside out.
+    #[error("the displacement given inverts tetrahedron {tet}: det F = {det_f:.3e}")]
     InvertedStart {
         /// Index of the worst tetrahedron.
         tet: usize,
@@ -220,7 +235,8 @@ impl FemError {
 /// Why an equilibrium search ended, and the last good state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "no equilibrium at load fraction {tried_fraction:.4} after {iterations} iterations{}; the last \
+    "no equilibrium at load fraction {tried_fraction:.4} after {iterations} iterations and \
+     {factorisations} factorisations{}; the last \
      equilibrium found is at load fraction {load_fraction:.4}; {reason}; smallest det F = \
      {min_det_f:.3e}, worst tetrahedra {}; {}",
     residual_clause(*.residual, *.tolerance), worst_list(.worst_tets), .reason.suggestion()
@@ -228,10 +244,14 @@ impl FemError {
 pub struct NoEquilibrium {
     /// Largest fraction of the load for which an equilibrium was found.
     pub load_fraction: f64,
+    /// Displacement of every node in that equilibrium, mm: a start for a search under less load.
+    pub displacement: Vec<[f64; 3]>,
     /// The fraction at which the search ended.
     pub tried_fraction: f64,
     /// Iterations done in all.
     pub iterations: usize,
+    /// Numeric factors made in all.
+    pub factorisations: usize,
     /// Norm of the residual forces at the end, mN; 0 where supports could not be moved, so that
     /// no forces were balanced.
     pub residual: f64,

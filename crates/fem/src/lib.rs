@@ -97,7 +97,8 @@ pub use load::Load;
 pub use material::{Material, Stiffness};
 pub use mesh::{DEGENERATE_LIMIT, Mesh};
 pub use solve::{
-    LoadSteps, Method, Solution, SolveReport, SolveSettings, StageSeconds, solve, solve_from,
+    LoadSteps, Method, Solution, SolveReport, SolveSettings, StageSeconds, internal_forces,
+    is_stable, solve, solve_from,
 };
 pub use supports::Supports;
 pub use system::RigidModes;

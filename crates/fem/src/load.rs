@@ -110,7 +110,7 @@ pub(crate) fn check_length(
 
 pub(crate) fn check_finite(what: &'static str, rows: &[[f64; 3]]) -> Result<(), FemError> {
     match rows.iter().position(|row| !row.iter().all(|v| v.is_finite())) {
-        Some(row) => Err(FemError::NonFinite { what, row }),
+        Some(row) => Err(FemError::NonFinite { what, row, values: rows[row] }),
         None => Ok(()),
     }
 }

@@ -164,7 +164,8 @@ fn wrong_loads_and_settings_are_named() {
     assert_says(&fail(&short, &plain), &["nodal forces", "12 rows", "found 5"]);
     let mut rows = vec![[0.0; 3]; 12];
     rows[7][2] = f64::NAN;
-    assert_says(&fail(&Load::from_forces(rows), &plain), &["nodal forces", "finite", "row 7"]);
+    let message = fail(&Load::from_forces(rows), &plain);
+    assert_says(&message, &["nodal forces", "finite", "row 7 is (0, 0, NaN)"]);
     let weight = Load { body_force: [0.0, f64::INFINITY, 0.0], ..Load::default() };
     assert_says(&fail(&weight, &plain), &["body force", "finite"]);
     let moved = Load::from_prescribed(vec![[0.0; 3]; 3]);
@@ -193,7 +194,11 @@ fn wrong_tractions_are_named() {
     let error = body.traction_forces(&[facet], &[]).expect_err("short");
     assert_says(&error.to_string(), &["traction", "1 rows", "found 0"]);
     let error = body.traction_forces(&[facet], &[[f64::NAN; 3]]).expect_err("NaN");
-    assert_says(&error.to_string(), &["traction", "finite"]);
+    assert_says(&error.to_string(), &["traction", "finite", "row 0", "NaN"]);
+    let [a, b, c] = facet;
+    let error = body.traction_forces(&[facet, [c, a, b]], &[[0.0; 3]; 2]).expect_err("twice");
+    assert_eq!(error, FemError::RepeatedFacet { row: 1, first: 0, triangle: [c, a, b] });
+    assert_says(&error.to_string(), &["triangle 1", "row 0 again", "listed once"]);
 }
 
 #[test]
@@ -223,6 +228,37 @@ fn prescribed_displacements_beyond_inversion_are_reported() {
     // det F = 1 - 1.5 fraction vanishes at two thirds.
     assert!((0.6..=2.0 / 3.0).contains(&report.load_fraction), "{error}");
     assert_says(&error.to_string(), &["load fraction", "would invert", "worst tetrahedra", "(mm)"]);
+}
+
+/// What the error hands back is in equilibrium under that share of the load.
+#[test]
+fn the_last_equilibrium_of_a_failed_search_is_handed_back() {
+    let body = clamped_at_x0(bar([4, 2, 2], [20.0, 10.0, 10.0]), Element::Tet4);
+    let end = nodes_where(body.mesh(), |x| x[0] > 20.0 - 1e-9);
+    let pull = 3e4 / end.len() as f64;
+    let load = |fraction: f64| {
+        let mut forces = vec![[0.0; 3]; body.n_nodes()];
+        for &node in &end {
+            forces[node] = [fraction * pull, 0.0, 0.0];
+        }
+        Load::from_forces(forces)
+    };
+    let settings = SolveSettings {
+        load_steps: LoadSteps::Equal(20),
+        max_iterations: 120,
+        ..SolveSettings::default()
+    };
+    let error = solve(&body, &soft(), &load(1.0), &settings).expect_err("too few iterations");
+    let FemError::NoEquilibrium(end) = &error else { panic!("{error}") };
+    assert!(end.load_fraction >= 0.05 && end.load_fraction < end.tried_fraction, "{error}");
+    assert_says(&error.to_string(), &["iterations and", "factorisations"]);
+    assert!(end.factorisations >= 1, "{error}");
+    let plain = SolveSettings::default();
+    let share = load(end.load_fraction);
+    let warm = solve_from(&body, &soft(), &share, &end.displacement, &plain).expect("nearly there");
+    let moved = common::largest_difference(&warm.displacement, &end.displacement);
+    // Steps before the last are solved to 1e-4 of their load.
+    assert!(moved < 1e-3 * common::largest(&warm.displacement), "{moved} mm");
 }
 
 #[test]

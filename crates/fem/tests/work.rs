@@ -84,3 +84,58 @@ fn members_of_proportional_stiffness_take_the_same_iterations() {
     assert_eq!(reports[0].iterations, reports[1].iterations);
     assert_eq!(reports[0].factorisations, 1);
 }
+
+/// A bar held at one end, which is turned: nothing is strained, whatever the angle.
+#[test]
+fn a_turn_of_the_only_support_takes_no_iteration() {
+    let body = clamped_at_x0(bar([6, 2, 2], [40.0, 10.0, 10.0]), Element::Tet10);
+    let material = Material::neo_hookean(10.0, 0.45).expect("sound");
+    for degrees in [30.0_f64, 90.0, 170.0] {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let turned = |x: &[f64; 3]| {
+            let (y, z) = (x[1] - 5.0, x[2] - 5.0);
+            [0.0, cos * y - sin * z - y, sin * y + cos * z - z]
+        };
+        let rows = body.held_nodes().iter().map(|&n| turned(&body.nodes()[n])).collect();
+        let answer =
+            solve(&body, &material, &Load::from_prescribed(rows), &SolveSettings::default())
+                .expect("turns");
+        assert_eq!((answer.report.iterations, answer.report.load_steps), (0, 1), "{degrees}");
+        assert!(answer.report.factorisations <= 2, "{degrees}");
+        for (u, x) in answer.displacement.iter().zip(body.nodes()) {
+            for (found, exact) in u.iter().zip(turned(x)) {
+                assert!((found - exact).abs() < 1e-9, "{degrees}: {found} for {exact}");
+            }
+        }
+    }
+}
+
+/// One end of a bar is turned about its axis against the other, further than straight chords of
+/// its nodes could go: at 180 degrees these meet on the axis.
+#[test]
+fn a_twist_by_nearly_half_a_turn_is_followed() {
+    let mesh = bar([10, 2, 2], [60.0, 10.0, 10.0]);
+    let held = nodes_where(&mesh, |x| x[0] < 1e-9 || x[0] > 60.0 - 1e-9);
+    let body = Body::new(mesh, Element::Tet4, held).expect("held");
+    let material = Material::neo_hookean(10.0, 0.3).expect("sound");
+    let (sin, cos) = 170.0_f64.to_radians().sin_cos();
+    let rows = (body.held_nodes().iter().map(|&n| body.nodes()[n]))
+        .map(|x| {
+            let (y, z) = (x[1] - 5.0, x[2] - 5.0);
+            if x[0] < 1.0 { [0.0; 3] } else { [0.0, cos * y - sin * z - y, sin * y + cos * z - z] }
+        })
+        .collect();
+    let answer = solve(&body, &material, &Load::from_prescribed(rows), &SolveSettings::default())
+        .expect("twists");
+    assert!(answer.report.load_steps <= 12, "{:?}", answer.report);
+    assert!(answer.report.factorisations <= 40, "{:?}", answer.report);
+    let moment: f64 = (body.held_nodes().iter().zip(&answer.reactions))
+        .filter(|(n, _)| body.nodes()[**n][0] > 1.0)
+        .map(|(&n, r)| {
+            let place: Vec<f64> =
+                (0..3).map(|i| body.nodes()[n][i] + answer.displacement[n][i] - 5.0).collect();
+            place[1] * r[2] - place[2] * r[1]
+        })
+        .sum();
+    assert!(moment > 0.0, "the end resists by {moment} mN mm");
+}

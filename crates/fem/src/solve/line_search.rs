@@ -12,6 +12,10 @@ const TRIALS: usize = 30;
 /// Fraction of the energy predicted by the slope that must be gained.
 const ARMIJO: f64 = 1e-4;
 
+/// Share of the smallest det F that a step must keep. Energies rise slowly towards inversion and
+/// stiffness fast: steps that end close to it lower the energy, and make the next ones tiny.
+const KEPT: f64 = 0.2;
+
 /// What a search along a direction needs to know.
 pub(super) struct Search<'a> {
     pub(super) problem: &'a Problem<'a>,
@@ -39,7 +43,8 @@ impl Search<'_> {
         let mut alpha = 1.0;
         for _ in 0..TRIALS {
             self.step(from, alpha, trial);
-            if !self.problem.evaluate(trial, workspace) {
+            let upright = self.problem.evaluate(trial, workspace);
+            if !upright || trial.energy.min_det_f < KEPT * from.energy.min_det_f.min(1.0) {
                 alpha *= 0.5;
                 continue;
             }

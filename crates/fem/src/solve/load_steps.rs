@@ -7,7 +7,8 @@
 use super::metric::Metric;
 use super::minimise::{Ended, Goal, Minimiser, iterations_per_factor};
 use super::problem::{Problem, State, Workspace};
-use super::settings::{LoadSteps, Method};
+use super::settings::{LoadSteps, Method, SolveSettings};
+use super::support_path::SupportPath;
 use crate::error::{FemError, NoEquilibrium, StopReason};
 
 /// Smallest step of the load fraction.
@@ -16,17 +17,30 @@ const SMALLEST_STEP: f64 = 1.0 / 512.0;
 /// Residual over load of steps before the last.
 const STEP_TOLERANCE: f64 = 1e-4;
 
-/// Iterations after which the first attempt at the full load gives way to load steps.
-const FIRST_ATTEMPT: usize = 120;
-
 /// Iterations after which a load step is halved.
 const STEP_ITERATIONS: usize = 40;
 
-/// Both limits, where the metric is never renewed.
+/// The same where the metric is never renewed.
 const QUASI_NEWTON_ITERATIONS: usize = 400;
+
+/// Iterations of a long descent: at the full load, and past a limit point. A column buckles in 300.
+const LONG_DESCENT: usize = 400;
+
+/// Iterations with a factor in each at the end of a long descent that has not arrived.
+const NEWTON_ITERATIONS: usize = 60;
+
+/// Failures from one equilibrium after which a long descent is made, as past a limit point no
+/// step is short enough.
+const FAILURES: usize = 3;
 
 /// Steps that took no more iterations than this are followed by one twice as long.
 const EASY: usize = 12;
+
+/// Time of an evaluation of the forces over that of an iteration.
+const EVALUATION: f64 = 0.4;
+
+/// A turn of the whole body by more than this makes the metric anew, rad.
+const TURN: f64 = 0.3;
 
 /// A search for equilibrium and how far it has come.
 pub(super) struct Path<'a> {
@@ -34,91 +48,176 @@ pub(super) struct Path<'a> {
     pub(super) minimiser: &'a mut Minimiser,
     pub(super) workspace: &'a mut Workspace,
     pub(super) metric: Metric,
+    pub(super) supports: SupportPath,
+    /// Time allowed to load steps, in iterations.
+    pub(super) allowed: f64,
+}
+
+/// An equilibrium on the way, with the metric to go on from there.
+struct Reached {
+    state: State,
+    fraction: f64,
+    metric: Metric,
 }
 
 impl Path<'_> {
-    /// Find the equilibrium under the full load, starting from `state`.
-    pub(super) fn run(&mut self, mut state: State) -> Result<State, FemError> {
-        let mut last = None;
+    /// Find the equilibrium under the full load, starting from `start` or from rest.
+    pub(super) fn run(&mut self, start: Option<State>) -> Result<State, FemError> {
+        let rest = || State::at_rest(self.problem.body.n_nodes());
+        let from = if start.is_some() { None } else { Some(0.0) };
+        let mut state = start.unwrap_or_else(rest);
         match self.problem.settings.load_steps {
-            LoadSteps::Equal(n) => {
-                for k in 1..=n {
-                    let (from, to) = ((k - 1) as f64 / n as f64, k as f64 / n as f64);
-                    if k > 1 && self.problem.load.moves_supports {
-                        self.renew_metric(&state)?;
-                    }
-                    let ended = self.step(&mut state, to, self.iterations_left())?;
-                    if ended.stop.is_some() {
-                        return Err(self.failure(from, to, &state, ended));
-                    }
-                    last = Some(ended);
-                }
-            }
+            LoadSteps::Equal(n) => self.equal_steps(n, from, state),
             LoadSteps::Auto => {
-                let mut attempt = state;
-                let rest_metric = self.metric.clone();
-                let ended = self.step(&mut attempt, 1.0, self.limit(FIRST_ATTEMPT))?;
+                let metric = self.metric.clone();
+                let limit = self.limit(STEP_ITERATIONS);
+                let ended = self.step(&mut state, from, 1.0, limit)?;
+                let ended = self.go_on(&mut state, 1.0, ended, 0.5 * self.allowed)?;
                 if ended.stop.is_none() {
-                    return Ok(self.finish(attempt, ended));
+                    return Ok(self.finish(state, ended));
                 }
-                self.metric = rest_metric;
-                return self.adaptive_steps();
+                self.allowed += self.work_done();
+                let state = State::at_rest(self.problem.body.n_nodes());
+                self.adaptive_steps(Reached { state, fraction: 0.0, metric })
             }
-        }
-        match last {
-            Some(ended) => Ok(self.finish(state, ended)),
-            None => Ok(state),
         }
     }
 
-    /// Load steps from rest that adapt to what succeeds; every attempt starts with the metric of
-    /// the last equilibrium.
-    fn adaptive_steps(&mut self) -> Result<State, FemError> {
+    fn equal_steps(
+        &mut self,
+        n: usize,
+        mut from: Option<f64>,
+        state: State,
+    ) -> Result<State, FemError> {
+        let mut reached = Reached { state, fraction: 0.0, metric: self.metric.clone() };
+        for k in 1..=n {
+            let to = k as f64 / n as f64;
+            if k > 1 && self.problem.load.moves_supports {
+                self.renew_metric(&reached.state)?;
+            }
+            let mut attempt = reached.state.clone();
+            let ended = self.step(&mut attempt, from, to, self.iterations_left())?;
+            if ended.stop.is_some() {
+                return Err(self.failure(&reached, to, &attempt, ended));
+            }
+            if k == n {
+                return Ok(self.finish(attempt, ended));
+            }
+            reached.state = attempt;
+            reached.fraction = to;
+            from = Some(to);
+        }
+        Ok(reached.state)
+    }
+
+    /// Load steps from rest that adapt to what succeeds; every attempt starts from the last
+    /// equilibrium and with its metric.
+    fn adaptive_steps(&mut self, mut reached: Reached) -> Result<State, FemError> {
         self.workspace.report.load_steps = 0;
-        let allowed = self.work_done() + self.problem.settings.max_iterations as f64;
-        let mut metric = self.metric.clone();
-        let mut state = State::at_rest(self.problem.body.n_nodes());
-        let mut fraction = 0.0;
         let mut step: f64 = 0.25;
+        let mut failures = 0;
         loop {
-            let target = if fraction + 1.01 * step >= 1.0 { 1.0 } else { fraction + step };
-            let mut attempt = state.clone();
-            let ended = self.step(&mut attempt, target, self.limit(STEP_ITERATIONS))?;
-            let used_up = self.iterations_left() == 0 || self.work_done() > allowed;
+            let whole = reached.fraction + 1.01 * step >= 1.0;
+            let target = if whole { 1.0 } else { reached.fraction + step };
+            let (attempt, ended) = self.climb(&reached, target, failures + 1 == FAILURES)?;
             if ended.stop.is_none() {
-                state = attempt;
-                fraction = target;
-                if fraction >= 1.0 {
-                    return Ok(self.finish(state, ended));
+                if target >= 1.0 {
+                    return Ok(self.finish(attempt, ended));
                 }
                 if ended.iterations <= EASY {
                     step *= 2.0;
                 }
-                self.renew_metric(&state)?;
-                metric = self.metric.clone();
+                failures = 0;
+                self.renew_metric(&attempt)?;
+                let metric = self.metric.clone();
+                reached = Reached { state: attempt, fraction: target, metric };
                 continue;
             }
+            failures += 1;
             step *= 0.5;
-            if step < SMALLEST_STEP || used_up {
-                let reason = match ended.stop {
-                    _ if used_up => StopReason::IterationsUsedUp,
-                    Some(StopReason::PrescribedInverts) => StopReason::PrescribedInverts,
-                    _ => StopReason::StepTooSmall,
-                };
-                let ended = Ended { stop: Some(reason), ..ended };
-                return Err(self.failure(fraction, target, &attempt, ended));
+            if step >= SMALLEST_STEP && !self.used_up() {
+                continue;
             }
-            self.metric = metric.clone();
+            let reason = match ended.stop {
+                _ if self.used_up() => StopReason::IterationsUsedUp,
+                Some(StopReason::PrescribedInverts) => StopReason::PrescribedInverts,
+                _ => StopReason::StepTooSmall,
+            };
+            let ended = Ended { stop: Some(reason), ..ended };
+            return Err(self.failure(&reached, target, &attempt, ended));
         }
     }
 
-    /// Work so far, in iterations: a factor counts as many as take its time, so that a hopeless
-    /// search on a large mesh, where factors cost most, ends no later than the setting implies.
+    /// Try to go from an equilibrium to that at another fraction, by a long descent where `long`;
+    /// where that ended, and how.
+    fn climb(
+        &mut self,
+        reached: &Reached,
+        target: f64,
+        long: bool,
+    ) -> Result<(State, Ended), FemError> {
+        self.metric = reached.metric.clone();
+        let mut state = reached.state.clone();
+        let limit = self.limit(STEP_ITERATIONS);
+        let mut ended = self.step(&mut state, Some(reached.fraction), target, limit)?;
+        if long && !is_settled(ended) {
+            ended = self.go_on(&mut state, target, ended, self.allowed)?;
+            if !is_settled(ended) {
+                ended = self.newton(&mut state, target)?;
+            }
+            self.workspace.report.long_descents += usize::from(ended.stop.is_none());
+        }
+        Ok((state, ended))
+    }
+
+    /// Continue a descent that has used up its iterations, up to some work in all.
+    fn go_on(
+        &mut self,
+        state: &mut State,
+        target: f64,
+        mut ended: Ended,
+        work: f64,
+    ) -> Result<Ended, FemError> {
+        let begin = self.workspace.report.iterations;
+        while ended.stop == Some(StopReason::IterationsUsedUp)
+            && self.workspace.report.iterations - begin < LONG_DESCENT
+            && self.work_done() < work
+            && self.iterations_left() > 0
+        {
+            ended = self.descend(self.problem, state, target, self.limit(STEP_ITERATIONS))?;
+        }
+        Ok(ended)
+    }
+
+    /// The last resort: a descent with a factor in every iteration.
+    fn newton(&mut self, state: &mut State, target: f64) -> Result<Ended, FemError> {
+        let each = 1.0 + 2.0 * iterations_per_factor(self.problem);
+        let affordable = ((self.allowed - self.work_done()) / each).max(0.0) as usize;
+        let method = match self.problem.settings.method {
+            Method::Auto | Method::Newton => Method::Newton,
+            Method::QuasiNewton => Method::QuasiNewton,
+        };
+        let settings = SolveSettings { method, ..self.problem.settings.clone() };
+        let problem = Problem { settings: &settings, ..*self.problem };
+        let limit = NEWTON_ITERATIONS.min(affordable).min(self.iterations_left());
+        self.descend(&problem, state, target, limit)
+    }
+
+    /// Whether the search has taken the time it may.
+    fn used_up(&self) -> bool {
+        self.iterations_left() == 0 || self.work_done() > self.allowed
+    }
+
+    /// Work so far, in iterations: a factor, and evaluations in excess of one an iteration, count
+    /// as many as take their time, so that a settled search on a large mesh, where factors cost
+    /// most, ends no later than the setting implies.
     fn work_done(&self) -> f64 {
         let report = &self.workspace.report;
+        let trials = report.evaluations.saturating_sub(report.iterations) as f64;
         match self.problem.settings.method {
             Method::Auto => {
                 report.iterations as f64
+                    + EVALUATION * trials
                     + report.factorisations as f64 * iterations_per_factor(self.problem)
             }
             Method::Newton | Method::QuasiNewton => report.iterations as f64,
@@ -146,15 +245,17 @@ impl Path<'_> {
         self.problem.settings.max_iterations.saturating_sub(self.workspace.report.iterations)
     }
 
-    /// Go from an equilibrium to that at load fraction `target`; `state` is left where it ended.
+    /// Go from the state at load fraction `from` (none where it is at none) to the equilibrium at
+    /// `target`; `state` is left where that ended.
     fn step(
         &mut self,
         state: &mut State,
+        from: Option<f64>,
         target: f64,
         max_iterations: usize,
     ) -> Result<Ended, FemError> {
         self.workspace.report.load_steps += 1;
-        if !self.move_supports(state, target) {
+        if !self.move_supports(state, from, target)? {
             return Ok(Ended {
                 stop: Some(StopReason::PrescribedInverts),
                 residual: 0.0,
@@ -162,47 +263,89 @@ impl Path<'_> {
                 iterations: 0,
             });
         }
-        let own = self.problem.settings.tolerance;
-        let tolerance = if target < 1.0 { own.max(STEP_TOLERANCE) } else { own };
-        let goal = Goal { fraction: target, tolerance, max_iterations };
-        self.minimiser.run(self.problem, goal, state, &mut self.metric, self.workspace)
+        self.descend(self.problem, state, target, max_iterations)
     }
 
-    /// Move held nodes to `target` of their prescribed displacement and let the others follow by
-    /// one linear solve; false where that inverts an element (the state is then unchanged).
-    fn move_supports(&mut self, state: &mut State, target: f64) -> bool {
-        let pattern = self.problem.body.pattern();
-        let mut shift = vec![0.0; state.displacement.len()];
-        let held = self.problem.body.held().as_flattened();
-        for flat in (0..shift.len()).filter(|&flat| held[flat]) {
-            shift[flat] = target * self.problem.load.prescribed[flat] - state.displacement[flat];
+    /// Descend from a state to the equilibrium at `target`.
+    fn descend(
+        &mut self,
+        problem: &Problem,
+        state: &mut State,
+        target: f64,
+        max_iterations: usize,
+    ) -> Result<Ended, FemError> {
+        let own = problem.settings.tolerance;
+        let tolerance = if target < 1.0 { own.max(STEP_TOLERANCE) } else { own };
+        let goal = Goal { fraction: target, tolerance, max_iterations };
+        self.minimiser.run(problem, goal, state, &mut self.metric, self.workspace)
+    }
+
+    /// Move held nodes to where they are at `target`, and let the others follow: by the common
+    /// turn of the supports, then by one linear solve, with the change of the forces or, where
+    /// that overshoots, without. False where both invert an element (the state is then unchanged).
+    fn move_supports(
+        &mut self,
+        state: &mut State,
+        from: Option<f64>,
+        target: f64,
+    ) -> Result<bool, FemError> {
+        let Problem { body, load, .. } = *self.problem;
+        let mut carried = state.clone();
+        if let (Some(from), Some(turn)) = (from, self.supports.common()) {
+            turn.carry(body, from, target, &mut carried.displacement);
+            if turn.angle(from, target) > TURN {
+                self.renew_metric(&carried)?;
+            }
+        }
+        let mut goal = carried.displacement.clone();
+        self.supports.at_into(body, load, target, &mut goal);
+        let shift: Vec<f64> = goal.iter().zip(&carried.displacement).map(|(g, u)| g - u).collect();
+        if !self.problem.evaluate(&mut carried, self.workspace) {
+            return Ok(false);
         }
         if shift.iter().all(|&v| v == 0.0) {
-            return self.problem.evaluate(state, self.workspace);
+            *state = carried;
+            return Ok(true);
         }
-        let Some(product) = self.problem.tangent_product(state, &shift) else { return false };
+        let mut best = self.followed(&carried, &shift, target, target);
+        if let Some(from) = from.filter(|_| load.force.iter().any(|&f| f != 0.0)) {
+            let potential = |state: &State| self.problem.potential(state, target);
+            let slow = self.followed(&carried, &shift, from, target);
+            best = match (best, slow) {
+                (Some(fast), Some(slow)) if potential(&slow) < potential(&fast) => Some(slow),
+                (fast, slow) => fast.or(slow),
+            };
+        }
+        let Some(best) = best else { return Ok(false) };
+        *state = best;
+        Ok(true)
+    }
+
+    /// The state after `shift` of held axes, the free ones following by one linear solve with the
+    /// forces at `fraction` of the load; none where that inverts an element.
+    fn followed(
+        &mut self,
+        state: &State,
+        shift: &[f64],
+        fraction: f64,
+        target: f64,
+    ) -> Option<State> {
+        let Problem { body, load, .. } = *self.problem;
+        let pattern = body.pattern();
+        let product = self.problem.tangent_product(state, shift)?;
         let mut rhs = vec![0.0; pattern.n_unknowns()];
-        if !self.problem.evaluate(state, self.workspace) {
-            return false;
-        }
-        self.problem.residual_into(state, target, &mut rhs);
+        self.problem.residual_into(state, fraction, &mut rhs);
         for (r, &flat) in rhs.iter_mut().zip(&pattern.unknown2flat) {
             *r = -*r - product[flat as usize];
         }
         let mut follow = vec![0.0; rhs.len()];
         self.metric.apply_into(self.problem, &rhs, &mut follow, self.workspace);
-        for (d, &flat) in follow.iter().zip(&pattern.unknown2flat) {
-            shift[flat as usize] = *d;
-        }
         let mut moved = state.clone();
-        for (u, d) in moved.displacement.iter_mut().zip(&shift) {
-            *u += d;
+        for (d, &flat) in follow.iter().zip(&pattern.unknown2flat) {
+            moved.displacement[flat as usize] += d;
         }
-        let upright = self.problem.evaluate(&mut moved, self.workspace);
-        if upright {
-            *state = moved;
-        }
-        upright
+        self.supports.at_into(body, load, target, &mut moved.displacement);
+        self.problem.evaluate(&mut moved, self.workspace).then_some(moved)
     }
 
     fn finish(&mut self, state: State, ended: Ended) -> State {
@@ -215,12 +358,15 @@ impl Path<'_> {
         state
     }
 
-    fn failure(&self, good: f64, tried: f64, state: &State, ended: Ended) -> FemError {
+    fn failure(&self, reached: &Reached, tried: f64, state: &State, ended: Ended) -> FemError {
         let worst_tets = self.problem.worst_tets(&state.displacement);
+        let report = &self.workspace.report;
         FemError::NoEquilibrium(Box::new(NoEquilibrium {
-            load_fraction: good,
+            load_fraction: reached.fraction,
+            displacement: reached.state.displacement.as_chunks::<3>().0.to_vec(),
             tried_fraction: tried,
-            iterations: self.workspace.report.iterations,
+            iterations: report.iterations,
+            factorisations: report.factorisations,
             residual: ended.residual,
             tolerance: ended.tolerance,
             min_det_f: worst_tets.first().map_or(f64::NAN, |w| w.det_f),
@@ -228,4 +374,9 @@ impl Path<'_> {
             reason: ended.stop.unwrap_or(StopReason::Stalled),
         }))
     }
+}
+
+/// Whether more iterations would change nothing.
+fn is_settled(ended: Ended) -> bool {
+    matches!(ended.stop, None | Some(StopReason::PrescribedInverts))
 }

@@ -5,6 +5,7 @@
 //! unknowns. Modules, from the inside out: `problem` evaluates a state, `metric` holds factors,
 //! `lbfgs` and `line_search` make a step, `minimise` repeats it, `load_steps` leads to the load.
 
+mod inspect;
 mod lbfgs;
 mod line_search;
 mod load_steps;
@@ -13,9 +14,11 @@ mod minimise;
 mod problem;
 mod report;
 mod settings;
+mod support_path;
 
 use std::time::Instant;
 
+pub use inspect::{internal_forces, is_stable};
 pub(crate) use metric::{Metric, RestCache, Shape, SharedRest};
 pub use report::{Solution, SolveReport, StageSeconds};
 pub use settings::{LoadSteps, Method, SolveSettings};
@@ -27,6 +30,7 @@ use crate::material::Material;
 use load_steps::Path;
 use minimise::Minimiser;
 use problem::{Problem, State, Workspace};
+use support_path::SupportPath;
 
 /// Find the equilibrium of a body under a load, from rest.
 ///
@@ -152,13 +156,16 @@ impl<'a> Solver<'a> {
         };
         let workspace = &mut self.workspace;
         workspace.report = SolveReport { analyses: 1, factorisations: 1, ..SolveReport::default() };
-        let state = start_state(&problem, task.start)?;
+        let start = start_state(&problem, task.start)?;
         let factor_begin = Instant::now();
         let metric = rest_metric()?;
         workspace.report.seconds.factor = factor_begin.elapsed().as_secs_f64();
 
         let minimiser = &mut self.minimiser;
-        let state = Path { problem: &problem, minimiser, workspace, metric }.run(state)?;
+        let allowed = settings.max_iterations as f64;
+        let supports = SupportPath::new(self.body, &load);
+        let state = Path { problem: &problem, minimiser, workspace, metric, supports, allowed }
+            .run(start)?;
         let unbalanced: Vec<f64> =
             state.force.iter().zip(&load.force).map(|(inner, outer)| inner - outer).collect();
         let mut report = self.workspace.report;
@@ -171,17 +178,16 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// Checked state to start from: rest where nothing is given.
-fn start_state(problem: &Problem, start: Option<&[[f64; 3]]>) -> Result<State, FemError> {
+/// Checked state to start from; none where nothing is given.
+fn start_state(problem: &Problem, start: Option<&[[f64; 3]]>) -> Result<Option<State>, FemError> {
+    let Some(rows) = start else { return Ok(None) };
+    check_length("start displacement (one row a node)", problem.body.n_nodes(), rows.len())?;
+    check_finite("start displacement", rows)?;
     let mut state = State::at_rest(problem.body.n_nodes());
-    if let Some(rows) = start {
-        check_length("start displacement (one row a node)", problem.body.n_nodes(), rows.len())?;
-        check_finite("start displacement", rows)?;
-        state.displacement.copy_from_slice(rows.as_flattened());
-        let worst = problem.worst_tets(&state.displacement);
-        if let Some(worst) = worst.first().filter(|w| w.det_f.is_nan() || w.det_f <= 0.0) {
-            return Err(FemError::InvertedStart { tet: worst.tet, det_f: worst.det_f });
-        }
+    state.displacement.copy_from_slice(rows.as_flattened());
+    let worst = problem.worst_tets(&state.displacement);
+    if let Some(worst) = worst.first().filter(|w| w.det_f.is_nan() || w.det_f <= 0.0) {
+        return Err(FemError::InvertedStart { tet: worst.tet, det_f: worst.det_f });
     }
-    Ok(state)
+    Ok(Some(state))
 }

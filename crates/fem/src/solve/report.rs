@@ -31,6 +31,10 @@ pub struct SolveReport {
     pub load_steps: usize,
     /// Fraction of the load that is in equilibrium: 1.
     pub load_fraction: f64,
+    /// Load steps of [`Method::Auto`](crate::Method::Auto) that were found only by a long descent
+    /// with a factor in every iteration, after shorter steps had failed. Where a body buckles or
+    /// snaps through there is one; the answer then is the stable equilibrium met below.
+    pub long_descents: usize,
     /// Norm of the residual over free unknowns, mN.
     pub residual: f64,
     /// Norm that was asked for, mN.

@@ -44,9 +44,10 @@ pub struct SolveSettings {
     /// moved, the norm of the reactions counts as load if it is larger. A residual at the rounding
     /// of the forces is accepted in any case. Dimensionless.
     pub tolerance: f64,
-    /// Iterations allowed in all load steps together. Steps that adapt also end once they have
-    /// taken the time of as many iterations, factorisations included (by their size, not by the
-    /// clock, so that results stay the same).
+    /// Iterations allowed in all load steps together. With [`LoadSteps::Auto`] the attempt at the
+    /// full load also ends once it has taken the time of half as many iterations, factorisations
+    /// and trials included, and the steps after it once they have taken the time of as many (by
+    /// their size, not by the clock, so that results stay the same).
     pub max_iterations: usize,
     /// Which iteration is used.
     pub method: Method,

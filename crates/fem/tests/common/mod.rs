@@ -1,6 +1,7 @@
 //! Meshes and helpers shared by tests, benches and examples.
 #![allow(dead_code, clippy::expect_used)]
 
+pub mod cases;
 pub mod npz;
 
 use tissuereg_fem::{Body, Element, Mesh};
@@ -99,5 +100,13 @@ impl Random {
 
     pub fn matrix(&mut self, size: f64) -> [[f64; 3]; 3] {
         std::array::from_fn(|_| std::array::from_fn(|_| size * self.next()))
+    }
+}
+
+/// Number of random cases: what `TISSUEREG_CASES` says, or `quick`.
+pub fn count_or(quick: u64) -> u64 {
+    match std::env::var("TISSUEREG_CASES") {
+        Ok(text) => text.parse().expect("TISSUEREG_CASES must be a whole number"),
+        Err(_) => quick,
     }
 }
