@@ -1,12 +1,12 @@
 //! What a given displacement means: the forces that hold it, and whether it is stable.
 
 use super::problem::State;
-use crate::assembly::{TangentKind, det_f_by_element, internal_force_into, tangent_into};
+use crate::assembly::{ElementTangents, TangentKind, det_f_by_element, internal_force_into};
 use crate::body::Body;
 use crate::error::FemError;
 use crate::load::{check_finite, check_length};
 use crate::material::Material;
-use crate::system::factor::Factor;
+use crate::system::factor::{Factor, Making};
 
 /// Internal forces of a displacement: the nodal forces under which it is in equilibrium.
 ///
@@ -83,20 +83,15 @@ pub fn is_stable(
     displacement: &[[f64; 3]],
 ) -> Result<bool, FemError> {
     let state = checked_state(body, material, displacement)?;
-    let mut values = vec![0.0; body.pattern().n_entries()];
-    let upright = tangent_into(
-        body.geometry(),
-        body.pattern(),
-        material,
-        Some(&state.displacement),
-        TangentKind::Exact,
-        false,
-        &mut values,
-    );
-    if !upright {
+    if det_f_by_element(body.geometry(), &state.displacement)
+        .iter()
+        .any(|&j| j.is_nan() || j <= 0.0)
+    {
         return Err(inverted(body, &state.displacement));
     }
-    match Factor::double(body.pattern(), &values) {
+    let (kind, making) = (TangentKind::Exact, Making { parallel: false, cancel: None });
+    let matrix = ElementTangents::new(body.geometry(), material, &state.displacement, kind);
+    match Factor::double(&body.pattern().fronts, &matrix, making) {
         Ok(_) => Ok(true),
         Err(FemError::SingularStiffness { .. }) => Ok(false),
         Err(error) => Err(error),
