@@ -1,6 +1,7 @@
 //! Meshes and helpers shared by tests, benches and examples.
 #![allow(dead_code, clippy::expect_used)]
 
+pub mod laws;
 pub mod npz;
 
 use tissuereg_fem::{Body, Element, Mesh};
