@@ -48,6 +48,36 @@ fn every_law_has_the_digits_of_its_textbook_energy() {
     }
 }
 
+/// felupe 11.3 with tensortrax 0.29, where its forms are the same.
+#[test]
+fn six_laws_agree_with_felupe() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/laws_felupe.npz");
+    let arrays = npz::read(&path).expect("committed");
+    let gradients = arrays["h"].values.as_chunks::<9>().0;
+    let mut compared = 0;
+    for mut recipe in recipes() {
+        let Some(stresses) = arrays.get(&format!("{}_stress", recipe.name)) else { continue };
+        let tangents = &arrays[&format!("{}_tangent", recipe.name)].values;
+        compared += 1;
+        if recipe.name == "yeoh" {
+            recipe.volumetric = Volumetric::Quadratic;
+        }
+        let law = recipe.law();
+        for (k, flat) in gradients.iter().enumerate() {
+            let h: Matrix3 = std::array::from_fn(|i| std::array::from_fn(|j| flat[3 * i + j]));
+            let wanted = &stresses.values[9 * k..9 * k + 9];
+            let own = law.stress(&h).expect("upright");
+            let error = largest_error(own.as_flattened(), wanted);
+            assert!(error < 1e-12 * largest_entry(wanted), "{} stress {error}", recipe.name);
+            let wanted = &tangents[81 * k..81 * k + 81];
+            let own = law.tangent(&h).expect("upright");
+            let error = largest_error(own.as_flattened(), wanted);
+            assert!(error < 1e-12 * largest_entry(wanted), "{} tangent {error}", recipe.name);
+        }
+    }
+    assert_eq!(compared, 6);
+}
+
 #[test]
 fn every_law_starts_as_hooke() {
     let mut random = Random::new(4);

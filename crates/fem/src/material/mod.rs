@@ -9,6 +9,7 @@
 
 mod fibre;
 mod field;
+pub mod homogeneous;
 mod isochoric;
 mod kind;
 mod kinematics;

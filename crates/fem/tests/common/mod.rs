@@ -1,5 +1,5 @@
 //! Meshes and helpers shared by tests, benches and examples.
-#![allow(dead_code, clippy::expect_used)]
+#![allow(dead_code, clippy::expect_used, clippy::panic)]
 
 pub mod laws;
 pub mod npz;
