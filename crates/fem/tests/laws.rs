@@ -62,17 +62,19 @@ fn six_laws_agree_with_felupe() {
         if recipe.name == "yeoh" {
             recipe.volumetric = Volumetric::Quadratic;
         }
+        // tensortrax moves eigenvalues apart before it differentiates them.
+        let tolerance = if recipe.name == "ogden" { 1e-6 } else { 1e-12 };
         let law = recipe.law();
         for (k, flat) in gradients.iter().enumerate() {
             let h: Matrix3 = std::array::from_fn(|i| std::array::from_fn(|j| flat[3 * i + j]));
             let wanted = &stresses.values[9 * k..9 * k + 9];
             let own = law.stress(&h).expect("upright");
             let error = largest_error(own.as_flattened(), wanted);
-            assert!(error < 1e-12 * largest_entry(wanted), "{} stress {error}", recipe.name);
+            assert!(error < tolerance * largest_entry(wanted), "{} stress {error}", recipe.name);
             let wanted = &tangents[81 * k..81 * k + 81];
             let own = law.tangent(&h).expect("upright");
             let error = largest_error(own.as_flattened(), wanted);
-            assert!(error < 1e-12 * largest_entry(wanted), "{} tangent {error}", recipe.name);
+            assert!(error < tolerance * largest_entry(wanted), "{} tangent {error}", recipe.name);
         }
     }
     assert_eq!(compared, 6);
