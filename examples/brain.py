@@ -91,11 +91,12 @@ def main() -> int:
         print(f"{region}: R2 fitted to all modes (plain least squares), rms in kPa of the mode left out")
         print(f"{'law':18s} " + " ".join(f"{mode:>24s}" for mode in tests))
         for row in rows:
-            cells = [
-                f"{row['r2'][m]:6.2f} ({row['r2_plain_least_squares'][m]:5.2f}) {row['held_out_rms_kpa'].get(m, np.nan):7.3f}"
-                for m in tests
-            ]
-            print(f"{row['law'] + (' 2' if row['terms'] == 2 else ''):18s} " + " ".join(f"{c:>24s}" for c in cells))
+            cells = []
+            for mode in tests:
+                r2, plain = row["r2"][mode], row["r2_plain_least_squares"][mode]
+                cells.append(f"{r2:6.2f} ({plain:5.2f}) {row['held_out_rms_kpa'].get(mode, np.nan):7.3f}")
+            name = f"{row['law']} {row['terms']}" if row["terms"] > 1 else row["law"]
+            print(f"{name:18s} " + " ".join(f"{cell:>24s}" for cell in cells))
     if options.json:
         document = {"schema": "tissuereg.brain/1", "regions": answer}
         options.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -231,11 +231,11 @@ def _field(name: str, value: Any) -> FloatArray:
 
 
 def _numbers(key: str, value: Any) -> list[float]:
-    try:
-        return [float(v) for v in np.atleast_1d(np.asarray(value, dtype=np.float64))]
-    except (TypeError, ValueError) as error:
+    array = np.atleast_1d(value)
+    if array.dtype.kind not in "iuf" or array.ndim != 1:
         message = f"`{key}` must be a number or a list of numbers, got {value!r}"
-        raise MaterialError(message, where=key) from error
+        raise MaterialError(message, where=key)
+    return [float(v) for v in array]
 
 
 def _within(name: str, values: FloatArray, good: Any, wanted: str) -> None:

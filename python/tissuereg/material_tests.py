@@ -388,4 +388,5 @@ class _Problem:
         measured = np.concatenate([test.stress for test in self.tests])
         young = self.young(x)
         modelled = young * self.unit_stress(x) if young > 0 else np.zeros(len(measured))
-        return (modelled - measured) * self.weights
+        weighted: FloatArray = (modelled - measured) * self.weights
+        return weighted
