@@ -16,7 +16,7 @@ from tissuereg.io.meshes import read_mesh
 from tissuereg.io.tables import read_markers, read_targets
 from tissuereg.load import Load
 from tissuereg.markers import Markers
-from tissuereg.material import Material
+from tissuereg.material import Fibre, Material
 from tissuereg.mesh import Mesh
 from tissuereg.registration import RegisterSettings, register
 from tissuereg.result import Registration
@@ -24,6 +24,7 @@ from tissuereg.simulate import Simulation, Simulator, simulate
 
 __all__ = [
     "Experiment",
+    "Fibre",
     "Load",
     "Markers",
     "Material",

@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -10,6 +10,7 @@ _Element = Literal["tet4", "tet10"]
 
 __all__ = [
     "Body",
+    "Law",
     "ManySolutions",
     "Noise",
     "Solution",
@@ -64,6 +65,7 @@ class Body:
         young: _Floats,
         poisson: _Floats,
         *,
+        law: Law | None = None,
         forces: _Floats | None = None,
         body_force: _Floats | None = None,
         prescribed: _Floats | None = None,
@@ -79,6 +81,7 @@ class Body:
         young: _Floats,
         poisson: _Floats,
         *,
+        laws: Sequence[Law] | None = None,
         forces: _Floats | None = None,
         body_force: _Floats | None = None,
         prescribed: _Floats | None = None,
@@ -89,6 +92,23 @@ class Body:
         threads: int = 0,
         progress: Callable[[int], object] | None = None,
     ) -> ManySolutions: ...
+
+@final
+class Law:
+    def __new__(
+        cls,
+        name: str,
+        shape: dict[str, list[float]],
+        *,
+        volumetric: str = "log",
+        direction: _Floats | None = None,
+        k1_over_mu: float = 0.0,
+        k2: float = 0.0,
+        tension_only: bool = True,
+    ) -> Law: ...
+    def nominal_stress(
+        self, mode: str, amounts: _Floats, young: float, poisson: float, *, incompressible: bool = False
+    ) -> _Floats: ...
 
 @final
 class Solution:

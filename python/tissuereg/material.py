@@ -1,15 +1,30 @@
-"""What the body is made of: small-strain moduli, law and density."""
+"""What the body is made of: law, small-strain moduli, fibres and density."""
 
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from tissuereg import _core
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg.errors import MaterialError
 
-#: Laws that the solver owns.
-LAWS = ("neo-hookean",)
+#: Laws that the solver owns, and the names of their shape parameters.
+SHAPE_KEYS: Mapping[str, tuple[str, ...]] = {
+    "neo-hookean": (),
+    "mooney-rivlin": ("share",),
+    "yeoh": ("c2_over_c1", "c3_over_c1"),
+    "ogden": ("alpha", "weight"),
+    "fung": ("b",),
+    "veronda-westmann": ("b",),
+    "st-venant-kirchhoff": (),
+    "hooke": (),
+}
+
+#: Names of the laws.
+LAWS = tuple(SHAPE_KEYS)
 
 #: 1 g/cm^3 under 1 mm/s^2, in mN/mm^3 (1 g/cm^3 = 1e-6 kg/mm^3; 1 kg mm/s^2 = 1 mN).
 MN_PER_MM3 = 1e-6
@@ -19,51 +34,168 @@ GRAVITY_MM_PER_S2 = 9810.0
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """A compressible hyperelastic solid.
+class Fibre:
+    """A family of fibres beside any law.
+
+    Energy ``k1/(2 k2) (exp(k2 e^2) - 1)`` with ``e`` the squared isochoric stretch along the fibres minus 1 (Holzapfel,
+    Gasser and Ogden, Journal of Elasticity 61, 2000).
 
     Parameters
     ----------
-    young : float or array_like of float, shape (n_tets,)
-        Young's modulus at small strain in kPa, one for all or one a tet; positive.
-    poisson : float or array_like of float, shape (n_tets,)
+    k1_over_mu : float
+        Stiffness ``k1`` over the shear modulus of the law; not negative.
+    k2 : float
+        Rate of stiffening, dimensionless; not negative.
+    direction : array_like of float, shape (3,), (n_tets, 3) or (n_tets, n_points, 3)
+        Where they point in the undeformed body; only the direction counts.
+    tension_only : bool
+        Whether shortened fibres are slack.
+    """
+
+    k1_over_mu: float = 1.0
+    k2: float = 1.0
+    direction: Any = (0.0, 0.0, 1.0)
+    tension_only: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A hyperelastic solid: small-strain moduli, and a law that has them whatever its shape.
+
+    With bars for isochoric invariants and stretches and ``U`` the volumetric energy of the bulk modulus:
+
+    ==================== =========================================================== ==============================
+    law                  energy density                                              shape
+    ==================== =========================================================== ==============================
+    neo-hookean          mu/2 (I1 - 3) - mu ln J + U (lambda in place of K)
+    mooney-rivlin        mu/2 ((1 - share) (I1bar - 3) + share (I2bar - 3)) + U      share
+    yeoh                 c1 a + c2 a^2 + c3 a^3 + U, a = I1bar - 3, c1 = mu/2        c2_over_c1, c3_over_c1
+    ogden                sum 2 mu_p/alpha_p^2 (sum lbar^alpha_p - 3) + U             alpha, weight (1 to 3 terms each)
+    fung                 mu/(2 b) (exp(b (I1bar - 3)) - 1) + U                       b
+    veronda-westmann     mu/b (exp(b (I1bar - 3)) - 1) - mu/2 (I2bar - 3) + U        b
+    st-venant-kirchhoff  lambda/2 (tr E)^2 + mu E : E, E Green-Lagrange strain
+    hooke                the same of small strain
+    ==================== =========================================================== ==============================
+
+    Parameters
+    ----------
+    young : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
+        Young's modulus at small strain in kPa: one for all, one a tet, or one a quadrature point; positive.
+    poisson : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
         Poisson's ratio at small strain, in (-1, 0.5).
     law : str
-        ``"neo-hookean"``: ``mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2``.
+        One of the table.
     density : float
         Mass density in g/cm^3; matters only under gravity.
+    shape : mapping of str to float or sequence of float
+        Shape parameters of the law, all dimensionless. Ogden's weights are shares of the shear modulus, divided by
+        their sum.
+    volumetric : str
+        ``"log"``: ``U = K/2 (ln J)^2``; ``"quadratic"``: ``U = K/2 (J - 1)^2``.
+    fibre : Fibre, optional
+        Fibres beside the law.
 
     Raises
     ------
     MaterialError
-        If a value is outside its range or the law unknown.
+        If a value is outside its range, or the law or one of its parameters is unknown.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> brain = tr.Material(young=2.0, poisson=0.49, law="ogden", shape={"alpha": [-19.0], "weight": [1.0]})
+    >>> brain.shape["alpha"]
+    [-19.0]
     """
 
     young: Any = 10.0
     poisson: Any = 0.45
     law: str = "neo-hookean"
     density: float = 1.0
+    shape: Mapping[str, Any] = field(default_factory=dict)
+    volumetric: str = "log"
+    fibre: Fibre | None = None
 
     def __post_init__(self) -> None:
-        if self.law not in LAWS:
-            message = f"`law` must be one of {', '.join(LAWS)}, got '{self.law}'"
-            raise MaterialError(message, where="law")
         if not (np.isfinite(self.density) and self.density > 0):
             message = f"`density` must be positive, in g/cm^3, got {self.density}"
             raise MaterialError(message, where="density")
         young, poisson = self.young_array, self.poisson_array
         _within("young", young, np.isfinite(young) & (young > 0), "positive, in kPa")
         _within("poisson", poisson, (poisson > -1) & (poisson < 0.5), "in (-1, 0.5)")
+        self.core_law()
 
     @property
     def young_array(self) -> FloatArray:
-        """Young's modulus in kPa, shape (1,) or (n_tets,)."""
-        return float_array("young", np.atleast_1d(self.young), (None,))
+        """Young's modulus in kPa, shape (1,), (n_tets,) or (n_tets, n_points)."""
+        return _field("young", self.young)
 
     @property
     def poisson_array(self) -> FloatArray:
-        """Poisson's ratio, shape (1,) or (n_tets,)."""
-        return float_array("poisson", np.atleast_1d(self.poisson), (None,))
+        """Poisson's ratio, shape (1,), (n_tets,) or (n_tets, n_points)."""
+        return _field("poisson", self.poisson)
+
+    def core_law(self) -> _core.Law:
+        """Return law, shape and fibres as the solver takes them.
+
+        Returns
+        -------
+        _core.Law
+            Without moduli.
+
+        Raises
+        ------
+        MaterialError
+            If a shape parameter is missing, unknown or outside its range.
+        """
+        shape = {key: _numbers(key, value) for key, value in self.shape.items()}
+        if self.fibre is None:
+            return _core.Law(self.law, shape, volumetric=self.volumetric)
+        fibre = self.fibre
+        return _core.Law(
+            self.law,
+            shape,
+            volumetric=self.volumetric,
+            direction=np.ascontiguousarray(fibre.direction, dtype=np.float64),
+            k1_over_mu=float(fibre.k1_over_mu),
+            k2=float(fibre.k2),
+            tension_only=bool(fibre.tension_only),
+        )
+
+    def scaled(self, factor: Any) -> "Material":
+        """Return the same material with another Young's modulus.
+
+        Parameters
+        ----------
+        factor : float or array_like of float, shape (n_tets,)
+            What the modulus is multiplied by.
+
+        Returns
+        -------
+        Material
+            All else as it is.
+        """
+        young, factor = self.young_array, np.asarray(factor, dtype=np.float64)
+        return replace(self, young=young * (factor[:, None] if young.ndim == 2 and factor.ndim == 1 else factor))
+
+    def digest(self) -> str:
+        """Return a hash of everything that a displacement depends on.
+
+        Returns
+        -------
+        str
+            Hexadecimal, equal for equal materials.
+        """
+        digest = hashlib.sha256(f"{self.law} {self.volumetric}".encode())
+        for key in sorted(self.shape):
+            digest.update(f"{key} {_numbers(key, self.shape[key])}".encode())
+        for values in (self.young_array, self.poisson_array):
+            digest.update(f"{values.shape}".encode() + values.tobytes())
+        if self.fibre is not None:
+            direction = np.asarray(self.fibre.direction, dtype=np.float64)
+            digest.update(f"{self.fibre.k1_over_mu} {self.fibre.k2} {self.fibre.tension_only}".encode())
+            digest.update(f"{direction.shape}".encode() + direction.tobytes())
+        return digest.hexdigest()
 
     def weight(self, direction: Any = (0.0, 0.0, -1.0), g: float = GRAVITY_MM_PER_S2) -> FloatArray:
         """Return the body force of gravity.
@@ -93,9 +225,23 @@ class Material:
         return towards / length * (self.density * MN_PER_MM3 * g)
 
 
+def _field(name: str, value: Any) -> FloatArray:
+    array = np.atleast_1d(value)
+    return float_array(name, array, (None,) * min(array.ndim, 2))
+
+
+def _numbers(key: str, value: Any) -> list[float]:
+    array = np.atleast_1d(value)
+    if array.dtype.kind not in "iuf" or array.ndim != 1:
+        message = f"`{key}` must be a number or a list of numbers, got {value!r}"
+        raise MaterialError(message, where=key)
+    return [float(v) for v in array]
+
+
 def _within(name: str, values: FloatArray, good: Any, wanted: str) -> None:
     if not np.all(good):
-        tet = int(np.argmin(good))
+        entry = int(np.argmin(good))
+        tet = entry // (values.shape[1] if values.ndim == 2 else 1)
         place = f" at tet {tet}" if values.size > 1 else ""
-        message = f"`{name}` must be {wanted}, got {values[tet]:g}{place}"
+        message = f"`{name}` must be {wanted}, got {values.flat[entry]:g}{place}"
         raise MaterialError(message, where=name, tet=tet)

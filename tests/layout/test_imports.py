@@ -74,7 +74,7 @@ def test_torch_and_the_training_package_are_reached_by_the_train_command_alone()
 def test_layers_point_downwards():
     layers = [
         {"errors", "_arrays", "_core", "_clock", "_machine", "_version"},
-        {"mesh", "material", "markers", "load", "experiment", "trust"},
+        {"mesh", "material", "material_tests", "markers", "load", "experiment", "trust"},
         {"observe", "simulate", "latent", "assimilate", "io", "posterior", "widen", "phantom", "baselines"},
         {"registration", "result", "report"},
         {"demo", "bench", "frames"},

@@ -57,6 +57,14 @@ def test_missing_rows_and_cells_are_nan_and_controls_are_interpolated(tmp_path):
     assert rig.frame("lean", 10.6).markers.seen.tolist() == [True, False]
 
 
+def test_the_law_may_be_any_that_the_solver_owns(tmp_path):
+    ogden = 'law = "ogden"\nalpha = [-19.0, 3.0]\nweight = [0.9, 0.1]\nvolumetric = "quadratic"'
+    rig = tr.read_experiment(write_experiment(tmp_path / "rig", toml=EXPERIMENT.replace('law = "neo-hookean"', ogden)))
+    assert rig.material.law == "ogden"
+    assert rig.material.shape == {"alpha": [-19.0, 3.0], "weight": [0.9, 0.1]}
+    assert rig.material.volumetric == "quadratic"
+
+
 def test_a_time_beyond_half_a_step_is_refused_with_the_range(tmp_path):
     rig = tr.read_experiment(write_experiment(tmp_path / "rig"))
     assert rig.case("lean").index(11.24) == 2
@@ -121,7 +129,15 @@ BAD = {
     "unknown key in a table": (changed("poisson = 0.45", "poisson = 0.45\nnu = 0.3"), r"got 'nu' in \[material\]"),
     "no mesh": (changed('[mesh]\nfile = "mesh.vtu"\n', ""), r"a table \[mesh\] must be given"),
     "mesh file missing": (changed("mesh.vtu", "gone.vtu"), r"no such file: .*gone\.vtu"),
-    "unknown law": (changed("neo-hookean", "jelly"), "`law` must be one of neo-hookean, got 'jelly'"),
+    "unknown law": (changed("neo-hookean", "jelly"), "`law` must be one of neo-hookean, mooney.* got 'jelly'"),
+    "law without its shape": (changed('"neo-hookean"', '"yeoh"'), r"`c2_over_c1` must be given in \[material\]"),
+    "shape of another law": (changed("poisson = 0.45", "poisson = 0.45\nshare = 0.1"), r"got 'share' in \[material\]"),
+    "shape out of range": (changed('"neo-hookean"', '"fung"\nb = -1.0'), r"`b` of the law must be .*not negative"),
+    "shape that is no number": (changed('"neo-hookean"', '"fung"\nb = true'), "`b` must be a number or a list"),
+    "volumetric energy of a law without": (
+        changed('"neo-hookean"', '"hooke"\nvolumetric = "quadratic"'),
+        "`volumetric` of the law must be left out",
+    ),
     "nu too large": (changed("poisson = 0.45", "poisson = 0.5"), r"`poisson` must be in \(-1, 0.5\)"),
     "spread not positive": (changed("[10.0, 3.0]", "[10.0, 0.0]"), r"`young_kpa` must be a number or \[mean"),
     "unknown node set": (changed("{ plane = [0.0, 0.0, 1.0, 0.0], tolerance_mm = 0.1 }", '"bottom"'), "'bottom'"),

@@ -121,6 +121,7 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
             details.set_item("n_parts", rigid.n_parts)
         }
         E::BadYoung { entry, .. } | E::BadPoisson { entry, .. } => details.set_item("entry", entry),
+        E::BadFibre { entry, .. } => details.set_item("entry", entry),
         E::NonFinite { row, .. } => details.set_item("row", row),
         E::NotOnSurface { row, triangle } | E::RepeatedFacet { row, triangle, .. } => {
             details.set_item("row", row)?;
@@ -131,6 +132,7 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         E::EmptyMesh { .. }
         | E::SingularStiffness { .. }
         | E::TooLarge { .. }
+        | E::BadLaw { .. }
         | E::WrongLength { .. }
         | E::BadSetting { .. }
         | E::Cancelled => Ok(()),
@@ -160,6 +162,8 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
         E::Unconstrained(rigid) => (Class::Support, Some(format!("node {}", rigid.node))),
         E::BadYoung { entry, .. } => (Class::Material, Some(format!("young, entry {entry}"))),
         E::BadPoisson { entry, .. } => (Class::Material, Some(format!("poisson, entry {entry}"))),
+        E::BadLaw { name, .. } => (Class::Material, Some((*name).to_owned())),
+        E::BadFibre { entry, .. } => (Class::Material, Some(format!("direction, entry {entry}"))),
         E::WrongLength { what, .. } => (Class::Shape, Some((*what).to_owned())),
         E::NonFinite { what, row, .. } => (Class::Load, Some(format!("{what}, row {row}"))),
         E::NotOnSurface { row, .. } | E::RepeatedFacet { row, .. } => {

@@ -146,6 +146,24 @@ pub enum FemError {
         /// The value found, dimensionless.
         poisson: f64,
     },
+    /// A parameter of a law is outside its range.
+    #[error("`{name}` of the law must be {must}; found {found}")]
+    BadLaw {
+        /// Name of the parameter.
+        name: &'static str,
+        /// What must hold.
+        must: &'static str,
+        /// The value found.
+        found: f64,
+    },
+    /// A fibre direction has no length.
+    #[error("`direction` of the fibres must have a finite length above 0; found {} {} {} at entry {entry}", .direction[0], .direction[1], .direction[2])]
+    BadFibre {
+        /// Entry of the field of directions (0 where it is uniform).
+        entry: usize,
+        /// The vector found.
+        direction: [f64; 3],
+    },
     /// An array has the wrong number of rows.
     #[error("{what} must have {expected} rows; found {found}")]
     WrongLength {

@@ -61,8 +61,8 @@
 //!
 //! # Method
 //!
-//! Displacement elements ([`Element`]), a compressible neo-Hookean law behind
-//! [`material::Hyperelastic`], dead loads. Equilibrium is the minimum of the potential energy;
+//! Displacement elements ([`Element`]), eight hyperelastic laws with or without fibres
+//! ([`material`]), dead loads. Equilibrium is the minimum of the potential energy;
 //! it is sought by L-BFGS in the metric of the undeformed stiffness, whose sparse Cholesky factor
 //! (faer) is made in single precision, on unknowns ordered by nested dissection. A line search
 //! keeps every element upright. Slow convergence makes a factor of the current tangent, failure

@@ -129,6 +129,7 @@ class Simulator:
         found = self.body.solve(
             young,
             poisson,
+            law=material.core_law(),
             forces=self.forces(load),
             body_force=_optional("body_force", load.body_force, (3,)),
             prescribed=_optional("prescribed", load.prescribed, (len(self.held_nodes), 3)),
@@ -167,11 +168,10 @@ class Simulator:
             message = f"there must be one material a load, got {len(materials)} for {len(loads)}"
             raise LoadError(message, where="materials")
         moduli = [self._moduli(material) for material in materials]
-        young = np.stack([m[0] for m in moduli]) if moduli else np.empty((0, 1))
-        poisson = np.stack([m[1] for m in moduli]) if moduli else np.empty((0, 1))
         found = self.body.solve_many(
-            young[:, 0].copy() if young.shape[1] == 1 else young,
-            poisson[:, 0].copy() if poisson.shape[1] == 1 else poisson,
+            _one_a_member([m[0] for m in moduli]),
+            _one_a_member([m[1] for m in moduli]),
+            laws=[material.core_law() for material in materials],
             forces=self._stacked([self.forces(load) for load in loads], self.body.nodes.shape),
             body_force=self._stacked([_optional("body_force", x.body_force, (3,)) for x in loads], (3,)),
             prescribed=self._stacked(
@@ -185,18 +185,37 @@ class Simulator:
 
     def _moduli(self, material: Material) -> tuple[FloatArray, FloatArray]:
         young, poisson = material.young_array, material.poisson_array
+        n_points = 4 if self.element == "tet10" else 1
         for name, values in (("young", young), ("poisson", poisson)):
-            if len(values) not in (1, self.mesh.n_tets):
-                message = f"`{name}` must hold one value or one a tet ({self.mesh.n_tets}), got {len(values)}"
+            if values.shape not in ((1,), (self.mesh.n_tets,), (self.mesh.n_tets, 1), (self.mesh.n_tets, n_points)):
+                points = f" or one a quadrature point ({self.mesh.n_tets}, {n_points})" if values.ndim == 2 else ""
+                got = values.shape if values.ndim == 2 else len(values)
+                message = f"`{name}` must hold one value or one a tet ({self.mesh.n_tets}){points}, got {got}"
                 raise MaterialError(message, where=name)
-        size = max(len(young), len(poisson))
-        return np.broadcast_to(young, size).copy(), np.broadcast_to(poisson, size).copy()
+        young, poisson = (v[:, 0] if v.ndim == 2 and v.shape[1] == 1 else v for v in (young, poisson))
+        young, poisson = _broadcast([young, poisson])
+        return young, poisson
 
     @staticmethod
     def _stacked(rows: list[FloatArray | None], shape: tuple[int, ...]) -> FloatArray | None:
         if all(row is None for row in rows):
             return None
         return np.stack([np.zeros(shape) if row is None else row for row in rows])
+
+
+def _broadcast(fields: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return fields of moduli, (1,), (n_tets,) or (n_tets, n_points), all in the largest shape among them."""
+    deepest = max((values.ndim for values in fields), default=1)
+    columns = [values[:, None] if values.ndim < deepest else values for values in fields]
+    return [np.ascontiguousarray(values) for values in np.broadcast_arrays(*columns)]
+
+
+def _one_a_member(fields: Sequence[FloatArray]) -> FloatArray:
+    """Return fields stacked: (n,), (n, n_tets) or (n, n_tets, n_points)."""
+    if not fields:
+        return np.empty(0)
+    stacked = np.stack(_broadcast(fields))
+    return stacked[:, 0].copy() if stacked.shape[1:] == (1,) else stacked
 
 
 def simulate(

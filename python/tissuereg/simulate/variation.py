@@ -1,6 +1,6 @@
 """How far the truth may lie from what is believed: modulus, size and direction of loads and motions."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class Variation:
             None if load.prescribed is None else np.asarray(load.prescribed, np.float64) @ push.T,
             None if load.traction is None else (load.traction[0], np.asarray(load.traction[1], np.float64) @ pull.T),
         )
-        return varied, replace(material, young=material.young_array * softer)
+        return varied, material.scaled(softer)
 
 
 def _turn(rng: np.random.Generator, log_std: float, tilt_deg: float) -> FloatArray:

@@ -8,9 +8,10 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use tissuereg_fem::{Body, FemError, Load, Material, Member, Outcome, SolveSettings, solve_many};
 
-use super::material_of;
+use super::Law;
 use crate::arrays::{self, View};
-use crate::{errors, lock, report};
+use crate::errors::{self, Class};
+use crate::{lock, report};
 
 /// Equilibria of many members; those that failed are rows of NaN.
 #[pyclass(frozen, module = "tissuereg._core")]
@@ -48,6 +49,7 @@ impl Members {
         body: &Body,
         young: &Bound<'_, PyAny>,
         poisson: &Bound<'_, PyAny>,
+        laws: &[PyRef<'_, Law>],
         forces: Option<&Bound<'_, PyAny>>,
         body_force: Option<&Bound<'_, PyAny>>,
         prescribed: Option<&Bound<'_, PyAny>>,
@@ -55,10 +57,21 @@ impl Members {
         let (n_tets, three) = (Some(body.n_tets()), Some(3));
         let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
         let py = young.py();
-        let young = View::<f64>::new("young", young, &[&[None], &[None, n_tets]])?;
+        let n_points = Some(body.element().n_points());
+        let young = View::<f64>::new(
+            "young",
+            young,
+            &[&[None], &[None, n_tets], &[None, n_tets, n_points]],
+        )?;
         let n = young.shape()[0];
         let k = Some(n);
-        let poisson = View::<f64>::new("poisson", poisson, &[&[k], &[k, n_tets]])?;
+        let poisson =
+            View::<f64>::new("poisson", poisson, &[&[k], &[k, n_tets], &[k, n_tets, n_points]])?;
+        if laws.len() > 1 && laws.len() != n {
+            let message =
+                format!("`laws` must hold one law or one a member ({n}), got {}", laws.len());
+            return Err(errors::raise(py, Class::Shape, &message, Some("laws")));
+        }
         let forces =
             View::<f64>::optional("forces", forces, &[&[k, all, three], &[k, corners, three]])?;
         let body_force = View::<f64>::optional("body_force", body_force, &[&[k, three]])?;
@@ -75,7 +88,10 @@ impl Members {
         let mut members = Self { materials: Vec::with_capacity(n), loads: Vec::with_capacity(n) };
         for member in 0..n {
             let (of_young, of_poisson) = (part(&young, member, n), part(&poisson, member, n));
-            let material = material_of(of_young, of_poisson)
+            let law = laws.get(if laws.len() == 1 { 0 } else { member });
+            let material = law
+                .map_or(&Law::default(), |law| law)
+                .material(body, of_young, of_poisson)
                 .map_err(|error| errors::from_fem(py, &error, Some(member)))?;
             members.materials.push(material);
             members.loads.push(Load {

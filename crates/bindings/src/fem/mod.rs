@@ -1,5 +1,6 @@
 //! Meshes, bodies and solves.
 
+mod law;
 mod many;
 
 use std::sync::Arc;
@@ -9,10 +10,9 @@ use numpy::IntoPyArray;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tissuereg_fem::{
-    Element, FemError, Load, LoadSteps, Material, Mesh, Method, SolveSettings, Stiffness,
-};
+use tissuereg_fem::{Element, FemError, Load, LoadSteps, Mesh, Method, SolveSettings};
 
+pub(crate) use self::law::Law;
 pub(crate) use self::many::ManySolutions;
 use crate::arrays::{self, View};
 use crate::errors::{self, Class};
@@ -165,8 +165,9 @@ impl Body {
         arrays::from_points(py, forces.map_err(|error| errors::from_fem(py, &error, None))?)
     }
 
-    /// Equilibrium under one load.
-    #[pyo3(signature = (young, poisson, *, forces=None, body_force=None, prescribed=None, start=None, tolerance=1e-9,
+    /// Equilibrium under one load. Moduli: one for all, float64 (1,), one a tet, (n_tets,), or one a quadrature point,
+    /// (n_tets, n_points); without a law they are those of a neo-Hookean one.
+    #[pyo3(signature = (young, poisson, *, law=None, forces=None, body_force=None, prescribed=None, start=None, tolerance=1e-9,
                         max_iterations=1000, method="auto", load_steps=0, threads=0))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
     fn solve(
@@ -174,6 +175,7 @@ impl Body {
         py: Python<'_>,
         young: &Bound<'_, PyAny>,
         poisson: &Bound<'_, PyAny>,
+        law: Option<&Law>,
         forces: Option<&Bound<'_, PyAny>>,
         body_force: Option<&Bound<'_, PyAny>>,
         prescribed: Option<&Bound<'_, PyAny>>,
@@ -185,7 +187,8 @@ impl Body {
         threads: usize,
     ) -> PyResult<Solution> {
         let body = &self.0;
-        let moduli: [&[Option<usize>]; 2] = [&[Some(1)], &[Some(body.n_tets())]];
+        let (n_tets, n_points) = (Some(body.n_tets()), Some(body.element().n_points()));
+        let moduli: [&[Option<usize>]; 3] = [&[Some(1)], &[n_tets], &[n_tets, n_points]];
         let young = View::<f64>::new("young", young, &moduli)?;
         let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
         let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
@@ -198,7 +201,8 @@ impl Body {
         let settings = settings_of(py, tolerance, max_iterations, method, load_steps, threads)?;
 
         let mapped = |error: FemError| errors::from_fem(py, &error, None);
-        let material = material_of(young.slice(), poisson.slice()).map_err(mapped)?;
+        let law = law.cloned().unwrap_or_default();
+        let material = law.material(body, young.slice(), poisson.slice()).map_err(mapped)?;
         let load = Load {
             nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
             body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
@@ -216,8 +220,9 @@ impl Body {
         Solution::new(py, answer.map_err(mapped)?, tolerance)
     }
 
-    /// Equilibria of many members, in parallel, each on one thread.
-    #[pyo3(signature = (young, poisson, *, forces=None, body_force=None, prescribed=None, tolerance=1e-9,
+    /// Equilibria of many members, in parallel, each on one thread. Moduli as for one, the member axis first; one law a
+    /// member, or one for all.
+    #[pyo3(signature = (young, poisson, *, laws=None, forces=None, body_force=None, prescribed=None, tolerance=1e-9,
                         max_iterations=1000, method="auto", load_steps=0, threads=0, progress=None))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
     fn solve_many(
@@ -225,6 +230,7 @@ impl Body {
         py: Python<'_>,
         young: &Bound<'_, PyAny>,
         poisson: &Bound<'_, PyAny>,
+        laws: Option<Vec<PyRef<'_, Law>>>,
         forces: Option<&Bound<'_, PyAny>>,
         body_force: Option<&Bound<'_, PyAny>>,
         prescribed: Option<&Bound<'_, PyAny>>,
@@ -236,7 +242,9 @@ impl Body {
         progress: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<ManySolutions> {
         let settings = settings_of(py, tolerance, max_iterations, method, load_steps, threads)?;
-        let members = many::Members::new(&self.0, young, poisson, forces, body_force, prescribed)?;
+        let laws = laws.unwrap_or_default();
+        let members =
+            many::Members::new(&self.0, young, poisson, &laws, forces, body_force, prescribed)?;
         members.solve(py, &self.0, settings, progress)
     }
 
@@ -297,17 +305,6 @@ impl Solution {
         let iterations = report.get_item("iterations")?;
         Ok(format!("Solution(iterations={})", iterations.map_or("?".to_owned(), |n| n.to_string())))
     }
-}
-
-/// A material from one value or one a tet of each modulus.
-fn material_of(young: &[f64], poisson: &[f64]) -> Result<Material, FemError> {
-    Material::new(match (young, poisson) {
-        (&[young], &[poisson]) => Stiffness::Uniform { young, poisson },
-        (&[young], poisson) => {
-            Stiffness::PerTet { young: vec![young; poisson.len()], poisson: poisson.to_vec() }
-        }
-        (young, poisson) => Stiffness::PerTet { young: young.to_vec(), poisson: poisson.to_vec() },
-    })
 }
 
 fn settings_of(

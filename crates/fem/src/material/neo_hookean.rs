@@ -10,7 +10,9 @@
 //!
 //! which are the usual `μ/2 (tr C − 3) − μ ln J + λ/2 ln²J` and `μ (F − F⁻ᵀ) + λ ln J F⁻ᵀ`.
 
-use super::{Hyperelastic, Matrix3, Response, Tangent, cofactor};
+use super::kinematics::Kinematics;
+use super::tensor::x_minus_log;
+use super::{Hyperelastic, Matrix3, Response, Tangent};
 
 /// Compressible neo-Hookean solid.
 ///
@@ -71,67 +73,29 @@ impl NeoHookean {
             lambda: young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)),
         }
     }
-}
 
-/// What energy, stress and tangent share.
-struct Kinematics {
-    /// `J`
-    det_f: f64,
-    /// `J − 1`
-    x: f64,
-    /// `J − 1 − tr h`
-    q: f64,
-    /// `ln J`
-    log: f64,
-    /// `cof h`
-    cof_h: Matrix3,
-    /// `tr h`
-    trace: f64,
-}
-
-impl Kinematics {
-    #[inline(always)]
-    fn new(h: &Matrix3) -> Option<Self> {
-        let cof_h = cofactor(h);
-        let trace = h[0][0] + h[1][1] + h[2][2];
-        let third = h[0][0] * cof_h[0][0] + h[0][1] * cof_h[0][1] + h[0][2] * cof_h[0][2];
-        let q = cof_h[0][0] + cof_h[1][1] + cof_h[2][2] + third;
-        let x = trace + q;
-        let det_f = 1.0 + x;
-        // The comparison is false for NaN as well.
-        if det_f > 0.0 && det_f < f64::INFINITY {
-            Some(Self { det_f, x, q, log: x.ln_1p(), cof_h, trace })
-        } else {
-            None
-        }
+    /// Bulk modulus `K = λ + 2μ/3`, kPa.
+    pub fn bulk(&self) -> f64 {
+        self.lambda + 2.0 / 3.0 * self.mu
     }
 
-    /// `cof F = J F⁻ᵀ`
-    #[inline(always)]
-    fn cof_f(&self, h: &Matrix3) -> Matrix3 {
-        let mut cof = self.cof_h;
-        for i in 0..3 {
-            for j in 0..3 {
-                cof[i][j] -= h[j][i];
-            }
-            cof[i][i] += 1.0 + self.trace;
-        }
-        cof
+    /// Derivative of the moduli by Young's modulus at fixed Poisson's ratio.
+    pub(super) fn by_young(&self) -> Self {
+        let Self { mu, lambda } = *self;
+        let young = mu * (3.0 * lambda + 2.0 * mu) / (lambda + mu);
+        Self { mu: mu / young, lambda: lambda / young }
     }
-}
 
-/// `x − ln(1 + x)` without cancellation, given `log = ln(1 + x)`.
-#[inline(always)]
-fn x_minus_log(x: f64, log: f64) -> f64 {
-    if x.abs() > 0.03 {
-        return x - log;
+    /// Derivative of the moduli by Poisson's ratio at fixed Young's modulus:
+    /// `∂μ = −μ/(1 + ν)`, `∂K = 2 K/(1 − 2ν)`.
+    pub(super) fn by_poisson(&self) -> Self {
+        let Self { mu, lambda } = *self;
+        // 1 + ν and 1 − 2ν, the latter without cancellation near 1/2.
+        let plus = (3.0 * lambda + 2.0 * mu) / (2.0 * (lambda + mu));
+        let minus = mu / (lambda + mu);
+        let (by_mu, by_bulk) = (-mu / plus, 2.0 * self.bulk() / minus);
+        Self { mu: by_mu, lambda: by_bulk - 2.0 / 3.0 * by_mu }
     }
-    // x²/2 − x³/3 + ...; ten terms leave less than 1e-16 of the first.
-    let mut sum = 0.0;
-    for k in (2..12).rev() {
-        sum = 1.0 / f64::from(k) - x * sum;
-    }
-    x * x * sum
 }
 
 impl NeoHookean {

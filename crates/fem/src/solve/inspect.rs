@@ -103,7 +103,7 @@ fn checked_state(
     material: &Material,
     displacement: &[[f64; 3]],
 ) -> Result<State, FemError> {
-    material.check_size(body.n_tets())?;
+    material.check_size(body.n_tets(), body.element().n_points())?;
     check_length("displacement (one row a node)", body.n_nodes(), displacement.len())?;
     check_finite("displacement", displacement)?;
     let mut state = State::at_rest(body.n_nodes());

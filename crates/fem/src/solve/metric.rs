@@ -11,7 +11,7 @@ use std::time::Instant;
 use crate::assembly::{ElementTangents, TangentKind};
 use crate::body::Body;
 use crate::error::FemError;
-use crate::material::{Material, Stiffness};
+use crate::material::{Fibres, Layout, Material, Stiffness};
 use crate::solve::problem::{Problem, State, Workspace};
 use crate::system::factor::{Factor, Making};
 
@@ -86,31 +86,34 @@ impl Metric {
     }
 }
 
-/// Stiffness field up to a factor: what a rest factor depends on.
+/// Rest stiffness up to a factor: what a rest factor depends on.
+///
+/// All laws share the rest stiffness of the neo-Hookean one; fibres add theirs.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Shape {
     /// Moduli over the largest, rounded to 24 bits; one entry where uniform.
     young: Vec<f32>,
     poisson: Vec<f64>,
+    layout: Layout,
+    /// Fibres as far as they matter at rest.
+    fibres: Option<Fibres>,
 }
 
 impl Shape {
     /// Shape of a material's stiffness and the modulus that was divided out, kPa.
     pub(crate) fn of(material: &Material) -> (Self, f64) {
-        match material.stiffness() {
-            Stiffness::Uniform { young, poisson } => {
-                (Self { young: vec![1.0], poisson: vec![*poisson] }, *young)
-            }
-            Stiffness::PerTet { young, poisson } => {
-                let largest = young.iter().fold(0.0_f64, |m, &v| m.max(v));
-                let mut shape = Self {
-                    young: young.iter().map(|v| (v / largest) as f32).collect(),
-                    poisson: poisson.clone(),
-                };
-                shape.simplify();
-                (shape, largest)
-            }
-        }
+        let stiffness = material.stiffness();
+        let (young, poisson) = stiffness.fields();
+        let largest = young.iter().fold(0.0_f64, |m, &v| m.max(v));
+        let fibres = material.fibres().filter(|fibres| fibres.k1_over_mu > 0.0);
+        let mut shape = Self {
+            young: young.iter().map(|v| (v / largest) as f32).collect(),
+            poisson: poisson.to_vec(),
+            layout: stiffness.layout(),
+            fibres: fibres.map(|fibres| Fibres { k2: 0.0, tension_only: false, ..fibres.clone() }),
+        };
+        shape.simplify();
+        (shape, largest)
     }
 
     /// Fields that are constant after all have the shape of uniform ones.
@@ -120,6 +123,7 @@ impl Shape {
         }
         if self.poisson.len() == 1 && self.young.windows(2).all(|w| w[0] == w[1]) {
             self.young.truncate(1);
+            self.layout = Layout::Uniform;
         }
     }
 
@@ -128,15 +132,27 @@ impl Shape {
         let mut hasher = DefaultHasher::new();
         self.young.iter().for_each(|v| v.to_bits().hash(&mut hasher));
         self.poisson.iter().for_each(|v| v.to_bits().hash(&mut hasher));
+        self.layout.hash(&mut hasher);
+        if let Some(fibres) = &self.fibres {
+            fibres.k1_over_mu.to_bits().hash(&mut hasher);
+            let all = fibres.directions.vectors().as_flattened();
+            all.iter().for_each(|v| v.to_bits().hash(&mut hasher));
+        }
         hasher.finish()
     }
 
     fn material(&self) -> Result<Material, FemError> {
         // A modulus of zero after rounding would make the shape singular.
         let young: Vec<f64> = self.young.iter().map(|&v| f64::from(v).max(1e-30)).collect();
-        match (young.as_slice(), self.poisson.as_slice()) {
-            ([young], [poisson]) => Material::neo_hookean(*young, *poisson),
-            _ => Material::new(Stiffness::PerTet { young, poisson: self.poisson.clone() }),
+        let poisson = self.poisson.clone();
+        let material = Material::new(match (self.layout, young.as_slice(), poisson.as_slice()) {
+            (_, &[young], &[poisson]) => Stiffness::Uniform { young, poisson },
+            (Layout::PerPoint(n_points), ..) => Stiffness::PerPoint { n_points, young, poisson },
+            _ => Stiffness::PerTet { young, poisson },
+        })?;
+        match &self.fibres {
+            Some(fibres) => material.with_fibres(fibres.clone()),
+            None => Ok(material),
         }
     }
 

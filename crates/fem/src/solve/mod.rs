@@ -145,7 +145,7 @@ impl<'a> Solver<'a> {
         let begin = Instant::now();
         settings.check()?;
         settings.check_cancel()?;
-        task.material.check_size(self.body.n_tets())?;
+        task.material.check_size(self.body.n_tets(), self.body.element().n_points())?;
         let load = NodalLoad::new(self.body, task.load)?;
         let problem = Problem {
             body: self.body,

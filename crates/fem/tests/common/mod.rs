@@ -1,7 +1,8 @@
 //! Meshes and helpers shared by tests, benches and examples.
-#![allow(dead_code, clippy::expect_used)]
+#![allow(dead_code, clippy::expect_used, clippy::panic)]
 
 pub mod cases;
+pub mod laws;
 pub mod npz;
 
 use tissuereg_fem::{Body, Element, Mesh};

@@ -1,0 +1,179 @@
+//! Material laws by name.
+
+use std::collections::BTreeMap;
+
+use numpy::{IntoPyArray, PyArray1};
+use pyo3::prelude::*;
+use tissuereg_fem::material::homogeneous::{Compressibility, Mode, nominal_stress};
+use tissuereg_fem::material::{Directions, Fibres, LawKind, Volumetric};
+use tissuereg_fem::{Body, FemError, Material, Stiffness};
+
+use super::bad_choice;
+use crate::arrays::View;
+use crate::errors::{self, Class};
+
+/// A law, its shape and its fibres; moduli come with each solve.
+#[pyclass(frozen, module = "tissuereg._core")]
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Law {
+    kind: LawKind,
+    volumetric: Volumetric,
+    fibres: Option<Fibres>,
+}
+
+#[pymethods]
+impl Law {
+    #[new]
+    #[pyo3(signature = (name, shape, *, volumetric="log", direction=None, k1_over_mu=0.0, k2=0.0, tension_only=true))]
+    #[allow(clippy::too_many_arguments)] // keywords in Python
+    fn new(
+        py: Python<'_>,
+        name: &str,
+        shape: BTreeMap<String, Vec<f64>>,
+        volumetric: &str,
+        direction: Option<&Bound<'_, PyAny>>,
+        k1_over_mu: f64,
+        k2: f64,
+        tension_only: bool,
+    ) -> PyResult<Self> {
+        let kind = kind_of(py, name, shape)?;
+        let volumetric = match volumetric {
+            "log" => Volumetric::Log,
+            "quadratic" => Volumetric::Quadratic,
+            other => return Err(refuse(py, "volumetric", "`log` or `quadratic`", other)),
+        };
+        let three = Some(3);
+        let wanted: [&[Option<usize>]; 3] = [&[three], &[None, three], &[None, None, three]];
+        let directions =
+            View::<f64>::optional("direction", direction, &wanted)?.map(|view| {
+                match (view.shape(), view.rows::<3>()) {
+                    (_, &[direction]) => Directions::Uniform(direction),
+                    (&[_, n_points, _], rows) => {
+                        Directions::PerPoint { n_points, directions: rows.to_vec() }
+                    }
+                    (_, rows) => Directions::PerTet(rows.to_vec()),
+                }
+            });
+        let fibres =
+            directions.map(|directions| Fibres { k1_over_mu, k2, tension_only, directions });
+        let law = Self { kind, volumetric, fibres };
+        // The crate checks what it is given, with any moduli.
+        match law.with_moduli(Stiffness::Uniform { young: 1.0, poisson: 0.0 }) {
+            Ok(_) => Ok(law),
+            Err(error) => Err(errors::from_fem(py, &error, None)),
+        }
+    }
+
+    /// Nominal stress, float64 (n,) kPa, of a homogeneous test at stretches or amounts of shear, float64 (n,);
+    /// NaN where the law has none.
+    #[pyo3(signature = (mode, amounts, young, poisson, *, incompressible=false))]
+    fn nominal_stress<'py>(
+        &self,
+        py: Python<'py>,
+        mode: &str,
+        amounts: &Bound<'py, PyAny>,
+        young: f64,
+        poisson: f64,
+        incompressible: bool,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let mode = match mode {
+            "uniaxial" => Mode::Uniaxial,
+            "equibiaxial" => Mode::Equibiaxial,
+            "simple-shear" => Mode::SimpleShear,
+            other => {
+                let wanted = "`uniaxial`, `equibiaxial` or `simple-shear`";
+                return Err(bad_choice(py, "mode", wanted, other));
+            }
+        };
+        let limit = if incompressible { Compressibility::Limit } else { Compressibility::OfLaw };
+        let amounts = View::<f64>::new("amounts", amounts, &[&[None]])?;
+        let material = self
+            .with_moduli(Stiffness::Uniform { young, poisson })
+            .map_err(|error| errors::from_fem(py, &error, None))?;
+        let law = material.law_at(0, 0);
+        let stress: Vec<f64> = amounts
+            .slice()
+            .iter()
+            .map(|&amount| nominal_stress(&law, mode, amount, limit).unwrap_or(f64::NAN))
+            .collect();
+        Ok(stress.into_pyarray(py))
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Law({:?}, {:?}, {:?})", self.kind, self.volumetric, self.fibres)
+    }
+}
+
+impl Law {
+    fn with_moduli(&self, stiffness: Stiffness) -> Result<Material, FemError> {
+        let material =
+            Material::new(stiffness)?.with_law(self.kind)?.with_volumetric(self.volumetric)?;
+        match &self.fibres {
+            Some(fibres) => material.with_fibres(fibres.clone()),
+            None => Ok(material),
+        }
+    }
+
+    /// The law with one modulus for all, one a tet or one a quadrature point.
+    pub(super) fn material(
+        &self,
+        body: &Body,
+        young: &[f64],
+        poisson: &[f64],
+    ) -> Result<Material, FemError> {
+        let young = match (young, poisson.len()) {
+            (&[young], n) => vec![young; n],
+            (young, _) => young.to_vec(),
+        };
+        let n_points = body.element().n_points();
+        self.with_moduli(match (young.as_slice(), poisson) {
+            (&[young], &[poisson]) => Stiffness::Uniform { young, poisson },
+            (field, poisson) if field.len() == body.n_tets() => {
+                Stiffness::PerTet { young, poisson: poisson.to_vec() }
+            }
+            (_, poisson) => Stiffness::PerPoint { n_points, young, poisson: poisson.to_vec() },
+        })
+    }
+}
+
+/// Takes the shape parameters of a law out of a table, and refuses what is left.
+fn kind_of(py: Python<'_>, name: &str, mut shape: BTreeMap<String, Vec<f64>>) -> PyResult<LawKind> {
+    let mut list = |key: &str| {
+        let wanted = format!("given for the law `{name}`");
+        shape.remove(key).ok_or_else(|| refuse(py, key, &wanted, "nothing"))
+    };
+    let mut number = |key: &str| match list(key)?.as_slice() {
+        &[value] => Ok(value),
+        more => Err(refuse(py, key, "one number", &format!("{} numbers", more.len()))),
+    };
+    let kind = match name {
+        "neo-hookean" => LawKind::NeoHookean,
+        "mooney-rivlin" => LawKind::MooneyRivlin { share: number("share")? },
+        "yeoh" => {
+            LawKind::Yeoh { c2_over_c1: number("c2_over_c1")?, c3_over_c1: number("c3_over_c1")? }
+        }
+        "ogden" => LawKind::ogden(&list("alpha")?, &list("weight")?)
+            .map_err(|error| errors::from_fem(py, &error, None))?,
+        "fung" => LawKind::Fung { b: number("b")? },
+        "veronda-westmann" => LawKind::VerondaWestmann { b: number("b")? },
+        "st-venant-kirchhoff" => LawKind::StVenantKirchhoff,
+        "hooke" => LawKind::Hooke,
+        other => {
+            let wanted = "one of neo-hookean, mooney-rivlin, yeoh, ogden, fung, veronda-westmann, \
+                          st-venant-kirchhoff, hooke";
+            return Err(refuse(py, "law", wanted, &format!("'{other}'")));
+        }
+    };
+    match shape.keys().next() {
+        None => Ok(kind),
+        Some(key) => {
+            let message = format!("the law `{name}` has no parameter `{key}`");
+            Err(errors::raise(py, Class::Material, &message, Some(key)))
+        }
+    }
+}
+
+fn refuse(py: Python<'_>, name: &str, wanted: &str, found: &str) -> PyErr {
+    let message = format!("`{name}` must be {wanted}, got {found}");
+    errors::raise(py, Class::Material, &message, Some(name))
+}
