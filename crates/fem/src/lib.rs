@@ -82,24 +82,34 @@ mod element;
 mod ensemble;
 mod error;
 mod groups;
+mod history;
 mod load;
 pub mod material;
 mod mesh;
+mod rest_shape;
+mod resultant;
 mod solve;
 mod supports;
+mod surface;
 mod system;
 
 pub use body::Body;
 pub use element::Element;
 pub use ensemble::{Member, Outcome, solve_many};
 pub use error::{FemError, NoEquilibrium, StopReason, WorstTet};
+pub use history::{
+    Behaviour, Drainage, History, Pad, Part, Relaxation, Rig, RigFrame, Set, Softening, Swelling,
+};
 pub use load::Load;
 pub use material::{Material, Stiffness};
 pub use mesh::{DEGENERATE_LIMIT, Mesh};
+pub use rest_shape::{RestShape, rest_shape};
+pub use resultant::{Resultant, resultant};
 pub use solve::{
     LoadSteps, Method, Solution, SolveReport, SolveSettings, StageSeconds, solve, solve_from,
 };
 pub use supports::Supports;
+pub use surface::{Skin, Springs};
 pub use system::RigidModes;
 
 /// Runs the examples of the README.

@@ -14,6 +14,7 @@ use crate::error::FemError;
 use crate::material::{Fibres, Layout, Material, Stiffness};
 use crate::solve::problem::{Problem, State, Workspace};
 use crate::solve::settings::Method;
+use crate::surface::{Skin, Springs, SurfaceTerms};
 use crate::system::factor::Factor;
 
 /// Factor of `K / scale⁻¹`: a solve with it is multiplied by `scale`.
@@ -106,11 +107,14 @@ pub(crate) struct Shape {
     layout: Layout,
     /// Fibres as far as they matter at rest.
     fibres: Option<Fibres>,
+    /// Springs and skins, their stiffness over the same modulus.
+    springs: Vec<Springs>,
+    skin: Vec<Skin>,
 }
 
 impl Shape {
-    /// Shape of a material's stiffness and the modulus that was divided out, kPa.
-    pub(crate) fn of(material: &Material) -> (Self, f64) {
+    /// Shape of a stiffness with springs and the modulus that was divided out, kPa.
+    pub(crate) fn of(material: &Material, springs: &[Springs]) -> (Self, f64) {
         let stiffness = material.stiffness();
         let (young, poisson) = stiffness.fields();
         let largest = young.iter().fold(0.0_f64, |m, &v| m.max(v));
@@ -120,7 +124,14 @@ impl Shape {
             poisson: poisson.to_vec(),
             layout: stiffness.layout(),
             fibres: fibres.map(|fibres| Fibres { k2: 0.0, tension_only: false, ..fibres.clone() }),
+            springs: springs.to_vec(),
+            skin: material.skin().to_vec(),
         };
+        for set in &mut shape.springs {
+            set.normal /= largest;
+            set.tangential /= largest;
+        }
+        shape.skin.iter_mut().for_each(|sheet| sheet.young /= largest);
         shape.simplify();
         (shape, largest)
     }
@@ -146,6 +157,12 @@ impl Shape {
             fibres.k1_over_mu.to_bits().hash(&mut hasher);
             let all = fibres.directions.vectors().as_flattened();
             all.iter().for_each(|v| v.to_bits().hash(&mut hasher));
+        }
+        for set in &self.springs {
+            (set.normal.to_bits(), set.tangential.to_bits(), &set.triangles).hash(&mut hasher);
+        }
+        for sheet in &self.skin {
+            (sheet.young.to_bits(), sheet.thickness.to_bits(), &sheet.triangles).hash(&mut hasher);
         }
         hasher.finish()
     }
@@ -178,6 +195,8 @@ impl Shape {
             parallel,
             &mut values,
         );
+        let surface = SurfaceTerms::new(body, &self.springs, &self.skin)?;
+        surface.add_tangent(body, None, TangentKind::Exact, &mut values);
         Factor::single_or_double(pattern, &values)
     }
 }
@@ -192,9 +211,10 @@ impl RestCache {
         &self,
         body: &Body,
         material: &Material,
+        springs: &[Springs],
         parallel: bool,
     ) -> Result<Metric, FemError> {
-        let (shape, young) = Shape::of(material);
+        let (shape, young) = Shape::of(material, springs);
         let scale = 1.0 / young;
         if let Some(factor) = self.find(&shape) {
             return Ok(Metric { factor, scale });

@@ -5,19 +5,33 @@ use crate::assembly::{
 };
 use crate::body::Body;
 use crate::error::{FemError, WorstTet};
+use crate::history::StepModel;
 use crate::load::NodalLoad;
 use crate::material::Material;
 use crate::solve::report::SolveReport;
 use crate::solve::settings::SolveSettings;
+use crate::surface::SurfaceTerms;
 use crate::system::factor::SolveScratch;
+
+/// What the body is made of, and what of its past matters.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Model<'a> {
+    /// An elastic material.
+    Elastic(&'a Material),
+    /// A time step of a material with a history.
+    Step(&'a StepModel<'a, Material>),
+}
 
 /// What does not change during a solve.
 pub(crate) struct Problem<'a> {
     pub(crate) body: &'a Body,
-    pub(crate) material: &'a Material,
+    pub(crate) model: Model<'a>,
+    pub(crate) surface: &'a SurfaceTerms,
     pub(crate) load: &'a NodalLoad,
     pub(crate) settings: &'a SolveSettings,
     pub(crate) parallel: bool,
+    /// Force below which the norm of the load does not count as smaller, mN.
+    pub(crate) least_load: f64,
 }
 
 /// A displacement with its internal forces and energy.
@@ -53,21 +67,21 @@ impl Problem<'_> {
     /// Evaluate the forces and energy of `state.displacement`; false where an element is inverted.
     pub(crate) fn evaluate(&self, state: &mut State, workspace: &mut Workspace) -> bool {
         workspace.report.evaluations += 1;
-        let energy = internal_force_into(
-            self.body.geometry(),
-            self.material,
-            &state.displacement,
-            &mut state.force,
-            &mut workspace.element_forces,
-            self.parallel,
-        );
-        match energy {
-            Some(energy) if energy.total.is_finite() => {
-                state.energy = energy;
-                true
+        let (geometry, buffer) = (self.body.geometry(), &mut workspace.element_forces);
+        let (u, force) = (&state.displacement, &mut state.force);
+        let inner = match self.model {
+            Model::Elastic(model) => {
+                internal_force_into(geometry, model, u, force, buffer, self.parallel)
             }
-            _ => false,
-        }
+            Model::Step(model) => {
+                internal_force_into(geometry, model, u, force, buffer, self.parallel)
+            }
+        };
+        let Some(mut energy) = inner else { return false };
+        let Some(surface) = self.surface.add_force(u, force) else { return false };
+        energy.total += surface;
+        state.energy = energy;
+        energy.total.is_finite()
     }
 
     /// Residual `f_int − fraction f_ext` on the unknowns.
@@ -95,7 +109,8 @@ impl Problem<'_> {
                 applied += external * external;
             }
         }
-        if self.load.moves_supports { f64::max(applied, reaction).sqrt() } else { applied.sqrt() }
+        let largest = if self.load.moves_supports { applied.max(reaction) } else { applied };
+        largest.sqrt().max(fraction * self.least_load)
     }
 
     /// Values of the tangent at a state, in the workspace; false where an element is inverted.
@@ -107,29 +122,30 @@ impl Problem<'_> {
     ) -> Option<&'w [f64]> {
         let pattern = self.body.pattern();
         workspace.matrix_values.resize(pattern.n_entries(), 0.0);
-        tangent_into(
-            self.body.geometry(),
-            pattern,
-            self.material,
-            Some(&state.displacement),
-            kind,
-            self.parallel,
-            &mut workspace.matrix_values,
-        )
-        .then_some(&workspace.matrix_values)
+        let (geometry, u) = (self.body.geometry(), Some(state.displacement.as_slice()));
+        let values = &mut workspace.matrix_values;
+        let upright = match self.model {
+            Model::Elastic(model) => {
+                tangent_into(geometry, pattern, model, u, kind, self.parallel, values)
+            }
+            Model::Step(model) => {
+                tangent_into(geometry, pattern, model, u, kind, self.parallel, values)
+            }
+        };
+        (upright && self.surface.add_tangent(self.body, u, kind, values)).then_some(values)
     }
 
     /// Tangent at a state times a direction `(3 n_nodes)`; none where an element is inverted.
     pub(crate) fn tangent_product(&self, state: &State, direction: &[f64]) -> Option<Vec<f64>> {
         let mut product = vec![0.0; direction.len()];
-        tangent_product_into(
-            self.body.geometry(),
-            self.material,
-            &state.displacement,
-            direction,
-            &mut product,
-        )
-        .then_some(product)
+        let (geometry, u) = (self.body.geometry(), &state.displacement);
+        let upright = match self.model {
+            Model::Elastic(model) => {
+                tangent_product_into(geometry, model, u, direction, &mut product)
+            }
+            Model::Step(model) => tangent_product_into(geometry, model, u, direction, &mut product),
+        };
+        (upright && self.surface.add_product(u, direction, &mut product)).then_some(product)
     }
 
     /// The five tetrahedra closest to inversion, worst first.

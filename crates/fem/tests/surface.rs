@@ -1,0 +1,243 @@
+//! Springs and skin on the surface: closed forms, derivatives, equilibrium of forces.
+#![allow(clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::{Random, bar, dome, largest, nodes_where};
+use tissuereg_fem::material::{Hyperelastic, NeoHookean};
+use tissuereg_fem::{
+    Body, Element, FemError, Load, Material, Mesh, Skin, SolveSettings, Springs, Supports,
+    resultant, solve,
+};
+
+const BOTH: [Element; 2] = [Element::Tet4, Element::Tet10];
+
+fn settings() -> SolveSettings {
+    SolveSettings { tolerance: 1e-11, ..SolveSettings::default() }
+}
+
+/// Facets of the surface all of whose corners satisfy a condition.
+fn facets(mesh: &Mesh, holds: impl Fn(&[f64; 3]) -> bool) -> Vec<[usize; 3]> {
+    let all = mesh.surface_triangles().iter();
+    all.filter(|t| t.iter().all(|&n| holds(&mesh.nodes()[n]))).copied().collect()
+}
+
+#[test]
+fn a_block_on_springs_sinks_by_weight_over_stiffness() {
+    for element in BOTH {
+        let mesh = bar([3, 2, 2], [30.0, 20.0, 10.0]);
+        let bed =
+            Springs { triangles: facets(&mesh, |x| x[2] < 1e-9), normal: 0.05, tangential: 0.02 };
+        let body =
+            Body::new(mesh, element, Supports::new().rest_on(&bed)).expect("stands on springs");
+        // So stiff that it stays flat.
+        let material = Material::neo_hookean(1e7, 0.3).expect("sound");
+        let weight = [2e-3, 0.0, -9.81e-3];
+        let load = Load { body_force: weight, springs: vec![bed], ..Load::default() };
+        let answer = solve(&body, &material, &load, &SolveSettings::default()).expect("stands");
+        // Its weight acts 5 mm above the springs, so it tilts about y as well: the mean counts.
+        let base = facets(body.mesh(), |x| x[2] < 1e-9);
+        let area = 600.0;
+        let mean = |axis: usize| {
+            base.iter()
+                .map(|t| t.iter().map(|&n| answer.displacement[n][axis]).sum::<f64>() / 3.0)
+                .sum::<f64>()
+                / base.len() as f64
+        };
+        let volume = 6000.0;
+        assert!((mean(2) - weight[2] * volume / (0.05 * area)).abs() < 1e-5, "{element:?}");
+        assert!((mean(0) - weight[0] * volume / (0.02 * area)).abs() < 1e-5, "{element:?}");
+        let places: Vec<[f64; 3]> = body.nodes().to_vec();
+        let held = resultant(&places, &answer.spring_forces[0], [0.0; 3]);
+        for i in 0..3 {
+            assert!((held.force[i] + weight[i] * volume).abs() < 1e-6, "{:?}", held.force);
+        }
+        // Moment of the springs about the centre of the base: the weight's arm is 5 mm.
+        let about = resultant(&places, &answer.spring_forces[0], [15.0, 10.0, 0.0]);
+        assert!((about.moment[1] + 5.0 * weight[0] * volume).abs() < 1e-3, "{:?}", about.moment);
+    }
+}
+
+#[test]
+fn springs_that_leave_a_rigid_motion_free_are_named() {
+    let mesh = bar([2, 2, 2], [10.0; 3]);
+    let triangles = facets(&mesh, |x| x[2] < 1e-9);
+    let gliding = Springs { triangles: triangles.clone(), normal: 1.0, tangential: 0.0 };
+    let error = Body::new(mesh, Element::Tet4, Supports::new().rest_on(&gliding))
+        .expect_err("glides")
+        .to_string();
+    assert!(error.contains("translation x, translation y, rotation about z"), "{error}");
+
+    let mesh = bar([2, 2, 2], [10.0; 3]);
+    let bed = Springs { triangles, normal: 1.0, tangential: 1.0 };
+    let body = Body::new(mesh, Element::Tet4, Supports::new().rest_on(&bed)).expect("stands");
+    let material = Material::neo_hookean(10.0, 0.3).expect("sound");
+    let error = solve(&body, &material, &Load::default(), &settings()).expect_err("no springs");
+    assert!(matches!(error, FemError::MissingSprings { .. }), "{error}");
+    assert!(error.to_string().contains("no such springs"));
+}
+
+#[test]
+fn wrong_springs_and_skins_are_named() {
+    let mesh = bar([2, 2, 2], [10.0; 3]);
+    let body = common::clamped_at_x0(mesh, Element::Tet4);
+    let material = Material::neo_hookean(10.0, 0.3).expect("sound");
+    let with = |springs: Springs| {
+        let load = Load { springs: vec![springs], ..Load::default() };
+        solve(&body, &material, &load, &settings()).expect_err("wrong").to_string()
+    };
+    let negative = with(Springs { triangles: vec![], normal: -1.0, tangential: 0.0 });
+    assert!(negative.contains("`springs.normal`") && negative.contains("-1"), "{negative}");
+    let nan = with(Springs { triangles: vec![], normal: 0.0, tangential: f64::NAN });
+    assert!(nan.contains("`springs.tangential`"), "{nan}");
+    let inside = with(Springs { triangles: vec![[0, 1, 26]], normal: 1.0, tangential: 1.0 });
+    assert!(inside.contains("no facet"), "{inside}");
+
+    let skin = Skin { triangles: vec![[0, 1, 26]], thickness: 1.0, young: 5.0, poisson: 0.4 };
+    for (wrong, word) in [
+        (Skin { thickness: 0.0, ..skin.clone() }, "`skin.thickness`"),
+        (Skin { young: f64::NAN, ..skin.clone() }, "`skin.young`"),
+        (Skin { poisson: 0.5, ..skin.clone() }, "`skin.poisson`"),
+    ] {
+        let error = material.clone().with_skin(wrong).expect_err("wrong").to_string();
+        assert!(error.contains(word), "{error}");
+    }
+    let loose = material.clone().with_skin(skin).expect("sound numbers");
+    let error = solve(&body, &loose, &Load::default(), &settings()).expect_err("inside");
+    assert!(matches!(error, FemError::NotOnSurface { row: 0, .. }), "{error}");
+}
+
+/// A sheet of skin on a core so soft that it does not count, stretched along x, free along y.
+#[test]
+fn a_stretched_skin_is_in_plane_stress() {
+    let (young, poisson, thickness) = (40.0, 0.4, 0.5);
+    for element in BOTH {
+        let mesh = bar([2, 2, 1], [10.0, 10.0, 1.0]);
+        let triangles = facets(&mesh, |x| x[2] > 1.0 - 1e-9);
+        let on = |axis: usize, at: f64| nodes_where(&mesh, |x| (x[axis] - at).abs() < 1e-9);
+        let (left, right, front, low) = (on(0, 0.0), on(0, 10.0), on(1, 0.0), on(2, 0.0));
+        let mut axes = vec![[false; 3]; mesh.n_nodes()];
+        left.iter().chain(&right).for_each(|&n| axes[n][0] = true);
+        front.iter().for_each(|&n| axes[n][1] = true);
+        low.iter().for_each(|&n| axes[n][2] = true);
+        let mut supports = Supports::new();
+        for (node, axes) in axes.iter().enumerate().filter(|(_, axes)| axes.contains(&true)) {
+            supports = supports.hold_axes(&[node], *axes);
+        }
+        let body = Body::new(mesh, element, supports).expect("held");
+        let skin = Skin { triangles, thickness, young, poisson };
+        let material =
+            Material::neo_hookean(1e-6, 0.0).and_then(|m| m.with_skin(skin)).expect("sound");
+        let rows = body
+            .held_nodes()
+            .iter()
+            .map(|n| if right.contains(n) { [3.0, 0.0, 0.0] } else { [0.0; 3] });
+        let load = Load::from_prescribed(rows.collect());
+        let answer = solve(&body, &material, &load, &settings()).expect("stretched");
+        let pull: f64 = body
+            .held_nodes()
+            .iter()
+            .zip(&answer.reactions)
+            .filter(|(n, _)| right.contains(n))
+            .map(|(_, r)| r[0])
+            .sum();
+        // Uniaxial stress of the three-dimensional law: bisect for the stretch across.
+        let law = NeoHookean::from_young(young, poisson);
+        let (mut low, mut high) = (0.5, 1.0);
+        for _ in 0..60 {
+            let across = 0.5 * (low + high);
+            let h = [[0.3, 0.0, 0.0], [0.0, across - 1.0, 0.0], [0.0, 0.0, across - 1.0]];
+            if law.stress(&h).expect("upright")[1][1] > 0.0 { high = across } else { low = across }
+        }
+        let h = [[0.3, 0.0, 0.0], [0.0, low - 1.0, 0.0], [0.0, 0.0, low - 1.0]];
+        let wanted = law.stress(&h).expect("upright")[0][0] * 10.0 * thickness;
+        // The core holds 1e-6 kPa on 10 mm² and no more.
+        assert!((pull - wanted).abs() < 1e-5, "{element:?}: {pull} {wanted}");
+    }
+}
+
+/// Forces of springs and skin against differences of the energy, and quadratic convergence of
+/// Newton's method, which only the right tangent has.
+#[test]
+fn forces_and_tangent_of_skin_and_springs_are_derivatives() {
+    for element in BOTH {
+        let mesh = bar([2, 1, 1], [20.0, 10.0, 10.0]);
+        let top = facets(&mesh, |x| x[2] > 9.0);
+        let skin = Skin { triangles: top.clone(), thickness: 0.7, young: 60.0, poisson: 0.3 };
+        let springs = Springs { triangles: top, normal: 0.8, tangential: 0.3 };
+        let all: Vec<usize> = (0..mesh.n_nodes()).collect();
+        let body = Body::new(mesh, element, all).expect("held");
+        let material =
+            Material::neo_hookean(10.0, 0.4).and_then(|m| m.with_skin(skin)).expect("sound");
+        let mut random = Random::new(5);
+        let u: Vec<[f64; 3]> = (0..body.n_corner_nodes())
+            .map(|_| std::array::from_fn(|_| 1.5 * random.next()))
+            .collect();
+        let at = |u: Vec<[f64; 3]>| {
+            let load =
+                Load { prescribed: Some(u), springs: vec![springs.clone()], ..Load::default() };
+            solve(&body, &material, &load, &settings()).expect("upright")
+        };
+        let forces = at(u.clone()).reactions;
+        for (node, i) in [(1, 0), (3, 2), (5, 1), (7, 2), (11, 0)] {
+            let energy = |d: f64| {
+                let mut moved = u.clone();
+                moved[node][i] += d;
+                at(moved).report.strain_energy
+            };
+            let slope = (energy(1e-4) - energy(-1e-4)) / 2e-4;
+            assert!((slope - forces[node][i]).abs() < 1e-5 * (1.0 + slope.abs()), "{element:?}");
+        }
+    }
+}
+
+#[test]
+fn newton_converges_on_skin_and_springs() {
+    for element in BOTH {
+        let mesh = dome(6);
+        let base = facets(&mesh, |x| x[2] < 1e-9);
+        let cap = facets(&mesh, |x| x[2] > 1e-9);
+        let bed = Springs { triangles: base, normal: 0.1, tangential: 0.05 };
+        let body = Body::new(mesh, element, Supports::new().rest_on(&bed)).expect("stands");
+        let skin = Skin { triangles: cap, thickness: 1.5, young: 100.0, poisson: 0.45 };
+        let material =
+            Material::neo_hookean(5.0, 0.45).and_then(|m| m.with_skin(skin)).expect("sound");
+        let load =
+            Load { body_force: [5e-3, 0.0, -9.81e-3], springs: vec![bed], ..Load::default() };
+        let newton = SolveSettings { method: tissuereg_fem::Method::Newton, ..settings() };
+        let by_newton = solve(&body, &material, &load, &newton).expect("stands");
+        assert!(by_newton.report.iterations <= 12, "{:?}", by_newton.report);
+        let by_default = solve(&body, &material, &load, &settings()).expect("stands");
+        let apart = common::largest_difference(&by_newton.displacement, &by_default.displacement);
+        assert!(apart < 1e-6 * largest(&by_default.displacement), "{apart}");
+        let carried = resultant(body.nodes(), &by_default.spring_forces[0], [0.0; 3]).force;
+        let weight = body.mesh().volume() * 9.81e-3;
+        assert!((carried[2] - weight).abs() < 1e-6 * weight, "{carried:?} {weight}");
+    }
+}
+
+#[test]
+fn springs_of_members_count_in_an_ensemble() {
+    let mesh = bar([2, 2, 2], [10.0; 3]);
+    let triangles = facets(&mesh, |x| x[0] > 10.0 - 1e-9);
+    let body = common::clamped_at_x0(mesh, Element::Tet4);
+    let material = Material::neo_hookean(10.0, 0.3).expect("sound");
+    let loads = [0.0, 1.0, 50.0].map(|normal| Load {
+        body_force: [0.05, 0.0, 0.0],
+        springs: vec![Springs { triangles: triangles.clone(), normal, tangential: 0.0 }],
+        ..Load::default()
+    });
+    let members: Vec<tissuereg_fem::Member> = loads
+        .iter()
+        .map(|load| tissuereg_fem::Member { material: &material, load, start: None })
+        .collect();
+    let many = tissuereg_fem::solve_many(&body, &members, &settings());
+    for (load, outcome) in loads.iter().zip(&many) {
+        let alone = solve(&body, &material, load, &settings()).expect("stands");
+        let solved = outcome.solution().expect("stands");
+        assert!(common::largest_difference(&alone.displacement, &solved.displacement) < 1e-9);
+    }
+    let ends: Vec<f64> =
+        many.iter().filter_map(|o| o.solution()).map(|s| s.displacement[26][0]).collect();
+    assert!(ends[0] > 2.0 * ends[1] && ends[1] > 10.0 * ends[2], "{ends:?}");
+}
