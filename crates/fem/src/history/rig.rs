@@ -45,7 +45,9 @@ pub struct Rig {
     history: History,
     /// Nodes of each pad that the body's supports leave free.
     pads: Vec<Vec<usize>>,
-    /// Displacement of each pad's nodes when it was bonded, mm; none where it is gone.
+    /// Nodes in the middle of edges within each pad, where elements have such.
+    middles: Vec<Vec<usize>>,
+    /// Displacement of each pad's nodes and middles when it was bonded, mm; none where it is gone.
     bonded: Vec<Option<Vec<[f64; 3]>>>,
     /// Bodies by the pads that are present.
     bodies: BTreeMap<Vec<bool>, Body>,
@@ -56,8 +58,8 @@ pub struct Rig {
 pub struct RigFrame {
     /// Equilibrium; reactions are those of the body's own held nodes, in their order.
     pub solution: Solution,
-    /// Force of each pad on the body, and its moment about the mean place of the pad's nodes; none
-    /// where the pad is gone.
+    /// Force of each pad on the body, and its moment about the mean place of the pad's corner nodes;
+    /// none where the pad is gone. Middles of edges count as if half way between their ends.
     pub pads: Vec<Option<Resultant>>,
 }
 
@@ -87,8 +89,9 @@ impl Rig {
             }
             free.push(nodes);
         }
+        let middles = free.iter().map(|nodes| middles_of(&body, nodes)).collect();
         let bonded = vec![None; free.len()];
-        Ok(Self { body, history, pads: free, bonded, bodies: BTreeMap::new() })
+        Ok(Self { body, history, pads: free, middles, bonded, bodies: BTreeMap::new() })
     }
 
     /// The history so far.
@@ -139,9 +142,10 @@ impl Rig {
                 }
             }
             let shape = history.displacement();
-            for ((place, motion), nodes) in bonded.iter_mut().zip(motions).zip(&self.pads) {
+            for (pad, (place, motion)) in bonded.iter_mut().zip(motions).enumerate() {
                 if motion.is_some() {
-                    place.get_or_insert_with(|| nodes.iter().map(|&n| shape[n]).collect());
+                    let nodes = self.pads[pad].iter().chain(&self.middles[pad]);
+                    place.get_or_insert_with(|| nodes.map(|&n| shape[n]).collect());
                 }
             }
         }
@@ -162,22 +166,16 @@ impl Rig {
         settings: &SolveSettings,
     ) -> Result<Solution, FemError> {
         let n_own = self.body.held_nodes().len();
-        let mut prescribed = match &load.prescribed {
+        let mut rows = match &load.prescribed {
             Some(rows) => {
                 check_length("prescribed displacements (one row a held node)", n_own, rows.len())?;
                 rows.clone()
             }
             None => vec![[0.0; 3]; n_own],
         };
-        for (rows, motion) in bonded.iter().zip(motions) {
-            for row in rows.iter().flatten() {
-                prescribed.push(std::array::from_fn(|i| row[i] + motion[i]));
-            }
-        }
-        let load = Load { prescribed: Some(prescribed), ..load.clone() };
         let present: Vec<bool> = bonded.iter().map(Option::is_some).collect();
         if !present.contains(&true) {
-            return history.advance(&self.body, &load, time_s, settings);
+            return history.advance(&self.body, load, time_s, settings);
         }
         if !self.bodies.contains_key(&present) {
             let mut supports = self.body.supports().clone();
@@ -187,7 +185,25 @@ impl Rig {
             self.bodies.insert(present.clone(), self.body.with_supports(supports)?);
         }
         let body = self.bodies.get(&present).unwrap_or(&self.body);
-        history.advance(body, &load, time_s, settings)
+        let place = |row: &[f64; 3], motion: &[f64; 3]| std::array::from_fn(|i| row[i] + motion[i]);
+        for (pad, bonded) in bonded.iter().enumerate() {
+            let corners = bonded.iter().flatten().take(self.pads[pad].len());
+            rows.extend(corners.map(|row| place(row, &motions[pad])));
+        }
+        check_finite("prescribed displacements", &rows)?;
+        let mut prescribed = body.held_displacement(&rows);
+        // Middles keep the curvature that their edges had.
+        for (pad, bonded) in bonded.iter().enumerate() {
+            let middles = bonded.iter().flatten().skip(self.pads[pad].len());
+            for (&node, row) in self.middles[pad].iter().zip(middles) {
+                let moved: [f64; 3] = place(row, &motions[pad]);
+                for i in (0..3).filter(|&i| body.held()[node][i]) {
+                    prescribed[3 * node + i] = moved[i];
+                }
+            }
+        }
+        let load = Load { prescribed: None, ..load.clone() };
+        history.advance_held(body, &load, Some(prescribed), time_s, settings)
     }
 
     /// Tell the reactions of supports and pads apart.
@@ -213,6 +229,17 @@ impl Rig {
         }
         RigFrame { solution, pads }
     }
+}
+
+/// Nodes in the middle of edges both of whose ends are among `nodes`.
+fn middles_of(body: &Body, nodes: &[usize]) -> Vec<usize> {
+    let mut inside = vec![false; body.n_corner_nodes()];
+    nodes.iter().for_each(|&node| inside[node] = true);
+    let edges = body.mid_edges().iter().enumerate();
+    edges
+        .filter(|(_, [a, b])| inside[*a] && inside[*b])
+        .map(|(edge, _)| body.n_corner_nodes() + edge)
+        .collect()
 }
 
 /// Whether anything can deform the body before the first pad comes.

@@ -136,8 +136,25 @@ impl History {
         time_s: f64,
         settings: &SolveSettings,
     ) -> Result<Solution, FemError> {
+        self.advance_held(body, load, None, time_s, settings)
+    }
+
+    /// The same with the displacement that all held nodes are given, `(3 n_nodes)`, mm, in place of
+    /// that of the load.
+    pub(super) fn advance_held(
+        &mut self,
+        body: &Body,
+        load: &Load,
+        prescribed: Option<Vec<f64>>,
+        time_s: f64,
+        settings: &SolveSettings,
+    ) -> Result<Solution, FemError> {
         self.check_frame(body, time_s)?;
-        let target = NodalLoad::new(body, load)?;
+        let mut target = NodalLoad::new(body, load)?;
+        if let Some(prescribed) = prescribed {
+            target.moves_supports = prescribed.iter().any(|&v| v != 0.0);
+            target.prescribed = prescribed;
+        }
         let surface = surface_of(body, &self.material, load)?;
         let mut now = self.now.clone();
         let frame = Frame { history: self, body, load, target, surface, time_s, settings };
