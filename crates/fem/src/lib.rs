@@ -69,6 +69,13 @@
 //! makes load steps; [`Method`] and [`LoadSteps`] choose otherwise. Residuals are evaluated in
 //! double precision, so the answer does not depend on any of this.
 //!
+//! # Through time
+//!
+//! [`History`] leads a body from one time frame to the next, with relaxation, rate, softening, set,
+//! drainage and swelling ([`Behaviour`]) on any law; [`Rig`] bonds pads to it and releases them.
+//! [`Springs`] hold facets of its surface, a [`Skin`] covers them, and [`rest_shape`] finds the
+//! unloaded shape of a body that is given as it hangs.
+//!
 //! # Promises
 //!
 //! The same input gives the same bits at any number of threads and in any batch (on one machine).

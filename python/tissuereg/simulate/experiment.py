@@ -1,9 +1,9 @@
 """What an experiment's believed model says: of one frame, of a case, of all of it.
 
-The model is elastic, so a frame depends on its own load alone and all frames of a case are solved in parallel.
+The model is elastic, so a frame depends on its own load alone and all frames of a case are solved in parallel. Only a
+mesh that hangs in gravity already is solved frame by frame, from its unloaded shape.
 """
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,6 +14,7 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.load import Load
 from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.simulate.frames import Pad, solve_frames
 from tissuereg.simulate.solve import Simulator
 
 
@@ -79,19 +80,16 @@ def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", 
     -------
     Believed
         A pad is bonded to the shape that the body has when the case begins: with gravity acting, the sagged one.
+        A weight that acts in the mesh as given already is left out: it is in balance there, and what it changes of
+        the answer to other loads is not seen. `simulate_experiment` sees it.
 
     Raises
     ------
     ConvergenceError
         If the body's own weight finds no equilibrium.
-
-    Warns
-    -----
-    UserWarning
-        If the mesh is said to hang in gravity already: its prestress is left out.
     """
     mesh = experiment.mesh
-    pads = [a for a in experiment.actuators if a.kind == "displacement" and a.name in case.displacements]
+    pads = _pads(experiment, case)
     fixed = mesh.fixed_nodes
     held = np.unique(np.concatenate([fixed, *(pad.nodes for pad in pads)]))
     weight, sag = _weight(experiment), np.zeros((mesh.n_nodes, 3))
@@ -133,7 +131,7 @@ def simulate_experiment(
     Raises
     ------
     ConvergenceError
-        If no frame of a case finds equilibrium.
+        If no frame of a case finds equilibrium, or a mesh that hangs in gravity already has no unloaded shape.
     """
     markers = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
     targets = TargetObservation(experiment.mesh, experiment.targets)
@@ -155,38 +153,67 @@ def _simulate_case(
     threads: int,
     progress: Callable[[int], None] | None,
 ) -> CaseSimulation:
-    believed = believed_case(experiment, case, element=element, threads=threads)
-    simulator = believed.simulator
-    materials = [experiment.material] * len(believed.loads)
-    found = simulator.solve_many(believed.loads, materials, threads=threads, progress=progress)
-    if len(found.failed) == len(case.times):
-        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {found.failed[0][1]}"
+    solve = _hanging if experiment.gravity is not None and experiment.gravity.in_reference else _standing
+    field, forces, failed = solve(experiment, case, element, threads, progress)
+    if len(failed) == len(case.times):
+        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
         raise ConvergenceError(message, where=case.name)
-    field = found.displacement
     moved = targets.predict(field[:, targets.nodes])
     return CaseSimulation(
         case.times,
         field,
         experiment.marker_reference + markers.predict(field[:, markers.nodes]),
-        {
-            pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)
-            for pad in experiment.actuators
-            if pad.kind == "displacement" and pad.name in case.displacements
-        },
+        forces,
         {name: targets.reference[i] + moved[:, i] for i, name in enumerate(targets.names)},
-        found.failed,
+        failed,
     )
+
+
+#: Displacement of all frames, force of every pad, frames that failed.
+_Solved = tuple[FloatArray, dict[str, FloatArray], list[tuple[int, str]]]
+
+
+def _standing(
+    experiment: Experiment, case: Case, element: str, threads: int, progress: Callable[[int], None] | None
+) -> _Solved:
+    believed = believed_case(experiment, case, element=element, threads=threads)
+    simulator = believed.simulator
+    materials = [experiment.material] * len(believed.loads)
+    found = simulator.solve_many(believed.loads, materials, threads=threads, progress=progress)
+    forces = {
+        pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)
+        for pad in _pads(experiment, case)
+    }
+    return found.displacement, forces, found.failed
+
+
+def _hanging(
+    experiment: Experiment, case: Case, element: str, threads: int, progress: Callable[[int], None] | None
+) -> _Solved:
+    found = solve_frames(
+        experiment.mesh,
+        experiment.material,
+        case.times,
+        loads=[Load(traction=_traction(experiment, case, i)) for i in range(len(case.times))],
+        pads=[Pad(pad.name, pad.nodes, case.displacements[pad.name]) for pad in _pads(experiment, case)],
+        weight=None
+        if experiment.gravity is None
+        else experiment.material.weight(experiment.gravity.direction, experiment.gravity.g_mm_per_s2),
+        in_reference=True,
+        element=element,
+        threads=threads,
+        progress=progress,
+    )
+    return found.displacement, found.pad_forces, found.failed
+
+
+def _pads(experiment: Experiment, case: Case) -> list[Actuator]:
+    return [a for a in experiment.actuators if a.kind == "displacement" and a.name in case.displacements]
 
 
 def _weight(experiment: Experiment) -> FloatArray | None:
     gravity = experiment.gravity
-    if gravity is None:
-        return None
-    if gravity.in_reference:
-        warnings.warn(
-            "gravity acts in the reference shape already: its prestress is left out of the simulation",
-            stacklevel=4,
-        )
+    if gravity is None or gravity.in_reference:
         return None
     return experiment.material.weight(gravity.direction, gravity.g_mm_per_s2)
 
@@ -205,14 +232,17 @@ def _load(
         rows = np.flatnonzero(np.isin(held, pad.nodes))
         prescribed[rows] = sag[held[rows]] + case.displacements[pad.name][frame]
     prescribed[np.isin(held, experiment.mesh.fixed_nodes)] = 0.0
+    return Load(body_force=weight, prescribed=prescribed, traction=_traction(experiment, case, frame))
+
+
+def _traction(experiment: Experiment, case: Case, frame: int) -> tuple[IntArray, FloatArray] | None:
     triangles, tractions = [], []
     for pad in experiment.actuators:
         if pad.kind == "force" and pad.name in case.applied_forces:
             patch, area = _patch(experiment, pad)
             triangles.append(patch)
             tractions.append(np.broadcast_to(case.applied_forces[pad.name][frame] / area, (len(patch), 3)))
-    traction = (np.concatenate(triangles), np.concatenate(tractions)) if triangles else None
-    return Load(body_force=weight, prescribed=prescribed, traction=traction)
+    return (np.concatenate(triangles), np.concatenate(tractions)) if triangles else None
 
 
 def _patch(experiment: Experiment, pad: Actuator) -> tuple[IntArray, float]:

@@ -94,6 +94,11 @@ impl Rig {
         Ok(Self { body, history, pads: free, middles, bonded, bodies: BTreeMap::new() })
     }
 
+    /// The body with its own supports.
+    pub fn body(&self) -> &Body {
+        &self.body
+    }
+
     /// The history so far.
     pub fn history(&self) -> &History {
         &self.history
