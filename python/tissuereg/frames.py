@@ -1,7 +1,9 @@
 """One frame of an experiment, registered: what is believed of the rig becomes the prior."""
 
+from dataclasses import replace
 from typing import Any
 
+from tissuereg.effects import extended, true_markers
 from tissuereg.experiment import Experiment
 from tissuereg.registration import register
 from tissuereg.result import Registration
@@ -12,6 +14,8 @@ def frame_input(
     experiment: Experiment, case: str, time: float, *, element: str = "tet4", threads: int = 0
 ) -> dict[str, Any]:
     """Return the arguments of `register` that a frame of an experiment stands for.
+
+    Body, supports and actuators act with their effects; what the measuring chain does to the markers is undone.
 
     Parameters
     ----------
@@ -36,8 +40,12 @@ def frame_input(
     ExperimentError
         If there is no such case, or no frame near that time.
     """
+    experiment = extended(experiment, element)
+    history = experiment.case(case)
+    measured = replace(history, markers=true_markers(experiment, history.markers, history.times))
+    experiment = replace(experiment, cases={**experiment.cases, case: measured})
     frame = experiment.frame(case, time)
-    believed = believed_case(experiment, experiment.case(case), element=element, threads=threads)
+    believed = believed_case(experiment, measured, element=element, threads=threads)
     return {
         "mesh": experiment.mesh,
         "markers": frame.markers,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.effects import extended, seen_markers
 from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.load import Load
@@ -45,7 +46,7 @@ class CaseSimulation:
     displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
         mm; NaN in frames without equilibrium.
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
-        Places of the markers in mm.
+        Places of the markers in mm, as the tracker sees them.
     forces : dict of str to ndarray of float64, shape (n_frames, 3)
         Force on the body at every displacement actuator that is present, mN.
     targets : dict of str to ndarray of float64, shape (n_frames, 3)
@@ -68,7 +69,7 @@ def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", 
     Parameters
     ----------
     experiment : Experiment
-        What is believed.
+        What is believed, effects worked in (`tissuereg.effects.extended`).
     case : Case
         One of its cases.
     element : {"tet4", "tet10"}
@@ -110,7 +111,7 @@ def simulate_experiment(
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, CaseSimulation]:
-    """Return what the believed model says of every case.
+    """Return what the believed model says of every case, its effects included.
 
     Parameters
     ----------
@@ -132,7 +133,10 @@ def simulate_experiment(
     ------
     ConvergenceError
         If no frame of a case finds equilibrium, or a mesh that hangs in gravity already has no unloaded shape.
+    ExperimentError
+        If an effect does not fit the experiment.
     """
+    experiment = extended(experiment, element)
     markers = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
     targets = TargetObservation(experiment.mesh, experiment.targets)
     in_all = sum(len(case.times) for case in experiment.cases.values())
@@ -162,7 +166,7 @@ def _simulate_case(
     return CaseSimulation(
         case.times,
         field,
-        experiment.marker_reference + markers.predict(field[:, markers.nodes]),
+        seen_markers(experiment, experiment.marker_reference + markers.predict(field[:, markers.nodes]), case.times),
         forces,
         {name: targets.reference[i] + moved[:, i] for i, name in enumerate(targets.names)},
         failed,
