@@ -6,8 +6,14 @@ from dataclasses import MISSING, fields, replace
 from typing import Any
 
 from tissuereg._arrays import FloatArray
-from tissuereg.effects import actuators, chain, elastic, history, regions, supports, weight
+from tissuereg.effects.actuators import ActuatorDirection, ActuatorGain, ActuatorOffset
 from tissuereg.effects.base import ChainEffect, Effect, refuse
+from tissuereg.effects.chain import Frame, Latency, MarkerSlip, MarkerSwap, Scale
+from tissuereg.effects.elastic import Asymmetry, Fibre, Mooney, OtherLaw, Poisson, Stiffening, Stiffness
+from tissuereg.effects.history import Drainage, Rate, Relaxation, Set, Softening, Swelling
+from tissuereg.effects.regions import Inclusion, Layer
+from tissuereg.effects.supports import Detachment, Sliding
+from tissuereg.effects.weight import Gravity, Reference
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Experiment
 
@@ -15,13 +21,13 @@ from tissuereg.experiment import Experiment
 EFFECTS: dict[str, type[Effect]] = {
     effect.id: effect
     for effect in (
-        elastic.Stiffness, elastic.Poisson, elastic.Stiffening, elastic.Mooney, elastic.Asymmetry, elastic.Fibre,
-        regions.Inclusion, regions.Layer,
-        history.Relaxation, history.Rate, history.Softening, history.Set, history.Swelling, history.Drainage,
-        weight.Gravity, weight.Reference,
-        supports.Sliding, supports.Detachment,
-        actuators.ActuatorGain, actuators.ActuatorDirection, actuators.ActuatorOffset,
-        chain.Frame, chain.Scale, chain.Latency, chain.MarkerSlip, chain.MarkerSwap,
+        Stiffness, Poisson, Stiffening, Mooney, Asymmetry, Fibre,
+        Inclusion, Layer,
+        Relaxation, Rate, Softening, Set, Swelling, Drainage,
+        Gravity, Reference,
+        Sliding, Detachment,
+        ActuatorGain, ActuatorDirection, ActuatorOffset,
+        Frame, Scale, Latency, MarkerSlip, MarkerSwap,
     )
 }  # fmt: skip
 
@@ -84,7 +90,7 @@ def check_effects(experiment: Experiment) -> None:
     ExperimentError
         It says what must hold and names the table by its number and id.
     """
-    laws = [i for i, effect in enumerate(experiment.effects) if isinstance(effect, elastic.OtherLaw)]
+    laws = [i for i, effect in enumerate(experiment.effects) if isinstance(effect, OtherLaw)]
     for i, effect in enumerate(experiment.effects):
         with _of_table(i, effect):
             if not effect.repeatable and effect.id in [other.id for other in experiment.effects[:i]]:

@@ -18,7 +18,7 @@ def write_experiment(experiment: Experiment, path: str | os.PathLike[str]) -> No
     Parameters
     ----------
     experiment : Experiment
-        Read from files, its beliefs and effects changed at will; its cases, markers' noise and patches as they were read.
+        Read from files; beliefs and effects may have been changed since, cases and patches not.
     path : path-like
         The file, ``experiment.extended.toml`` say; an older one is replaced as a whole.
 

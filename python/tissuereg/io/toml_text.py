@@ -73,27 +73,21 @@ def write_toml(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None
 def _add_table(lines: list[str], place: tuple[str, ...], content: Mapping[str, Any]) -> None:
     tables = {key: value for key, value in content.items() if isinstance(value, Mapping)}
     lists = {key: value for key, value in content.items() if _is_list_of_tables(value)}
-    plain = {key: value for key, value in content.items() if key not in tables and key not in lists}
-    # A rule of few words stands on one line, as a person writes it.
-    inline = {key for key, value in tables.items() if place and place[-1] != "markers" and not _nested(value)}
-    lines.extend(f"{_key(key)} = {_value(value)}" for key, value in plain.items())
-    lines.extend(f"{_key(key)} = {_value(tables[key])}" for key in tables if key in inline)
+    lines.extend(_line(key, value) for key, value in content.items() if key not in tables and key not in lists)
     for key, value in tables.items():
-        if key not in inline:
-            lines.extend(["", f"[{'.'.join(map(_key, (*place, key)))}]"])
-            _add_table(lines, (*place, key), value)
+        lines.extend(["", f"[{'.'.join(map(_key, (*place, key)))}]"])
+        _add_table(lines, (*place, key), value)
     for key, items in lists.items():
         for item in items:
-            lines.extend(["", f"[[{'.'.join(map(_key, (*place, key)))}]]"])
-            _add_table(lines, (*place, key), item)
+            lines.extend(["", f"[[{'.'.join(map(_key, (*place, key)))}]]", *map(_line, item, item.values())])
+
+
+def _line(key: str, value: Any) -> str:
+    return f"{_key(key)} = {_value(value)}"
 
 
 def _is_list_of_tables(value: Any) -> bool:
     return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(item, Mapping) for item in value)
-
-
-def _nested(table: Mapping[str, Any]) -> bool:
-    return any(isinstance(value, Mapping) or _is_list_of_tables(value) for value in table.values())
 
 
 def _key(key: str) -> str:
@@ -110,7 +104,7 @@ def _value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{_key(key)} = {_value(item)}' for key, item in value.items())} }}"
+        return f"{{ {', '.join(map(_line, value, value.values()))} }}"
     message = f"a value of a TOML file must be a text, number, truth value, list or table, got {type(value).__name__}"
     raise ExperimentError(message)
 
