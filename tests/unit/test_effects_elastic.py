@@ -97,6 +97,17 @@ def test_the_share_of_an_inclusion_is_its_volume(block_mesh):
         inside = share_inside(Ellipsoid(centre, axes), block_mesh) @ block_mesh.volumes
         # 56 points stand for a tet of about the inclusion's size.
         assert inside == pytest.approx(4.0 / 3.0 * np.pi * np.prod(axes), rel=0.01)
+        whole, parts = (share_inside(Ellipsoid(centre, axes), block_mesh, n) for n in (1, 4))
+        assert np.allclose(parts.mean(axis=1), whole, rtol=0, atol=1e-12)
+        assert parts.std(axis=1).max() > 0.2
+
+
+def test_a_quarter_of_a_tet_is_what_lies_nearest_to_its_corner():
+    tet = tr.Mesh([[0, 0, 0], [8, 0, 0], [0, 8, 0], [0, 0, 8]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
+    for corner in range(4):
+        share = share_inside(Ellipsoid(tuple(tet.nodes[corner]), (3.0, 3.0, 3.0)), tet, 4)[0]
+        assert np.argmax(share) == corner
+        assert np.delete(share, corner).max() < 0.2 * share[corner]
 
 
 def test_the_share_of_a_layer_is_its_volume_and_the_held_face_has_none():

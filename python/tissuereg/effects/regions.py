@@ -133,8 +133,8 @@ def _surface_of(mesh: Mesh) -> _FreeSurface:
     return _FreeSurface(mesh)
 
 
-def share_inside(region: Region, mesh: Mesh) -> FloatArray:
-    """Return the share of every tet's volume that lies inside a region.
+def share_inside(region: Region, mesh: Mesh, n_points: int = 1) -> FloatArray:
+    """Return the share of every tet's volume, or of the volume around each of its points, that lies inside a region.
 
     A lattice of points stands for each tet that the edge may cross, and the edge is as wide as their spacing: the share
     is continuous in the region's place and size.
@@ -145,23 +145,34 @@ def share_inside(region: Region, mesh: Mesh) -> FloatArray:
         With a sharp edge.
     mesh : Mesh
         Reference shape.
+    n_points : {1, 4}
+        Quadrature points of an element; of four each has the quarter of the tet that is nearest to its corner.
 
     Returns
     -------
-    ndarray of float64, shape (n_tets,)
+    ndarray of float64, shape (n_tets,) or (n_tets, 4)
         From 0 to 1.
     """
     corners = mesh.nodes[mesh.tets]
-    centres = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+    reach = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
     weights = _lattice()
     width = np.cbrt(mesh.volumes / len(weights))
-    depth = region.lattice_depth(mesh, np.arange(mesh.n_tets), np.full((1, 4), 0.25))[:, 0]
-    share = (depth > 0).astype(np.float64)
-    crossed = np.flatnonzero(np.abs(depth) <= region.steepness * reach + width)
+    depth = region.lattice_depth(mesh, np.arange(mesh.n_tets), np.full((1, 4), 0.25))
+    share = np.repeat((depth > 0).astype(np.float64), n_points, axis=1)
+    crossed = np.flatnonzero(np.abs(depth[:, 0]) <= region.steepness * reach + width)
     inside = np.clip(0.5 + region.lattice_depth(mesh, crossed, weights) / width[crossed, None], 0.0, 1.0)
-    share[crossed] = inside.mean(axis=1)
-    return share
+    share[crossed] = inside @ _parts(weights, n_points)
+    return share[:, 0] if n_points == 1 else share
+
+
+def _parts(weights: FloatArray, n_points: int) -> FloatArray:
+    """Return how much each point of a lattice counts for each quadrature point, columns of sum 1."""
+    if n_points == 1:
+        return np.full((len(weights), 1), 1.0 / len(weights))
+    # Points as near to two corners as to each other count half for each.
+    nearest = np.isclose(weights, weights.max(axis=1, keepdims=True)).astype(np.float64)
+    nearest /= nearest.sum(axis=1, keepdims=True)
+    return np.asarray(nearest / nearest.sum(axis=0))
 
 
 @dataclass(frozen=True, kw_only=True)
