@@ -111,6 +111,7 @@ BAD = {
         'law = "ogden"\nalpha = [2.0]\nweight = [0.5, 0.5]',
         r"one length, got \[1, 2\]",
     ),
+    "ogden of four terms": ("asymmetry", 'law = "ogden"\nalpha = [1, 2, 3, 4]\nweight = [1, 1, 1, 1]', "alpha"),
     "fibre without direction": (
         "fibre",
         "k1_over_mu = 1.0\nk2 = 1.0\ndirection = [0, 0, 0]",

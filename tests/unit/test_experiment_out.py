@@ -69,6 +69,9 @@ def test_changed_beliefs_are_written(rig, tmp_path):
     write(replace(rig, material=tr.Material(7.25, 0.3), young_std=None, gravity=None), tmp_path / "soft.toml")
     back = tr.read_experiment(tmp_path / "soft.toml")
     assert (back.material.young, back.material.poisson, back.young_std, back.gravity) == (7.25, 0.3, None, None)
+    ogden = tr.Material(9.0, 0.4, "ogden", 1.1, {"alpha": [-4.0, 2.0], "weight": (0.25, 0.75)}, "quadratic")
+    write(replace(rig, material=ogden), tmp_path / "ogden.toml")
+    assert tr.read_experiment(tmp_path / "ogden.toml").material.digest() == ogden.digest()
 
 
 def test_what_a_file_cannot_say_is_refused_and_the_old_file_stays(rig, tmp_path):
@@ -77,6 +80,8 @@ def test_what_a_file_cannot_say_is_refused_and_the_old_file_stays(rig, tmp_path)
     field = tr.Material(np.full(rig.mesh.n_tets, 10.0), 0.45)
     with pytest.raises(ExperimentError, match="`young` of an experiment file must be one for the whole body, got 360"):
         write(replace(rig, material=field), target)
+    with pytest.raises(ExperimentError, match="fibres of an experiment file must be an effect"):
+        write(replace(rig, material=tr.Material(10.0, 0.45, fibre=tr.Fibre())), target)
     ruleless = tuple(replace(pad, rule=None) for pad in rig.actuators)
     with pytest.raises(ExperimentError, match="must have a rule for its nodes; 'push' has nodes alone"):
         write(replace(rig, actuators=ruleless), target)

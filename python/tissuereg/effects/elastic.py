@@ -4,21 +4,12 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from tissuereg.effects.base import Effect, Vector, flag, number, numbers, refuse, text
+from tissuereg.errors import MaterialError
 from tissuereg.experiment import Experiment
+from tissuereg.material import SHAPE_KEYS, Material
+from tissuereg.material import Fibre as Fibres
 
-#: Shape parameters that each law needs.
-LAW_SHAPES: dict[str, tuple[str, ...]] = {
-    "neo-hookean": (),
-    "mooney-rivlin": ("share",),
-    "yeoh": ("c2_over_c1", "c3_over_c1"),
-    "ogden": ("alpha", "weight"),
-    "fung": ("b",),
-    "veronda-westmann": ("b",),
-    "st-venant-kirchhoff": (),
-    "hooke": (),
-}
-
-_SHAPES = tuple(dict.fromkeys(key for keys in LAW_SHAPES.values() for key in keys))
+_SHAPES = tuple(dict.fromkeys(key for keys in SHAPE_KEYS.values() for key in keys))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +40,7 @@ class Poisson(Effect):
 class OtherLaw(Effect):
     """Another law of the same small-strain moduli, with its shape parameters."""
 
-    law: str = text(among=tuple(LAW_SHAPES))
+    law: str = text(among=tuple(SHAPE_KEYS))
     share: float | None = number(least=0.0, default=None)
     c2_over_c1: float | None = number(default=None)
     c3_over_c1: float | None = number(default=None)
@@ -59,7 +50,7 @@ class OtherLaw(Effect):
 
     def check(self) -> None:
         """Refuse missing shape parameters, and those of another law."""
-        wanted = LAW_SHAPES[self.law]
+        wanted = SHAPE_KEYS[self.law]
         for key in _SHAPES:
             given = getattr(self, key) is not None
             if given and key not in wanted:
@@ -69,6 +60,18 @@ class OtherLaw(Effect):
                 refuse(f"`{key}` must be given with the law '{self.law}'")
         if self.alpha is not None and self.weight is not None and len(self.alpha) != len(self.weight):
             refuse("`alpha` and `weight` must be of one length", [len(self.alpha), len(self.weight)])
+        # Ranges are the material's own.
+        self._material(Material())
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with this law."""
+        return replace(experiment, material=self._material(experiment.material))
+
+    def _material(self, material: Material) -> Material:
+        try:
+            return replace(material, law=self.law, shape={key: getattr(self, key) for key in SHAPE_KEYS[self.law]})
+        except MaterialError as error:
+            refuse(str(error))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,3 +104,8 @@ class Fibre(Effect):
     k2: float = number(least=0.0)
     direction: Vector = numbers(3, directed=True)
     tension_only: bool = flag(default=True)
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with these fibres beside its law."""
+        fibre = Fibres(self.k1_over_mu, self.k2, self.direction, self.tension_only)
+        return replace(experiment, material=replace(experiment.material, fibre=fibre))

@@ -187,7 +187,7 @@ class Inclusion(Effect):
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the inclusion's factor on the modulus."""
-        return _stiffened(experiment, Ellipsoid(self.centre_mm, self.semi_axes_mm), self.contrast)
+        return _stiffened(experiment, Ellipsoid(self.centre_mm, self.semi_axes_mm), self.contrast, element)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,13 +200,12 @@ class Layer(Effect):
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the layer's factor on the modulus."""
-        return _stiffened(experiment, OuterLayer(experiment.mesh, self.thickness_mm), self.contrast)
+        return _stiffened(experiment, OuterLayer(experiment.mesh, self.thickness_mm), self.contrast, element)
 
 
-def _stiffened(experiment: Experiment, region: Region, contrast: float) -> Experiment:
-    factor = 1.0 + (contrast - 1.0) * share_inside(region, experiment.mesh)
-    material = experiment.material
-    return replace(experiment, material=replace(material, young=material.young_array * factor))
+def _stiffened(experiment: Experiment, region: Region, contrast: float, element: str) -> Experiment:
+    factor = 1.0 + (contrast - 1.0) * share_inside(region, experiment.mesh, 4 if element == "tet10" else 1)
+    return replace(experiment, material=experiment.material.scaled(factor))
 
 
 def _lattice() -> FloatArray:

@@ -4,6 +4,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Actuator, Boundary, Experiment
@@ -25,18 +27,23 @@ def write_experiment(experiment: Experiment, path: str | os.PathLike[str]) -> No
     Raises
     ------
     ExperimentError
-        If a value cannot stand in such a file: a modulus a tet, a patch without a rule.
+        If a value cannot stand in such a file: a modulus a tet, fibres in the material, a patch without a rule.
     OutputError
         If the file cannot be written there.
     """
     folder = Path(path).absolute().parent
     material = experiment.material
+    if material.fibre is not None:
+        message = "fibres of an experiment file must be an effect, got them in the material"
+        raise ExperimentError(message, where="fibre")
     content: dict[str, Any] = {"name": experiment.name}
     if not _same(folder, experiment.folder):
         content["tables"] = _from(folder, experiment.folder)
     content["mesh"] = {"file": _from(folder, experiment.mesh_file)}
     content["material"] = {
         "law": material.law,
+        **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
+        "volumetric": material.volumetric,
         "young_kpa": _belief("young", material.young_array, experiment.young_std),
         "poisson": _belief("poisson", material.poisson_array, experiment.poisson_std),
         "density_g_per_cm3": material.density,
@@ -72,8 +79,8 @@ def _patch(patch: Boundary | Actuator) -> dict[str, Any]:
 
 
 def _belief(name: str, mean: FloatArray, std: float | None) -> float | list[float]:
-    if len(mean) != 1:
-        message = f"`{name}` of an experiment file must be one for the whole body, got {len(mean)} values"
+    if mean.size != 1:
+        message = f"`{name}` of an experiment file must be one for the whole body, got {mean.size} values"
         raise ExperimentError(message, where=name)
     return float(mean[0]) if std is None else [float(mean[0]), std]
 
