@@ -78,7 +78,7 @@ class Effect:
         ExperimentError
             If this release's solver does not run the effect.
         """
-        refuse("an effect that is simulated must be one that this release's solver runs", self.id)
+        raise NotImplementedError
 
     def table(self) -> dict[str, Any]:
         """Return the keys of the ``[[effect]]`` table, ``id`` first, absent ones left out."""

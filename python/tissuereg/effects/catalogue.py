@@ -10,7 +10,7 @@ from tissuereg.effects.actuators import ActuatorDirection, ActuatorGain, Actuato
 from tissuereg.effects.base import ChainEffect, Effect, refuse
 from tissuereg.effects.chain import Frame, Latency, MarkerSlip, MarkerSwap, Scale
 from tissuereg.effects.elastic import Asymmetry, Fibre, Mooney, OtherLaw, Poisson, Stiffening, Stiffness
-from tissuereg.effects.history import Drainage, Rate, Relaxation, Set, Softening, Swelling
+from tissuereg.effects.history import Drainage, Memory, Rate, Relaxation, Set, Softening, Swelling
 from tissuereg.effects.regions import Inclusion, Layer
 from tissuereg.effects.supports import Detachment, Sliding
 from tissuereg.effects.weight import Gravity, Reference
@@ -113,7 +113,8 @@ def extended(experiment: Experiment, element: str = "tet4") -> Experiment:
     Returns
     -------
     Experiment
-        Its effects are those of the measuring chain alone; the experiment itself where it has no others.
+        Effects that are left are those that the solver reads while it runs (memory, sliding) and those of the measuring
+        chain; the experiment itself where it has no others than the latter.
 
     Raises
     ------
@@ -121,8 +122,8 @@ def extended(experiment: Experiment, element: str = "tet4") -> Experiment:
         As `check_effects`.
     """
     check_effects(experiment)
-    rest = tuple(effect for effect in ordered(experiment.effects) if isinstance(effect, ChainEffect))
-    if len(rest) == len(experiment.effects):
+    rest = tuple(effect for effect in ordered(experiment.effects) if isinstance(effect, ChainEffect | Memory | Sliding))
+    if all(isinstance(effect, ChainEffect) for effect in experiment.effects):
         return experiment
     number = {id(effect): i for i, effect in enumerate(experiment.effects)}
     for effect in ordered(experiment.effects):

@@ -4,14 +4,24 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from tissuereg.effects.base import Effect, number, numbers, refuse, text
+from tissuereg.experiment import Experiment
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relaxation(Effect):
+class Memory(Effect):
+    """An effect that acts while a case runs through time; fields as the solver names them."""
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment as it is: the solver reads the effect itself."""
+        return experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxation(Memory):
     """Prony series: shares `g` of the stress relax with the times `tau_s`; the modulus is the instantaneous one."""
 
     id: ClassVar[str] = "relaxation"
-    g: tuple[float, ...] = numbers(least=0.0, below=1.0)
+    g: tuple[float, ...] = numbers(above=0.0, below=1.0)
     tau_s: tuple[float, ...] = numbers(above=0.0)
     part: str = text(among=("whole", "isochoric"), default="whole")
 
@@ -24,7 +34,7 @@ class Relaxation(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rate(Effect):
+class Rate(Memory):
     """A stress that grows with the rate of strain."""
 
     id: ClassVar[str] = "rate"
@@ -32,7 +42,7 @@ class Rate(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Softening(Effect):
+class Softening(Memory):
     """Softening by the largest energy so far (Ogden and Roxburgh 1999)."""
 
     id: ClassVar[str] = "softening"
@@ -42,15 +52,15 @@ class Softening(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Set(Effect):
+class Set(Memory):
     """A share of the largest strain so far that stays."""
 
     id: ClassVar[str] = "set"
-    fraction: float = number(least=0.0, below=1.0)
+    fraction: float = number(above=0.0, below=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Swelling(Effect):
+class Swelling(Memory):
     """Growth of all lengths by `linear_strain`, evenly from one time to another; negative: drying."""
 
     id: ClassVar[str] = "swelling"
@@ -65,9 +75,9 @@ class Swelling(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drainage(Effect):
+class Drainage(Memory):
     """Relaxation of a share of the volumetric stress, in place of a fluid that leaves."""
 
     id: ClassVar[str] = "drainage"
-    share: float = number(least=0.0, below=1.0)
+    share: float = number(above=0.0, below=1.0)
     tau_s: float = number(above=0.0)

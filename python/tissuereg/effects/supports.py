@@ -41,6 +41,12 @@ class Sliding(_Support):
         """Refuse none or both."""
         exactly_one(self, ("spring_kpa_per_mm",), ("friction",))
 
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment as it is: the solver reads the springs from the effect."""
+        if self.friction is not None:
+            refuse("sliding must be against springs, `spring_kpa_per_mm`; this release's solver runs no friction")
+        return experiment
+
 
 @dataclass(frozen=True, kw_only=True)
 class Detachment(_Support):

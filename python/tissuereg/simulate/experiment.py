@@ -1,10 +1,10 @@
 """What an experiment's believed model says: of one frame, of a case, of all of it.
 
-The model is elastic, so a frame depends on its own load alone and all frames of a case are solved in parallel. Only a
-mesh that hangs in gravity already is solved frame by frame, from its unloaded shape.
+Where the model is elastic a frame depends on its own load alone, and all frames of a case are solved in parallel. With
+memory, sliding supports, or a mesh that hangs in gravity already they are solved one after another (`memory`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,8 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.load import Load
 from tissuereg.observe import MarkerObservation, TargetObservation
-from tissuereg.simulate.frames import Pad, solve_frames
+from tissuereg.simulate.loading import hangs_already, pads_of, traction_of, weight_of
+from tissuereg.simulate.memory import SolvedCase, goes_through_time, solve_through_time
 from tissuereg.simulate.solve import Simulator
 
 
@@ -90,10 +91,11 @@ def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", 
         If the body's own weight finds no equilibrium.
     """
     mesh = experiment.mesh
-    pads = _pads(experiment, case)
+    pads = pads_of(experiment, case)
     fixed = mesh.fixed_nodes
     held = np.unique(np.concatenate([fixed, *(pad.nodes for pad in pads)]))
-    weight, sag = _weight(experiment), np.zeros((mesh.n_nodes, 3))
+    weight = None if hangs_already(experiment) else weight_of(experiment)
+    sag = np.zeros((mesh.n_nodes, 3))
     if weight is not None and pads:
         sag = (
             Simulator(mesh, element=element)
@@ -139,87 +141,86 @@ def simulate_experiment(
     experiment = extended(experiment, element)
     markers = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
     targets = TargetObservation(experiment.mesh, experiment.targets)
-    in_all = sum(len(case.times) for case in experiment.cases.values())
-    done, answers = 0, {}
+    solved = solve_cases(
+        experiment, list(experiment.cases.values()), element=element, threads=threads, progress=progress
+    )
+    answers = {}
     for name, case in experiment.cases.items():
-        report = None if progress is None else (lambda n, before=done: progress(before + n, in_all))
-        answers[name] = _simulate_case(experiment, case, markers, targets, element, threads, report)
-        done += len(case.times)
+        field = solved[name].displacement
+        places = experiment.marker_reference + markers.predict(field[:, markers.nodes])
+        inner = targets.reference + targets.predict(field[:, targets.nodes])
+        answers[name] = CaseSimulation(
+            case.times,
+            field,
+            seen_markers(experiment, places, case.times),
+            solved[name].forces,
+            {target: inner[:, i] for i, target in enumerate(targets.names)},
+            solved[name].failed,
+        )
     return answers
 
 
-def _simulate_case(
+def solve_cases(
     experiment: Experiment,
-    case: Case,
-    markers: MarkerObservation,
-    targets: TargetObservation,
-    element: str,
-    threads: int,
-    progress: Callable[[int], None] | None,
-) -> CaseSimulation:
-    solve = _hanging if experiment.gravity is not None and experiment.gravity.in_reference else _standing
-    field, forces, failed = solve(experiment, case, element, threads, progress)
-    if len(failed) == len(case.times):
-        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
-        raise ConvergenceError(message, where=case.name)
-    moved = targets.predict(field[:, targets.nodes])
-    return CaseSimulation(
-        case.times,
-        field,
-        seen_markers(experiment, experiment.marker_reference + markers.predict(field[:, markers.nodes]), case.times),
-        forces,
-        {name: targets.reference[i] + moved[:, i] for i, name in enumerate(targets.names)},
-        failed,
-    )
+    cases: Sequence[Case],
+    *,
+    element: str = "tet4",
+    threads: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, SolvedCase]:
+    """Return the equilibria of cases: elastic frames in parallel, those that remember one after another.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Effects worked in (`tissuereg.effects.extended`).
+    cases : sequence of Case
+        Some of its cases.
+    element : {"tet4", "tet10"}
+        Elements to use.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    progress : callable of (int, int), optional
+        Called with frames done and frames in all.
+
+    Returns
+    -------
+    dict of str to SolvedCase
+        One a case.
+
+    Raises
+    ------
+    ConvergenceError, ExperimentError
+        As `simulate_experiment`.
+    """
+    in_all = sum(len(case.times) for case in cases)
+    if goes_through_time(experiment):
+        through = None if progress is None else (lambda n: progress(n, in_all))
+        return solve_through_time(experiment, cases, element=element, threads=threads, progress=through)
+    done, solved = 0, {}
+    for case in cases:
+        report = None if progress is None else (lambda n, before=done: progress(before + n, in_all))
+        solved[case.name] = _solve_elastic(experiment, case, element, threads, report)
+        done += len(case.times)
+    return solved
 
 
-#: Displacement of all frames, force of every pad, frames that failed.
-_Solved = tuple[FloatArray, dict[str, FloatArray], list[tuple[int, str]]]
-
-
-def _standing(
+def _solve_elastic(
     experiment: Experiment, case: Case, element: str, threads: int, progress: Callable[[int], None] | None
-) -> _Solved:
+) -> SolvedCase:
+    """Return the frames of a case, each on its own and all in parallel."""
     believed = believed_case(experiment, case, element=element, threads=threads)
     simulator = believed.simulator
     materials = [experiment.material] * len(believed.loads)
     found = simulator.solve_many(believed.loads, materials, threads=threads, progress=progress)
+    if len(found.failed) == len(case.times):
+        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {found.failed[0][1]}"
+        raise ConvergenceError(message, where=case.name)
     forces = {
         pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)
-        for pad in _pads(experiment, case)
+        for pad in pads_of(experiment, case)
     }
-    return found.displacement, forces, found.failed
-
-
-def _hanging(
-    experiment: Experiment, case: Case, element: str, threads: int, progress: Callable[[int], None] | None
-) -> _Solved:
-    found = solve_frames(
-        experiment.mesh,
-        experiment.material,
-        case.times,
-        loads=[Load(traction=_traction(experiment, case, i)) for i in range(len(case.times))],
-        pads=[Pad(pad.name, pad.nodes, case.displacements[pad.name]) for pad in _pads(experiment, case)],
-        weight=None
-        if experiment.gravity is None
-        else experiment.material.weight(experiment.gravity.direction, experiment.gravity.g_mm_per_s2),
-        in_reference=True,
-        element=element,
-        threads=threads,
-        progress=progress,
-    )
-    return found.displacement, found.pad_forces, found.failed
-
-
-def _pads(experiment: Experiment, case: Case) -> list[Actuator]:
-    return [a for a in experiment.actuators if a.kind == "displacement" and a.name in case.displacements]
-
-
-def _weight(experiment: Experiment) -> FloatArray | None:
-    gravity = experiment.gravity
-    if gravity is None or gravity.in_reference:
-        return None
-    return experiment.material.weight(gravity.direction, gravity.g_mm_per_s2)
+    return SolvedCase(found.displacement, forces, found.failed)
 
 
 def _load(
@@ -236,26 +237,4 @@ def _load(
         rows = np.flatnonzero(np.isin(held, pad.nodes))
         prescribed[rows] = sag[held[rows]] + case.displacements[pad.name][frame]
     prescribed[np.isin(held, experiment.mesh.fixed_nodes)] = 0.0
-    return Load(body_force=weight, prescribed=prescribed, traction=_traction(experiment, case, frame))
-
-
-def _traction(experiment: Experiment, case: Case, frame: int) -> tuple[IntArray, FloatArray] | None:
-    triangles, tractions = [], []
-    for pad in experiment.actuators:
-        if pad.kind == "force" and pad.name in case.applied_forces:
-            patch, area = _patch(experiment, pad)
-            triangles.append(patch)
-            tractions.append(np.broadcast_to(case.applied_forces[pad.name][frame] / area, (len(patch), 3)))
-    return (np.concatenate(triangles), np.concatenate(tractions)) if triangles else None
-
-
-def _patch(experiment: Experiment, pad: Actuator) -> tuple[IntArray, float]:
-    """Return the boundary triangles of a force actuator's patch and their area in mm^2."""
-    mesh = experiment.mesh
-    inside = np.isin(mesh.surface, pad.nodes)
-    # A patch smaller than a triangle still loads the triangles around its nodes.
-    rows = inside.all(axis=1) if inside.all(axis=1).any() else inside.any(axis=1)
-    triangles = mesh.surface[rows]
-    corners = mesh.nodes[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return triangles, float(0.5 * np.linalg.norm(normal, axis=1).sum())
+    return Load(body_force=weight, prescribed=prescribed, traction=traction_of(experiment, case, frame))
