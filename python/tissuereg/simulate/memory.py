@@ -125,18 +125,18 @@ def _solve_group(
     _refuse_overlap(group)
     standing = _standing_times(experiment, float(group[0].times[0]))
     times, loads, rows = [standing], [Load()] * len(standing), {}
+    done = [0] * (len(standing) + 1)
     for number, case in enumerate(group):
         if number > 0:
             # The actuators of the case before let go.
             times.append(group[number - 1].times[-1:])
             loads.append(Load())
+            done.append(done[-1])
         rows[case.name] = slice(len(loads), len(loads) + len(case.times))
         times.append(case.times)
         loads += [Load(traction=traction_of(experiment, case, i)) for i in range(len(case.times))]
-    done = np.zeros(len(loads) + 1, np.int64)
-    for mine in rows.values():
-        done[mine.start + 1 :] += np.arange(len(loads) - mine.start).clip(max=mine.stop - mine.start - 1) + 1
-    report = None if progress is None else (lambda n: progress(int(done[n])))
+        done += range(done[-1] + 1, done[-1] + 1 + len(case.times))
+    report = None if progress is None else (lambda n: progress(done[n]))
     found = solve_frames(
         experiment.mesh,
         experiment.material,
