@@ -113,7 +113,7 @@ def test_a_body_on_springs_sinks_by_weight_over_stiffness():
 
 def test_a_skin_stiffens_what_it_covers():
     mesh = block(2)
-    skin = Skin(facets(mesh, mesh.nodes[:, 2] > 30.0 - 1e-9), 1.0, 200.0, 0.4)
+    skin = Skin(facets(mesh, mesh.nodes[:, 2] > 30.0 - 1e-9), 1.0, 5000.0, 0.4)
     lean = {"weight": np.array([9.81e-3, 0.0, 0.0])}
     bare = solve_frames(mesh, SOFT, [0.0], **lean).displacement[0]
     covered = solve_frames(mesh, SOFT, [0.0], skins=[skin], **lean).displacement[0]
