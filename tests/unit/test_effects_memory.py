@@ -12,6 +12,7 @@ from tissuereg.effects import (
     Drainage,
     Gravity,
     Rate,
+    Reference,
     Relaxation,
     Set,
     Sliding,
@@ -173,6 +174,26 @@ def test_what_has_come_off_a_sliding_base_has_no_springs(rig):
         simulated(rig, [lean], *effects)["lean"].forces["push"][1, 0] for effects in ((slide,), (slide, loose))
     )
     assert part < 0.99 * whole
+
+
+def test_a_boundary_of_loose_nodes_cannot_slide(rig):
+    loose = replace(rig, boundaries=(replace(rig.boundaries[0], nodes=rig.mesh.fixed_nodes[:2]),))
+    with pytest.raises(
+        ExperimentError, match=r"a whole triangle of the surface to slide, it has 2 nodes in \[\[effect\]\]"
+    ):
+        simulated(loose, [HOLD], Sliding(boundary="base", spring_kpa_per_mm=1.0))
+
+
+def test_a_mesh_that_hangs_already_stays_where_it_is_and_resists_otherwise(rig):
+    still, lean = case("still", [10.0, 20.0], None), case("lean", [30.0, 31.0], [0.0, 2.0])
+    heavy = replace(rig, material=replace(rig.material, density=3.0))
+    hung = simulated(heavy, [still, lean], Reference(direction=(0, 0, -1), in_reference=True))
+    assert np.abs(hung["still"].displacement).max() < 1e-5
+    sagging = simulated(heavy, [still, lean], Gravity(direction=(0, 0, -1)))
+    assert np.abs(sagging["still"].displacement).max() > 0.5
+    plain = simulated(heavy, [lean])
+    # A column under its own weight leans more easily.
+    assert push(hung, "lean")[1] < 0.99 * push(plain, "lean")[1]
 
 
 def test_friction_is_refused_when_it_is_simulated(rig):

@@ -41,6 +41,20 @@ class Sliding(_Support):
         """Refuse none or both."""
         exactly_one(self, ("spring_kpa_per_mm",), ("friction",))
 
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse an unknown boundary, and one of loose nodes."""
+        super().fits(experiment)
+        if not len(self.triangles(experiment)):
+            n_nodes = len(self.held_by(experiment).nodes)
+            refuse(
+                f"boundary '{self.boundary}' must hold a whole triangle of the surface to slide, it has {n_nodes} nodes"
+            )
+
+    def triangles(self, experiment: Experiment) -> IntArray:
+        """Return the surface triangles of the boundary, shape (n, 3)."""
+        surface = experiment.mesh.surface
+        return np.asarray(surface[np.isin(surface, self.held_by(experiment).nodes).all(axis=1)])
+
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment as it is: the solver reads the springs from the effect."""
         if self.friction is not None:

@@ -202,14 +202,12 @@ def _held(experiment: Experiment) -> IntArray:
 
 
 def _springs(experiment: Experiment) -> list[behaviour.Springs]:
-    mesh, springs = experiment.mesh, []
-    across = _ACROSS * float(experiment.material.young_array.max()) / mesh.extent
-    for effect in experiment.effects:
-        if isinstance(effect, Sliding) and effect.spring_kpa_per_mm is not None:
-            nodes = effect.held_by(experiment).nodes
-            triangles = mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
-            springs.append(behaviour.Springs(triangles, across, effect.spring_kpa_per_mm))
-    return springs
+    across = _ACROSS * float(experiment.material.young_array.max()) / experiment.mesh.extent
+    return [
+        behaviour.Springs(effect.triangles(experiment), across, effect.spring_kpa_per_mm)
+        for effect in experiment.effects
+        if isinstance(effect, Sliding) and effect.spring_kpa_per_mm is not None
+    ]
 
 
 def _refuse_overlap(group: Sequence[Case]) -> None:
