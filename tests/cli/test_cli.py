@@ -345,7 +345,7 @@ def test_a_warning_is_one_line_on_standard_error_and_stands_in_the_json(tmp_path
     rig = write_experiment(tmp_path / "rig", toml=toml)
     code, said, err = run_json(capsys, "simulate", rig, "--out", tmp_path / "sim", "--quiet")
     assert code == 0
-    assert err.startswith("warning: target 'deep' lies 2 mm outside the mesh")
+    assert err.startswith("warning: target 'deep' lies 2.1 mm outside the mesh")
     assert ".py" not in err
     assert "UserWarning" not in err
     assert any("outside the mesh" in note for note in said["warnings"])
