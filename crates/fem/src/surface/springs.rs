@@ -24,7 +24,7 @@ use crate::history::must;
 ///     Supports::new().rest_on(&bed),
 /// )?;
 /// let load = Load {
-///     nodal_forces: Some([[0.0, 0.0, -4.0]; 4].map(|f| [f[0], f[1], f[2]]).to_vec()),
+///     nodal_forces: Some(vec![[0.0, 0.0, -4.0]; 4]),
 ///     springs: vec![bed],
 ///     ..Load::default()
 /// };
