@@ -95,6 +95,24 @@ fn a_held_stretch_relaxes_as_its_series_says() {
     }
 }
 
+/// A frame at the time of the last one is reached at once: nothing relaxes, nothing flows.
+#[test]
+fn a_frame_at_the_same_time_is_instantaneous() {
+    let body = held_cube(Element::Tet4);
+    let relaxation = Relaxation { g: vec![0.5], tau_s: vec![1e-3], part: Part::Whole };
+    let behaviour =
+        Behaviour { relaxation: Some(relaxation), viscosity_kpa_s: 50.0, ..Behaviour::default() };
+    let mut history = history(&body, behaviour);
+    history.advance(&body, &Load::default(), 2.0, &settings()).expect("at rest");
+    let load = affine(&body, STRETCHED);
+    let at_once = history.advance(&body, &load, 2.0, &settings()).expect("held");
+    let elastic = law().stress(&STRETCHED).expect("upright");
+    let found = nominal(&body, &at_once, 0);
+    assert!((0..3).all(|i| (found[i] - elastic[i][0]).abs() < 1e-9), "{found:?}");
+    let later = history.advance(&body, &load, 3.0, &settings()).expect("held");
+    assert!((nominal(&body, &later, 0)[0] - 0.5 * elastic[0][0]).abs() < 1e-9);
+}
+
 /// A ramp whose second Piola-Kirchhoff stress grows linearly has an exact integral; here small
 /// strains make it linear to 1e-6 of itself.
 #[test]

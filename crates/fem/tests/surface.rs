@@ -61,6 +61,30 @@ fn a_block_on_springs_sinks_by_weight_over_stiffness() {
     }
 }
 
+/// A pressure all round has no resultant; on one face it is pressure times area.
+#[test]
+fn a_dead_pressure_pushes_against_the_outward_normal() {
+    for element in BOTH {
+        let mesh = dome(6);
+        let base = nodes_where(&mesh, |x| x[2] < 1e-9);
+        let flat = facets(&mesh, |x| x[2] < 1e-9);
+        let body = Body::new(mesh, element, base).expect("held");
+        let all = body.mesh().surface_triangles().to_vec();
+        let round = body.pressure_forces(&all, &vec![2.0; all.len()]).expect("on the surface");
+        let sum = resultant(body.nodes(), &round, [0.0; 3]);
+        assert!(sum.force.iter().all(|f| f.abs() < 1e-8), "{sum:?}");
+        // Triangles may be given in any order of their corners.
+        let turned: Vec<[usize; 3]> = flat.iter().map(|t| [t[1], t[0], t[2]]).collect();
+        let below = body.pressure_forces(&turned, &vec![2.0; flat.len()]).expect("on the surface");
+        let sum = resultant(body.nodes(), &below, [0.0; 3]);
+        assert!(sum.force[2] > 2.0 * 0.9 * 3.1 * 3600.0 && sum.force[0].abs() < 1e-8, "{sum:?}");
+        let short = body.pressure_forces(&flat, &[1.0]).expect_err("one pressure");
+        assert!(matches!(short, FemError::WrongLength { .. }), "{short}");
+        let inside = body.pressure_forces(&[[0, 1, 2]], &[1.0]).expect_err("no facet");
+        assert!(matches!(inside, FemError::NotOnSurface { row: 0, .. }), "{inside}");
+    }
+}
+
 #[test]
 fn springs_that_leave_a_rigid_motion_free_are_named() {
     let mesh = bar([2, 2, 2], [10.0; 3]);

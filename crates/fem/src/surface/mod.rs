@@ -7,8 +7,9 @@
 mod facet;
 mod skin;
 mod springs;
+mod traction;
 
-pub(crate) use facet::facets_of;
+use facet::facets_of;
 pub use skin::Skin;
 pub use springs::Springs;
 
