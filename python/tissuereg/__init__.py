@@ -6,11 +6,12 @@
 1213
 """
 
-from tissuereg import errors, phantom
+from tissuereg import effects, errors, phantom
 from tissuereg._version import __version__
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment import Experiment
 from tissuereg.frames import register_frame
+from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.tables import read_markers, read_targets
@@ -35,6 +36,7 @@ __all__ = [
     "Simulator",
     "TissueRegError",
     "__version__",
+    "effects",
     "errors",
     "phantom",
     "read_experiment",
@@ -44,4 +46,5 @@ __all__ = [
     "register",
     "register_frame",
     "simulate",
+    "write_experiment",
 ]

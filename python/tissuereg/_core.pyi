@@ -13,6 +13,8 @@ __all__ = [
     "Law",
     "ManySolutions",
     "Noise",
+    "Rig",
+    "RigFrame",
     "Solution",
     "Step",
     "__version__",
@@ -109,6 +111,55 @@ class Law:
     def nominal_stress(
         self, mode: str, amounts: _Floats, young: float, poisson: float, *, incompressible: bool = False
     ) -> _Floats: ...
+
+@final
+class Rig:
+    def __new__(
+        cls,
+        nodes: _Floats,
+        tets: _Integers,
+        held_nodes: _Integers,
+        young: _Floats,
+        poisson: _Floats,
+        *,
+        law: Law | None = None,
+        element: str = "tet4",
+        pads: list[_Integers] = ...,
+        behaviour: dict[str, Any] | None = None,
+        springs: list[tuple[_Integers, list[float]]] = ...,
+        rests: bool = False,
+        skins: list[tuple[_Integers, list[float]]] = ...,
+        hangs_in: _Floats | None = None,
+        tolerance: float = 1e-9,
+        max_iterations: int = 1000,
+        threads: int = 0,
+    ) -> Rig: ...
+    def advance(
+        self,
+        time: float,
+        motions: _Floats,
+        *,
+        forces: _Floats | None = None,
+        body_force: _Floats | None = None,
+        prescribed: _Floats | None = None,
+    ) -> RigFrame: ...
+    @property
+    def rest_nodes(self) -> _Floats: ...
+
+@final
+class RigFrame:
+    @property
+    def displacement(self) -> _Floats: ...
+    @property
+    def reactions(self) -> _Floats: ...
+    @property
+    def pad_forces(self) -> _Floats: ...
+    @property
+    def pad_moments(self) -> _Floats: ...
+    @property
+    def spring_forces(self) -> _Floats: ...
+    @property
+    def report(self) -> dict[str, Any]: ...
 
 @final
 class Solution:

@@ -7,7 +7,7 @@ lengths in mm, forces in mN, stresses in kPa.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from tissuereg.errors import ExperimentError
 from tissuereg.markers import Markers
 from tissuereg.material import GRAVITY_MM_PER_S2, Material
 from tissuereg.mesh import Mesh
+
+if TYPE_CHECKING:
+    from tissuereg.effects.base import Effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +52,14 @@ class Boundary:
         Sorted.
     kind : str
         ``"fixed"``.
+    rule : str or mapping, optional
+        How the experiment file chooses the nodes; None where they were given as they are.
     """
 
     name: str
     nodes: IntArray
     kind: str = "fixed"
+    rule: str | Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +76,15 @@ class Actuator:
         What is given to it.
     contact : str
         ``"bonded"``.
+    rule : str or mapping, optional
+        How the experiment file chooses the nodes; None where they were given as they are.
     """
 
     name: str
     nodes: IntArray
     kind: str
     contact: str = "bonded"
+    rule: str | Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +192,9 @@ class Experiment:
     name : str
         Title.
     folder : Path
-        Where its files lie.
+        Where its tables lie.
+    mesh_file : Path
+        Where its mesh lies.
     mesh : Mesh
         Node set ``fixed`` is all fixed boundaries together; each boundary and actuator has a set of its name.
     material : Material
@@ -212,12 +223,13 @@ class Experiment:
         Standard deviation of a measured force component in mN; None without measured forces.
     rest_case : str or None
         Case without load, for the noise model.
-    effects : tuple of dict
-        ``[[effect]]`` tables as read.
+    effects : tuple of Effect
+        ``[[effect]]`` tables in file order (`tissuereg.effects`): what is believed besides, and simulated with it.
     """
 
     name: str
     folder: Path
+    mesh_file: Path
     mesh: Mesh
     material: Material
     young_std: float | None
@@ -232,7 +244,7 @@ class Experiment:
     cases: dict[str, Case]
     force_std: float | None = None
     rest_case: str | None = None
-    effects: tuple[dict[str, Any], ...] = ()
+    effects: "tuple[Effect, ...]" = ()
 
     def __repr__(self) -> str:
         frames = sum(len(case.times) for case in self.cases.values())

@@ -1,17 +1,26 @@
 """One frame of an experiment, registered: what is believed of the rig becomes the prior."""
 
+from dataclasses import replace
 from typing import Any
 
-from tissuereg.experiment import Experiment
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.effects import extended, true_markers
+from tissuereg.errors import ConvergenceError
+from tissuereg.experiment import Case, Experiment
 from tissuereg.registration import register
 from tissuereg.result import Registration
 from tissuereg.simulate.experiment import believed_case
+from tissuereg.simulate.memory import goes_through_time, is_carried, solve_through_time
 
 
 def frame_input(
     experiment: Experiment, case: str, time: float, *, element: str = "tet4", threads: int = 0
 ) -> dict[str, Any]:
     """Return the arguments of `register` that a frame of an experiment stands for.
+
+    Body, supports and actuators act with their effects; what the measuring chain does to the markers is undone.
 
     Parameters
     ----------
@@ -29,16 +38,26 @@ def frame_input(
     Returns
     -------
     dict
-        ``mesh``, ``markers``, ``targets``, ``load`` (gravity and actuators), ``material``, ``held_nodes``.
+        ``mesh``, ``markers``, ``targets``, ``load`` (gravity and actuators), ``material``, ``held_nodes``; with
+        memory, sliding supports, or a mesh that hangs already ``simulation`` as well: the prior around it is elastic
+        and held.
 
     Raises
     ------
     ExperimentError
         If there is no such case, or no frame near that time.
     """
+    experiment = extended(experiment, element)
+    history = experiment.case(case)
+    measured = replace(history, markers=true_markers(experiment, history.markers, history.times))
+    experiment = replace(experiment, cases={**experiment.cases, case: measured})
     frame = experiment.frame(case, time)
-    believed = believed_case(experiment, experiment.case(case), element=element, threads=threads)
+    believed = believed_case(experiment, measured, element=element, threads=threads)
+    given: dict[str, Any] = {}
+    if goes_through_time(experiment):
+        given["simulation"] = _through_time(experiment, measured, frame.index, element, threads)
     return {
+        **given,
         "mesh": experiment.mesh,
         "markers": frame.markers,
         "targets": dict(experiment.targets),
@@ -81,4 +100,16 @@ def register_frame(
         As in `register`.
     """
     given = frame_input(experiment, case, time, element=element, threads=threads)
-    return register(**given, element=element, threads=threads, **options)
+    return register(**{**given, **options}, element=element, threads=threads)
+
+
+def _through_time(experiment: Experiment, case: Case, frame: int, element: str, threads: int) -> FloatArray:
+    """Return the displacement of a frame, its case solved from the begin, or all cases from the first one's."""
+    carried = is_carried(experiment)
+    before = [other for other in experiment.cases.values() if carried and other.times[0] < case.times[0]]
+    solved = solve_through_time(experiment, [*before, case], element=element, threads=threads)[case.name]
+    for lost, why in solved.failed:
+        if lost == frame:
+            message = f"frame {frame} of case '{case.name}' must find equilibrium: {why}"
+            raise ConvergenceError(message, where=case.name)
+    return np.asarray(solved.displacement[frame])

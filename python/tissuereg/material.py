@@ -167,7 +167,7 @@ class Material:
 
         Parameters
         ----------
-        factor : float or array_like of float, shape (n_tets,)
+        factor : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
             What the modulus is multiplied by.
 
         Returns
@@ -176,7 +176,9 @@ class Material:
             All else as it is.
         """
         young, factor = self.young_array, np.asarray(factor, dtype=np.float64)
-        return replace(self, young=young * (factor[:, None] if young.ndim == 2 and factor.ndim == 1 else factor))
+        deepest = max(young.ndim, factor.ndim)
+        young, factor = (v[:, None] if v.ndim == 1 and deepest == 2 else v for v in (young, factor))
+        return replace(self, young=young * factor)
 
     def digest(self) -> str:
         """Return a hash of everything that a displacement depends on.

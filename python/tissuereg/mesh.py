@@ -138,6 +138,24 @@ class Mesh:
         """Sorted indices of the nodes on the boundary, shape (n,)."""
         return frozen(np.unique(self.surface))
 
+    def surface_nodes_within(self, centre: Any, radius: float) -> IntArray:
+        """Return the surface nodes in a ball.
+
+        Parameters
+        ----------
+        centre : array_like of float, shape (3,)
+            mm.
+        radius : float
+            mm.
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+            Sorted; may be empty.
+        """
+        distance = np.linalg.norm(self.nodes[self.surface_nodes] - np.asarray(centre), axis=1)
+        return np.asarray(self.surface_nodes[distance <= radius])
+
     @cached_property
     def edges(self) -> IntArray:
         """Edges of the tets, each once, lower index first, shape (n_edges, 2)."""

@@ -97,9 +97,18 @@ ONE = """
     body.solve(np.array([5.0]), np.array([0.47]), body_force=load, method="newton", threads={threads})
 """
 
+FRAME = """
+    mesh = block(cells=(14, 12, 20))
+    soft = np.array([5.0]), np.array([0.47])
+    rig = _core.Rig(mesh.nodes, mesh.tets, mesh.fixed_nodes, *soft, element="tet10", threads={threads})
+    started()
+    while True:
+        rig.advance(0.0, np.empty((0, 3)), body_force=np.array([0.0, 2e-2, 0.0]))
+"""
+
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
-@pytest.mark.parametrize("work", [MANY, ONE])
+@pytest.mark.parametrize("work", [MANY, ONE, FRAME])
 @pytest.mark.parametrize("threads", [1, 0])
 def test_control_c_stops_a_call_that_would_last_minutes(work, threads):
     code = textwrap.dedent(

@@ -341,14 +341,21 @@ def test_register_takes_a_frame_of_an_experiment(tmp_path, capsys):
 
 
 def test_a_warning_is_one_line_on_standard_error_and_stands_in_the_json(tmp_path, capsys):
-    toml = EXPERIMENT + "[gravity]\ndirection = [0, 0, -1]\nin_reference = true\n"
+    toml = EXPERIMENT.replace("reference = [15.0, 10.0, 20.0]", "reference = [15.0, 10.0, -2.0]")
     rig = write_experiment(tmp_path / "rig", toml=toml)
     code, said, err = run_json(capsys, "simulate", rig, "--out", tmp_path / "sim", "--quiet")
     assert code == 0
-    assert err.startswith("warning: gravity acts in the reference shape already")
+    assert err.startswith("warning: target 'deep' lies 2.1 mm outside the mesh")
     assert ".py" not in err
     assert "UserWarning" not in err
-    assert any("prestress" in note for note in said["warnings"])
+    assert any("outside the mesh" in note for note in said["warnings"])
+
+
+def test_a_mesh_that_hangs_already_is_simulated_from_its_unloaded_shape(tmp_path, capsys):
+    toml = EXPERIMENT + "[gravity]\ndirection = [0, 0, -1]\nin_reference = true\n"
+    rig = write_experiment(tmp_path / "rig", toml=toml)
+    code, said, err = run_json(capsys, "simulate", rig, "--out", tmp_path / "sim", "--quiet")
+    assert (code, said["warnings"], err) == (0, [], "")
 
 
 # --- train ---

@@ -75,6 +75,7 @@ def test_layers_point_downwards():
     layers = [
         {"errors", "_arrays", "_core", "_clock", "_machine", "_version"},
         {"mesh", "material", "material_tests", "markers", "load", "experiment", "trust"},
+        {"effects"},
         {"observe", "simulate", "latent", "assimilate", "io", "posterior", "widen", "phantom", "baselines"},
         {"registration", "result", "report"},
         {"demo", "bench", "frames"},

@@ -6,7 +6,7 @@ import pytest
 import tissuereg as tr
 from support.files import EXPERIMENT, TABLES, write_experiment
 from tissuereg.errors import ExperimentError, FormatError
-from tissuereg.io.experiments import EFFECTS, is_experiment
+from tissuereg.io.experiments import is_experiment
 
 EXAMPLES = ("null", "inclusion", "relaxation")
 
@@ -163,8 +163,6 @@ BAD = {
     "no marker": (changed("P1 = [0.0, 10.0, 40.0]\nP2 = [15.0, 0.0, 20.0]\n", ""), "at least one marker"),
     "forces without table": (changed("[forces]\nstd_mN = 5.0\n", ""), r"\[forces\] with std_mN must be given"),
     "gravity half said": ({"toml": EXPERIMENT + "[gravity]\ndirection = [0, 0, -1]\n"}, "`in_reference` must be given"),
-    "effect that is not run": ({"toml": EXPERIMENT + '[[effect]]\nid = "inclusion"\n'}, "got 'inclusion'"),
-    "unknown effect": ({"toml": EXPERIMENT + '[[effect]]\nid = "magic"\n'}, "one of stiffness.*got 'magic'"),
     "unknown marker": (table("markers", "lean,12,P9,1,2,3\n"), "marker 'P9' must be declared.*line 11"),
     "unknown actuator": (table("actuators", "lean,12,pull,1,2,3\n"), "actuator 'pull' must be declared.*line 4"),
     "unknown target": (table("targets", "lean,11,skin,1,2,3\n"), "target 'skin' must be declared.*line 3"),
@@ -177,6 +175,7 @@ BAD = {
         "must cover case 'lean' from 10 to 11 s; they cover 10 to 10.5 s",
     ),
     "wrong header": ({"markers": "case,time,marker,x,y,z\n"}, "must begin with the header case,time_s,marker"),
+    "tables elsewhere": ({"toml": 'tables = "gone"\n' + EXPERIMENT}, r"no such file: .*gone.markers\.csv"),
     "markers missing": ({"markers": None}, r"no such file: .*markers\.csv"),
     "actuators missing": ({"actuators": None}, r"no such file: .*actuators\.csv"),
     "forces missing": ({"forces": None}, r"no such file: .*forces\.csv"),
@@ -191,13 +190,6 @@ def test_a_faulty_experiment_is_refused_by_place(tmp_path, changes, words):
         return
     with pytest.raises(FormatError, match=words):
         tr.read_experiment(folder)
-
-
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_every_known_effect_is_refused_by_its_id(tmp_path, effect):
-    toml = EXPERIMENT + f'[[effect]]\nid = "{effect}"\n'
-    with pytest.raises(ExperimentError, match=f"runs none yet, got '{effect}'"):
-        tr.read_experiment(write_experiment(tmp_path / "rig", toml=toml))
 
 
 def test_a_folder_without_experiment_is_refused(tmp_path):

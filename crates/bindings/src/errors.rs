@@ -114,7 +114,9 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
             details.set_item("tet", tet)?;
             details.set_item("volume", volume)
         }
-        E::OverlappingTets { triangle, .. } => details.set_item("triangle", triangle.to_vec()),
+        E::OverlappingTets { triangle, .. } | E::MissingSprings { triangle } => {
+            details.set_item("triangle", triangle.to_vec())
+        }
         E::Unconstrained(rigid) => {
             details.set_item("modes", &rigid.modes)?;
             details.set_item("node", rigid.node)?;
@@ -135,6 +137,9 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         | E::BadLaw { .. }
         | E::WrongLength { .. }
         | E::BadSetting { .. }
+        | E::BadParameter { .. }
+        | E::TimeRunsBack { .. }
+        | E::NoRestShape { .. }
         | E::Cancelled => Ok(()),
     })
 }
@@ -170,6 +175,12 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
             (Class::Load, Some(format!("triangle {row}")))
         }
         E::BadSetting { name, .. } => (Class::Base, Some((*name).to_owned())),
+        E::BadParameter { name, .. } => (Class::Material, Some((*name).to_owned())),
+        E::TimeRunsBack { time_s, .. } => (Class::Load, Some(format!("time {time_s} s"))),
+        E::MissingSprings { triangle: [a, b, c] } => {
+            (Class::Support, Some(format!("triangle {a} {b} {c}")))
+        }
+        E::NoRestShape { .. } => (Class::Convergence, None),
         E::InvertedStart { tet, .. } => (Class::Load, Some(format!("start, tet {tet}"))),
         E::NoEquilibrium(failure) => {
             let worst = failure.worst_tets.first();

@@ -22,7 +22,9 @@ mod _core {
         Noise, Step, check_schedule, schedule_constant, schedule_geometric, screen_members,
     };
     #[pymodule_export]
-    use super::fem::{Body, Law, ManySolutions, Solution, check_mesh, surface_triangles};
+    use super::fem::{
+        Body, Law, ManySolutions, Rig, RigFrame, Solution, check_mesh, surface_triangles,
+    };
 
     /// Version of all parts, from the workspace.
     #[pymodule_export]

@@ -1,11 +1,11 @@
 //! A body: mesh, element type and supports, with everything that is made once from them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 use std::time::Instant;
 
 use crate::element::{Element, Geometry, edges_of};
 use crate::error::FemError;
-use crate::load::{check_finite, check_length};
 use crate::mesh::Mesh;
 use crate::solve::RestCache;
 use crate::supports::Supports;
@@ -42,13 +42,10 @@ use crate::system::{Cliques, check_rigid_modes};
 /// ```
 #[derive(Debug)]
 pub struct Body {
-    mesh: Mesh,
+    shape: Arc<ShapeOfBody>,
     supports: Supports,
-    nodes: Vec<[f64; 3]>,
-    edges: Vec<[usize; 2]>,
     held: Vec<[bool; 3]>,
-    geometry: Geometry,
-    pattern: Pattern,
+    pattern: Arc<Pattern>,
     rest_cache: RestCache,
     analyse_seconds: f64,
 }
@@ -67,9 +64,6 @@ impl Body {
         supports: impl Into<Supports>,
     ) -> Result<Self, FemError> {
         let start = Instant::now();
-        let supports = supports.into();
-        let held_corners = supports.axes_by_node(mesh.n_nodes())?;
-        check_rigid_modes(&mesh, &held_corners)?;
         let edges = match element {
             Element::Tet4 => Vec::new(),
             Element::Tet10 => edges_of(&mesh),
@@ -79,16 +73,70 @@ impl Body {
             return Err(FemError::TooLarge { n_dofs: 3 * n_nodes });
         }
         let (geometry, nodes) = Geometry::new(&mesh, element, &edges);
-        let held = with_mid_edges(&mesh, &edges, held_corners);
-        let cliques = Cliques::new(&geometry.connectivity, element.n_nodes());
-        let pattern = Pattern::new(&nodes, cliques, &held)?;
+        let shape = Arc::new(ShapeOfBody { mesh, nodes, edges, geometry });
+        Self::supported(shape, supports.into(), start)
+    }
+
+    /// The same body with other supports; mesh and element data are shared, the elimination order
+    /// is made anew. A history goes on from one to the other.
+    ///
+    /// # Errors
+    ///
+    /// As [`Body::new`].
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use tissuereg_fem::{Body, Element, Mesh};
+    ///
+    /// let nodes = vec![[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]];
+    /// let body = Body::new(Mesh::new(nodes, vec![[0, 1, 2, 3]])?, Element::Tet4, [0, 1, 2])?;
+    /// let pushed = body.with_supports([0, 1, 2, 3])?;
+    /// assert_eq!((body.n_unknowns(), pushed.n_unknowns()), (3, 0));
+    /// # Ok::<(), tissuereg_fem::FemError>(())
+    /// ```
+    pub fn with_supports(&self, supports: impl Into<Supports>) -> Result<Self, FemError> {
+        Self::supported(Arc::clone(&self.shape), supports.into(), Instant::now())
+    }
+
+    /// The same body with its corner nodes undeformed at other places; supports, elimination order
+    /// and symbolic factor are shared.
+    ///
+    /// # Errors
+    ///
+    /// As [`Mesh::moved_to`].
+    pub fn moved_to(&self, nodes: Vec<[f64; 3]>) -> Result<Self, FemError> {
+        let start = Instant::now();
+        let mesh = self.mesh().moved_to(nodes)?;
+        let edges = self.shape.edges.clone();
+        let (geometry, nodes) = Geometry::new(&mesh, self.element(), &edges);
         Ok(Self {
-            mesh,
+            shape: Arc::new(ShapeOfBody { mesh, nodes, edges, geometry }),
+            supports: self.supports.clone(),
+            held: self.held.clone(),
+            pattern: Arc::clone(&self.pattern),
+            rest_cache: RestCache::default(),
+            analyse_seconds: start.elapsed().as_secs_f64(),
+        })
+    }
+
+    fn supported(
+        shape: Arc<ShapeOfBody>,
+        supports: Supports,
+        start: Instant,
+    ) -> Result<Self, FemError> {
+        let ShapeOfBody { mesh, nodes, edges, geometry } = &*shape;
+        let held_corners = supports.axes_by_node(mesh.n_nodes())?;
+        check_resting(mesh, &supports)?;
+        check_rigid_modes(mesh, &held_corners, supports.resting())?;
+        let held = with_mid_edges(mesh, edges, held_corners);
+        let width = geometry.element.n_nodes();
+        let cliques = Cliques::new(&geometry.connectivity, width);
+        let pattern = Arc::new(Pattern::new(nodes, cliques, &held)?);
+        Ok(Self {
+            shape,
             supports,
-            nodes,
-            edges,
             held,
-            geometry,
             pattern,
             rest_cache: RestCache::default(),
             analyse_seconds: start.elapsed().as_secs_f64(),
@@ -97,32 +145,32 @@ impl Body {
 
     /// The mesh of corner nodes.
     pub fn mesh(&self) -> &Mesh {
-        &self.mesh
+        &self.shape.mesh
     }
 
     /// Element type.
     pub fn element(&self) -> Element {
-        self.geometry.element
+        self.shape.geometry.element
     }
 
     /// Undeformed positions of all nodes, mm.
     pub fn nodes(&self) -> &[[f64; 3]] {
-        &self.nodes
+        &self.shape.nodes
     }
 
     /// Number of nodes, mid-edge nodes included.
     pub fn n_nodes(&self) -> usize {
-        self.nodes.len()
+        self.shape.nodes.len()
     }
 
     /// Number of nodes of the mesh.
     pub fn n_corner_nodes(&self) -> usize {
-        self.mesh.n_nodes()
+        self.shape.mesh.n_nodes()
     }
 
     /// Number of tetrahedra.
     pub fn n_tets(&self) -> usize {
-        self.mesh.n_tets()
+        self.shape.mesh.n_tets()
     }
 
     /// Held nodes as they were given.
@@ -143,7 +191,7 @@ impl Body {
     /// Corners of the edge whose middle is each node after the corner nodes; empty for
     /// [`Element::Tet4`].
     pub fn mid_edges(&self) -> &[[usize; 2]] {
-        &self.edges
+        &self.shape.edges
     }
 
     /// Seconds spent in [`Body::new`].
@@ -151,73 +199,8 @@ impl Body {
         self.analyse_seconds
     }
 
-    /// Consistent nodal forces (mN) of dead tractions on facets of the surface.
-    ///
-    /// A constant traction `t` on a facet of undeformed area `A` gives `t A / 3` to each corner of
-    /// a four-node element's facet, and to each mid-edge node of a ten-node element's.
-    ///
-    /// # Shapes
-    ///
-    /// `triangles` one row of three corner nodes a facet, in any order; `traction` one row a
-    /// facet, kPa; the result one row a node of the body.
-    ///
-    /// # Errors
-    ///
-    /// [`FemError::WrongLength`], [`FemError::NonFinite`], [`FemError::NotOnSurface`],
-    /// [`FemError::RepeatedFacet`].
-    ///
-    /// # Examples
-    ///
-    /// ```
-    /// use tissuereg_fem::{Body, Element, Mesh};
-    ///
-    /// let nodes = vec![[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]];
-    /// let body = Body::new(Mesh::new(nodes, vec![[0, 1, 2, 3]])?, Element::Tet4, [0, 1, 2])?;
-    /// let forces = body.traction_forces(&[[0, 1, 3]], &[[0.0, 3.0, 0.0]])?;
-    /// assert_eq!(forces[3], [0.0, 50.0, 0.0]);
-    /// # Ok::<(), tissuereg_fem::FemError>(())
-    /// ```
-    pub fn traction_forces(
-        &self,
-        triangles: &[[usize; 3]],
-        traction: &[[f64; 3]],
-    ) -> Result<Vec<[f64; 3]>, FemError> {
-        check_length("traction (one row a triangle)", triangles.len(), traction.len())?;
-        check_finite("traction", traction)?;
-        // Facets of the surface with the row that loads them.
-        let mut surface: BTreeMap<[usize; 3], Option<usize>> =
-            self.mesh.surface_triangles().iter().map(|&t| (ascending(t), None)).collect();
-        let mut forces = vec![[0.0; 3]; self.n_nodes()];
-        for (row, (&triangle, t)) in triangles.iter().zip(traction).enumerate() {
-            let Some(loaded_by) = surface.get_mut(&ascending(triangle)) else {
-                return Err(FemError::NotOnSurface { row, triangle });
-            };
-            if let Some(first) = loaded_by.replace(row) {
-                return Err(FemError::RepeatedFacet { row, first, triangle });
-            }
-            let third = area(triangle.map(|n| self.nodes[n])) / 3.0;
-            for node in self.facet_carriers(triangle) {
-                for i in 0..3 {
-                    forces[node][i] += third * t[i];
-                }
-            }
-        }
-        Ok(forces)
-    }
-
-    /// Nodes of a facet that carry a constant traction in equal parts.
-    fn facet_carriers(&self, [a, b, c]: [usize; 3]) -> [usize; 3] {
-        match self.element() {
-            Element::Tet4 => [a, b, c],
-            Element::Tet10 => [[a, b], [b, c], [a, c]].map(|[p, q]| {
-                let edge = [p.min(q), p.max(q)];
-                self.n_corner_nodes() + self.edges.partition_point(|e| *e < edge)
-            }),
-        }
-    }
-
     pub(crate) fn geometry(&self) -> &Geometry {
-        &self.geometry
+        &self.shape.geometry
     }
 
     pub(crate) fn pattern(&self) -> &Pattern {
@@ -240,7 +223,7 @@ impl Body {
         for (&node, row) in self.held_nodes().iter().zip(rows) {
             all[3 * node..3 * node + 3].copy_from_slice(row);
         }
-        for (e, &[a, b]) in self.edges.iter().enumerate() {
+        for (e, &[a, b]) in self.shape.edges.iter().enumerate() {
             for i in 0..3 {
                 all[3 * (self.n_corner_nodes() + e) + i] = 0.5 * (all[3 * a + i] + all[3 * b + i]);
             }
@@ -260,7 +243,7 @@ impl Body {
         for &node in self.held_nodes() {
             at_corner.insert(node, self.held_part(node, unbalanced));
         }
-        for (e, ends) in self.edges.iter().enumerate() {
+        for (e, ends) in self.shape.edges.iter().enumerate() {
             let part = self.held_part(self.n_corner_nodes() + e, unbalanced);
             for end in ends {
                 if let Some(sum) = at_corner.get_mut(end) {
@@ -278,16 +261,33 @@ impl Body {
     }
 }
 
+/// What a body is, whatever holds it.
+#[derive(Debug)]
+struct ShapeOfBody {
+    mesh: Mesh,
+    nodes: Vec<[f64; 3]>,
+    edges: Vec<[usize; 2]>,
+    geometry: Geometry,
+}
+
+/// Check that what rests on springs lies on the surface.
+fn check_resting(mesh: &Mesh, supports: &Supports) -> Result<(), FemError> {
+    if supports.resting().is_empty() {
+        return Ok(());
+    }
+    let surface: BTreeSet<[usize; 3]> =
+        mesh.surface_triangles().iter().map(|&t| ascending(t)).collect();
+    for (row, resting) in supports.resting().iter().enumerate() {
+        if !surface.contains(&ascending(resting.triangle)) {
+            return Err(FemError::NotOnSurface { row, triangle: resting.triangle });
+        }
+    }
+    Ok(())
+}
+
 fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
     triangle.sort_unstable();
     triangle
-}
-
-fn area([a, b, c]: [[f64; 3]; 3]) -> f64 {
-    let u: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
-    let v: [f64; 3] = std::array::from_fn(|i| c[i] - a[i]);
-    let n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-    0.5 * n.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 
 /// Held axes of corner nodes, followed by those of mid-edge nodes.

@@ -127,7 +127,7 @@ impl Groups {
         let mut found = std::collections::HashMap::<u64, Vec<usize>>::new();
         let mut of_member = Vec::with_capacity(members.len());
         for member in members {
-            let (shape, young) = Shape::of(member.material);
+            let (shape, young) = Shape::of(member.material, &member.load.springs);
             let same = found.entry(shape.key()).or_default();
             let group = match same.iter().find(|&&g| shapes[g].0 == shape) {
                 Some(&group) => group,

@@ -215,6 +215,48 @@ pub enum FemError {
         /// The value found.
         found: f64,
     },
+    /// A number that describes a material or a rig is outside its range.
+    #[error("`{name}` must be {must}; found {found}")]
+    BadParameter {
+        /// Name of the number.
+        name: &'static str,
+        /// What must hold.
+        must: &'static str,
+        /// The value found.
+        found: f64,
+    },
+    /// A time frame lies before the last one.
+    #[error("time must not run backwards: the frame at {time_s} s comes after one at {last_s} s")]
+    TimeRunsBack {
+        /// Time of the frame, s.
+        time_s: f64,
+        /// Time of the frame before, s.
+        last_s: f64,
+    },
+    /// The supports count on springs that the load does not have.
+    #[error(
+        "the supports rest on springs on the triangle of nodes {} {} {}, but the load has no such springs there",
+        .triangle[0], .triangle[1], .triangle[2]
+    )]
+    MissingSprings {
+        /// Corner nodes of the triangle.
+        triangle: [usize; 3],
+    },
+    /// No unloaded shape was found.
+    #[error(
+        "no unloaded shape was found in {iterations} iterations: the loaded one is off by {distance:.3e} mm, asked for {tolerance:.0e} mm; {}",
+        .cause.as_ref().map_or_else(|| "a smaller weight or a stiffer material may have one".to_owned(), |e| e.to_string())
+    )]
+    NoRestShape {
+        /// Iterations done.
+        iterations: usize,
+        /// Largest distance of a loaded node from where it should be, mm.
+        distance: f64,
+        /// Distance asked for, mm.
+        tolerance: f64,
+        /// What stopped the search, where it was an error.
+        cause: Option<Box<FemError>>,
+    },
     /// A displacement given, to start from or to examine, turns a tetrahedron inside out.
     #[error("the displacement given inverts tetrahedron {tet}: det F = {det_f:.3e}")]
     InvertedStart {
@@ -246,7 +288,10 @@ impl FemError {
     /// assert!(FemError::InvertedStart { tet: 3, det_f: -0.1 }.is_recoverable());
     /// ```
     pub fn is_recoverable(&self) -> bool {
-        matches!(self, Self::NoEquilibrium(_) | Self::InvertedStart { .. })
+        matches!(
+            self,
+            Self::NoEquilibrium(_) | Self::InvertedStart { .. } | Self::NoRestShape { .. }
+        )
     }
 }
 

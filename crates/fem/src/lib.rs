@@ -69,6 +69,13 @@
 //! makes load steps; [`Method`] and [`LoadSteps`] choose otherwise. Residuals are evaluated in
 //! double precision, so the answer does not depend on any of this.
 //!
+//! # Through time
+//!
+//! [`History`] leads a body from one time frame to the next, with relaxation, rate, softening, set,
+//! drainage and swelling ([`Behaviour`]) on any law; [`Rig`] bonds pads to it and releases them.
+//! [`Springs`] hold facets of its surface, a [`Skin`] covers them, and [`rest_shape`] finds the
+//! unloaded shape of a body that is given as it hangs.
+//!
 //! # Promises
 //!
 //! The same input gives the same bits at any number of threads and in any batch (on one machine).
@@ -82,25 +89,35 @@ mod element;
 mod ensemble;
 mod error;
 mod groups;
+mod history;
 mod load;
 pub mod material;
 mod mesh;
+mod rest_shape;
+mod resultant;
 mod solve;
 mod supports;
+mod surface;
 mod system;
 
 pub use body::Body;
 pub use element::Element;
 pub use ensemble::{Member, Outcome, solve_many};
 pub use error::{FemError, NoEquilibrium, StopReason, WorstTet};
+pub use history::{
+    Behaviour, Drainage, History, Pad, Part, Relaxation, Rig, RigFrame, Set, Softening, Swelling,
+};
 pub use load::Load;
 pub use material::{Material, Stiffness};
 pub use mesh::{DEGENERATE_LIMIT, Mesh};
+pub use rest_shape::{RestShape, rest_shape};
+pub use resultant::{Resultant, resultant};
 pub use solve::{
     LoadSteps, Method, Solution, SolveReport, SolveSettings, StageSeconds, internal_forces,
     is_stable, solve, solve_from,
 };
 pub use supports::Supports;
+pub use surface::{Skin, Springs};
 pub use system::RigidModes;
 
 /// Runs the examples of the README.

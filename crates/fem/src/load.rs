@@ -4,6 +4,7 @@
 
 use crate::body::Body;
 use crate::error::FemError;
+use crate::surface::Springs;
 
 /// What acts on a body; the default is nothing.
 ///
@@ -29,6 +30,8 @@ pub struct Load {
     /// Where held nodes go, mm: one row a held node, in the order in which they were given. Axes
     /// that are not held are ignored. None leaves them where they are.
     pub prescribed: Option<Vec<[f64; 3]>>,
+    /// Springs between facets of the surface and their undeformed place.
+    pub springs: Vec<Springs>,
 }
 
 impl Load {
@@ -44,7 +47,7 @@ impl Load {
 }
 
 /// A load on the unknowns of a body: forces and displacements at every node, flat.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct NodalLoad {
     /// `(3 n_nodes)`, mN.
     pub(crate) force: Vec<f64>,

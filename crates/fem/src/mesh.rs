@@ -70,6 +70,18 @@ impl Mesh {
         Ok(Self { nodes, tets, surface_triangles, blocks })
     }
 
+    /// The same tetrahedra on nodes at other places.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::WrongLength`], and as [`Mesh::new`] for coordinates and volumes.
+    pub fn moved_to(&self, nodes: Vec<[f64; 3]>) -> Result<Self, FemError> {
+        crate::load::check_length("nodes", self.n_nodes(), nodes.len())?;
+        check_nodes(&nodes, &self.tets)?;
+        check_volumes(&nodes, &self.tets)?;
+        Ok(Self { nodes, ..self.clone() })
+    }
+
     /// Node coordinates, mm.
     pub fn nodes(&self) -> &[[f64; 3]] {
         &self.nodes

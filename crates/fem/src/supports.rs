@@ -1,6 +1,9 @@
 //! Which nodes are held, and along which axes.
 
+use std::collections::BTreeSet;
+
 use crate::error::FemError;
+use crate::surface::Springs;
 
 /// Held nodes, each along chosen axes.
 ///
@@ -21,6 +24,15 @@ use crate::error::FemError;
 pub struct Supports {
     nodes: Vec<usize>,
     axes: Vec<[bool; 3]>,
+    resting: Vec<Resting>,
+}
+
+/// A facet that rests on springs, and in which directions these have stiffness.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Resting {
+    pub(crate) triangle: [usize; 3],
+    pub(crate) normal: bool,
+    pub(crate) tangential: bool,
 }
 
 impl Supports {
@@ -41,6 +53,42 @@ impl Supports {
         self.nodes.extend_from_slice(nodes);
         self.axes.resize(self.nodes.len(), axes);
         self
+    }
+
+    /// Count on springs to hold the body: loads must have springs on these triangles.
+    ///
+    /// Which way they hold it is seen from their stiffness: springs without tangential stiffness
+    /// leave a flat base free to glide.
+    #[must_use]
+    pub fn rest_on(mut self, springs: &Springs) -> Self {
+        let (normal, tangential) = (springs.normal > 0.0, springs.tangential > 0.0);
+        let rows = springs.triangles.iter();
+        self.resting.extend(rows.map(|&triangle| Resting { triangle, normal, tangential }));
+        self
+    }
+
+    /// Facets that rest on springs.
+    pub(crate) fn resting(&self) -> &[Resting] {
+        &self.resting
+    }
+
+    /// Check that a load has the springs that are counted on.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::MissingSprings`].
+    pub(crate) fn check_springs(&self, springs: &[Springs]) -> Result<(), FemError> {
+        let directions = |resting: &Resting| (resting.normal, resting.tangential);
+        let there: BTreeSet<([usize; 3], (bool, bool))> = springs
+            .iter()
+            .flat_map(|set| Self::new().rest_on(set).resting)
+            .map(|r| (ascending(r.triangle), directions(&r)))
+            .collect();
+        let missing = |r: &&Resting| !there.contains(&(ascending(r.triangle), directions(r)));
+        match self.resting.iter().find(missing) {
+            Some(resting) => Err(FemError::MissingSprings { triangle: resting.triangle }),
+            None => Ok(()),
+        }
     }
 
     /// Held nodes, in the order in which they were given.
@@ -68,6 +116,11 @@ impl Supports {
         }
         Ok(by_node)
     }
+}
+
+fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
+    triangle.sort_unstable();
+    triangle
 }
 
 impl From<&[usize]> for Supports {

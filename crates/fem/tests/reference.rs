@@ -6,7 +6,9 @@ mod common;
 use std::path::Path;
 
 use common::{largest, largest_difference, npz};
-use tissuereg_fem::{Body, Element, Load, Material, Mesh, SolveSettings, solve};
+use tissuereg_fem::{
+    Behaviour, Body, Element, History, Load, Material, Mesh, Softening, SolveSettings, solve,
+};
 
 #[test]
 fn a_bent_bar_agrees_with_scikit_fem() {
@@ -29,6 +31,31 @@ fn a_bent_bar_agrees_with_scikit_fem() {
         let reference = arrays[name].rows3();
         let error = largest_difference(&answer.displacement[..body.n_corner_nodes()], &reference);
         assert!(error < 1e-8 * largest(&reference), "{name}: {error} mm");
+    }
+}
+
+#[test]
+fn a_softening_bar_agrees_with_felupe_through_load_and_unload() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    let bar = npz::read(&folder.join("bar_reference.npz")).expect("committed");
+    let reference = npz::read(&folder.join("history_reference.npz")).expect("committed");
+    let material =
+        Material::neo_hookean(bar["young_kPa"].values[0], bar["poisson"].values[0]).expect("sound");
+    let [r, m_kpa, beta] = reference["softening"].rows3()[0];
+    let behaviour =
+        Behaviour { softening: Some(Softening { r, m_kpa, beta }), ..Behaviour::default() };
+    let mesh = Mesh::new(bar["nodes_mm"].rows3(), bar["tets"].index_rows()).expect("sound");
+    let body = Body::new(mesh, Element::Tet4, bar["fixed_nodes"].indices()).expect("held");
+    let mut history = History::new(&body, material, behaviour).expect("sound");
+    let frames = reference["displacement_mm"].rows3();
+    for (frame, factor) in reference["factors"].values.iter().enumerate() {
+        let forces = bar["forces_mN"].rows3();
+        let load = Load::from_forces(forces.iter().map(|f| f.map(|v| factor * v)).collect());
+        let settings = SolveSettings { tolerance: 1e-10, ..SolveSettings::default() };
+        let answer = history.advance(&body, &load, frame as f64, &settings).expect("an answer");
+        let wanted = &frames[frame * body.n_nodes()..(frame + 1) * body.n_nodes()];
+        let error = largest_difference(&answer.displacement, wanted);
+        assert!(error < 1e-6 * largest(wanted), "frame {frame}: {error} mm");
     }
 }
 

@@ -4,6 +4,7 @@ Readers import meshio on first use only, so that importing tissuereg stays quick
 whole file or none.
 """
 
+from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.meshes import read_mesh, write_vtu
 from tissuereg.io.problems import Problem, read_problem, read_simulation, write_solution
@@ -17,6 +18,7 @@ __all__ = [
     "read_problem",
     "read_simulation",
     "read_targets",
+    "write_experiment",
     "write_solution",
     "write_targets",
     "write_vtu",

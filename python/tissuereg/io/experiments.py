@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.effects import Effect, check_effects, effect_from_table
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, MeshError
 from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
@@ -16,14 +17,6 @@ from tissuereg.io.meshes import nodes_near_plane, read_mesh
 from tissuereg.io.toml import Table, read_toml
 from tissuereg.material import GRAVITY_MM_PER_S2, SHAPE_KEYS, Material
 from tissuereg.mesh import Mesh
-
-#: Ids that an ``[[effect]]`` table may have; this release's solver runs none of them.
-EFFECTS = (
-    "stiffness", "poisson", "stiffening", "mooney", "asymmetry", "fibre", "inclusion", "layer", "relaxation", "rate",
-    "softening", "set", "gravity", "reference", "sliding", "detachment", "actuator_gain", "actuator_direction",
-    "actuator_offset", "swelling", "frame", "scale", "latency", "marker_slip", "marker_swap", "drainage", "drift",
-    "mesh_error",
-)  # fmt: skip
 
 _CONTROL_TABLES = {"displacement": ("actuators.csv", "mm"), "force": ("forces_applied.csv", "mN")}
 
@@ -57,20 +50,23 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
         message = f"an experiment must be a folder with an experiment.toml; no such file: {file}"
         raise FormatError(message, where=str(file))
     top = read_toml(file)
-    _refuse_what_cannot_run(top)
+    _refuse_other_kinds(top)
+    tables = (file.parent / top.text("tables")) if "tables" in top else file.parent
     name = top.text("name", file.absolute().parent.name)
-    mesh = _mesh(top)
+    mesh_file, mesh = _mesh(top)
     material, young_std, poisson_std = _material(top)
     gravity = _gravity(top)
     boundaries = tuple(_boundary(table, mesh) for table in top.tables("boundary"))
     actuators = tuple(_actuator(table, mesh) for table in top.tables("actuator"))
     mesh = _with_patches(top, mesh, boundaries, actuators)
     targets = _targets(top)
-    measured = _measured(top, actuators, targets)
+    measured = _measured(top, tables, actuators, targets)
+    effects = top.tables("effect")
     top.finish()
-    return Experiment(
+    experiment = Experiment(
         name=name,
-        folder=file.parent,
+        folder=tables,
+        mesh_file=mesh_file,
         mesh=mesh,
         material=material,
         young_std=young_std,
@@ -85,7 +81,14 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
         cases=measured.cases,
         force_std=measured.force_std,
         rest_case=measured.rest_case,
+        effects=tuple(_effect(table) for table in effects),
     )
+    try:
+        check_effects(experiment)
+    except ExperimentError as error:
+        message = f"{error} of {file}"
+        raise ExperimentError(message, where=f"{file}:{error.where}") from error
+    return experiment
 
 
 def is_experiment(path: str | os.PathLike[str]) -> bool:
@@ -118,22 +121,24 @@ class _Measured:
     cases: dict[str, Case]
 
 
-def _refuse_what_cannot_run(top: Table) -> None:
+def _refuse_other_kinds(top: Table) -> None:
     kind = top.text("kind", "rig")
     if kind != "rig":
         top.refuse("an experiment must be a rig with mesh and markers; this release reads no other `kind`", kind)
-    for table in top.tables("effect"):
-        identity = table.text("id")
-        if identity not in EFFECTS:
-            table.refuse(f"an effect's id must be one of {', '.join(EFFECTS)}", identity)
-        table.refuse("every effect must be one that this release can simulate, and it runs none yet", identity)
 
 
-def _mesh(top: Table) -> Mesh:
+def _effect(table: Table) -> Effect:
+    try:
+        return effect_from_table(table.rest())
+    except ExperimentError as error:
+        table.refuse(str(error))
+
+
+def _mesh(top: Table) -> tuple[Path, Mesh]:
     table = _needed_table(top, "mesh")
     file = table.file.parent / table.text("file")
     table.finish()
-    return read_mesh(file)
+    return file, read_mesh(file)
 
 
 def _material(top: Table) -> tuple[Material, float | None, float | None]:
@@ -170,7 +175,7 @@ def _boundary(table: Table, mesh: Mesh) -> Boundary:
     kind = table.text("kind", "fixed", among=("fixed",))
     nodes = _selected_nodes(table, mesh)
     table.finish()
-    return Boundary(name, nodes, kind)
+    return Boundary(name, nodes, kind, table.get("nodes"))
 
 
 def _actuator(table: Table, mesh: Mesh) -> Actuator:
@@ -181,7 +186,7 @@ def _actuator(table: Table, mesh: Mesh) -> Actuator:
     contact = table.text("contact", "bonded", among=("bonded",))
     nodes = _selected_nodes(table, mesh)
     table.finish()
-    return Actuator(name, nodes, kind, contact)
+    return Actuator(name, nodes, kind, contact, table.get("nodes"))
 
 
 def _selected_nodes(table: Table, mesh: Mesh) -> IntArray:
@@ -216,14 +221,14 @@ def _near_plane(rule: Table, mesh: Mesh) -> IntArray:
 
 def _within_sphere(rule: Table, mesh: Mesh) -> IntArray:
     centre, radius = rule.numbers("centre_mm", 3), rule.number("radius_mm", positive=True)
-    distance = np.linalg.norm(mesh.nodes[mesh.surface_nodes] - centre, axis=1)
-    nodes = mesh.surface_nodes[distance <= radius]
+    nodes = mesh.surface_nodes_within(centre, radius)
     if nodes.size == 0:
+        distance = np.linalg.norm(mesh.nodes[mesh.surface_nodes] - centre, axis=1)
         rule.refuse(
             f"a surface node must lie within {radius:g} mm of {centre.tolist()}; "
             f"the nearest is {distance.min():.4g} mm away"
         )
-    return np.asarray(nodes)
+    return nodes
 
 
 def _targets(top: Table) -> dict[str, FloatArray]:
@@ -252,8 +257,7 @@ def _with_patches(top: Table, mesh: Mesh, boundaries: Sequence[Boundary], actuat
     return Mesh(mesh.nodes, mesh.tets, sets)
 
 
-def _measured(top: Table, actuators: Sequence[Actuator], targets: dict[str, FloatArray]) -> _Measured:
-    folder = top.file.parent
+def _measured(top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray]) -> _Measured:
     table = _needed_table(top, "markers")
     std = table.number("std_mm", positive=True)
     rest_case = table.text("rest_case") if "rest_case" in table else None
@@ -262,11 +266,11 @@ def _measured(top: Table, actuators: Sequence[Actuator], targets: dict[str, Floa
     markers = read_histories(folder / "markers.csv", "marker", "mm", None if reference is None else reference)
     if reference is None:
         reference = _first_places(table, markers, reference_time)
-    force_std, forces = _measured_forces(top, actuators)
+    force_std, forces = _measured_forces(top, folder, actuators)
     places: Histories = {}
     if (folder / "targets.csv").exists():
         places = read_histories(folder / "targets.csv", "target", "mm", targets)
-    cases = assemble_cases(markers, tuple(reference), actuators, _controls(top, actuators), forces, places)
+    cases = assemble_cases(markers, tuple(reference), actuators, _controls(folder, actuators), forces, places)
     if rest_case is not None and rest_case not in cases:
         table.refuse(f"`rest_case` must be one of the cases {', '.join(cases)}", rest_case)
     return _Measured(tuple(reference), np.array(list(reference.values())), std, rest_case, force_std, cases)
@@ -301,8 +305,8 @@ def _first_places(table: Table, markers: Histories, time: float) -> dict[str, Fl
     return places
 
 
-def _measured_forces(top: Table, actuators: Sequence[Actuator]) -> tuple[float | None, Histories]:
-    table, path = top.table("forces"), top.file.parent / "forces.csv"
+def _measured_forces(top: Table, folder: Path, actuators: Sequence[Actuator]) -> tuple[float | None, Histories]:
+    table, path = top.table("forces"), folder / "forces.csv"
     if table is None:
         if path.exists():
             top.refuse("[forces] with std_mN must be given, since there is a forces.csv")
@@ -312,11 +316,11 @@ def _measured_forces(top: Table, actuators: Sequence[Actuator]) -> tuple[float |
     return std, read_histories(path, "actuator", "mN", [actuator.name for actuator in actuators])
 
 
-def _controls(top: Table, actuators: Sequence[Actuator]) -> dict[str, Histories]:
+def _controls(folder: Path, actuators: Sequence[Actuator]) -> dict[str, Histories]:
     found: dict[str, Histories] = {}
     for kind, (file, unit) in _CONTROL_TABLES.items():
         names = [actuator.name for actuator in actuators if actuator.kind == kind]
-        path = top.file.parent / file
+        path = folder / file
         if names or path.exists():
             found[kind] = read_histories(path, "actuator", unit, names)
     return found

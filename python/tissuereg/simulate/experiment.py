@@ -1,19 +1,22 @@
 """What an experiment's believed model says: of one frame, of a case, of all of it.
 
-The model is elastic, so a frame depends on its own load alone and all frames of a case are solved in parallel.
+Where the model is elastic a frame depends on its own load alone, and all frames of a case are solved in parallel. With
+memory, sliding supports, or a mesh that hangs in gravity already they are solved one after another (`memory`).
 """
 
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.effects import extended, seen_markers
 from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.load import Load
 from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.simulate.loading import hangs_already, pads_of, traction_of, weight_of
+from tissuereg.simulate.memory import SolvedCase, goes_through_time, solve_through_time
 from tissuereg.simulate.solve import Simulator
 
 
@@ -44,7 +47,7 @@ class CaseSimulation:
     displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
         mm; NaN in frames without equilibrium.
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
-        Places of the markers in mm.
+        Places of the markers in mm, as the tracker sees them.
     forces : dict of str to ndarray of float64, shape (n_frames, 3)
         Force on the body at every displacement actuator that is present, mN.
     targets : dict of str to ndarray of float64, shape (n_frames, 3)
@@ -67,7 +70,7 @@ def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", 
     Parameters
     ----------
     experiment : Experiment
-        What is believed.
+        What is believed, effects worked in (`tissuereg.effects.extended`).
     case : Case
         One of its cases.
     element : {"tet4", "tet10"}
@@ -79,22 +82,20 @@ def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", 
     -------
     Believed
         A pad is bonded to the shape that the body has when the case begins: with gravity acting, the sagged one.
+        A weight that acts in the mesh as given already is left out: it is in balance there, and what it changes of
+        the answer to other loads is not seen. `simulate_experiment` sees it.
 
     Raises
     ------
     ConvergenceError
         If the body's own weight finds no equilibrium.
-
-    Warns
-    -----
-    UserWarning
-        If the mesh is said to hang in gravity already: its prestress is left out.
     """
     mesh = experiment.mesh
-    pads = [a for a in experiment.actuators if a.kind == "displacement" and a.name in case.displacements]
+    pads = pads_of(experiment, case)
     fixed = mesh.fixed_nodes
     held = np.unique(np.concatenate([fixed, *(pad.nodes for pad in pads)]))
-    weight, sag = _weight(experiment), np.zeros((mesh.n_nodes, 3))
+    weight = None if hangs_already(experiment) else weight_of(experiment)
+    sag = np.zeros((mesh.n_nodes, 3))
     if weight is not None and pads:
         sag = (
             Simulator(mesh, element=element)
@@ -112,7 +113,7 @@ def simulate_experiment(
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, CaseSimulation]:
-    """Return what the believed model says of every case.
+    """Return what the believed model says of every case, its effects included.
 
     Parameters
     ----------
@@ -133,28 +134,81 @@ def simulate_experiment(
     Raises
     ------
     ConvergenceError
-        If no frame of a case finds equilibrium.
+        If no frame of a case finds equilibrium, or a mesh that hangs in gravity already has no unloaded shape.
+    ExperimentError
+        If an effect does not fit the experiment.
     """
+    experiment = extended(experiment, element)
     markers = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
     targets = TargetObservation(experiment.mesh, experiment.targets)
-    in_all = sum(len(case.times) for case in experiment.cases.values())
-    done, answers = 0, {}
+    solved = solve_cases(
+        experiment, list(experiment.cases.values()), element=element, threads=threads, progress=progress
+    )
+    answers = {}
     for name, case in experiment.cases.items():
-        report = None if progress is None else (lambda n, before=done: progress(before + n, in_all))
-        answers[name] = _simulate_case(experiment, case, markers, targets, element, threads, report)
-        done += len(case.times)
+        field = solved[name].displacement
+        places = experiment.marker_reference + markers.predict(field[:, markers.nodes])
+        inner = targets.reference + targets.predict(field[:, targets.nodes])
+        answers[name] = CaseSimulation(
+            case.times,
+            field,
+            seen_markers(experiment, places, case.times),
+            solved[name].forces,
+            {target: inner[:, i] for i, target in enumerate(targets.names)},
+            solved[name].failed,
+        )
     return answers
 
 
-def _simulate_case(
+def solve_cases(
     experiment: Experiment,
-    case: Case,
-    markers: MarkerObservation,
-    targets: TargetObservation,
-    element: str,
-    threads: int,
-    progress: Callable[[int], None] | None,
-) -> CaseSimulation:
+    cases: Sequence[Case],
+    *,
+    element: str = "tet4",
+    threads: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, SolvedCase]:
+    """Return the equilibria of cases: elastic frames in parallel, those that remember one after another.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Effects worked in (`tissuereg.effects.extended`).
+    cases : sequence of Case
+        Some of its cases.
+    element : {"tet4", "tet10"}
+        Elements to use.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    progress : callable of (int, int), optional
+        Called with frames done and frames in all.
+
+    Returns
+    -------
+    dict of str to SolvedCase
+        One a case.
+
+    Raises
+    ------
+    ConvergenceError, ExperimentError
+        As `simulate_experiment`.
+    """
+    in_all = sum(len(case.times) for case in cases)
+    if goes_through_time(experiment):
+        through = None if progress is None else (lambda n: progress(n, in_all))
+        return solve_through_time(experiment, cases, element=element, threads=threads, progress=through)
+    done, solved = 0, {}
+    for case in cases:
+        report = None if progress is None else (lambda n, before=done: progress(before + n, in_all))
+        solved[case.name] = _solve_elastic(experiment, case, element, threads, report)
+        done += len(case.times)
+    return solved
+
+
+def _solve_elastic(
+    experiment: Experiment, case: Case, element: str, threads: int, progress: Callable[[int], None] | None
+) -> SolvedCase:
+    """Return the frames of a case, each on its own and all in parallel."""
     believed = believed_case(experiment, case, element=element, threads=threads)
     simulator = believed.simulator
     materials = [experiment.material] * len(believed.loads)
@@ -162,33 +216,11 @@ def _simulate_case(
     if len(found.failed) == len(case.times):
         message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {found.failed[0][1]}"
         raise ConvergenceError(message, where=case.name)
-    field = found.displacement
-    moved = targets.predict(field[:, targets.nodes])
-    return CaseSimulation(
-        case.times,
-        field,
-        experiment.marker_reference + markers.predict(field[:, markers.nodes]),
-        {
-            pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)
-            for pad in experiment.actuators
-            if pad.kind == "displacement" and pad.name in case.displacements
-        },
-        {name: targets.reference[i] + moved[:, i] for i, name in enumerate(targets.names)},
-        found.failed,
-    )
-
-
-def _weight(experiment: Experiment) -> FloatArray | None:
-    gravity = experiment.gravity
-    if gravity is None:
-        return None
-    if gravity.in_reference:
-        warnings.warn(
-            "gravity acts in the reference shape already: its prestress is left out of the simulation",
-            stacklevel=4,
-        )
-        return None
-    return experiment.material.weight(gravity.direction, gravity.g_mm_per_s2)
+    forces = {
+        pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)
+        for pad in pads_of(experiment, case)
+    }
+    return SolvedCase(found.displacement, forces, found.failed)
 
 
 def _load(
@@ -205,23 +237,4 @@ def _load(
         rows = np.flatnonzero(np.isin(held, pad.nodes))
         prescribed[rows] = sag[held[rows]] + case.displacements[pad.name][frame]
     prescribed[np.isin(held, experiment.mesh.fixed_nodes)] = 0.0
-    triangles, tractions = [], []
-    for pad in experiment.actuators:
-        if pad.kind == "force" and pad.name in case.applied_forces:
-            patch, area = _patch(experiment, pad)
-            triangles.append(patch)
-            tractions.append(np.broadcast_to(case.applied_forces[pad.name][frame] / area, (len(patch), 3)))
-    traction = (np.concatenate(triangles), np.concatenate(tractions)) if triangles else None
-    return Load(body_force=weight, prescribed=prescribed, traction=traction)
-
-
-def _patch(experiment: Experiment, pad: Actuator) -> tuple[IntArray, float]:
-    """Return the boundary triangles of a force actuator's patch and their area in mm^2."""
-    mesh = experiment.mesh
-    inside = np.isin(mesh.surface, pad.nodes)
-    # A patch smaller than a triangle still loads the triangles around its nodes.
-    rows = inside.all(axis=1) if inside.all(axis=1).any() else inside.any(axis=1)
-    triangles = mesh.surface[rows]
-    corners = mesh.nodes[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return triangles, float(0.5 * np.linalg.norm(normal, axis=1).sum())
+    return Load(body_force=weight, prescribed=prescribed, traction=traction_of(experiment, case, frame))

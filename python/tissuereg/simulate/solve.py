@@ -125,7 +125,7 @@ class Simulator:
         LoadError, MaterialError, ShapeError
             If the input does not fit the body.
         """
-        young, poisson = self._moduli(material)
+        young, poisson = self.moduli(material)
         found = self.body.solve(
             young,
             poisson,
@@ -167,7 +167,7 @@ class Simulator:
         if len(loads) != len(materials):
             message = f"there must be one material a load, got {len(materials)} for {len(loads)}"
             raise LoadError(message, where="materials")
-        moduli = [self._moduli(material) for material in materials]
+        moduli = [self.moduli(material) for material in materials]
         found = self.body.solve_many(
             _one_a_member([m[0] for m in moduli]),
             _one_a_member([m[1] for m in moduli]),
@@ -183,7 +183,24 @@ class Simulator:
         )
         return Simulations(found.displacement[:, : self.mesh.n_nodes].copy(), found.reactions, found.failed)
 
-    def _moduli(self, material: Material) -> tuple[FloatArray, FloatArray]:
+    def moduli(self, material: Material) -> tuple[FloatArray, FloatArray]:
+        """Return a material's moduli, checked against the mesh.
+
+        Parameters
+        ----------
+        material : Material
+            One value for all tets, or one a tet.
+
+        Returns
+        -------
+        tuple of ndarray of float64, each of shape (1,) or (n_tets,)
+            Young's modulus in kPa and Poisson's ratio.
+
+        Raises
+        ------
+        MaterialError
+            If the number of values is neither one nor that of the tets.
+        """
         young, poisson = material.young_array, material.poisson_array
         n_points = 4 if self.element == "tet10" else 1
         for name, values in (("young", young), ("poisson", poisson)):

@@ -6,7 +6,7 @@ use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 use tissuereg_fem::material::homogeneous::{Compressibility, Mode, nominal_stress};
 use tissuereg_fem::material::{Directions, Fibres, LawKind, Volumetric};
-use tissuereg_fem::{Body, FemError, Material, Stiffness};
+use tissuereg_fem::{Element, FemError, Material, Stiffness};
 
 use super::bad_choice;
 use crate::arrays::View;
@@ -117,7 +117,8 @@ impl Law {
     /// The law with one modulus for all, one a tet or one a quadrature point.
     pub(super) fn material(
         &self,
-        body: &Body,
+        element: Element,
+        n_tets: usize,
         young: &[f64],
         poisson: &[f64],
     ) -> Result<Material, FemError> {
@@ -125,10 +126,10 @@ impl Law {
             (&[young], n) => vec![young; n],
             (young, _) => young.to_vec(),
         };
-        let n_points = body.element().n_points();
+        let n_points = element.n_points();
         self.with_moduli(match (young.as_slice(), poisson) {
             (&[young], &[poisson]) => Stiffness::Uniform { young, poisson },
-            (field, poisson) if field.len() == body.n_tets() => {
+            (field, poisson) if field.len() == n_tets => {
                 Stiffness::PerTet { young, poisson: poisson.to_vec() }
             }
             (_, poisson) => Stiffness::PerPoint { n_points, young, poisson: poisson.to_vec() },

@@ -91,13 +91,14 @@ impl Members {
             let law = laws.get(if laws.len() == 1 { 0 } else { member });
             let material = law
                 .map_or(&Law::default(), |law| law)
-                .material(body, of_young, of_poisson)
+                .material(body.element(), body.n_tets(), of_young, of_poisson)
                 .map_err(|error| errors::from_fem(py, &error, Some(member)))?;
             members.materials.push(material);
             members.loads.push(Load {
                 nodal_forces: rows(&forces, member),
                 body_force: body_force.as_ref().map_or([0.0; 3], |rows| rows.rows()[member]),
                 prescribed: rows(&prescribed, member),
+                springs: Vec::new(),
             });
         }
         Ok(members)

@@ -2,6 +2,7 @@
 
 mod law;
 mod many;
+mod rig;
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -14,6 +15,7 @@ use tissuereg_fem::{Element, FemError, Load, LoadSteps, Mesh, Method, SolveSetti
 
 pub(crate) use self::law::Law;
 pub(crate) use self::many::ManySolutions;
+pub(crate) use self::rig::{Rig, RigFrame};
 use crate::arrays::{self, View};
 use crate::errors::{self, Class};
 use crate::{lock, report};
@@ -202,11 +204,14 @@ impl Body {
 
         let mapped = |error: FemError| errors::from_fem(py, &error, None);
         let law = law.cloned().unwrap_or_default();
-        let material = law.material(body, young.slice(), poisson.slice()).map_err(mapped)?;
+        let material = law
+            .material(body.element(), body.n_tets(), young.slice(), poisson.slice())
+            .map_err(mapped)?;
         let load = Load {
             nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
             body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
             prescribed: prescribed.map(|rows| rows.rows::<3>().to_vec()),
+            springs: Vec::new(),
         };
         let start = start.map(|rows| rows.rows::<3>().to_vec());
         let body = self.0.clone();

@@ -131,6 +131,28 @@ pub(crate) fn det_f_by_element(geometry: &Geometry, displacement: &[f64]) -> Vec
     }
 }
 
+/// Displacement gradients at all quadrature points, element after element.
+pub(crate) fn gradients_at_points(geometry: &Geometry, displacement: &[f64]) -> Vec<Matrix3> {
+    match geometry.element {
+        Element::Tet4 => gradients_with(&TET4, geometry, displacement),
+        Element::Tet10 => gradients_with(&TET10, geometry, displacement),
+    }
+}
+
+fn gradients_with<const N: usize, const Q: usize>(
+    rule: &Rule<N, Q>,
+    geometry: &Geometry,
+    displacement: &[f64],
+) -> Vec<Matrix3> {
+    (0..geometry.n_elements())
+        .flat_map(|element| {
+            let u = local::<N>(geometry, element, displacement);
+            let jacobian = &geometry.inverse_jacobian[element];
+            rule.gradients.iter().map(move |g| displacement_gradient(&u, g, jacobian))
+        })
+        .collect()
+}
+
 fn det_f_with<const N: usize, const Q: usize>(
     rule: &Rule<N, Q>,
     geometry: &Geometry,

@@ -4,6 +4,7 @@ use super::kind::not_negative;
 use super::stiffness::Layout;
 use super::{Fibre, Fibres, Law, LawKind, NeoHookean, Parameter, Stiffness, Volumetric};
 use crate::error::FemError;
+use crate::surface::Skin;
 
 /// A law with its parameters over a body.
 ///
@@ -43,6 +44,7 @@ pub struct Material {
     kind: LawKind,
     volumetric: Volumetric,
     fibres: Option<Fibres>,
+    skin: Vec<Skin>,
 }
 
 impl Material {
@@ -61,6 +63,7 @@ impl Material {
             kind: LawKind::NeoHookean,
             volumetric: Volumetric::Log,
             fibres: None,
+            skin: Vec::new(),
         })
     }
 
@@ -115,6 +118,22 @@ impl Material {
         }
         self.fibres = Some(fibres);
         Ok(self)
+    }
+
+    /// Cover facets of the surface with a thin skin.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::BadParameter`]. That the triangles are facets is checked with the body.
+    pub fn with_skin(mut self, skin: Skin) -> Result<Self, FemError> {
+        skin.check()?;
+        self.skin.push(skin);
+        Ok(self)
+    }
+
+    /// Skins, in the order in which they were added.
+    pub fn skin(&self) -> &[Skin] {
+        &self.skin
     }
 
     /// Stiffness as given.

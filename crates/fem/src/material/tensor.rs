@@ -118,7 +118,7 @@ pub(super) fn add_twist(sum: &mut Tangent, weight: f64, m: &Matrix3) {
 
 /// `x − ln(1 + x)` without cancellation, given `log = ln(1 + x)`.
 #[inline(always)]
-pub(super) fn x_minus_log(x: f64, log: f64) -> f64 {
+pub(crate) fn x_minus_log(x: f64, log: f64) -> f64 {
     if x.abs() > 0.03 {
         return x - log;
     }

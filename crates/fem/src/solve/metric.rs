@@ -13,6 +13,7 @@ use crate::body::Body;
 use crate::error::FemError;
 use crate::material::{Fibres, Layout, Material, Stiffness};
 use crate::solve::problem::{Problem, State, Workspace};
+use crate::surface::{Skin, Springs, SurfaceTerms, WithFacets};
 use crate::system::factor::{Factor, Making};
 
 /// Factor of `K / scale⁻¹`: a solve with it is multiplied by `scale`.
@@ -97,11 +98,14 @@ pub(crate) struct Shape {
     layout: Layout,
     /// Fibres as far as they matter at rest.
     fibres: Option<Fibres>,
+    /// Springs and skins, their stiffness over the same modulus.
+    springs: Vec<Springs>,
+    skin: Vec<Skin>,
 }
 
 impl Shape {
-    /// Shape of a material's stiffness and the modulus that was divided out, kPa.
-    pub(crate) fn of(material: &Material) -> (Self, f64) {
+    /// Shape of a stiffness with springs and the modulus that was divided out, kPa.
+    pub(crate) fn of(material: &Material, springs: &[Springs]) -> (Self, f64) {
         let stiffness = material.stiffness();
         let (young, poisson) = stiffness.fields();
         let largest = young.iter().fold(0.0_f64, |m, &v| m.max(v));
@@ -111,7 +115,14 @@ impl Shape {
             poisson: poisson.to_vec(),
             layout: stiffness.layout(),
             fibres: fibres.map(|fibres| Fibres { k2: 0.0, tension_only: false, ..fibres.clone() }),
+            springs: springs.to_vec(),
+            skin: material.skin().to_vec(),
         };
+        for set in &mut shape.springs {
+            set.normal /= largest;
+            set.tangential /= largest;
+        }
+        shape.skin.iter_mut().for_each(|sheet| sheet.young /= largest);
         shape.simplify();
         (shape, largest)
     }
@@ -138,6 +149,12 @@ impl Shape {
             let all = fibres.directions.vectors().as_flattened();
             all.iter().for_each(|v| v.to_bits().hash(&mut hasher));
         }
+        for set in &self.springs {
+            (set.normal.to_bits(), set.tangential.to_bits(), &set.triangles).hash(&mut hasher);
+        }
+        for sheet in &self.skin {
+            (sheet.young.to_bits(), sheet.thickness.to_bits(), &sheet.triangles).hash(&mut hasher);
+        }
         hasher.finish()
     }
 
@@ -160,8 +177,14 @@ impl Shape {
     pub(crate) fn factor(&self, body: &Body, parallel: bool) -> Result<Factor, FemError> {
         let material = self.material()?;
         let at_rest = vec![0.0; 3 * body.n_nodes()];
-        let matrix = ElementTangents::new(body.geometry(), &material, &at_rest, TangentKind::Exact);
+        let kind = TangentKind::Exact;
+        let elements = ElementTangents::new(body.geometry(), &material, &at_rest, kind);
+        let surface = SurfaceTerms::new(body, &self.springs, &self.skin)?;
+        let Some(facets) = surface.blocks(None, kind) else {
+            return Err(FemError::SingularStiffness { pivot: 0, n_dofs: body.n_unknowns() });
+        };
         let making = Making { parallel, cancel: None };
+        let matrix = WithFacets { elements, facets: &facets };
         Factor::single_or_double(&body.pattern().fronts, &matrix, making)
     }
 }
@@ -176,9 +199,10 @@ impl RestCache {
         &self,
         body: &Body,
         material: &Material,
+        springs: &[Springs],
         parallel: bool,
     ) -> Result<Metric, FemError> {
-        let (shape, young) = Shape::of(material);
+        let (shape, young) = Shape::of(material, springs);
         let scale = 1.0 / young;
         if let Some(factor) = self.find(&shape) {
             return Ok(Metric { factor, scale });

@@ -27,9 +27,11 @@ use crate::body::Body;
 use crate::error::FemError;
 use crate::load::{Load, NodalLoad, check_finite, check_length};
 use crate::material::Material;
+use crate::surface::SurfaceTerms;
 use load_steps::Path;
 use minimise::Minimiser;
-use problem::{Problem, State, Workspace};
+use problem::Workspace;
+pub(crate) use problem::{Model, Problem, State, dot, norm};
 use support_path::SupportPath;
 
 /// Find the equilibrium of a body under a load, from rest.
@@ -79,7 +81,7 @@ pub fn solve(
         let mut solver = Solver::new(body, parallel);
         settings.awake(|| {
             solver.solve(Task { material, load, start: None }, settings, || {
-                body.rest_cache().metric(body, material, parallel)
+                body.rest_cache().metric(body, material, &load.springs, parallel)
             })
         })
     })
@@ -108,7 +110,7 @@ pub fn solve_from(
         let parallel = settings.is_parallel();
         let mut solver = Solver::new(body, parallel);
         solver.solve(Task { material, load, start: Some(start) }, settings, || {
-            body.rest_cache().metric(body, material, parallel)
+            body.rest_cache().metric(body, material, &load.springs, parallel)
         })
     })
 }
@@ -142,39 +144,72 @@ impl<'a> Solver<'a> {
         settings: &SolveSettings,
         rest_metric: impl FnOnce() -> Result<Metric, FemError>,
     ) -> Result<Solution, FemError> {
-        let begin = Instant::now();
-        settings.check()?;
-        settings.check_cancel()?;
-        task.material.check_size(self.body.n_tets(), self.body.element().n_points())?;
         let load = NodalLoad::new(self.body, task.load)?;
+        let surface = surface_of(self.body, task.material, task.load)?;
+        task.material.check_size(self.body.n_tets(), self.body.element().n_points())?;
         let problem = Problem {
             body: self.body,
-            material: task.material,
+            model: Model::Elastic(task.material),
+            surface: &surface,
             load: &load,
             settings,
             parallel: self.parallel,
+            least_load: 0.0,
         };
+        let start = start_state(&problem, task.start)?;
+        let (state, report) = self.find(&problem, start, rest_metric)?;
+        Ok(solution(&problem, &state, report))
+    }
+
+    /// Evaluate the forces of a state; false where an element is inverted.
+    pub(crate) fn evaluate(&mut self, problem: &Problem, state: &mut State) -> bool {
+        problem.evaluate(state, &mut self.workspace)
+    }
+
+    /// Find the equilibrium of a problem from a state; from rest where none is given.
+    pub(crate) fn find(
+        &mut self,
+        problem: &Problem,
+        start: Option<State>,
+        rest_metric: impl FnOnce() -> Result<Metric, FemError>,
+    ) -> Result<(State, SolveReport), FemError> {
+        let begin = Instant::now();
+        problem.settings.check()?;
+        problem.settings.check_cancel()?;
         let workspace = &mut self.workspace;
         workspace.report = SolveReport { analyses: 1, factorisations: 1, ..SolveReport::default() };
-        let start = start_state(&problem, task.start)?;
-        let factor_begin = Instant::now();
         let metric = rest_metric()?;
-        workspace.report.seconds.factor = factor_begin.elapsed().as_secs_f64();
+        workspace.report.seconds.factor = begin.elapsed().as_secs_f64();
 
         let minimiser = &mut self.minimiser;
-        let allowed = settings.max_iterations as f64;
-        let supports = SupportPath::new(self.body, &load);
-        let state = Path { problem: &problem, minimiser, workspace, metric, supports, allowed }
-            .run(start)?;
-        let unbalanced: Vec<f64> =
-            state.force.iter().zip(&load.force).map(|(inner, outer)| inner - outer).collect();
+        let allowed = problem.settings.max_iterations as f64;
+        let supports = SupportPath::new(self.body, problem.load);
+        let state = Path { problem, minimiser, workspace, metric, supports, allowed }.run(start)?;
         let mut report = self.workspace.report;
         report.seconds.iterate = begin.elapsed().as_secs_f64() - report.seconds.factor;
-        Ok(Solution {
-            displacement: state.displacement.as_chunks::<3>().0.to_vec(),
-            reactions: self.body.reactions(&unbalanced),
-            report,
-        })
+        Ok((state, report))
+    }
+}
+
+/// Springs of a load and skins of a material, checked against a body.
+pub(crate) fn surface_of(
+    body: &Body,
+    material: &Material,
+    load: &Load,
+) -> Result<SurfaceTerms, FemError> {
+    body.supports().check_springs(&load.springs)?;
+    SurfaceTerms::new(body, &load.springs, material.skin())
+}
+
+/// What a state in equilibrium means to the caller.
+pub(crate) fn solution(problem: &Problem, state: &State, report: SolveReport) -> Solution {
+    let unbalanced: Vec<f64> =
+        state.force.iter().zip(&problem.load.force).map(|(inner, outer)| inner - outer).collect();
+    Solution {
+        displacement: state.displacement.as_chunks::<3>().0.to_vec(),
+        reactions: problem.body.reactions(&unbalanced),
+        spring_forces: problem.surface.spring_forces(&state.displacement),
+        report,
     }
 }
 

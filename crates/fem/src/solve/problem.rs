@@ -6,20 +6,34 @@ use crate::assembly::{
 };
 use crate::body::Body;
 use crate::error::{FemError, WorstTet};
+use crate::history::StepModel;
 use crate::load::NodalLoad;
 use crate::material::Material;
 use crate::solve::report::SolveReport;
 use crate::solve::settings::{Method, SolveSettings};
+use crate::surface::{SurfaceTerms, WithFacets};
 use crate::system::SolveScratch;
-use crate::system::factor::{Factor, Making};
+use crate::system::factor::{Blocks, Factor, Making};
+
+/// What the body is made of, and what of its past matters.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Model<'a> {
+    /// An elastic material.
+    Elastic(&'a Material),
+    /// A time step of a material with a history.
+    Step(&'a StepModel<'a, Material>),
+}
 
 /// What does not change during a solve.
 pub(crate) struct Problem<'a> {
     pub(crate) body: &'a Body,
-    pub(crate) material: &'a Material,
+    pub(crate) model: Model<'a>,
+    pub(crate) surface: &'a SurfaceTerms,
     pub(crate) load: &'a NodalLoad,
     pub(crate) settings: &'a SolveSettings,
     pub(crate) parallel: bool,
+    /// Force below which the norm of the load does not count as smaller, mN.
+    pub(crate) least_load: f64,
 }
 
 /// A displacement with its internal forces and energy.
@@ -54,21 +68,21 @@ impl Problem<'_> {
     /// Evaluate the forces and energy of `state.displacement`; false where an element is inverted.
     pub(crate) fn evaluate(&self, state: &mut State, workspace: &mut Workspace) -> bool {
         workspace.report.evaluations += 1;
-        let energy = internal_force_into(
-            self.body.geometry(),
-            self.material,
-            &state.displacement,
-            &mut state.force,
-            &mut workspace.element_forces,
-            self.parallel,
-        );
-        match energy {
-            Some(energy) if energy.total.is_finite() => {
-                state.energy = energy;
-                true
+        let (geometry, buffer) = (self.body.geometry(), &mut workspace.element_forces);
+        let (u, force) = (&state.displacement, &mut state.force);
+        let inner = match self.model {
+            Model::Elastic(model) => {
+                internal_force_into(geometry, model, u, force, buffer, self.parallel)
             }
-            _ => false,
-        }
+            Model::Step(model) => {
+                internal_force_into(geometry, model, u, force, buffer, self.parallel)
+            }
+        };
+        let Some(mut energy) = inner else { return false };
+        let Some(surface) = self.surface.add_force(u, force) else { return false };
+        energy.total += surface;
+        state.energy = energy;
+        energy.total.is_finite()
     }
 
     /// Residual `f_int − fraction f_ext` on the unknowns.
@@ -96,14 +110,34 @@ impl Problem<'_> {
                 applied += external * external;
             }
         }
-        if self.load.moves_supports { f64::max(applied, reaction).sqrt() } else { applied.sqrt() }
+        let largest = if self.load.moves_supports { applied.max(reaction) } else { applied };
+        largest.sqrt().max(fraction * self.least_load)
     }
 
     /// Factor of the tangent at a state.
     pub(crate) fn factor(&self, state: &State, kind: TangentKind) -> Result<Factor, FemError> {
-        let (body, fronts) = (self.body, &self.body.pattern().fronts);
-        let matrix =
-            ElementTangents::new(body.geometry(), self.material, &state.displacement, kind);
+        let (geometry, u) = (self.body.geometry(), state.displacement.as_slice());
+        match self.model {
+            Model::Elastic(model) => {
+                self.factor_of(ElementTangents::new(geometry, model, u, kind), u, kind)
+            }
+            Model::Step(model) => {
+                self.factor_of(ElementTangents::new(geometry, model, u, kind), u, kind)
+            }
+        }
+    }
+
+    fn factor_of(
+        &self,
+        elements: impl Blocks,
+        displacement: &[f64],
+        kind: TangentKind,
+    ) -> Result<Factor, FemError> {
+        let fronts = &self.body.pattern().fronts;
+        let Some(facets) = self.surface.blocks(Some(displacement), kind) else {
+            return Err(FemError::SingularStiffness { pivot: 0, n_dofs: self.body.n_unknowns() });
+        };
+        let matrix = WithFacets { elements, facets: &facets };
         let making = Making { parallel: self.parallel, cancel: self.settings.cancel.as_deref() };
         match self.settings.method {
             Method::Newton => Factor::double(fronts, &matrix, making),
@@ -114,14 +148,14 @@ impl Problem<'_> {
     /// Tangent at a state times a direction `(3 n_nodes)`; none where an element is inverted.
     pub(crate) fn tangent_product(&self, state: &State, direction: &[f64]) -> Option<Vec<f64>> {
         let mut product = vec![0.0; direction.len()];
-        tangent_product_into(
-            self.body.geometry(),
-            self.material,
-            &state.displacement,
-            direction,
-            &mut product,
-        )
-        .then_some(product)
+        let (geometry, u) = (self.body.geometry(), &state.displacement);
+        let upright = match self.model {
+            Model::Elastic(model) => {
+                tangent_product_into(geometry, model, u, direction, &mut product)
+            }
+            Model::Step(model) => tangent_product_into(geometry, model, u, direction, &mut product),
+        };
+        (upright && self.surface.add_product(u, direction, &mut product)).then_some(product)
     }
 
     /// The five tetrahedra closest to inversion, worst first.

@@ -135,11 +135,6 @@ impl Fronts {
         self.work / self.n_entries.max(1) as f64
     }
 
-    /// Bytes of a factor of `size`-byte numbers.
-    pub(crate) fn n_entries(&self) -> usize {
-        self.n_entries
-    }
-
     /// Multiply-adds of a factorisation.
     pub(crate) fn work(&self) -> f64 {
         self.work

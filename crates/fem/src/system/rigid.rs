@@ -12,6 +12,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3};
 use crate::error::FemError;
 use crate::groups::Groups;
 use crate::mesh::Mesh;
+use crate::supports::Resting;
 
 /// Parts of more blocks than this are only checked as if they were one block: the dense null
 /// space would cost more than the solve. A mechanism in them still shows as a failing pivot.
@@ -56,12 +57,17 @@ impl std::fmt::Display for RigidModes {
 ///
 /// # Shapes
 ///
-/// `held` one row of axes a corner node.
+/// `held` one row of axes a corner node; `resting` facets on springs, of nodes that exist.
 ///
 /// # Errors
 ///
 /// [`FemError::Unconstrained`] for the first part that can move.
-pub(crate) fn check_rigid_modes(mesh: &Mesh, held: &[[bool; 3]]) -> Result<(), FemError> {
+pub(crate) fn check_rigid_modes(
+    mesh: &Mesh,
+    held: &[[bool; 3]],
+    resting: &[Resting],
+) -> Result<(), FemError> {
+    let carried = carried_directions(mesh, held, resting);
     let blocks = mesh.blocks();
     let parts = parts_by_node(mesh);
     let n_parts = parts.iter().max().map_or(0, |&p| p + 1);
@@ -82,7 +88,7 @@ pub(crate) fn check_rigid_modes(mesh: &Mesh, held: &[[bool; 3]]) -> Result<(), F
         } else {
             whole.iter().map(Vec::as_slice).collect()
         };
-        let modes = free_modes(mesh.nodes(), held, &bodies);
+        let modes = free_modes(mesh.nodes(), &carried, &bodies);
         if !modes.is_empty() {
             return Err(FemError::Unconstrained(RigidModes {
                 modes,
@@ -93,6 +99,32 @@ pub(crate) fn check_rigid_modes(mesh: &Mesh, held: &[[bool; 3]]) -> Result<(), F
         }
     }
     Ok(())
+}
+
+/// Directions along which each node is held or rests on springs.
+fn carried_directions(
+    mesh: &Mesh,
+    held: &[[bool; 3]],
+    resting: &[Resting],
+) -> Vec<Vec<Vector3<f64>>> {
+    let mut carried: Vec<Vec<Vector3<f64>>> = held
+        .iter()
+        .map(|axes| (0..3).filter(|&k| axes[k]).map(|k| Vector3::ith(k, 1.0)).collect())
+        .collect();
+    for facet in resting {
+        let [a, b, c] = facet.triangle.map(|n| Vector3::from(mesh.nodes()[n]));
+        let normal = (b - a).cross(&(c - a)).normalize();
+        let along = (b - a).normalize();
+        for node in facet.triangle {
+            if facet.normal {
+                carried[node].push(normal);
+            }
+            if facet.tangential {
+                carried[node].extend([along, normal.cross(&along)]);
+            }
+        }
+    }
+    carried
 }
 
 fn parts_by_node(mesh: &Mesh) -> Vec<usize> {
@@ -118,7 +150,11 @@ fn nodes_by_block(mesh: &Mesh, blocks: &[usize], n_blocks: usize) -> Vec<Vec<usi
 }
 
 /// Names of the free modes of one part that consists of `bodies` (node lists of its blocks).
-fn free_modes(nodes: &[[f64; 3]], held: &[[bool; 3]], bodies: &[&[usize]]) -> Vec<String> {
+fn free_modes(
+    nodes: &[[f64; 3]],
+    carried: &[Vec<Vector3<f64>>],
+    bodies: &[&[usize]],
+) -> Vec<String> {
     let point = |n: usize| Vector3::from(nodes[n]);
     let all = || bodies.iter().flat_map(|b| b.iter().copied());
     let n = all().count() as f64;
@@ -132,11 +168,12 @@ fn free_modes(nodes: &[[f64; 3]], held: &[[bool; 3]], bodies: &[&[usize]]) -> Ve
     let mut normal = DMatrix::<f64>::zeros(6 * bodies.len(), 6 * bodies.len());
     for shared in owner.chunk_by(|a, b| a.0 == b.0) {
         let (node, first) = shared[0];
+        for direction in &carried[node] {
+            let row = condition_row(direction, arm(node));
+            add_condition(&mut normal, &[(first, 1.0)], &row);
+        }
         for axis in 0..3 {
-            let row = condition_row(axis, arm(node));
-            if held[node][axis] {
-                add_condition(&mut normal, &[(first, 1.0)], &row);
-            }
+            let row = condition_row(&Vector3::ith(axis, 1.0), arm(node));
             for &(_, other) in &shared[1..] {
                 add_condition(&mut normal, &[(first, 1.0), (other, -1.0)], &row);
             }
@@ -151,14 +188,10 @@ fn free_modes(nodes: &[[f64; 3]], held: &[[bool; 3]], bodies: &[&[usize]]) -> Ve
     name_modes(&free)
 }
 
-/// Coefficients of the displacement along `axis` at `arm`: `t_axis + (w × arm)_axis`.
-fn condition_row(axis: usize, arm: Vector3<f64>) -> [f64; 6] {
-    let mut row = [0.0; 6];
-    row[axis] = 1.0;
-    let (j, k) = ((axis + 1) % 3, (axis + 2) % 3);
-    row[3 + j] = arm[k];
-    row[3 + k] = -arm[j];
-    row
+/// Coefficients of the displacement along `direction` at `arm`: `(t + w × arm) · direction`.
+fn condition_row(direction: &Vector3<f64>, arm: Vector3<f64>) -> [f64; 6] {
+    let turn = arm.cross(direction);
+    [direction[0], direction[1], direction[2], turn[0], turn[1], turn[2]]
 }
 
 fn add_condition(normal: &mut DMatrix<f64>, blocks: &[(usize, f64)], row: &[f64; 6]) {

@@ -1,0 +1,330 @@
+//! A body through time frames, with pads that come and go.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use numpy::PyArray2;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use tissuereg_fem::{
+    Behaviour, Body, Drainage, Element, FemError, History, Load, Material, Mesh, Pad, Part,
+    Relaxation, Resultant, Set, Skin, Softening, SolveSettings, Springs, Supports, Swelling,
+};
+
+use super::{Law, bad_choice, settings_of};
+use crate::arrays::{self, View};
+use crate::errors::{self, Class};
+use crate::{lock, report};
+
+/// A set of triangles with numbers that describe what lies on them.
+type Sheet<'py> = (Bound<'py, PyAny>, Vec<f64>);
+
+/// A body, its history and its pads.
+#[pyclass(frozen, module = "tissuereg._core")]
+pub(crate) struct Rig {
+    rig: Arc<Mutex<tissuereg_fem::Rig>>,
+    springs: Vec<Springs>,
+    /// Given minus unloaded place of every node, mm; empty where both are the same.
+    hung: Vec<[f64; 3]>,
+    settings: SolveSettings,
+    sizes: Sizes,
+}
+
+/// Numbers of rows of the arguments.
+struct Sizes {
+    nodes: usize,
+    corners: usize,
+    held: usize,
+    pads: usize,
+}
+
+#[pymethods]
+impl Rig {
+    /// Springs are triangles with (normal, tangential) stiffness in kPa/mm, skins with (thickness mm, Young kPa,
+    /// Poisson). With `rests` the springs help to hold the body. `hangs_in` is a body force, mN/mm^3, that acts in the
+    /// mesh as given already.
+    #[new]
+    #[pyo3(signature = (nodes, tets, held_nodes, young, poisson, *, law=None, element="tet4", pads=Vec::new(), behaviour=None,
+                        springs=Vec::new(), rests=false, skins=Vec::new(), hangs_in=None, tolerance=1e-9,
+                        max_iterations=1000, threads=0))]
+    #[allow(clippy::too_many_arguments)] // keywords in Python
+    fn new(
+        py: Python<'_>,
+        nodes: &Bound<'_, PyAny>,
+        tets: &Bound<'_, PyAny>,
+        held_nodes: &Bound<'_, PyAny>,
+        young: &Bound<'_, PyAny>,
+        poisson: &Bound<'_, PyAny>,
+        law: Option<&Law>,
+        element: &str,
+        pads: Vec<Bound<'_, PyAny>>,
+        behaviour: Option<&Bound<'_, PyDict>>,
+        springs: Vec<Sheet<'_>>,
+        rests: bool,
+        skins: Vec<Sheet<'_>>,
+        hangs_in: Option<&Bound<'_, PyAny>>,
+        tolerance: f64,
+        max_iterations: usize,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let mapped = |error: FemError| errors::from_fem(py, &error, None);
+        let element = match element {
+            "tet4" => Element::Tet4,
+            "tet10" => Element::Tet10,
+            other => return Err(bad_choice(py, "element", "`tet4` or `tet10`", other)),
+        };
+        let mesh = super::mesh_of(py, nodes, tets)?;
+        let (n_tets, n_points) = (Some(mesh.n_tets()), Some(element.n_points()));
+        let moduli: [&[Option<usize>]; 3] = [&[Some(1)], &[n_tets], &[n_tets, n_points]];
+        let young = View::<f64>::new("young", young, &moduli)?;
+        let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
+        let mut material = law
+            .map_or(&Law::default(), |law| law)
+            .material(element, mesh.n_tets(), young.slice(), poisson.slice())
+            .map_err(mapped)?;
+        for (triangles, numbers) in &skins {
+            let triangles = triangles_of("skin triangles", triangles)?;
+            let [thickness, young, poisson] = exactly(py, "skin", numbers)?;
+            let skin = Skin { triangles, thickness, young, poisson };
+            material = material.with_skin(skin).map_err(mapped)?;
+        }
+        let springs: Vec<Springs> = springs
+            .iter()
+            .map(|(triangles, numbers)| {
+                let [normal, tangential] = exactly(py, "springs", numbers)?;
+                let triangles = triangles_of("spring triangles", triangles)?;
+                Ok(Springs { triangles, normal, tangential })
+            })
+            .collect::<PyResult<_>>()?;
+        let mut supports = Supports::new().hold(&nodes_of(py, "held_nodes", held_nodes)?);
+        if rests {
+            supports = springs.iter().fold(supports, Supports::rest_on);
+        }
+        let pads = pads
+            .iter()
+            .map(|nodes| Ok(Pad { nodes: nodes_of(py, "pads", nodes)? }))
+            .collect::<PyResult<Vec<_>>>()?;
+        let behaviour = behaviour_of(py, behaviour)?;
+        let weight = View::<f64>::optional("hangs_in", hangs_in, &[&[Some(3)]])?;
+        let weight = weight.and_then(|view| view.rows::<3>().first().copied());
+        let settings = settings_of(py, tolerance, max_iterations, "auto", 0, threads)?;
+        let cancel = Arc::new(AtomicBool::new(false));
+        let watched = SolveSettings { cancel: Some(cancel.clone()), ..settings.clone() };
+        let plan = Plan { mesh, element, supports, material, behaviour, pads, weight };
+        let (own_springs, n_pads) = (springs.clone(), plan.pads.len());
+        let work = move || plan.build(own_springs, &watched);
+        let (rig, hung, sizes) =
+            lock::run_watched(py, &cancel, |_| Ok(()), work)?.map_err(mapped)?;
+        let sizes = Sizes { pads: n_pads, ..sizes };
+        Ok(Self { rig: Arc::new(Mutex::new(rig)), springs, hung, settings, sizes })
+    }
+
+    /// Equilibrium of the next frame. Rows of NaN in `motions` are pads that are absent.
+    #[pyo3(signature = (time, motions, *, forces=None, body_force=None, prescribed=None))]
+    fn advance(
+        &self,
+        py: Python<'_>,
+        time: f64,
+        motions: &Bound<'_, PyAny>,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<RigFrame> {
+        let Sizes { nodes, corners, held, pads } = self.sizes;
+        let three = Some(3);
+        let motions = View::<f64>::new("motions", motions, &[&[Some(pads), three]])?;
+        let shapes: [&[Option<usize>]; 2] = [&[Some(nodes), three], &[Some(corners), three]];
+        let forces = View::<f64>::optional("forces", forces, &shapes)?;
+        let body_force = View::<f64>::optional("body_force", body_force, &[&[three]])?;
+        let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[Some(held), three]])?;
+        let load = Load {
+            nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
+            body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
+            prescribed: prescribed.map(|rows| rows.rows::<3>().to_vec()),
+            springs: self.springs.clone(),
+        };
+        let absent = |row: &[f64; 3]| row.iter().all(|v| v.is_nan());
+        let motions: Vec<Option<[f64; 3]>> =
+            motions.rows::<3>().iter().map(|row| (!absent(row)).then_some(*row)).collect();
+        let cancel = Arc::new(AtomicBool::new(false));
+        let settings = SolveSettings { cancel: Some(cancel.clone()), ..self.settings.clone() };
+        let rig = self.rig.clone();
+        let work = move || {
+            let mut rig = rig.lock().unwrap_or_else(PoisonError::into_inner);
+            rig.advance(&load, &motions, time, &settings)
+        };
+        let frame = lock::run_watched(py, &cancel, |_| Ok(()), work)?;
+        let frame = frame.map_err(|error| errors::from_fem(py, &error, None))?;
+        RigFrame::new(py, frame, &self.hung, self.settings.tolerance)
+    }
+
+    /// Places of all nodes of the unloaded body, float64 (n_nodes, 3), mm.
+    #[getter]
+    fn rest_nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let rig = self.rig.clone();
+        let nodes = py.detach(move || {
+            rig.lock().unwrap_or_else(PoisonError::into_inner).body().nodes().to_vec()
+        });
+        arrays::from_points(py, nodes)
+    }
+
+    fn __repr__(&self) -> String {
+        let Sizes { nodes, held, pads, .. } = self.sizes;
+        format!("Rig(n_nodes={nodes}, n_held={held}, n_pads={pads})")
+    }
+}
+
+/// What a rig is made of.
+struct Plan {
+    mesh: Mesh,
+    element: Element,
+    supports: Supports,
+    material: Material,
+    behaviour: Behaviour,
+    pads: Vec<Pad>,
+    weight: Option<[f64; 3]>,
+}
+
+impl Plan {
+    fn build(
+        self,
+        springs: Vec<Springs>,
+        settings: &SolveSettings,
+    ) -> Result<(tissuereg_fem::Rig, Vec<[f64; 3]>, Sizes), FemError> {
+        let mut body = Body::new(self.mesh, self.element, self.supports)?;
+        let mut hung = Vec::new();
+        if let Some(body_force) = self.weight {
+            let load = Load { body_force, springs, ..Load::default() };
+            let rest = tissuereg_fem::rest_shape(&body, &self.material, &load, settings)?;
+            let places = body.nodes().iter().zip(rest.body.nodes());
+            hung = places.map(|(x, r)| std::array::from_fn(|i| x[i] - r[i])).collect();
+            body = rest.body;
+        }
+        let sizes = Sizes {
+            nodes: body.n_nodes(),
+            corners: body.n_corner_nodes(),
+            held: body.held_nodes().len(),
+            pads: 0,
+        };
+        let history = History::new(&body, self.material, self.behaviour)?;
+        Ok((tissuereg_fem::Rig::new(body, history, self.pads)?, hung, sizes))
+    }
+}
+
+/// One frame of a rig.
+#[pyclass(frozen, module = "tissuereg._core")]
+pub(crate) struct RigFrame {
+    /// Displacement of all nodes from the mesh as given, float64 (n_nodes, 3), mm.
+    #[pyo3(get)]
+    displacement: Py<PyArray2<f64>>,
+    /// Force of the support at each held node, float64 (h, 3), mN.
+    #[pyo3(get)]
+    reactions: Py<PyArray2<f64>>,
+    /// Force of each pad on the body, float64 (n_pads, 3), mN; NaN where absent.
+    #[pyo3(get)]
+    pad_forces: Py<PyArray2<f64>>,
+    /// Its moment about the mean place of the pad's nodes, float64 (n_pads, 3), mN mm; NaN where absent.
+    #[pyo3(get)]
+    pad_moments: Py<PyArray2<f64>>,
+    /// Force of each set of springs on the body, float64 (n_springs, 3), mN.
+    #[pyo3(get)]
+    spring_forces: Py<PyArray2<f64>>,
+    /// Work done.
+    #[pyo3(get)]
+    report: Py<PyDict>,
+}
+
+impl RigFrame {
+    fn new(
+        py: Python<'_>,
+        frame: tissuereg_fem::RigFrame,
+        hung: &[[f64; 3]],
+        tolerance: f64,
+    ) -> PyResult<Self> {
+        let mut solution = frame.solution;
+        for (row, hung) in solution.displacement.iter_mut().zip(hung) {
+            for i in 0..3 {
+                row[i] -= hung[i];
+            }
+        }
+        let absent = Resultant { force: [f64::NAN; 3], moment: [f64::NAN; 3] };
+        let pads: Vec<Resultant> = frame.pads.iter().map(|pad| pad.unwrap_or(absent)).collect();
+        let sum = |rows: &Vec<[f64; 3]>| -> [f64; 3] {
+            std::array::from_fn(|i| rows.iter().map(|row| row[i]).sum())
+        };
+        let points = |rows: Vec<[f64; 3]>| arrays::from_points(py, rows).map(Bound::unbind);
+        Ok(Self {
+            displacement: points(solution.displacement)?,
+            reactions: points(solution.reactions)?,
+            pad_forces: points(pads.iter().map(|pad| pad.force).collect())?,
+            pad_moments: points(pads.iter().map(|pad| pad.moment).collect())?,
+            spring_forces: points(solution.spring_forces.iter().map(sum).collect())?,
+            report: report::of_solve(py, &solution.report, tolerance)?.unbind(),
+        })
+    }
+}
+
+#[pymethods]
+impl RigFrame {
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let [n, p] = [&self.displacement, &self.pad_forces].map(|a| rows_of(a.bind(py)));
+        format!("RigFrame(n_nodes={n}, n_pads={p})")
+    }
+}
+
+fn rows_of(array: &Bound<'_, PyArray2<f64>>) -> usize {
+    use numpy::PyUntypedArrayMethods;
+    array.shape()[0]
+}
+
+fn nodes_of(py: Python<'_>, name: &str, nodes: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+    let view = View::<i64>::new(name, nodes, &[&[None]])?;
+    Ok(view.indices::<1>(py, name, Class::Support)?.into_flattened())
+}
+
+fn triangles_of(name: &str, triangles: &Bound<'_, PyAny>) -> PyResult<Vec<[usize; 3]>> {
+    let view = View::<i64>::new(name, triangles, &[&[None, Some(3)]])?;
+    view.indices::<3>(triangles.py(), name, Class::Load)
+}
+
+/// As many numbers as are wanted.
+fn exactly<const N: usize>(py: Python<'_>, name: &str, numbers: &[f64]) -> PyResult<[f64; N]> {
+    numbers.try_into().map_err(|_| {
+        let message = format!("`{name}` must have {N} numbers a set, got {}", numbers.len());
+        errors::raise(py, Class::Shape, &message, Some(name))
+    })
+}
+
+/// A behaviour from its dictionary, in which what is absent does nothing.
+fn behaviour_of(py: Python<'_>, given: Option<&Bound<'_, PyDict>>) -> PyResult<Behaviour> {
+    let mut behaviour = Behaviour::default();
+    for (key, value) in given.into_iter().flatten() {
+        match key.extract::<String>()?.as_str() {
+            "relaxation" => {
+                let (g, tau_s, part): (Vec<f64>, Vec<f64>, String) = value.extract()?;
+                let part = match part.as_str() {
+                    "whole" => Part::Whole,
+                    "isochoric" => Part::Isochoric,
+                    other => return Err(bad_choice(py, "part", "`whole` or `isochoric`", other)),
+                };
+                behaviour.relaxation = Some(Relaxation { g, tau_s, part });
+            }
+            "viscosity_kpa_s" => behaviour.viscosity_kpa_s = value.extract()?,
+            "softening" => {
+                let (r, m_kpa, beta) = value.extract()?;
+                behaviour.softening = Some(Softening { r, m_kpa, beta });
+            }
+            "set" => behaviour.set = Some(Set { fraction: value.extract()? }),
+            "drainage" => {
+                let (share, tau_s) = value.extract()?;
+                behaviour.drainage = Some(Drainage { share, tau_s });
+            }
+            "swelling" => {
+                let (linear_strain, from_time_s, to_time_s) = value.extract()?;
+                behaviour.swelling = Some(Swelling { linear_strain, from_time_s, to_time_s });
+            }
+            other => return Err(bad_choice(py, "behaviour", "known", other)),
+        }
+    }
+    Ok(behaviour)
+}

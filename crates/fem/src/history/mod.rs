@@ -1,0 +1,42 @@
+//! History through time frames: relaxation, rate, softening, set, drainage, swelling.
+//!
+//! All of it is variational. Within a time step from `t_n` to `t_n+1 = t_n + Δt` the state of the
+//! material is fixed, and a point stores, per undeformed volume,
+//!
+//! ```text
+//! Ψ(F) = s³ [ a_vol (ψ(Fe) − ψ_iso(Fe)) + a_iso φ(ψ_iso(Fe)) ]
+//!        + ½ S_hist : (C − I) + (η J_n / Δt) tr (C_n⁻¹ ΔE C_n⁻¹ ΔE)
+//! Fe = F Fp⁻¹ / s,     ψ_iso(F) = ψ(J^(−1/3) F),     ΔE = E − E_n
+//! ```
+//!
+//! so the minimiser of the elastic problem finds the end of the step, and the state is updated
+//! after it. `ψ` is any law. The terms, and where they are written:
+//!
+//! * `point`: chain rule of the first line, stress and tangent, once for all laws;
+//! * `prony`: `a` and `S_hist`, the relaxed answer to all steps before (Simo's recursion);
+//! * `softening`: `φ`, of the largest energy so far (Mullins effect);
+//! * `state`: what is remembered, and its update; `Fp` is the set, `s` the swelling;
+//! * `run`: [`History`] itself; `rig`: pads that are bonded and released.
+//!
+//! # References
+//!
+//! Simo and Hughes, *Computational Inelasticity*, Springer 1998, section 10.3 (relaxation); Ogden
+//! and Roxburgh, Proc. R. Soc. A 455, 2861 (1999) (softening); Ortiz and Stainier, Comput. Methods
+//! Appl. Mech. Eng. 171, 419 (1999) (variational updates).
+
+mod behaviour;
+mod point;
+mod prony;
+mod rig;
+mod run;
+mod softening;
+mod state;
+mod tensor;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use behaviour::must;
+pub use behaviour::{Behaviour, Drainage, Part, Relaxation, Set, Softening, Swelling};
+pub(crate) use point::StepModel;
+pub use rig::{Pad, Rig, RigFrame};
+pub use run::History;

@@ -1,0 +1,260 @@
+//! Pads that are bonded to a body for some frames and released again.
+
+use std::collections::BTreeMap;
+
+use super::run::History;
+use crate::body::Body;
+use crate::error::FemError;
+use crate::load::{Load, check_finite, check_length};
+use crate::resultant::{Resultant, resultant};
+use crate::solve::{Solution, SolveSettings};
+
+/// A patch of nodes that an actuator may hold.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Pad {
+    /// Its corner nodes. Those that the body's own supports hold stay with these.
+    pub nodes: Vec<usize>,
+}
+
+/// A body with its history and pads that come and go.
+///
+/// A pad is bonded to the shape that the body has when it comes: in its first frame, without it.
+/// From there its nodes move with it, by a translation; in a frame without motion it is gone and
+/// they are free.
+///
+/// # Examples
+///
+/// ```
+/// use tissuereg_fem::{Behaviour, Body, Element, History, Load, Material, Mesh, Pad, Rig};
+/// use tissuereg_fem::SolveSettings;
+///
+/// let nodes = vec![[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]];
+/// let body = Body::new(Mesh::new(nodes, vec![[0, 1, 2, 3]])?, Element::Tet4, [0, 1, 2])?;
+/// let history = History::new(&body, Material::neo_hookean(10.0, 0.4)?, Behaviour::default())?;
+/// let mut rig = Rig::new(body, history, vec![Pad { nodes: vec![3] }])?;
+/// let (nothing, settings) = (Load::default(), SolveSettings::default());
+/// let pushed = rig.advance(&nothing, &[Some([0.0, 0.0, -1.0])], 0.0, &settings)?;
+/// assert!(pushed.pads[0].is_some_and(|force| force.force[2] < 0.0));
+/// let free = rig.advance(&nothing, &[None], 1.0, &settings)?;
+/// assert!(free.solution.displacement[3][2].abs() < 1e-8);
+/// # Ok::<(), tissuereg_fem::FemError>(())
+/// ```
+#[derive(Debug)]
+pub struct Rig {
+    body: Body,
+    history: History,
+    /// Nodes of each pad that the body's supports leave free.
+    pads: Vec<Vec<usize>>,
+    /// Nodes in the middle of edges within each pad, where elements have such.
+    middles: Vec<Vec<usize>>,
+    /// Displacement of each pad's nodes and middles when it was bonded, mm; none where it is gone.
+    bonded: Vec<Option<Vec<[f64; 3]>>>,
+    /// Bodies by the pads that are present.
+    bodies: BTreeMap<Vec<bool>, Body>,
+}
+
+/// One frame of a rig.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigFrame {
+    /// Equilibrium; reactions are those of the body's own held nodes, in their order.
+    pub solution: Solution,
+    /// Force of each pad on the body, and its moment about the mean place of the pad's corner nodes;
+    /// none where the pad is gone. Middles of edges count as if half way between their ends.
+    pub pads: Vec<Option<Resultant>>,
+}
+
+impl Rig {
+    /// A body with its history and pads, none of them bonded yet.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::HeldNodeOutOfRange`], [`FemError::HeldNodeRepeated`] within a pad.
+    pub fn new(body: Body, history: History, pads: Vec<Pad>) -> Result<Self, FemError> {
+        let mut held = vec![false; body.n_corner_nodes()];
+        body.held_nodes().iter().for_each(|&node| held[node] = true);
+        let mut free = Vec::with_capacity(pads.len());
+        for pad in pads {
+            let mut seen = held.clone();
+            let mut nodes = Vec::with_capacity(pad.nodes.len());
+            for node in pad.nodes {
+                let n_nodes = seen.len();
+                let Some(taken) = seen.get_mut(node) else {
+                    return Err(FemError::HeldNodeOutOfRange { node, n_nodes });
+                };
+                if !std::mem::replace(taken, true) {
+                    nodes.push(node);
+                } else if !held[node] {
+                    return Err(FemError::HeldNodeRepeated { node });
+                }
+            }
+            free.push(nodes);
+        }
+        let middles = free.iter().map(|nodes| middles_of(&body, nodes)).collect();
+        let bonded = vec![None; free.len()];
+        Ok(Self { body, history, pads: free, middles, bonded, bodies: BTreeMap::new() })
+    }
+
+    /// The body with its own supports.
+    pub fn body(&self) -> &Body {
+        &self.body
+    }
+
+    /// The history so far.
+    pub fn history(&self) -> &History {
+        &self.history
+    }
+
+    /// Go to the equilibrium of a next frame.
+    ///
+    /// The frame in which a pad comes is solved twice: at its time without the pad, which gives the
+    /// shape that it is bonded to, and then, at once, with the pad's motion. Where the body cannot
+    /// stand without the pad, it is bonded to the shape of the last frame.
+    ///
+    /// # Shapes
+    ///
+    /// `motions` one entry a pad: its translation since it was bonded, mm, or none where it is gone.
+    /// Prescribed displacements of `load` are those of the body's own held nodes.
+    ///
+    /// # Errors
+    ///
+    /// As [`History::advance`]; [`FemError::Unconstrained`] where pads are gone that the body needs;
+    /// [`FemError::HeldNodeRepeated`] where two pads that are present share a node. The rig is then
+    /// left as it was.
+    pub fn advance(
+        &mut self,
+        load: &Load,
+        motions: &[Option<[f64; 3]>],
+        time_s: f64,
+        settings: &SolveSettings,
+    ) -> Result<RigFrame, FemError> {
+        check_length("motions (one a pad)", self.pads.len(), motions.len())?;
+        let given: Vec<[f64; 3]> = motions.iter().map(|m| m.unwrap_or_default()).collect();
+        check_finite("motion of a pad", &given)?;
+        let mut history = self.history.clone();
+        let mut bonded = self.bonded.clone();
+        let mut comes = false;
+        for (place, motion) in bonded.iter_mut().zip(motions) {
+            match motion {
+                None => *place = None,
+                Some(_) => comes |= place.is_none(),
+            }
+        }
+        if comes {
+            if history.time_s().is_some() || acts(load, &history, time_s) {
+                match self.settle(&mut history, &bonded, load, &given, time_s, settings) {
+                    Ok(_) | Err(FemError::Unconstrained(_)) => {}
+                    Err(error) => return Err(error),
+                }
+            }
+            let shape = history.displacement();
+            for (pad, (place, motion)) in bonded.iter_mut().zip(motions).enumerate() {
+                if motion.is_some() {
+                    let nodes = self.pads[pad].iter().chain(&self.middles[pad]);
+                    place.get_or_insert_with(|| nodes.map(|&n| shape[n]).collect());
+                }
+            }
+        }
+        let solution = self.settle(&mut history, &bonded, load, &given, time_s, settings)?;
+        self.history = history;
+        self.bonded = bonded;
+        Ok(self.frame(solution))
+    }
+
+    /// One frame with the pads that are bonded.
+    fn settle(
+        &mut self,
+        history: &mut History,
+        bonded: &[Option<Vec<[f64; 3]>>],
+        load: &Load,
+        motions: &[[f64; 3]],
+        time_s: f64,
+        settings: &SolveSettings,
+    ) -> Result<Solution, FemError> {
+        let n_own = self.body.held_nodes().len();
+        let mut rows = match &load.prescribed {
+            Some(rows) => {
+                check_length("prescribed displacements (one row a held node)", n_own, rows.len())?;
+                rows.clone()
+            }
+            None => vec![[0.0; 3]; n_own],
+        };
+        let present: Vec<bool> = bonded.iter().map(Option::is_some).collect();
+        if !present.contains(&true) {
+            return history.advance(&self.body, load, time_s, settings);
+        }
+        if !self.bodies.contains_key(&present) {
+            let mut supports = self.body.supports().clone();
+            for (nodes, _) in self.pads.iter().zip(&present).filter(|(_, there)| **there) {
+                supports = supports.hold(nodes);
+            }
+            self.bodies.insert(present.clone(), self.body.with_supports(supports)?);
+        }
+        let body = self.bodies.get(&present).unwrap_or(&self.body);
+        let place = |row: &[f64; 3], motion: &[f64; 3]| std::array::from_fn(|i| row[i] + motion[i]);
+        for (pad, bonded) in bonded.iter().enumerate() {
+            let corners = bonded.iter().flatten().take(self.pads[pad].len());
+            rows.extend(corners.map(|row| place(row, &motions[pad])));
+        }
+        check_finite("prescribed displacements", &rows)?;
+        let mut prescribed = body.held_displacement(&rows);
+        // Middles keep the curvature that their edges had.
+        for (pad, bonded) in bonded.iter().enumerate() {
+            let middles = bonded.iter().flatten().skip(self.pads[pad].len());
+            for (&node, row) in self.middles[pad].iter().zip(middles) {
+                let moved: [f64; 3] = place(row, &motions[pad]);
+                for i in (0..3).filter(|&i| body.held()[node][i]) {
+                    prescribed[3 * node + i] = moved[i];
+                }
+            }
+        }
+        let load = Load { prescribed: None, ..load.clone() };
+        history.advance_held(body, &load, Some(prescribed), time_s, settings)
+    }
+
+    /// Tell the reactions of supports and pads apart.
+    fn frame(&self, mut solution: Solution) -> RigFrame {
+        let pad_rows = solution.reactions.split_off(self.body.held_nodes().len());
+        let mut left = pad_rows.as_slice();
+        let mut pads = Vec::with_capacity(self.pads.len());
+        for (nodes, bonded) in self.pads.iter().zip(&self.bonded) {
+            if bonded.is_none() {
+                pads.push(None);
+                continue;
+            }
+            let (own, rest) = left.split_at(nodes.len());
+            left = rest;
+            let places: Vec<[f64; 3]> = nodes
+                .iter()
+                .map(|&n| {
+                    let (x, u) = (self.body.nodes()[n], solution.displacement[n]);
+                    std::array::from_fn(|i| x[i] + u[i])
+                })
+                .collect();
+            pads.push(Some(resultant(&places, own, mean(&places))));
+        }
+        RigFrame { solution, pads }
+    }
+}
+
+/// Nodes in the middle of edges both of whose ends are among `nodes`.
+fn middles_of(body: &Body, nodes: &[usize]) -> Vec<usize> {
+    let mut inside = vec![false; body.n_corner_nodes()];
+    nodes.iter().for_each(|&node| inside[node] = true);
+    let edges = body.mid_edges().iter().enumerate();
+    edges
+        .filter(|(_, [a, b])| inside[*a] && inside[*b])
+        .map(|(edge, _)| body.n_corner_nodes() + edge)
+        .collect()
+}
+
+/// Whether anything can deform the body before the first pad comes.
+fn acts(load: &Load, history: &History, time_s: f64) -> bool {
+    let swells = history.behaviour().swelling.is_some_and(|s| s.stretch(time_s) != 1.0);
+    let nothing = Load { springs: load.springs.clone(), ..Load::default() };
+    swells || *load != nothing
+}
+
+fn mean(places: &[[f64; 3]]) -> [f64; 3] {
+    let n = places.len().max(1) as f64;
+    std::array::from_fn(|i| places.iter().map(|x| x[i]).sum::<f64>() / n)
+}

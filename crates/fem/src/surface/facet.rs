@@ -1,0 +1,98 @@
+//! Triangles of the surface and the element that each belongs to.
+
+use std::collections::HashMap;
+
+use crate::body::Body;
+use crate::element::{EDGES, Element};
+use crate::error::FemError;
+use crate::mesh::FACES;
+
+/// Corners of the edges of a facet, in the order of its mid-edge nodes 3 to 5.
+const FACET_EDGES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
+
+/// One facet of a body's surface.
+#[derive(Debug, Clone)]
+pub(crate) struct Facet {
+    /// Element that owns it.
+    pub(super) tet: usize,
+    /// Its nodes: corners, anticlockwise seen from outside, then mid-edge nodes.
+    pub(crate) nodes: Vec<usize>,
+    /// Place of each node in the element.
+    pub(super) places: Vec<usize>,
+    /// Outward normal of the undeformed facet, of length one.
+    pub(crate) normal: [f64; 3],
+    /// Undeformed area, mm².
+    pub(crate) area: f64,
+}
+
+/// Facets for triangles of corner nodes in any order.
+///
+/// # Errors
+///
+/// [`FemError::NotOnSurface`].
+pub(crate) fn facets_of(body: &Body, triangles: &[[usize; 3]]) -> Result<Vec<Facet>, FemError> {
+    let mut owners: HashMap<[usize; 3], Vec<(usize, usize)>> =
+        triangles.iter().map(|&triangle| (ascending(triangle), Vec::new())).collect();
+    for (tet, corners) in body.mesh().tets().iter().enumerate() {
+        for (face, places) in FACES.iter().enumerate() {
+            if let Some(list) = owners.get_mut(&ascending(places.map(|a| corners[a]))) {
+                list.push((tet, face));
+            }
+        }
+    }
+    let facet = |(row, &triangle): (usize, &[usize; 3])| match owners.get(&ascending(triangle)) {
+        Some(list) if list.len() == 1 => Ok(Facet::new(body, list[0].0, FACES[list[0].1])),
+        _ => Err(FemError::NotOnSurface { row, triangle }),
+    };
+    triangles.iter().enumerate().map(facet).collect()
+}
+
+impl Facet {
+    fn new(body: &Body, tet: usize, corners: [usize; 3]) -> Self {
+        let mut places = corners.to_vec();
+        if body.element() == Element::Tet10 {
+            for [a, b] in FACET_EDGES.map(|edge| edge.map(|k| corners[k])) {
+                let edge = EDGES.iter().position(|&[p, q]| [p, q] == [a, b] || [q, p] == [a, b]);
+                // All six pairs of corners are edges.
+                places.push(4 + edge.unwrap_or_default());
+            }
+        }
+        let element = body.geometry().nodes_of(tet);
+        let nodes: Vec<usize> = places.iter().map(|&a| element[a] as usize).collect();
+        let [a, b, c] = [0, 1, 2].map(|k| body.nodes()[nodes[k]]);
+        let twice = cross(minus(b, a), minus(c, a));
+        let length = twice.iter().map(|v| v * v).sum::<f64>().sqrt();
+        Self { tet, nodes, places, normal: twice.map(|v| v / length), area: 0.5 * length }
+    }
+
+    /// Add a matrix of its nodes times a direction of all nodes.
+    pub(crate) fn add_product(
+        &self,
+        matrix: &[Vec<[[f64; 3]; 3]>],
+        direction: &[f64],
+        product: &mut [f64],
+    ) {
+        for (a, &node) in self.nodes.iter().enumerate() {
+            for (b, &other) in self.nodes.iter().enumerate() {
+                for i in 0..3 {
+                    for k in 0..3 {
+                        product[3 * node + i] += matrix[a][b][i][k] * direction[3 * other + k];
+                    }
+                }
+            }
+        }
+    }
+}
+
+pub(crate) fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
+    triangle.sort_unstable();
+    triangle
+}
+
+pub(super) fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}

@@ -1,0 +1,111 @@
+"""What the body is made of, the same everywhere: moduli, law, fibres."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from tissuereg.effects.base import Effect, Vector, flag, number, numbers, refuse, text
+from tissuereg.errors import MaterialError
+from tissuereg.experiment import Experiment
+from tissuereg.material import SHAPE_KEYS, Material
+from tissuereg.material import Fibre as Fibres
+
+_SHAPES = tuple(dict.fromkeys(key for keys in SHAPE_KEYS.values() for key in keys))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stiffness(Effect):
+    """Young's modulus at small strain in kPa, in place of the believed one; inclusions and layers multiply it."""
+
+    id: ClassVar[str] = "stiffness"
+    young_kpa: float = number(above=0.0)
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with this modulus."""
+        return replace(experiment, material=replace(experiment.material, young=self.young_kpa))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poisson(Effect):
+    """Poisson's ratio at small strain, in place of the believed one."""
+
+    id: ClassVar[str] = "poisson"
+    poisson: float = number(above=-1.0, below=0.5)
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with this ratio."""
+        return replace(experiment, material=replace(experiment.material, poisson=self.poisson))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherLaw(Effect):
+    """Another law of the same small-strain moduli, with its shape parameters."""
+
+    law: str = text(among=tuple(SHAPE_KEYS))
+    share: float | None = number(least=0.0, default=None)
+    c2_over_c1: float | None = number(default=None)
+    c3_over_c1: float | None = number(default=None)
+    alpha: tuple[float, ...] | None = numbers(default=None)
+    weight: tuple[float, ...] | None = numbers(default=None)
+    b: float | None = number(least=0.0, default=None)
+
+    def check(self) -> None:
+        """Refuse missing shape parameters, and those of another law."""
+        wanted = SHAPE_KEYS[self.law]
+        for key in _SHAPES:
+            given = getattr(self, key) is not None
+            if given and key not in wanted:
+                known = ", ".join(wanted) or "none"
+                refuse(f"`{key}` must be left out with the law '{self.law}', whose shape parameters are: {known}")
+            if key in wanted and not given:
+                refuse(f"`{key}` must be given with the law '{self.law}'")
+        if self.alpha is not None and self.weight is not None and len(self.alpha) != len(self.weight):
+            refuse("`alpha` and `weight` must be of one length", [len(self.alpha), len(self.weight)])
+        # Ranges are the material's own.
+        self._material(Material())
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with this law."""
+        return replace(experiment, material=self._material(experiment.material))
+
+    def _material(self, material: Material) -> Material:
+        try:
+            return replace(material, law=self.law, shape={key: getattr(self, key) for key in SHAPE_KEYS[self.law]})
+        except MaterialError as error:
+            refuse(str(error))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stiffening(OtherLaw):
+    """The body stiffens with strain."""
+
+    id: ClassVar[str] = "stiffening"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mooney(OtherLaw):
+    """The second invariant has a share of the energy."""
+
+    id: ClassVar[str] = "mooney"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asymmetry(OtherLaw):
+    """Pull and push are no mirror images."""
+
+    id: ClassVar[str] = "asymmetry"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fibre(Effect):
+    """One family of fibres, of stiffness ``k1_over_mu`` shear moduli and exponent ``k2``, along a direction."""
+
+    id: ClassVar[str] = "fibre"
+    k1_over_mu: float = number(least=0.0)
+    k2: float = number(least=0.0)
+    direction: Vector = numbers(3, directed=True)
+    tension_only: bool = flag(default=True)
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with these fibres beside its law."""
+        fibre = Fibres(self.k1_over_mu, self.k2, self.direction, self.tension_only)
+        return replace(experiment, material=replace(experiment.material, fibre=fibre))

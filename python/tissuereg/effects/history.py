@@ -1,0 +1,83 @@
+"""What the body remembers: relaxation, viscosity, softening, set, swelling, drainage."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from tissuereg.effects.base import Effect, number, numbers, refuse, text
+from tissuereg.experiment import Experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory(Effect):
+    """An effect that acts while a case runs through time; fields as the solver names them."""
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment as it is: the solver reads the effect itself."""
+        return experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxation(Memory):
+    """Prony series: shares `g` of the stress relax with the times `tau_s`; the modulus is the instantaneous one."""
+
+    id: ClassVar[str] = "relaxation"
+    g: tuple[float, ...] = numbers(above=0.0, below=1.0)
+    tau_s: tuple[float, ...] = numbers(above=0.0)
+    part: str = text(among=("whole", "isochoric"), default="whole")
+
+    def check(self) -> None:
+        """Refuse lists of two lengths, and shares that leave nothing."""
+        if len(self.g) != len(self.tau_s):
+            refuse("`g` and `tau_s` must be of one length", [len(self.g), len(self.tau_s)])
+        if sum(self.g) >= 1.0:
+            refuse("the sum of `g` must be less than 1", list(self.g))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rate(Memory):
+    """A stress that grows with the rate of strain."""
+
+    id: ClassVar[str] = "rate"
+    viscosity_kpa_s: float = number(least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Softening(Memory):
+    """Softening by the largest energy so far (Ogden and Roxburgh 1999)."""
+
+    id: ClassVar[str] = "softening"
+    r: float = number(least=1.0)
+    m_kpa: float = number(above=0.0)
+    beta: float = number(least=0.0, default=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Set(Memory):
+    """A share of the largest strain so far that stays."""
+
+    id: ClassVar[str] = "set"
+    fraction: float = number(above=0.0, below=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swelling(Memory):
+    """Growth of all lengths by `linear_strain`, evenly from one time to another; negative: drying."""
+
+    id: ClassVar[str] = "swelling"
+    linear_strain: float = number(above=-1.0)
+    from_time_s: float = number()
+    to_time_s: float = number()
+
+    def check(self) -> None:
+        """Refuse an end before the beginning."""
+        if self.to_time_s <= self.from_time_s:
+            refuse("`to_time_s` must lie after `from_time_s`", [self.from_time_s, self.to_time_s])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drainage(Memory):
+    """Relaxation of a share of the volumetric stress, in place of a fluid that leaves."""
+
+    id: ClassVar[str] = "drainage"
+    share: float = number(above=0.0, below=1.0)
+    tau_s: float = number(above=0.0)

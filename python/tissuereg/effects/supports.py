@@ -1,0 +1,153 @@
+"""What holds the body: boundaries that slide or have come off in part."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.effects.base import Effect, Vector, exactly_one, number, numbers, refuse, text
+from tissuereg.experiment import Boundary, Experiment
+from tissuereg.mesh import Mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Support(Effect):
+    """An effect on one boundary."""
+
+    repeatable: ClassVar[bool] = True
+    boundary: str = text()
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse an unknown boundary."""
+        names = [boundary.name for boundary in experiment.boundaries]
+        if self.boundary not in names:
+            refuse(f"`boundary` must be one of {', '.join(names) or 'none'}", self.boundary)
+
+    def held_by(self, experiment: Experiment) -> Boundary:
+        """Return the boundary."""
+        return next(boundary for boundary in experiment.boundaries if boundary.name == self.boundary)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sliding(_Support):
+    """A boundary that slides on its tangent plane against springs, in kPa per mm of slip, or against friction."""
+
+    id: ClassVar[str] = "sliding"
+    spring_kpa_per_mm: float | None = number(least=0.0, default=None)
+    friction: float | None = number(least=0.0, default=None)
+
+    def check(self) -> None:
+        """Refuse none or both."""
+        exactly_one(self, ("spring_kpa_per_mm",), ("friction",))
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse an unknown boundary, and one of loose nodes."""
+        super().fits(experiment)
+        if not len(self.triangles(experiment)):
+            n_nodes = len(self.held_by(experiment).nodes)
+            refuse(
+                f"boundary '{self.boundary}' must hold a whole triangle of the surface to slide, it has {n_nodes} nodes"
+            )
+
+    def triangles(self, experiment: Experiment) -> IntArray:
+        """Return the surface triangles of the boundary, shape (n, 3)."""
+        surface = experiment.mesh.surface
+        return np.asarray(surface[np.isin(surface, self.held_by(experiment).nodes).all(axis=1)])
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment as it is: the solver reads the springs from the effect."""
+        if self.friction is not None:
+            refuse("sliding must be against springs, `spring_kpa_per_mm`; this release's solver runs no friction")
+        return experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detachment(_Support):
+    """A part of a boundary that has come off and is free.
+
+    Either all within a ball; or a rim: seen from the boundary's centre, the part that lies farthest towards
+    `azimuth_deg` (from x to y, about z), until it makes up `share` of the boundary's area.
+    """
+
+    id: ClassVar[str] = "detachment"
+    centre_mm: Vector | None = numbers(3, default=None)
+    radius_mm: float | None = number(above=0.0, default=None)
+    azimuth_deg: float | None = number(default=None)
+    share: float | None = number(above=0.0, below=1.0, default=None)
+
+    def check(self) -> None:
+        """Refuse half a ball, half a rim, or both."""
+        exactly_one(self, ("centre_mm", "radius_mm"), ("azimuth_deg", "share"))
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse an unknown boundary, and a region that frees none of its nodes or all that is held."""
+        super().fits(experiment)
+        boundary = self.held_by(experiment)
+        freed = self.freed(experiment.mesh, boundary.nodes)
+        if not len(freed):
+            refuse(f"the region must hold a node of boundary '{self.boundary}', which has {len(boundary.nodes)}")
+        if len(freed) == len(boundary.nodes) and len(experiment.boundaries) == 1:
+            refuse(f"the region must leave a part of '{self.boundary}', the one boundary, it frees all {len(freed)}")
+
+    def freed(self, mesh: Mesh, nodes: IntArray) -> IntArray:
+        """Return the nodes of a boundary that have come off.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Reference shape.
+        nodes : ndarray of int64, shape (n,)
+            Of the boundary.
+
+        Returns
+        -------
+        ndarray of int64, shape (n_freed,)
+            Some of them.
+        """
+        places = mesh.nodes[nodes]
+        if self.centre_mm is not None and self.radius_mm is not None:
+            inside = np.linalg.norm(places - np.asarray(self.centre_mm), axis=1) <= self.radius_mm
+            return np.asarray(nodes[inside])
+        assert self.azimuth_deg is not None and self.share is not None  # noqa: PT018  (`check` has seen it)
+        angle = np.deg2rad(self.azimuth_deg)
+        area = node_areas(mesh, nodes)
+        towards = places @ np.array([np.cos(angle), np.sin(angle), 0.0])
+        order = np.argsort(-towards, kind="stable")
+        # A node is free once half of what it stands for has come off.
+        behind = np.cumsum(area[order]) - 0.5 * area[order]
+        return np.sort(nodes[order[behind < self.share * area.sum()]])
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with the freed nodes taken from the boundary and from the mesh's held set."""
+        old = self.held_by(experiment)
+        kept = np.setdiff1d(old.nodes, self.freed(experiment.mesh, old.nodes))
+        boundaries = tuple(
+            replace(old, nodes=kept, rule=None) if boundary is old else boundary for boundary in experiment.boundaries
+        )
+        held = np.unique(np.concatenate([boundary.nodes for boundary in boundaries]))
+        mesh = experiment.mesh.with_node_set(old.name, kept).with_node_set("fixed", held)
+        return replace(experiment, boundaries=boundaries, mesh=mesh)
+
+
+def node_areas(mesh: Mesh, nodes: IntArray) -> FloatArray:
+    """Return the area of surface that each node of a patch stands for.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    nodes : ndarray of int64, shape (n,)
+        Sorted, of the surface.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+        A third of the patch's triangles at each node, mm^2; 1 each where the patch holds no whole triangle.
+    """
+    triangles = mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
+    corners = mesh.nodes[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    thirds = np.repeat(np.linalg.norm(normal, axis=1) / 6.0, 3)
+    areas = np.bincount(np.searchsorted(nodes, triangles.ravel()), thirds, len(nodes)).astype(np.float64)
+    return areas if areas.any() else np.ones(len(nodes))

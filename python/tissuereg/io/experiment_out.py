@@ -1,0 +1,97 @@
+"""Experiments out: one file that points to the mesh and the tables of another folder."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import ExperimentError
+from tissuereg.experiment import Actuator, Boundary, Experiment
+from tissuereg.io.toml_text import write_toml
+
+
+def write_experiment(experiment: Experiment, path: str | os.PathLike[str]) -> None:
+    """Write an experiment file that `read_experiment` reads back, effects included.
+
+    Mesh and tables stay where they are; the file refers to them from its own place.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Read from files; beliefs and effects may have been changed since, cases and patches not.
+    path : path-like
+        The file, ``experiment.extended.toml`` say; an older one is replaced as a whole.
+
+    Raises
+    ------
+    ExperimentError
+        If a value cannot stand in such a file: a modulus a tet, fibres in the material, a patch without a rule.
+    OutputError
+        If the file cannot be written there.
+    """
+    folder = Path(path).absolute().parent
+    material = experiment.material
+    if material.fibre is not None:
+        message = "fibres of an experiment file must be an effect, got them in the material"
+        raise ExperimentError(message, where="fibre")
+    content: dict[str, Any] = {"name": experiment.name}
+    if not _same(folder, experiment.folder):
+        content["tables"] = _from(folder, experiment.folder)
+    content["mesh"] = {"file": _from(folder, experiment.mesh_file)}
+    content["material"] = {
+        "law": material.law,
+        **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
+        "volumetric": material.volumetric,
+        "young_kpa": _belief("young", material.young_array, experiment.young_std),
+        "poisson": _belief("poisson", material.poisson_array, experiment.poisson_std),
+        "density_g_per_cm3": material.density,
+    }
+    gravity = experiment.gravity
+    if gravity is not None:
+        content["gravity"] = {
+            "direction": gravity.direction.tolist(),
+            "g_mm_per_s2": gravity.g_mm_per_s2,
+            "in_reference": gravity.in_reference,
+        }
+    if experiment.force_std is not None:
+        content["forces"] = {"std_mN": experiment.force_std}
+    content["markers"] = _markers(experiment)
+    content["boundary"] = [_patch(boundary) for boundary in experiment.boundaries]
+    content["actuator"] = [{**_patch(actuator), "contact": actuator.contact} for actuator in experiment.actuators]
+    content["target"] = [{"name": name, "reference": place.tolist()} for name, place in experiment.targets.items()]
+    content["effect"] = [effect.table() for effect in experiment.effects]
+    write_toml(path, {key: value for key, value in content.items() if value != []})
+
+
+def _markers(experiment: Experiment) -> dict[str, Any]:
+    places = zip(experiment.marker_names, experiment.marker_reference.tolist(), strict=True)
+    markers: dict[str, Any] = {"std_mm": experiment.marker_std, "reference": dict(places)}
+    return markers if experiment.rest_case is None else {"rest_case": experiment.rest_case, **markers}
+
+
+def _patch(patch: Boundary | Actuator) -> dict[str, Any]:
+    if patch.rule is None:
+        message = f"a patch in an experiment file must have a rule for its nodes; '{patch.name}' has nodes alone"
+        raise ExperimentError(message, where=patch.name)
+    return {"name": patch.name, "nodes": patch.rule, "kind": patch.kind}
+
+
+def _belief(name: str, mean: FloatArray, std: float | None) -> float | list[float]:
+    if mean.size != 1:
+        message = f"`{name}` of an experiment file must be one for the whole body, got {mean.size} values"
+        raise ExperimentError(message, where=name)
+    return float(mean[0]) if std is None else [float(mean[0]), std]
+
+
+def _same(one: Path, other: Path) -> bool:
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _from(folder: Path, place: Path) -> str:
+    """Return a path as seen from a folder, with forward slashes; the whole path where no way leads there."""
+    try:
+        return Path(os.path.relpath(os.path.realpath(place), os.path.realpath(folder))).as_posix()
+    except ValueError:
+        return place.absolute().as_posix()

@@ -1,0 +1,114 @@
+"""TOML out: plain values, tables and lists of tables as text, whole or not at all."""
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from tissuereg.errors import ExperimentError
+from tissuereg.io.atomic import atomic_file
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def toml_text(content: Mapping[str, Any]) -> str:
+    """Return a mapping as TOML.
+
+    Parameters
+    ----------
+    content : mapping of str to object
+        Texts, numbers, truth values, lists of them, mappings (tables), lists of mappings (lists of tables).
+
+    Returns
+    -------
+    str
+        Floats in the shortest form that reads back to the same bits.
+
+    Raises
+    ------
+    ExperimentError
+        If a value is of no TOML type.
+
+    Examples
+    --------
+    >>> print(toml_text({"name": "rig", "mesh": {"file": "a.vtu"}, "effect": [{"id": "scale", "scale": 1.01}]}))
+    name = "rig"
+    <BLANKLINE>
+    [mesh]
+    file = "a.vtu"
+    <BLANKLINE>
+    [[effect]]
+    id = "scale"
+    scale = 1.01
+    <BLANKLINE>
+    """
+    lines: list[str] = []
+    _add_table(lines, (), content)
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def write_toml(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
+    """Write a mapping as a TOML file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to.
+    content : mapping of str to object
+        As for `toml_text`.
+
+    Raises
+    ------
+    ExperimentError
+        If a value is of no TOML type.
+    OutputError
+        If it cannot be written there.
+    """
+    text = toml_text(content)
+    with atomic_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _add_table(lines: list[str], place: tuple[str, ...], content: Mapping[str, Any]) -> None:
+    tables = {key: value for key, value in content.items() if isinstance(value, Mapping)}
+    lists = {key: value for key, value in content.items() if _is_list_of_tables(value)}
+    lines.extend(_line(key, value) for key, value in content.items() if key not in tables and key not in lists)
+    for key, value in tables.items():
+        lines.extend(["", f"[{'.'.join(map(_key, (*place, key)))}]"])
+        _add_table(lines, (*place, key), value)
+    for key, items in lists.items():
+        for item in items:
+            lines.extend(["", f"[[{'.'.join(map(_key, (*place, key)))}]]", *map(_line, item, item.values())])
+
+
+def _line(key: str, value: Any) -> str:
+    return f"{_key(key)} = {_value(value)}"
+
+
+def _is_list_of_tables(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(item, Mapping) for item in value)
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _text(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(map(_line, value, value.values()))} }}"
+    message = f"a value of a TOML file must be a text, number, truth value, list or table, got {type(value).__name__}"
+    raise ExperimentError(message)
+
+
+def _text(text: str) -> str:
+    # JSON's escapes are TOML's; the one control character that JSON leaves alone is DEL.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")

@@ -1,0 +1,228 @@
+"""What a material does beyond its elastic law, and what lies on the surface of a body.
+
+Fields have the names of the keys of an experiment's ``[[effect]]`` tables, so that
+``Relaxation(g=[0.3], tau_s=[2.0])`` is what such a table says. Ranges are checked by the solver.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import index_array
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Stress that fades while the body is held: a Prony series; moduli are instantaneous.
+
+    Parameters
+    ----------
+    g : sequence of float
+        Share of the stress that each term relaxes; above 0, sum below 1.
+    tau_s : sequence of float
+        Relaxation time of each term in s.
+    part : {"whole", "isochoric"}
+        Which part of the stress relaxes.
+    """
+
+    g: Sequence[float]
+    tau_s: Sequence[float]
+    part: str = "whole"
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Stress that grows with the rate: ``2 eta D`` beside the elastic Cauchy stress.
+
+    Parameters
+    ----------
+    viscosity_kpa_s : float
+        Viscosity ``eta`` in kPa s.
+    """
+
+    viscosity_kpa_s: float
+
+
+@dataclass(frozen=True)
+class Softening:
+    """Softening by earlier load (Mullins effect) after Ogden and Roxburgh.
+
+    Parameters
+    ----------
+    r : float
+        Largest softening is ``1 - 1/r``; at least 1.
+    m_kpa : float
+        Energy over which small loads soften, in kPa.
+    beta : float
+        Share of the largest energy added to it.
+    """
+
+    r: float
+    m_kpa: float
+    beta: float
+
+
+@dataclass(frozen=True)
+class Set:
+    """A share of the largest strain that stays; it shows from the next frame on.
+
+    Parameters
+    ----------
+    fraction : float
+        In (0, 1).
+    """
+
+    fraction: float
+
+
+@dataclass(frozen=True)
+class Drainage:
+    """Relaxation of the volumetric part of the stress, as a stand-in for fluid that leaves.
+
+    Parameters
+    ----------
+    share : float
+        Share that drains, in (0, 1).
+    tau_s : float
+        Relaxation time in s.
+    """
+
+    share: float
+    tau_s: float
+
+
+@dataclass(frozen=True)
+class Swelling:
+    """Growth, the same in all directions and everywhere, along a ramp in time.
+
+    Parameters
+    ----------
+    linear_strain : float
+        Strain at the end of the ramp, above -1.
+    from_time_s : float
+        Start of the ramp in s.
+    to_time_s : float
+        End of the ramp in s.
+    """
+
+    linear_strain: float
+    from_time_s: float
+    to_time_s: float
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """What a material does beyond its elastic law; nothing where all are None.
+
+    Parameters
+    ----------
+    relaxation : Relaxation, optional
+        Stress that fades.
+    rate : Rate, optional
+        Stress that grows with the rate.
+    softening : Softening, optional
+        Softening by earlier load.
+    set : Set, optional
+        Strain that stays.
+    drainage : Drainage, optional
+        Volumetric stress that fades.
+    swelling : Swelling, optional
+        Growth.
+    """
+
+    relaxation: Relaxation | None = None
+    rate: Rate | None = None
+    softening: Softening | None = None
+    set: Set | None = None
+    drainage: Drainage | None = None
+    swelling: Swelling | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the compiled solver takes.
+
+        Returns
+        -------
+        dict
+            Numbers of every behaviour that is there.
+        """
+        said: dict[str, Any] = {}
+        if self.relaxation is not None:
+            g, tau = ([float(v) for v in np.atleast_1d(x)] for x in (self.relaxation.g, self.relaxation.tau_s))
+            said["relaxation"] = (g, tau, self.relaxation.part)
+        if self.rate is not None:
+            said["viscosity_kpa_s"] = float(self.rate.viscosity_kpa_s)
+        if self.softening is not None:
+            said["softening"] = (self.softening.r, self.softening.m_kpa, self.softening.beta)
+        if self.set is not None:
+            said["set"] = self.set.fraction
+        if self.drainage is not None:
+            said["drainage"] = (self.drainage.share, self.drainage.tau_s)
+        if self.swelling is not None:
+            ramp = self.swelling
+            said["swelling"] = (ramp.linear_strain, ramp.from_time_s, ramp.to_time_s)
+        return said
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """Springs between triangles of the surface and their undeformed place.
+
+    Parameters
+    ----------
+    triangles : array_like of int, shape (n, 3)
+        Boundary triangles.
+    normal_kpa_per_mm : float
+        Stiffness along the undeformed normal, in kPa/mm.
+    tangential_kpa_per_mm : float
+        Stiffness in the plane, in kPa/mm.
+    """
+
+    triangles: Any
+    normal_kpa_per_mm: float
+    tangential_kpa_per_mm: float
+
+    def as_tuple(self) -> tuple[Any, list[float]]:
+        """Return what the compiled solver takes.
+
+        Returns
+        -------
+        tuple of (ndarray of int64, list of float)
+            Triangles and stiffness.
+        """
+        stiffness = [float(self.normal_kpa_per_mm), float(self.tangential_kpa_per_mm)]
+        return index_array("springs", self.triangles, (None, 3)), stiffness
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """A thin neo-Hookean membrane on triangles of the surface, without stress in the reference shape.
+
+    Parameters
+    ----------
+    triangles : array_like of int, shape (n, 3)
+        Boundary triangles.
+    thickness_mm : float
+        Undeformed thickness.
+    young_kpa : float
+        Young's modulus.
+    poisson : float
+        Poisson's ratio, in [0, 0.5).
+    """
+
+    triangles: Any
+    thickness_mm: float
+    young_kpa: float
+    poisson: float = 0.45
+
+    def as_tuple(self) -> tuple[Any, list[float]]:
+        """Return what the compiled solver takes.
+
+        Returns
+        -------
+        tuple of (ndarray of int64, list of float)
+            Triangles and thickness, Young's modulus, Poisson's ratio.
+        """
+        numbers = [float(self.thickness_mm), float(self.young_kpa), float(self.poisson)]
+        return index_array("skin", self.triangles, (None, 3)), numbers

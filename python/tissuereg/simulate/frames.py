@@ -1,0 +1,258 @@
+"""A body through time frames: history, pads that come and go, springs, skin, a mesh that hangs already."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._arrays import FloatArray, float_array, index_array
+from tissuereg.errors import ConvergenceError, LoadError
+from tissuereg.load import Load
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.behaviour import Behaviour, Skin, Springs
+from tissuereg.simulate.solve import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Pad:
+    """A patch of nodes that an actuator holds in some frames.
+
+    Parameters
+    ----------
+    name : str
+        Key of its forces in the answer.
+    nodes : array_like of int, shape (n,)
+        Nodes of the patch; those that are held anyway stay where they are.
+    motion : array_like of float, shape (n_frames, 3)
+        Translation in mm in every frame, from the shape that the body has when the pad comes. Rows of NaN are
+        frames in which it is absent and its nodes are free.
+    """
+
+    name: str
+    nodes: Any
+    motion: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Equilibria of all frames; those without are rows of NaN.
+
+    Attributes
+    ----------
+    times : ndarray of float64, shape (n_frames,)
+        s.
+    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
+        Displacement of the mesh's nodes from the mesh as given, mm.
+    reactions : ndarray of float64, shape (n_frames, n_held, 3)
+        Force on the body at every held node, mN.
+    pad_forces : dict of str to ndarray of float64, shape (n_frames, 3)
+        Force of every pad on the body, mN; NaN where it is absent.
+    pad_moments : dict of str to ndarray of float64, shape (n_frames, 3)
+        Its moment about the mean place of the pad's nodes, mN mm.
+    spring_forces : ndarray of float64, shape (n_frames, n_springs, 3)
+        Force of every set of springs on the body, mN.
+    rest_nodes : ndarray of float64, shape (n_nodes, 3)
+        Nodes without load, mm; those of the mesh unless it hangs already.
+    failed : list of (int, str)
+        Frames without equilibrium, with the reason; the history goes on from the frame before.
+    reports : list of dict
+        Work done, one a frame; empty for one that failed.
+    """
+
+    times: FloatArray
+    displacement: FloatArray
+    reactions: FloatArray
+    pad_forces: dict[str, FloatArray]
+    pad_moments: dict[str, FloatArray]
+    spring_forces: FloatArray
+    rest_nodes: FloatArray
+    failed: list[tuple[int, str]]
+    reports: list[dict[str, Any]]
+
+
+def solve_frames(
+    mesh: Mesh,
+    material: Material,
+    times: Any,
+    *,
+    loads: Load | Sequence[Load] | None = None,
+    pads: Sequence[Pad] = (),
+    behaviour: Behaviour | None = None,
+    springs: Sequence[Springs] = (),
+    skins: Sequence[Skin] = (),
+    weight: Any = None,
+    in_reference: bool = False,
+    element: str = "tet4",
+    held_nodes: Any = None,
+    tolerance: float = 1e-9,
+    threads: int = 0,
+    progress: Callable[[int], object] | None = None,
+) -> Frames:
+    """Return the equilibria of a body in one time frame after another.
+
+    The first frame is reached at once (the elastic answer). Between frames, forces and motions grow linearly; a frame
+    that finds no equilibrium is reached in parts.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape; its node set ``fixed`` is held unless `held_nodes` is given.
+    material : Material
+        The elastic law; instantaneous moduli where the stress relaxes.
+    times : array_like of float, shape (n_frames,)
+        s, never decreasing.
+    loads : Load or sequence of Load, optional
+        The same in all frames, or one a frame. Prescribed rows are those of the held nodes.
+    pads : sequence of Pad
+        Patches that are held in some frames.
+    behaviour : Behaviour, optional
+        What the material does beyond its law.
+    springs : sequence of Springs
+        What the surface rests on. Springs hold the body where held nodes do not.
+    skins : sequence of Skin
+        What covers the surface.
+    weight : array_like of float, shape (3,), optional
+        Body force in all frames, mN/mm^3, beside that of the loads; `Material.weight` gives gravity's.
+    in_reference : bool
+        Whether the mesh as given hangs in `weight` already. The unloaded shape is then found first.
+    element : {"tet4", "tet10"}
+        Four-node tets, or ten-node tets on the same edges.
+    held_nodes : array_like of int, optional
+        Nodes whose displacement is given by the loads (zero where absent).
+    tolerance : float
+        Norm of the residual over the norm of the load.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    progress : callable of int, optional
+        Called with the number of frames done.
+
+    Returns
+    -------
+    Frames
+        Displacements, forces, failures.
+
+    Raises
+    ------
+    LoadError
+        If loads, pads and times do not fit together.
+    ConvergenceError
+        If no frame finds equilibrium, or the mesh has no unloaded shape.
+    MaterialError, ShapeError, SupportError
+        If the input does not fit the body.
+
+    Examples
+    --------
+    >>> block = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
+    >>> push = Pad("tip", [3], [[0, 0, -1.0], [0, 0, -1.0], [np.nan] * 3])
+    >>> frames = solve_frames(block, Material(young=10.0), [0.0, 1.0, 2.0], pads=[push])
+    >>> bool(frames.pad_forces["tip"][1, 2] < 0), bool(abs(frames.displacement[2]).max() < 1e-6)
+    (True, True)
+    """
+    times = float_array("times", times, (None,))
+    n = len(times)
+    each = _one_a_frame(loads, n)
+    motions = _motions(pads, n)
+    held = mesh.fixed_nodes if held_nodes is None else index_array("held_nodes", held_nodes, (None,))
+    body_force = None if weight is None else float_array("weight", weight, (3,))
+    if in_reference and body_force is None:
+        message = "a mesh can hang in its weight only where `weight` is given"
+        raise LoadError(message, where="weight")
+    # Spreads tractions over nodes and knows the moduli; it never solves.
+    spreader = Simulator(mesh, element=element, held_nodes=np.arange(mesh.n_nodes))
+    young, poisson = spreader.moduli(material)
+    rig = _core.Rig(
+        mesh.nodes,
+        mesh.tets,
+        held,
+        young,
+        poisson,
+        law=material.core_law(),
+        element=element,
+        pads=[index_array(f"nodes of pad '{pad.name}'", pad.nodes, (None,)) for pad in pads],
+        behaviour=None if behaviour is None else behaviour.as_dict(),
+        springs=[one.as_tuple() for one in springs],
+        rests=len(springs) > 0,
+        skins=[one.as_tuple() for one in skins],
+        hangs_in=body_force if in_reference else None,
+        tolerance=tolerance,
+        threads=threads,
+    )
+    answer = _empty(times, mesh.n_nodes, len(held), [pad.name for pad in pads], len(springs))
+    for frame, (time, load) in enumerate(zip(times, each, strict=True)):
+        own = None if load.body_force is None else float_array("body_force", load.body_force, (3,))
+        both = [force for force in (own, body_force) if force is not None]
+        prescribed = None
+        if load.prescribed is not None:
+            prescribed = float_array("prescribed", load.prescribed, (len(held), 3))
+        try:
+            found = rig.advance(
+                float(time),
+                motions[frame],
+                forces=spreader.forces(load),
+                body_force=np.sum(both, axis=0) if both else None,
+                prescribed=prescribed,
+            )
+        except ConvergenceError as error:
+            answer.failed.append((frame, str(error)))
+            answer.reports.append({})
+        else:
+            _keep(answer, frame, found)
+        if progress is not None:
+            progress(frame + 1)
+    if len(answer.failed) == n > 0:
+        message = f"some frame must find equilibrium; none does: {answer.failed[0][1]}"
+        raise ConvergenceError(message, where="frame 0")
+    return replace(answer, rest_nodes=rig.rest_nodes[: mesh.n_nodes].copy())
+
+
+def _one_a_frame(loads: Load | Sequence[Load] | None, n_frames: int) -> list[Load]:
+    if loads is None or isinstance(loads, Load):
+        return [loads or Load()] * n_frames
+    if len(loads) != n_frames:
+        message = f"there must be one load a frame, got {len(loads)} for {n_frames}"
+        raise LoadError(message, where="loads")
+    return list(loads)
+
+
+def _motions(pads: Sequence[Pad], n_frames: int) -> FloatArray:
+    names = [pad.name for pad in pads]
+    if len(set(names)) < len(names):
+        message = f"pads must have different names, got {', '.join(names)}"
+        raise LoadError(message, where="pads")
+    motions = np.empty((n_frames, len(pads), 3))
+    for k, pad in enumerate(pads):
+        motions[:, k] = float_array(f"motion of pad '{pad.name}'", pad.motion, (n_frames, 3))
+        missing = np.isnan(motions[:, k])
+        if (missing.any(axis=1) != missing.all(axis=1)).any():
+            frame = int(np.flatnonzero(missing.any(axis=1) != missing.all(axis=1))[0])
+            message = f"the motion of pad '{pad.name}' must be known along all axes or none, not so in frame {frame}"
+            raise LoadError(message, where=f"pad '{pad.name}'")
+    return motions
+
+
+def _empty(times: FloatArray, n_nodes: int, n_held: int, pads: list[str], n_springs: int) -> Frames:
+    n = len(times)
+    return Frames(
+        times,
+        np.full((n, n_nodes, 3), np.nan),
+        np.full((n, n_held, 3), np.nan),
+        {name: np.full((n, 3), np.nan) for name in pads},
+        {name: np.full((n, 3), np.nan) for name in pads},
+        np.full((n, n_springs, 3), np.nan),
+        np.empty((0, 3)),
+        [],
+        [],
+    )
+
+
+def _keep(answer: Frames, frame: int, found: _core.RigFrame) -> None:
+    answer.displacement[frame] = found.displacement[: answer.displacement.shape[1]]
+    answer.reactions[frame] = found.reactions
+    answer.spring_forces[frame] = found.spring_forces
+    for k, name in enumerate(answer.pad_forces):
+        answer.pad_forces[name][frame] = found.pad_forces[k]
+        answer.pad_moments[name][frame] = found.pad_moments[k]
+    answer.reports.append(found.report)

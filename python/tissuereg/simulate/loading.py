@@ -1,0 +1,60 @@
+"""What acts in the frames of an experiment's cases: pads, weight, forces on patches."""
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.experiment import Actuator, Case, Experiment
+
+
+def pads_of(experiment: Experiment, case: Case) -> list[Actuator]:
+    """Return the displacement actuators that are present in a case."""
+    return [a for a in experiment.actuators if a.kind == "displacement" and a.name in case.displacements]
+
+
+def weight_of(experiment: Experiment) -> FloatArray | None:
+    """Return the body's own weight in mN/mm^3, shape (3,); None without gravity."""
+    gravity = experiment.gravity
+    return None if gravity is None else experiment.material.weight(gravity.direction, gravity.g_mm_per_s2)
+
+
+def hangs_already(experiment: Experiment) -> bool:
+    """Say whether the mesh as given hangs in gravity."""
+    return experiment.gravity is not None and experiment.gravity.in_reference
+
+
+def traction_of(experiment: Experiment, case: Case, frame: int) -> tuple[IntArray, FloatArray] | None:
+    """Return what the force actuators do in a frame.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With its actuators.
+    case : Case
+        One of its cases.
+    frame : int
+        Row of the case.
+
+    Returns
+    -------
+    tuple of ndarray of int64 (n, 3) and ndarray of float64 (n, 3), or None
+        Boundary triangles and the dead traction on each in kPa; None where no force actuator is present.
+    """
+    triangles, tractions = [], []
+    for pad in experiment.actuators:
+        if pad.kind == "force" and pad.name in case.applied_forces:
+            patch, area = _patch(experiment, pad)
+            triangles.append(patch)
+            tractions.append(np.broadcast_to(case.applied_forces[pad.name][frame] / area, (len(patch), 3)))
+    return (np.concatenate(triangles), np.concatenate(tractions)) if triangles else None
+
+
+def _patch(experiment: Experiment, pad: Actuator) -> tuple[IntArray, float]:
+    """Return the boundary triangles of a force actuator's patch and their area in mm^2."""
+    mesh = experiment.mesh
+    inside = np.isin(mesh.surface, pad.nodes)
+    # A patch smaller than a triangle still loads the triangles around its nodes.
+    rows = inside.all(axis=1) if inside.all(axis=1).any() else inside.any(axis=1)
+    triangles = mesh.surface[rows]
+    corners = mesh.nodes[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return triangles, float(0.5 * np.linalg.norm(normal, axis=1).sum())

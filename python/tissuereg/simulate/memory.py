@@ -1,0 +1,221 @@
+"""Cases whose frames depend on what was before, or whose body does not rest on held nodes alone.
+
+Memory that fades (relaxation, drainage, viscosity) begins anew with every case, which is one load history from rest:
+the body has then stood long enough under what acts without its actuators. Memory that stays (softening, set) is carried
+through all cases on their one clock, and with it all else: what fades does so over the time between two cases.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.effects import Drainage, Relaxation, Set, Sliding, Softening, Swelling
+from tissuereg.effects.history import Memory
+from tissuereg.errors import ConvergenceError, ExperimentError
+from tissuereg.experiment import Case, Experiment
+from tissuereg.load import Load
+from tissuereg.simulate import behaviour
+from tissuereg.simulate.frames import Pad, solve_frames
+from tissuereg.simulate.loading import hangs_already, pads_of, traction_of, weight_of
+
+#: Times of relaxation in each of the four steps in which a body that stands comes to rest. A step takes strain to grow
+#: linearly, so each leaves about 1/30 of what it has to creep.
+_REST = 30.0
+
+#: Stiffness across a sliding boundary over modulus / extent of the body: it sinks in by some 1e-4 of the strain.
+_ACROSS = 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedCase:
+    """Frames of one case.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
+        mm; NaN in frames without equilibrium.
+    forces : dict of str to ndarray of float64, shape (n_frames, 3)
+        Force on the body at every displacement actuator that is present, mN.
+    failed : list of (int, str)
+        Frames without equilibrium, with the reason.
+    """
+
+    displacement: FloatArray
+    forces: dict[str, FloatArray]
+    failed: list[tuple[int, str]]
+
+
+def goes_through_time(experiment: Experiment) -> bool:
+    """Say whether frames must be solved one after another.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Effects of body, supports and actuators worked in (`tissuereg.effects.extended`).
+
+    Returns
+    -------
+    bool
+        True with memory, swelling, sliding supports, or a mesh that hangs in gravity already.
+    """
+    return hangs_already(experiment) or any(isinstance(effect, Memory | Sliding) for effect in experiment.effects)
+
+
+def is_carried(experiment: Experiment) -> bool:
+    """Say whether a case depends on the cases before it: with softening or set."""
+    return any(isinstance(effect, Softening | Set) for effect in experiment.effects)
+
+
+def solve_through_time(
+    experiment: Experiment,
+    cases: Sequence[Case],
+    *,
+    element: str = "tet4",
+    threads: int = 0,
+    progress: Callable[[int], object] | None = None,
+) -> dict[str, SolvedCase]:
+    """Return the equilibria of cases, frame after frame.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Effects of body, supports and actuators worked in.
+    cases : sequence of Case
+        All that matter: with softening or set every case from the first one on.
+    element : {"tet4", "tet10"}
+        Elements to use.
+    threads : int
+        Threads to use; 0 takes all cores.
+    progress : callable of int, optional
+        Called with frames done.
+
+    Returns
+    -------
+    dict of str to SolvedCase
+        One a case, in the order given.
+
+    Raises
+    ------
+    ConvergenceError
+        If no frame of a case finds equilibrium.
+    ExperimentError
+        If cases that depend on each other overlap in time.
+    """
+    groups = [sorted(cases, key=lambda case: float(case.times[0]))] if is_carried(experiment) else [[c] for c in cases]
+    solved: dict[str, SolvedCase] = {}
+    done = 0
+    for group in groups:
+        report = None if progress is None else (lambda n, before=done: progress(before + n))
+        solved.update(_solve_group(experiment, group, element, threads, report))
+        done += sum(len(case.times) for case in group)
+    return {case.name: solved[case.name] for case in cases}
+
+
+def _solve_group(
+    experiment: Experiment,
+    group: Sequence[Case],
+    element: str,
+    threads: int,
+    progress: Callable[[int], object] | None,
+) -> dict[str, SolvedCase]:
+    """Return cases that share one history."""
+    _refuse_overlap(group)
+    standing = _standing_times(experiment, float(group[0].times[0]))
+    times, loads, rows = [standing], [Load()] * len(standing), {}
+    done = [0] * (len(standing) + 1)
+    for number, case in enumerate(group):
+        if number > 0:
+            # The actuators of the case before let go.
+            times.append(group[number - 1].times[-1:])
+            loads.append(Load())
+            done.append(done[-1])
+        rows[case.name] = slice(len(loads), len(loads) + len(case.times))
+        times.append(case.times)
+        loads += [Load(traction=traction_of(experiment, case, i)) for i in range(len(case.times))]
+        done += range(done[-1] + 1, done[-1] + 1 + len(case.times))
+    report = None if progress is None else (lambda n: progress(done[n]))
+    found = solve_frames(
+        experiment.mesh,
+        experiment.material,
+        np.concatenate(times),
+        loads=loads,
+        pads=_pads(experiment, group, rows, len(loads)),
+        behaviour=behaviour_of(experiment),
+        springs=_springs(experiment),
+        weight=weight_of(experiment),
+        in_reference=hangs_already(experiment),
+        element=element,
+        held_nodes=_held(experiment),
+        threads=threads,
+        progress=report,
+    )
+    answers = {}
+    for case in group:
+        mine = rows[case.name]
+        failed = [(frame - mine.start, why) for frame, why in found.failed if mine.start <= frame < mine.stop]
+        if len(failed) == len(case.times):
+            message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
+            raise ConvergenceError(message, where=case.name)
+        forces = {pad.name: found.pad_forces[pad.name][mine] for pad in pads_of(experiment, case)}
+        answers[case.name] = SolvedCase(found.displacement[mine], forces, failed)
+    return answers
+
+
+def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
+    """Return what the effects of history say, as the solver takes it; None where there are none."""
+    given = {}
+    for effect in experiment.effects:
+        if isinstance(effect, Memory):
+            kind = getattr(behaviour, type(effect).__name__)
+            given[effect.id] = kind(**{key.name: getattr(effect, key.name) for key in fields(effect)})
+    return behaviour.Behaviour(**given) if given else None
+
+
+def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
+    """Return the frames in which a body with a weight or a swelling comes to rest before its first case."""
+    fading = [tau for effect in experiment.effects if isinstance(effect, Relaxation) for tau in effect.tau_s]
+    fading += [effect.tau_s for effect in experiment.effects if isinstance(effect, Drainage)]
+    swells = any(isinstance(effect, Swelling) for effect in experiment.effects)
+    loaded = (experiment.gravity is not None and not hangs_already(experiment)) or swells
+    return begin - _REST * max(fading) * np.arange(4.0, -1.0, -1.0) if fading and loaded else np.empty(0)
+
+
+def _pads(experiment: Experiment, group: Sequence[Case], rows: dict[str, slice], n_frames: int) -> list[Pad]:
+    motions: dict[str, FloatArray] = {}
+    for case in group:
+        for pad in pads_of(experiment, case):
+            motion = motions.setdefault(pad.name, np.full((n_frames, 3), np.nan))
+            motion[rows[case.name]] = case.displacements[pad.name]
+    return [Pad(name, experiment.actuator(name).nodes, motion) for name, motion in motions.items()]
+
+
+def _held(experiment: Experiment) -> IntArray:
+    """Return the nodes of all boundaries that do not slide."""
+    sliding = {effect.boundary for effect in experiment.effects if isinstance(effect, Sliding)}
+    if not sliding:
+        return experiment.mesh.fixed_nodes
+    held = [boundary.nodes for boundary in experiment.boundaries if boundary.name not in sliding]
+    return np.unique(np.concatenate(held)) if held else np.empty(0, np.int64)
+
+
+def _springs(experiment: Experiment) -> list[behaviour.Springs]:
+    across = _ACROSS * float(experiment.material.young_array.max()) / experiment.mesh.extent
+    return [
+        behaviour.Springs(effect.triangles(experiment), across, effect.spring_kpa_per_mm)
+        for effect in experiment.effects
+        if isinstance(effect, Sliding) and effect.spring_kpa_per_mm is not None
+    ]
+
+
+def _refuse_overlap(group: Sequence[Case]) -> None:
+    for case, following in itertools.pairwise(group):
+        if following.times[0] < case.times[-1]:
+            message = (
+                "cases must follow each other on one clock where softening or set is carried from one to the next: "
+                f"'{following.name}' begins at {following.times[0]:g} s, before '{case.name}' ends at "
+                f"{case.times[-1]:g} s"
+            )
+            raise ExperimentError(message, where=following.name)
