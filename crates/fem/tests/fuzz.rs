@@ -126,6 +126,7 @@ fn input(seed: u64, decades: f64) -> Input {
         body_force: random.vector(0.1 * young / unit),
         prescribed: Some(held.iter().map(|_| random.vector(moved)).collect())
             .filter(|_| random.below(3) == 0),
+        ..Load::default()
     };
     let settings = SolveSettings {
         n_threads: 1,

@@ -274,7 +274,7 @@ fn a_frame_that_fails_leaves_the_history_as_it_was() {
     assert!(matches!(fails[0], FemError::NoEquilibrium(_)), "{}", fails[0]);
     assert_eq!(fails[1], FemError::TimeRunsBack { time_s: 0.5, last_s: 1.0 });
     assert!(fails[1].to_string().contains("must not run backwards"));
-    assert!(matches!(fails[2], FemError::NonFinite { what: "time", .. }));
+    assert!(matches!(fails[2], FemError::BadParameter { name: "time_s", .. }));
     assert!(matches!(fails[3], FemError::WrongLength { .. }));
     assert_eq!(before, (history.displacement().to_vec(), history.time_s()));
     history.advance(&body, &push(5.0), 2.0, &settings).expect("goes on");

@@ -26,6 +26,8 @@ pub(super) struct Search<'a> {
     pub(super) potential: f64,
     /// Slope of the potential along the direction at the start, µJ; negative.
     pub(super) slope: f64,
+    /// Rounding of the strain energy where large parts of it cancel, µJ.
+    pub(super) rounding: f64,
 }
 
 impl Search<'_> {
@@ -39,7 +41,7 @@ impl Search<'_> {
         workspace: &mut Workspace,
     ) -> Option<f64> {
         let work = dot(&self.problem.load.force, &from.displacement).abs() * self.fraction;
-        let rounding = 1e-14 * (from.energy.total.abs() + work);
+        let rounding = 1e-14 * (from.energy.total.abs() + work) + self.rounding;
         let mut alpha = 1.0;
         for _ in 0..TRIALS {
             self.step(from, alpha, trial);

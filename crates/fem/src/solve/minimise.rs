@@ -12,9 +12,9 @@ use super::settings::Method;
 use crate::error::{FemError, StopReason};
 
 /// Iterations that take as long as a factorisation, by its multiply-adds over its entries `x`:
-/// `FACTOR_COST[0] + FACTOR_COST[1] x`. Measured on one thread: 21 at x = 236 (4,000 nodes), 27 at
-/// 695 (20,000); on two threads a third less.
-const FACTOR_COST: [f64; 2] = [14.0, 0.0125];
+/// `x / (FACTOR_COST[0] + FACTOR_COST[1] x)`. Measured on one thread: 21 at x = 236 (4,000 nodes),
+/// 27 at 695 (20,000); small factors are cheap.
+const FACTOR_COST: [f64; 2] = [6.0, 0.025];
 
 /// Iterations that a fresh metric still needs, for the decision to make one.
 const AFTER_REFRESH: f64 = 7.0;
@@ -148,6 +148,7 @@ impl Minimiser {
             direction: &self.direction,
             potential: problem.potential(state, goal.fraction),
             slope,
+            rounding: energy_rounding(problem, metric, state),
         };
         let found = search.run(state, &mut self.trial, &mut self.next_residual, workspace);
         let Some(alpha) = found else { return false };
@@ -184,12 +185,22 @@ impl Minimiser {
 
 /// Iterations that take as long as one factorisation.
 pub(super) fn iterations_per_factor(problem: &Problem) -> f64 {
-    FACTOR_COST[0] + FACTOR_COST[1] * problem.body.pattern().fronts.factor_to_solve()
+    let x = problem.body.pattern().fronts.factor_to_solve();
+    x / (FACTOR_COST[0] + FACTOR_COST[1] * x)
 }
 
 /// Norm of the rounding errors of the internal forces, mN: each force is a sum of products of
 /// stiffness and displacement, and carries the rounding of its largest terms.
 fn rounding_floor(problem: &Problem, metric: &Metric, state: &State) -> f64 {
-    let largest = state.displacement.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    16.0 * f64::EPSILON * largest * metric.diagonal_norm(problem)
+    16.0 * f64::EPSILON * largest_displacement(state) * metric.diagonal_norm(problem)
+}
+
+/// Rounding of the strain energy, µJ: a stiff body that turns as a whole has large terms that
+/// cancel.
+fn energy_rounding(problem: &Problem, metric: &Metric, state: &State) -> f64 {
+    f64::EPSILON * largest_displacement(state).powi(2) * metric.diagonal_norm(problem)
+}
+
+fn largest_displacement(state: &State) -> f64 {
+    state.displacement.iter().fold(0.0_f64, |m, v| m.max(v.abs()))
 }

@@ -182,7 +182,7 @@ impl<'a> Solver<'a> {
         workspace.report.seconds.factor = begin.elapsed().as_secs_f64();
 
         let minimiser = &mut self.minimiser;
-        let allowed = problem.settings.max_iterations as f64;
+        let allowed = 2.0 * problem.settings.max_iterations as f64;
         let supports = SupportPath::new(self.body, problem.load);
         let state = Path { problem, minimiser, workspace, metric, supports, allowed }.run(start)?;
         let mut report = self.workspace.report;
