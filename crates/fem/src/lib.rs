@@ -63,9 +63,9 @@
 //!
 //! Displacement elements ([`Element`]), eight hyperelastic laws with or without fibres
 //! ([`material`]), dead loads. Equilibrium is the minimum of the potential energy;
-//! it is sought by L-BFGS in the metric of the undeformed stiffness, whose sparse Cholesky factor
-//! (faer) is made in single precision, on unknowns ordered by nested dissection. A line search
-//! keeps every element upright. Slow convergence makes a factor of the current tangent, failure
+//! it is sought by L-BFGS in the metric of the undeformed stiffness, whose Cholesky factor is made
+//! in single precision: a multifrontal one, filled straight from the elements, on unknowns ordered
+//! by nested dissection, with faer's dense kernels. A line search keeps every element upright. Slow convergence makes a factor of the current tangent, failure
 //! makes load steps; [`Method`] and [`LoadSteps`] choose otherwise. Residuals are evaluated in
 //! double precision, so the answer does not depend on any of this.
 //!

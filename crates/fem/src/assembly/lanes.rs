@@ -194,17 +194,10 @@ fn x_minus_log(x: f64) -> f64 {
     let s = x / (2.0 + x);
     let z = s * s;
     // z < 0.032: twelve terms leave less than 1e-18.
-    let series = 2.0 / 3.0
-        + z * (2.0 / 5.0
-            + z * (2.0 / 7.0
-                + z * (2.0 / 9.0
-                    + z * (2.0 / 11.0
-                        + z * (2.0 / 13.0
-                            + z * (2.0 / 15.0
-                                + z * (2.0 / 17.0
-                                    + z * (2.0 / 19.0
-                                        + z * (2.0 / 21.0
-                                            + z * (2.0 / 23.0 + z * (2.0 / 25.0)))))))))));
+    let mut series = 0.0;
+    for k in (1..13).rev() {
+        series = series * z + 2.0 / (2 * k + 1) as f64;
+    }
     let half_square = 0.5 * x * x;
     half_square - s * (half_square + z * series)
 }
