@@ -431,16 +431,13 @@ impl<T: Precision> Target<'_, T> {
             }
             return;
         }
-        let mut row = a.first;
-        for i in (0..3).filter(|i| a.axes & (1 << i) != 0) {
-            let mut column = b.first;
-            for k in (0..3).filter(|k| b.axes & (1 << k) != 0) {
+        let free = |spot: Spot| (0..3).filter(move |k| spot.axes & (1 << k) != 0);
+        for (row, i) in (a.first..).zip(free(a)) {
+            for (column, k) in (b.first..).zip(free(b)) {
                 if !(diagonal && k > i) {
                     self.add(row, column, block[3 * i + k]);
                 }
-                column += 1;
             }
-            row += 1;
         }
     }
 
