@@ -70,7 +70,7 @@ def cold(problem: dict, options: argparse.Namespace) -> common.Found:
 
 
 def about(options: argparse.Namespace) -> dict:
-    return {"version": f"felupe {felupe.__version__}", "settings": "full Newton, Pardiso Cholesky, MKL threads"}
+    return {"version": f"felupe {felupe.__version__}", "settings": "full Newton, fewest load steps, Pardiso Cholesky"}
 
 
 if __name__ == "__main__":
