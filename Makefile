@@ -7,11 +7,12 @@ TRAINING_VENV := .venv-training
 TRAINING_BIN := $(TRAINING_VENV)/bin
 CARGO ?= cargo
 DATA ?= ../shared/data
+REFERENCE ?= ../shared/reference
 
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: help demo test test-rust test-sturdy test-python test-training lint rust-docs wheel install install-dev training beam bench phantom-data phantom-model clean
+.PHONY: help demo test test-rust test-sturdy test-python test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -21,6 +22,7 @@ help:
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
 	@echo "make bench           times by stage -> benchmarks/results/"
+	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
 
 $(BIN)/python:
@@ -87,6 +89,14 @@ beam: $(VENV)/.installed-dev
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/run.py
 
+# Other solvers, in an environment of their own; CalculiX (ccx) and FEBio (febio4) are used where the path has them.
+peers:
+	$(PYTHON) -m venv .venv-peers
+	.venv-peers/bin/python -m pip install --quiet "felupe==11.3.*" "scikit-fem==12.*" pypardiso
+
+bench-solver: $(VENV)/.installed
+	$(BIN)/python benchmarks/solver.py --reference $(REFERENCE)
+
 phantom-data: $(VENV)/.installed
 	$(BIN)/tissuereg simulate training/recipes/phantom.toml --out build/phantom-data
 
@@ -94,4 +104,4 @@ phantom-model: phantom-data training
 	$(TRAINING_BIN)/tissuereg train training/recipes/phantom.toml --data build/phantom-data --out build/phantom-model
 
 clean:
-	rm -rf target $(VENV) $(TRAINING_VENV) build demo
+	rm -rf target $(VENV) $(TRAINING_VENV) .venv-peers build demo

@@ -125,7 +125,7 @@ class Event:
         Returns
         -------
         Load
-            Tractions merged into one set of triangles.
+            Tractions added up where patches share a triangle.
         """
         base = base or Load()
         triangles = np.concatenate([t for t, _ in self.patches])
@@ -135,6 +135,10 @@ class Event:
             base_traction = np.broadcast_to(np.asarray(base.traction[1], np.float64), base_triangles.shape)
             triangles = np.concatenate([base_triangles, triangles])
             traction = np.concatenate([base_traction, traction])
+        _, first, facet = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_inverse=True)
+        total = np.zeros((len(first), 3))
+        np.add.at(total, facet.reshape(-1), traction)
+        triangles, traction = triangles[first], total
         body_force = scale * self.body_force + (0.0 if base.body_force is None else np.asarray(base.body_force))
         return Load(base.forces, body_force, base.prescribed, (triangles, traction))
 
