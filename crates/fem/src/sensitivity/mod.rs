@@ -13,8 +13,11 @@
 //! one cause and all observations (forward), or one observation and all causes (adjoint): with
 //! `ṙ = ∫ ∂P/∂E : ∇N`, `∂J/∂E` of a quadrature point is its volume times `∂P/∂E : ∇v`.
 //!
-//! Fibres that bear tension alone switch at zero strain, with continuous stress: derivatives there
-//! are those of the side that the state is on, and at the switch itself of taut fibres.
+//! Fibres that bear tension alone switch at zero strain, with continuous stress: a derivative is that
+//! of the side that the state is on, and at the switch itself that of taut fibres.
+//!
+//! Static equilibria alone: a [`History`](crate::History) has no derivatives yet, nor have the
+//! Poisson's ratio of a skin and the place of nodes.
 //!
 //! # Reference
 //!
