@@ -105,7 +105,8 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         E::NonFiniteNode { node, .. }
         | E::UnusedNode { node, .. }
         | E::HeldNodeOutOfRange { node, .. }
-        | E::HeldNodeRepeated { node } => details.set_item("node", node),
+        | E::HeldNodeRepeated { node }
+        | E::BadObservation { node, .. } => details.set_item("node", node),
         E::NodeOutOfRange { tet, node, .. } | E::RepeatedNode { tet, node } => {
             details.set_item("tet", tet)?;
             details.set_item("node", node)
@@ -140,6 +141,9 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         | E::BadParameter { .. }
         | E::TimeRunsBack { .. }
         | E::NoRestShape { .. }
+        | E::NotInEquilibrium { .. }
+        | E::NotStable { .. }
+        | E::NoSuchCause { .. }
         | E::Cancelled => Ok(()),
     })
 }
@@ -180,7 +184,11 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
         E::MissingSprings { triangle: [a, b, c] } => {
             (Class::Support, Some(format!("triangle {a} {b} {c}")))
         }
-        E::NoRestShape { .. } => (Class::Convergence, None),
+        E::NoRestShape { .. } | E::NotInEquilibrium { .. } | E::NotStable { .. } => {
+            (Class::Convergence, None)
+        }
+        E::NoSuchCause { what } => (Class::Material, Some(what.clone())),
+        E::BadObservation { what, node, .. } => (Class::Load, Some(format!("{what}, node {node}"))),
         E::InvertedStart { tet, .. } => (Class::Load, Some(format!("start, tet {tet}"))),
         E::NoEquilibrium(failure) => {
             let worst = failure.worst_tets.first();

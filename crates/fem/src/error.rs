@@ -265,6 +265,43 @@ pub enum FemError {
         /// Its smallest det F, dimensionless.
         det_f: f64,
     },
+    /// A displacement whose derivatives were asked for is no equilibrium.
+    #[error(
+        "derivatives need an equilibrium: the residual of this displacement is {residual:.3e} mN and must be at most {limit:.3e} mN; solve with a smaller tolerance, and with this material and load"
+    )]
+    NotInEquilibrium {
+        /// Norm of the forces out of balance on free unknowns, mN.
+        residual: f64,
+        /// Largest admissible norm, mN.
+        limit: f64,
+    },
+    /// The tangent at an equilibrium is singular or indefinite, so that its derivatives do not
+    /// exist or mean nothing.
+    #[error(
+        "the tangent at this equilibrium is not positive definite (pivot {pivot} of {n_dofs}): it is a limit point, or unstable, and has no derivatives"
+    )]
+    NotStable {
+        /// Position of the failing pivot in the elimination order.
+        pivot: usize,
+        /// Number of unknowns.
+        n_dofs: usize,
+    },
+    /// A derivative by something that the model does not have.
+    #[error("there is no derivative by {what}: the model has none")]
+    NoSuchCause {
+        /// What was asked for.
+        what: String,
+    },
+    /// An observation weighs a node that does not exist, or the reaction of one that is not held.
+    #[error("an observation weighs {what} of node {node}, which {why}")]
+    BadObservation {
+        /// The quantity weighed.
+        what: &'static str,
+        /// Index of the node.
+        node: usize,
+        /// What is wrong with it.
+        why: &'static str,
+    },
     /// No state with vanishing residual was found.
     #[error("{0}")]
     NoEquilibrium(Box<NoEquilibrium>),

@@ -76,6 +76,12 @@
 //! [`Springs`] hold facets of its surface, a [`Skin`] covers them, and [`rest_shape`] finds the
 //! unloaded shape of a body that is given as it hangs.
 //!
+//! # Derivatives
+//!
+//! [`Linearised`] is an equilibrium with its exact tangent: it tells how displacement and reactions
+//! follow a [`Cause`] (a parameter, a field of moduli, a load, springs, a skin), and by one adjoint
+//! solution how an [`Observation`] follows the stiffness of every quadrature point.
+//!
 //! # Promises
 //!
 //! The same input gives the same bits at any number of threads and in any batch (on one machine).
@@ -95,6 +101,7 @@ pub mod material;
 mod mesh;
 mod rest_shape;
 mod resultant;
+mod sensitivity;
 mod solve;
 mod supports;
 mod surface;
@@ -112,6 +119,7 @@ pub use material::{Material, Stiffness};
 pub use mesh::{DEGENERATE_LIMIT, Mesh};
 pub use rest_shape::{RestShape, rest_shape};
 pub use resultant::{Resultant, resultant};
+pub use sensitivity::{Adjoint, Cause, Derivative, Linearised, Observation};
 pub use solve::{
     LoadSteps, Method, Solution, SolveReport, SolveSettings, StageSeconds, internal_forces,
     is_stable, solve, solve_from,

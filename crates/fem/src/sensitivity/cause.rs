@@ -1,0 +1,166 @@
+//! What may move an equilibrium, and the forces out of balance that it leaves at fixed displacement.
+
+use crate::assembly::add_forces_of;
+use crate::body::Body;
+use crate::error::FemError;
+use crate::load::{Load, NodalLoad, check_length};
+use crate::material::{Law, Material, Matrix3, Parameter};
+use crate::surface::{Skin, Springs, SurfaceTerms};
+
+/// What a derivative is taken by.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Cause {
+    /// A parameter of the law, moved alike everywhere (a field of moduli by the same amount).
+    Parameter(Parameter),
+    /// Young's modulus along a field of rates, one a quadrature point (`n_tets * n_points`): an
+    /// inclusion or a layer is 1 where it lies.
+    YoungField(Vec<f64>),
+    /// Poisson's ratio along such a field.
+    PoissonField(Vec<f64>),
+    /// The load along another one: forces, body force and prescribed displacements as rates. A
+    /// pressure is one by [`Body::pressure_forces`]. Springs must be left out.
+    Load(Load),
+    /// Stiffness along the normal of a set of springs, by its place in the load, kPa/mm.
+    SpringNormal(usize),
+    /// Stiffness in the plane of a set of springs, kPa/mm.
+    SpringTangential(usize),
+    /// Young's modulus of a skin, by its place in the material, kPa.
+    SkinYoung(usize),
+    /// Thickness of a skin, mm.
+    SkinThickness(usize),
+}
+
+/// Rates at fixed displacement.
+pub(crate) struct Rates {
+    /// `ṙ` at all nodes, `(3 n_nodes)`, mN.
+    pub(crate) unbalanced: Vec<f64>,
+    /// `u̇` of held components, `(3 n_nodes)`; none where they stay.
+    pub(crate) held: Option<Vec<f64>>,
+}
+
+/// Where causes are looked up.
+pub(super) struct Scene<'a> {
+    pub(super) body: &'a Body,
+    pub(super) material: &'a Material,
+    pub(super) springs: &'a [Springs],
+    /// `(3 n_nodes)`, mm.
+    pub(super) displacement: &'a [f64],
+    /// Displacement gradient at all points.
+    pub(super) gradients: &'a [Matrix3],
+}
+
+impl Scene<'_> {
+    pub(super) fn rates(&self, cause: &Cause) -> Result<Rates, FemError> {
+        let unbalanced = match cause {
+            Cause::Parameter(parameter) => self.by_parameter(*parameter, None)?,
+            Cause::YoungField(rates) => self.by_parameter(Parameter::Young, Some(rates))?,
+            Cause::PoissonField(rates) => self.by_parameter(Parameter::Poisson, Some(rates))?,
+            Cause::Load(rate) => return self.by_load(rate),
+            Cause::SpringNormal(set) => self.by_springs(*set, 1.0, 0.0)?,
+            Cause::SpringTangential(set) => self.by_springs(*set, 0.0, 1.0)?,
+            Cause::SkinYoung(sheet) => {
+                self.by_skin(*sheet, |skin| Skin { young: 1.0, ..skin.clone() })?
+            }
+            Cause::SkinThickness(sheet) => {
+                self.by_skin(*sheet, |skin| Skin { thickness: 1.0, ..skin.clone() })?
+            }
+        };
+        Ok(Rates { unbalanced, held: None })
+    }
+
+    /// `∂P/∂parameter` at every point, kPa over the unit of the parameter.
+    pub(super) fn stresses_by(&self, parameter: Parameter) -> Result<Vec<Matrix3>, FemError> {
+        stresses_by(self.body, self.material, self.gradients, parameter, Law::stress_by)
+    }
+
+    fn by_parameter(
+        &self,
+        parameter: Parameter,
+        field: Option<&[f64]>,
+    ) -> Result<Vec<f64>, FemError> {
+        let mut stresses = self.stresses_by(parameter)?;
+        if let Some(rates) = field {
+            check_length("rates (one entry a quadrature point)", stresses.len(), rates.len())?;
+            for (stress, rate) in stresses.iter_mut().zip(rates) {
+                stress.iter_mut().flatten().for_each(|v| *v *= rate);
+            }
+        }
+        let mut unbalanced = vec![0.0; self.displacement.len()];
+        add_forces_of(self.body.geometry(), &stresses, &mut unbalanced);
+        Ok(unbalanced)
+    }
+
+    fn by_load(&self, rate: &Load) -> Result<Rates, FemError> {
+        if !rate.springs.is_empty() {
+            let what = "springs of a load; name them one by one".to_owned();
+            return Err(FemError::NoSuchCause { what });
+        }
+        let NodalLoad { mut force, prescribed, moves_supports } = NodalLoad::new(self.body, rate)?;
+        force.iter_mut().for_each(|f| *f = -*f);
+        Ok(Rates { unbalanced: force, held: moves_supports.then_some(prescribed) })
+    }
+
+    /// Springs are linear in their stiffness.
+    fn by_springs(&self, set: usize, normal: f64, tangential: f64) -> Result<Vec<f64>, FemError> {
+        let Some(springs) = self.springs.get(set) else {
+            let what = format!("springs {set} of {}", self.springs.len());
+            return Err(FemError::NoSuchCause { what });
+        };
+        let unit = Springs { normal, tangential, ..springs.clone() };
+        self.surface_forces(&SurfaceTerms::new(self.body, &[unit], &[])?)
+    }
+
+    /// A skin is linear in its modulus and its thickness.
+    fn by_skin(
+        &self,
+        sheet: usize,
+        unit: impl FnOnce(&Skin) -> Skin,
+    ) -> Result<Vec<f64>, FemError> {
+        let skins = self.material.skin();
+        let Some(skin) = skins.get(sheet) else {
+            let what = format!("skin {sheet} of {}", skins.len());
+            return Err(FemError::NoSuchCause { what });
+        };
+        self.surface_forces(&SurfaceTerms::new(self.body, &[], &[unit(skin)])?)
+    }
+
+    fn surface_forces(&self, terms: &SurfaceTerms) -> Result<Vec<f64>, FemError> {
+        let mut force = vec![0.0; self.displacement.len()];
+        match terms.add_force(self.displacement, &mut force) {
+            Some(_) => Ok(force),
+            None => Err(FemError::NoSuchCause { what: "a skin without area".to_owned() }),
+        }
+    }
+}
+
+/// A derivative of the stress by a parameter at every point.
+///
+/// # Errors
+///
+/// [`FemError::NoSuchCause`] for a parameter that the material does not have,
+/// [`FemError::InvertedStart`] for a point that has no stress.
+pub(crate) fn stresses_by(
+    body: &Body,
+    material: &Material,
+    gradients: &[Matrix3],
+    parameter: Parameter,
+    by: impl Fn(&Law, &Matrix3, Parameter) -> Option<Matrix3>,
+) -> Result<Vec<Matrix3>, FemError> {
+    check_parameter(material, parameter)?;
+    let n_points = body.element().n_points();
+    let one = |(index, h): (usize, &Matrix3)| {
+        let (tet, point) = (index / n_points, index % n_points);
+        by(&material.law_at(tet, point), h, parameter).ok_or_else(|| {
+            let det_f = 1.0 + crate::material::det_f_minus_one(h);
+            FemError::InvertedStart { tet, det_f }
+        })
+    };
+    gradients.iter().enumerate().map(one).collect()
+}
+
+pub(crate) fn check_parameter(material: &Material, parameter: Parameter) -> Result<(), FemError> {
+    match material.parameters().contains(&parameter) {
+        true => Ok(()),
+        false => Err(FemError::NoSuchCause { what: format!("{parameter:?} of this law") }),
+    }
+}

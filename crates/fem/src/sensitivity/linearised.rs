@@ -1,0 +1,266 @@
+//! An equilibrium and its tangent.
+
+use std::borrow::Borrow;
+
+use super::adjoint::{Adjoint, Observation};
+use super::cause::{Cause, Scene};
+use super::rates::{Derivative, Tangent, exact, factor};
+use crate::assembly::{gradients_at_points, point_volumes};
+use crate::body::Body;
+use crate::error::FemError;
+use crate::load::{Load, NodalLoad, check_finite, check_length};
+use crate::material::{Material, Matrix3, Parameter};
+use crate::solve::{Model, Problem, SolveSettings, Solver, State, dot, surface_of};
+use crate::surface::{Springs, SurfaceTerms};
+use crate::system::SolveScratch;
+use crate::system::factor::Factor;
+
+/// An equilibrium with the exact tangent there, factored once; it answers derivatives.
+///
+/// The body may be borrowed (`&Body`) or shared (`Arc<Body>`); everything else is copied.
+///
+/// # Examples
+///
+/// How the tip of a stretched bar follows its stiffness, by the tangent and by the adjoint:
+///
+/// ```
+/// use tissuereg_fem::material::Parameter;
+/// use tissuereg_fem::{Body, Cause, Element, Linearised, Load, Material, Mesh, Observation};
+/// use tissuereg_fem::{SolveSettings, solve};
+///
+/// let nodes = vec![[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]];
+/// let body = Body::new(Mesh::new(nodes, vec![[0, 1, 2, 3]])?, Element::Tet10, [0, 1, 2])?;
+/// let material = Material::neo_hookean(10.0, 0.3)?;
+/// let load = Load { body_force: [0.0, 0.0, -0.01], ..Load::default() };
+/// let settings = SolveSettings::default();
+/// let answer = solve(&body, &material, &load, &settings)?;
+///
+/// let at = Linearised::new(&body, &material, &load, &answer.displacement, &settings)?;
+/// let by_young = &at.derivatives(&[Cause::Parameter(Parameter::Young)])?[0];
+/// assert!(by_young.displacement[3][2] > 0.0, "stiffer tissue sinks less");
+///
+/// let tip = Observation::of_displacement([(3, [0.0, 0.0, 1.0])]);
+/// let adjoint = &at.adjoints(&[tip])?[0];
+/// assert_eq!(adjoint.young.len(), 4);
+/// let sum: f64 = adjoint.young.iter().sum();
+/// assert!((sum - by_young.displacement[3][2]).abs() < 1e-10 * sum.abs());
+/// # Ok::<(), tissuereg_fem::FemError>(())
+/// ```
+#[derive(Debug)]
+pub struct Linearised<B> {
+    body: B,
+    material: Material,
+    springs: Vec<Springs>,
+    surface: SurfaceTerms,
+    load: NodalLoad,
+    settings: SolveSettings,
+    state: State,
+    gradients: Vec<Matrix3>,
+    factor: Factor,
+}
+
+impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
+    /// Factor the tangent at an equilibrium.
+    ///
+    /// # Shapes
+    ///
+    /// `displacement` one row a node of the body, mm: the answer of a solve with this material and
+    /// load. Of the settings, threads and the cancel flag count.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::NotInEquilibrium`] with the residual, [`FemError::NotStable`] where the tangent
+    /// is not positive definite; those of [`solve`](crate::solve) for wrong input.
+    ///
+    /// # Cost
+    ///
+    /// One factorisation in double precision.
+    pub fn new(
+        body: B,
+        material: &Material,
+        load: &Load,
+        displacement: &[[f64; 3]],
+        settings: &SolveSettings,
+    ) -> Result<Self, FemError> {
+        settings.check()?;
+        settings.check_cancel()?;
+        let own = body.borrow();
+        material.check_size(own.n_tets(), own.element().n_points())?;
+        check_length("displacement (one row a node)", own.n_nodes(), displacement.len())?;
+        check_finite("displacement", displacement)?;
+        let surface = surface_of(own, material, load)?;
+        let nodal = NodalLoad::new(own, load)?;
+        let settings = exact(settings);
+        let mut state = State::at_rest(own.n_nodes());
+        state.displacement.copy_from_slice(displacement.as_flattened());
+        let problem = Problem {
+            body: own,
+            model: Model::Elastic(material),
+            surface: &surface,
+            load: &nodal,
+            settings: &settings,
+            parallel: settings.is_parallel(),
+            least_load: 0.0,
+        };
+        if !Solver::new(own, problem.parallel).evaluate(&problem, &mut state) {
+            let worst = problem.worst_tets(&state.displacement);
+            let (tet, det_f) = worst.first().map_or((0, f64::NAN), |w| (w.tet, w.det_f));
+            return Err(FemError::InvertedStart { tet, det_f });
+        }
+        let factor = settings.in_pool(|| factor(&problem, &state))?;
+        let gradients = gradients_at_points(own.geometry(), &state.displacement);
+        let (material, springs) = (material.clone(), load.springs.clone());
+        Ok(Self {
+            body,
+            material,
+            springs,
+            surface,
+            load: nodal,
+            settings,
+            state,
+            gradients,
+            factor,
+        })
+    }
+
+    /// How displacement and reactions follow each cause.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::NoSuchCause`] for something that the model does not have;
+    /// [`FemError::WrongLength`] and [`FemError::NonFinite`] for rates that do not fit.
+    ///
+    /// # Cost
+    ///
+    /// One solution with the factor and one or two passes over the elements a cause.
+    pub fn derivatives(&self, causes: &[Cause]) -> Result<Vec<Derivative>, FemError> {
+        self.settings.in_pool(|| {
+            self.tangent().each(causes, |cause, scratch, parallel| {
+                self.settings.check_cancel()?;
+                let rates = self.scene().rates(cause)?;
+                Ok(self.tangent().follow(&rates, scratch, parallel)?.1)
+            })
+        })
+    }
+
+    /// Derivatives of each observation by everything.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::BadObservation`], [`FemError::NonFinite`].
+    ///
+    /// # Cost
+    ///
+    /// One solution with the factor and two passes over the elements an observation.
+    pub fn adjoints(&self, observations: &[Observation]) -> Result<Vec<Adjoint>, FemError> {
+        let scene = self.scene();
+        let volumes = point_volumes(self.body.borrow().geometry());
+        let by = |parameter: Parameter| -> Result<Vec<Matrix3>, FemError> {
+            let mut stresses = scene.stresses_by(parameter)?;
+            for (stress, volume) in stresses.iter_mut().zip(&volumes) {
+                stress.iter_mut().flatten().for_each(|v| *v *= volume);
+            }
+            Ok(stresses)
+        };
+        let sources = Sources {
+            young: by(Parameter::Young)?,
+            poisson: by(Parameter::Poisson)?,
+            springs: (0..self.springs.len())
+                .map(|set| {
+                    let normal = scene.rates(&Cause::SpringNormal(set))?.unbalanced;
+                    Ok([normal, scene.rates(&Cause::SpringTangential(set))?.unbalanced])
+                })
+                .collect::<Result<_, FemError>>()?,
+            skins: (0..self.material.skin().len())
+                .map(|sheet| Ok(scene.rates(&Cause::SkinYoung(sheet))?.unbalanced))
+                .collect::<Result<_, FemError>>()?,
+        };
+        self.settings.in_pool(|| {
+            self.tangent().each(observations, |observation, scratch, parallel| {
+                self.settings.check_cancel()?;
+                self.adjoint(observation, &sources, scratch, parallel)
+            })
+        })
+    }
+
+    fn adjoint(
+        &self,
+        observation: &Observation,
+        sources: &Sources,
+        scratch: &mut SolveScratch,
+        parallel: bool,
+    ) -> Result<Adjoint, FemError> {
+        let (body, tangent) = (self.body.borrow(), self.tangent());
+        let (by_node, by_held) = observation.spread(body)?;
+        let mut rhs = by_node.clone();
+        if by_held.iter().any(|&v| v != 0.0) {
+            for (sum, value) in rhs.iter_mut().zip(tangent.product(&by_held)?) {
+                *sum += value;
+            }
+        }
+        let mut v = tangent.solve(&rhs, scratch, parallel);
+        for (sum, value) in v.iter_mut().zip(&by_held) {
+            *sum += value;
+        }
+        let mut at_held = tangent.product(&v)?;
+        for (sum, value) in at_held.iter_mut().zip(&by_node) {
+            *sum += value;
+        }
+        let gradients = gradients_at_points(body.geometry(), &v);
+        let along = |stresses: &[Matrix3]| {
+            let pairs = stresses.iter().zip(&gradients);
+            pairs.map(|(p, g)| dot(p.as_flattened(), g.as_flattened())).collect()
+        };
+        let nodal_forces: Vec<[f64; 3]> =
+            v.as_chunks::<3>().0.iter().map(|row| row.map(|x| -x)).collect();
+        let mut body_force = [0.0; 3];
+        for element in 0..body.n_tets() {
+            for (node, weight) in body.geometry().volume_weights(element) {
+                (0..3).for_each(|i| body_force[i] += weight * nodal_forces[node][i]);
+            }
+        }
+        Ok(Adjoint {
+            young: along(&sources.young),
+            poisson: along(&sources.poisson),
+            nodal_forces,
+            body_force,
+            prescribed: body.reactions(&at_held),
+            springs: sources.springs.iter().map(|pair| [0, 1].map(|k| dot(&pair[k], &v))).collect(),
+            skin_young: sources.skins.iter().map(|force| dot(force, &v)).collect(),
+        })
+    }
+
+    fn scene(&self) -> Scene<'_> {
+        Scene {
+            body: self.body.borrow(),
+            material: &self.material,
+            springs: &self.springs,
+            displacement: &self.state.displacement,
+            gradients: &self.gradients,
+        }
+    }
+
+    fn tangent(&self) -> Tangent<'_> {
+        let problem = Problem {
+            body: self.body.borrow(),
+            model: Model::Elastic(&self.material),
+            surface: &self.surface,
+            load: &self.load,
+            settings: &self.settings,
+            parallel: self.settings.is_parallel(),
+            least_load: 0.0,
+        };
+        Tangent { problem, state: &self.state, factor: &self.factor }
+    }
+}
+
+/// What every observation is weighed with.
+struct Sources {
+    /// `∂P/∂E` and `∂P/∂ν` times the volume of each point.
+    young: Vec<Matrix3>,
+    poisson: Vec<Matrix3>,
+    /// Forces by the stiffness of springs along the normal and in the plane.
+    springs: Vec<[Vec<f64>; 2]>,
+    /// Forces by Young's modulus of skins.
+    skins: Vec<Vec<f64>>,
+}

@@ -1,0 +1,130 @@
+//! Solutions with the tangent of an equilibrium, for any model.
+
+use rayon::prelude::*;
+
+use super::cause::Rates;
+use crate::assembly::TangentKind;
+use crate::error::FemError;
+use crate::solve::{Method, Problem, SolveSettings, State, norm};
+use crate::system::SolveScratch;
+use crate::system::factor::Factor;
+
+/// Residual over force up to which a displacement counts as an equilibrium. Derivatives are off by
+/// about as much.
+const EQUILIBRIUM: f64 = 1e-6;
+
+/// How an equilibrium follows a cause.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Derivative {
+    /// Of the displacement, one row a node of the body, mm over the unit of the cause.
+    pub displacement: Vec<[f64; 3]>,
+    /// Of the reactions, one row a held node, mN over the unit of the cause.
+    pub reactions: Vec<[f64; 3]>,
+}
+
+/// Settings of a factor that serves derivatives: exact in double precision, so that a solution
+/// needs no refinement.
+pub(crate) fn exact(settings: &SolveSettings) -> SolveSettings {
+    SolveSettings { method: Method::Newton, ..settings.clone() }
+}
+
+/// The exact tangent at an equilibrium, factored.
+pub(crate) struct Tangent<'a> {
+    pub(crate) problem: Problem<'a>,
+    pub(crate) state: &'a State,
+    pub(crate) factor: &'a Factor,
+}
+
+/// Factor the tangent at a state whose forces have been evaluated.
+///
+/// # Errors
+///
+/// [`FemError::NotInEquilibrium`], [`FemError::NotStable`], [`FemError::Cancelled`],
+/// [`FemError::TooLarge`].
+pub(crate) fn factor(problem: &Problem, state: &State) -> Result<Factor, FemError> {
+    let mut residual = vec![0.0; problem.body.n_unknowns()];
+    problem.residual_into(state, 1.0, &mut residual);
+    let residual = norm(&residual);
+    let factor = problem.factor(state, TangentKind::Exact).map_err(|error| match error {
+        FemError::SingularStiffness { pivot, n_dofs } => FemError::NotStable { pivot, n_dofs },
+        other => other,
+    })?;
+    // Inner forces of all nodes: also those that balance each other, as under springs or swelling.
+    let stiffness = factor.diagonal_norm(&problem.body.pattern().fronts);
+    let size = state.displacement.iter().fold(0.0_f64, |m, u| m.max(u.abs()));
+    let forces = norm(&state.force).max(norm(&problem.load.force)).max(problem.least_load);
+    let limit = EQUILIBRIUM * forces + f64::EPSILON * stiffness * size;
+    match residual <= limit {
+        true => Ok(factor),
+        false => Err(FemError::NotInEquilibrium { residual, limit }),
+    }
+}
+
+impl Tangent<'_> {
+    /// `−K_ff⁻¹ rhs_f` at free components of a vector `(3 n_nodes)`, with zeros at held ones.
+    pub(crate) fn solve(
+        &self,
+        rhs: &[f64],
+        scratch: &mut SolveScratch,
+        parallel: bool,
+    ) -> Vec<f64> {
+        let pattern = self.problem.body.pattern();
+        let own: Vec<f64> = pattern.unknown2flat.iter().map(|&flat| rhs[flat as usize]).collect();
+        let mut out = vec![0.0; own.len()];
+        self.factor.solve_into(&pattern.fronts, -1.0, &own, &mut out, scratch, parallel);
+        let mut full = vec![0.0; rhs.len()];
+        for (x, &flat) in out.iter().zip(&pattern.unknown2flat) {
+            full[flat as usize] = *x;
+        }
+        full
+    }
+
+    /// `K` times a direction.
+    pub(crate) fn product(&self, direction: &[f64]) -> Result<Vec<f64>, FemError> {
+        let n_dofs = self.problem.body.n_unknowns();
+        let product = self.problem.tangent_product(self.state, direction);
+        product.ok_or(FemError::NotStable { pivot: 0, n_dofs })
+    }
+
+    /// Displacement rate of all nodes, flat, and rates of the reactions.
+    pub(crate) fn follow(
+        &self,
+        rates: &Rates,
+        scratch: &mut SolveScratch,
+        parallel: bool,
+    ) -> Result<(Vec<f64>, Derivative), FemError> {
+        let mut rhs = rates.unbalanced.clone();
+        if let Some(held) = &rates.held {
+            for (sum, value) in rhs.iter_mut().zip(self.product(held)?) {
+                *sum += value;
+            }
+        }
+        let mut flat = self.solve(&rhs, scratch, parallel);
+        if let Some(held) = &rates.held {
+            for (sum, value) in flat.iter_mut().zip(held) {
+                *sum += value;
+            }
+        }
+        let mut unbalanced = self.product(&flat)?;
+        for (sum, value) in unbalanced.iter_mut().zip(&rates.unbalanced) {
+            *sum += value;
+        }
+        let displacement = flat.as_chunks::<3>().0.to_vec();
+        let reactions = self.problem.body.reactions(&unbalanced);
+        Ok((flat, Derivative { displacement, reactions }))
+    }
+
+    /// Apply a function to every item, in parallel where there are several.
+    pub(crate) fn each<I: Sync, R: Send>(
+        &self,
+        items: &[I],
+        one: impl Fn(&I, &mut SolveScratch, bool) -> Result<R, FemError> + Sync,
+    ) -> Result<Vec<R>, FemError> {
+        if items.len() == 1 || !self.problem.parallel {
+            let mut scratch = SolveScratch::default();
+            return items.iter().map(|i| one(i, &mut scratch, self.problem.parallel)).collect();
+        }
+        let run = |scratch: &mut SolveScratch, item: &I| one(item, scratch, false);
+        items.par_iter().map_init(SolveScratch::default, run).collect()
+    }
+}
