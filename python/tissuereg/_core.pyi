@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 _Floats = NDArray[np.float64]
 _Integers = NDArray[np.int64]
-_Element = Literal["tet4", "tet10"]
+_Element = Literal["tet4", "tet4-averaged", "tet10"]
 
 __all__ = [
     "Body",

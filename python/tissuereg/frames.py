@@ -30,7 +30,7 @@ def frame_input(
         Name of the case.
     time : float
         Time in s on the experiment's clock.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Elements of our own simulations.
     threads : int
         Threads to use; 0 takes all cores.
@@ -80,7 +80,7 @@ def register_frame(
         Name of the case.
     time : float
         Time in s on the experiment's clock.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Elements of our own simulations.
     threads : int
         Threads to use; 0 takes all cores.

@@ -87,7 +87,7 @@ def register(
         What is believed to act; gives the simulation where none is given, and the centre of a fitted prior.
     material : Material, optional
         What is believed of the material.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Elements of our own simulations.
     held_nodes : array_like of int, optional
         Nodes that the load prescribes, where they differ from the set ``fixed``.

@@ -1,7 +1,7 @@
 //! Solve the problems of NumPy archives and compare with the displacement they hold.
 //!
 //! `cargo run --release --example solve_npz -- FILE.npz ... [--threads N] [--repeat N] [--method M]
-//! [--tet10] [--scale LOAD_FACTOR] [--poisson NU] [--tolerance T]`
+//! [--tet10] [--averaged] [--scale LOAD_FACTOR] [--poisson NU] [--tolerance T]`
 //!
 //! Arrays: `nodes_mm (n, 3)`, `tets (m, 4)`, `fixed_nodes`, `forces_mN (n, 3)`, `young_kPa`,
 //! `poisson`, and `displacement_mm (n, 3)` where there is one.
@@ -29,6 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             "--poisson" => poisson = Some(value()?.parse::<f64>()?),
             "--tolerance" => settings.tolerance = value()?.parse()?,
             "--tet10" => element = Element::Tet10,
+            "--averaged" => element = Element::Tet4Averaged,
             "--method" => {
                 settings.method = match value()?.as_str() {
                     "newton" => Method::Newton,

@@ -9,8 +9,8 @@ use crate::error::FemError;
 use crate::mesh::Mesh;
 use crate::solve::RestCache;
 use crate::supports::Supports;
+use crate::system::check_rigid_modes;
 use crate::system::pattern::Pattern;
-use crate::system::{Cliques, check_rigid_modes};
 
 /// A supported mesh with its element data, elimination order and symbolic factor.
 ///
@@ -65,7 +65,7 @@ impl Body {
     ) -> Result<Self, FemError> {
         let start = Instant::now();
         let edges = match element {
-            Element::Tet4 => Vec::new(),
+            Element::Tet4 | Element::Tet4Averaged => Vec::new(),
             Element::Tet10 => edges_of(&mesh),
         };
         let n_nodes = mesh.n_nodes() + edges.len();
@@ -130,9 +130,7 @@ impl Body {
         check_resting(mesh, &supports)?;
         check_rigid_modes(mesh, &held_corners, supports.resting())?;
         let held = with_mid_edges(mesh, edges, held_corners);
-        let width = geometry.element.n_nodes();
-        let cliques = Cliques::new(&geometry.connectivity, width);
-        let pattern = Arc::new(Pattern::new(nodes, cliques, &held)?);
+        let pattern = Arc::new(Pattern::new(nodes, geometry.cliques(), &held)?);
         Ok(Self {
             shape,
             supports,
@@ -189,7 +187,7 @@ impl Body {
     }
 
     /// Corners of the edge whose middle is each node after the corner nodes; empty for
-    /// [`Element::Tet4`].
+    /// elements of four nodes.
     pub fn mid_edges(&self) -> &[[usize; 2]] {
         &self.shape.edges
     }

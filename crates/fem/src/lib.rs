@@ -61,7 +61,8 @@
 //!
 //! # Method
 //!
-//! Displacement elements ([`Element`]), eight hyperelastic laws with or without fibres
+//! Displacement elements ([`Element`]), among them linear tetrahedra with averaged volume ratios
+//! for nearly incompressible bodies ([`Element::Tet4Averaged`]), eight hyperelastic laws with or without fibres
 //! ([`material`]), dead loads. Equilibrium is the minimum of the potential energy;
 //! it is sought by L-BFGS in the metric of the undeformed stiffness, whose Cholesky factor is made
 //! in single precision: a multifrontal one, filled straight from the elements, on unknowns ordered

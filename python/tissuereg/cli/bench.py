@@ -31,7 +31,7 @@ def add_parser(commands: Any) -> None:
     text = "problem files for 'solve', as 'tissuereg solve' takes them (default: the phantom)"
     how.add_argument("--problem", nargs="+", default=[], metavar="FILE.npz", help=text)
     text = "elements of the solves (default: both)"
-    how.add_argument("--element", choices=["tet4", "tet10"], help=text)
+    how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
     text = "members of 'ensemble' (default: 32)"
     how.add_argument("--members", type=whole_number(1), default=32, metavar="N", help=text)
     seed = "seed of random events and draws (default: 0)"

@@ -50,7 +50,7 @@ def add_parser(commands: Any) -> None:
     text = "folder of a trained model, or 'phantom' for the one that is shipped (default: a prior fitted here)"
     how.add_argument("--model", metavar="DIR", help=text)
     text = "elements of our own simulations (default: tet4)"
-    how.add_argument("--element", choices=["tet4", "tet10"], default="tet4", help=text)
+    how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], default="tet4", help=text)
     how.add_argument("--members", type=whole_number(8), metavar="N", help="ensemble members (default: 200)")
     how.add_argument("--steps", type=whole_number(1), metavar="N", help="assimilation steps (default: 5)")
     text = "simulations that a fitted prior takes (default: 300)"

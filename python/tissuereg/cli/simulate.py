@@ -34,7 +34,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--out", required=True, metavar="OUT", help="folder for the results")
     how = parser.add_argument_group("experiment")
     text = "nodes a tet (default: tet4; a recipe states its own)"
-    how.add_argument("--element", choices=["tet4", "tet10"], help=text)
+    how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
     add_common(parser, seed="seed of a data set (default: the recipe's, which is 0 unless it says so)")
     parser.set_defaults(run=run)
 

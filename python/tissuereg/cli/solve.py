@@ -28,7 +28,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("problem", metavar="PROBLEM.npz", help="mesh, supports, forces, moduli")
     parser.add_argument("--out", required=True, metavar="U.npz", help="file for the displacements")
     how = parser.add_argument_group("solving")
-    how.add_argument("--element", choices=["tet4", "tet10"], default="tet4", help="nodes a tet (default: tet4)")
+    elements = ["tet4", "tet4-averaged", "tet10"]
+    how.add_argument("--element", choices=elements, default="tet4", help="nodes a tet (default: tet4)")
     text = "norm of the residual over the norm of the load, free degrees of freedom (default: 1e-9)"
     how.add_argument("--tol", type=positive_number, default=1e-9, metavar="X", help=text)
     add_common(parser)

@@ -65,7 +65,7 @@ class Effect:
         ----------
         experiment : Experiment
             What is believed so far.
-        element : {"tet4", "tet10"}
+        element : {"tet4", "tet4-averaged", "tet10"}
             Elements to be used.
 
         Returns

@@ -107,7 +107,7 @@ def extended(experiment: Experiment, element: str = "tet4") -> Experiment:
     ----------
     experiment : Experiment
         With its effects.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Elements to be used.
 
     Returns

@@ -73,7 +73,7 @@ def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", 
         What is believed, effects worked in (`tissuereg.effects.extended`).
     case : Case
         One of its cases.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
     threads : int
         Threads to use; 0 takes all cores.
@@ -119,7 +119,7 @@ def simulate_experiment(
     ----------
     experiment : Experiment
         What is believed.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
@@ -176,7 +176,7 @@ def solve_cases(
         Effects worked in (`tissuereg.effects.extended`).
     cases : sequence of Case
         Some of its cases.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.

@@ -118,7 +118,7 @@ def solve_frames(
         Body force in all frames, mN/mm^3, beside that of the loads; `Material.weight` gives gravity's.
     in_reference : bool
         Whether the mesh as given hangs in `weight` already. The unloaded shape is then found first.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Four-node tets, or ten-node tets on the same edges.
     held_nodes : array_like of int, optional
         Nodes whose displacement is given by the loads (zero where absent).

@@ -85,7 +85,7 @@ def solve_through_time(
         Effects of body, supports and actuators worked in.
     cases : sequence of Case
         All that matter: with softening or set every case from the first one on.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
     threads : int
         Threads to use; 0 takes all cores.

@@ -215,7 +215,10 @@ def _check(path: Any, recipe: Recipe) -> None:
     rules = (
         (data.members >= 1 and data.chunk >= 1, "[data] members and chunk must be at least 1"),
         (pairs.members >= 0, "[pairs] members must be at least 0"),
-        ({data.element, pairs.element} <= {"tet4", "tet10"}, "element must be tet4 or tet10"),
+        (
+            {data.element, pairs.element} <= {"tet4", "tet4-averaged", "tet10"},
+            "element must be tet4, tet4-averaged or tet10",
+        ),
         (
             data.largest_mm[0] > 0 and data.radius_mm[0] > 0,
             "[data] largest_mm and radius_mm must be positive",

@@ -1,5 +1,6 @@
 """One static solve, or many on one body: the Python face of the Rust solver."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -61,6 +62,10 @@ class Simulations:
         return np.array([i for i in range(len(self.displacement)) if i not in lost], dtype=np.int64)
 
 
+#: Poisson's ratio above which linear tets lock, as `Material::locks_linear_tets` of the core has it.
+_LOCKING_POISSON = 0.475
+
+
 class Simulator:
     """A mesh analysed once for many solves: element data, ordering, symbolic factor.
 
@@ -68,7 +73,7 @@ class Simulator:
     ----------
     mesh : Mesh
         Reference shape.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Four-node tets, or ten-node tets on the same edges (second order, straight edges).
     held_nodes : array_like of int, optional
         Nodes whose displacement is given; the node set ``fixed`` where absent.
@@ -126,6 +131,9 @@ class Simulator:
             If the input does not fit the body.
         """
         young, poisson = self.moduli(material)
+        if self.element == "tet4" and np.max(poisson) > _LOCKING_POISSON:
+            text = f"four-node tets lock at Poisson's ratio {np.max(poisson):g} and move too little; "
+            warnings.warn(text + 'element="tet4-averaged" or "tet10" does not', stacklevel=2)
         found = self.body.solve(
             young,
             poisson,
@@ -255,7 +263,7 @@ def simulate(
         What acts.
     material : Material
         What the body is made of.
-    element : {"tet4", "tet10"}
+    element : {"tet4", "tet4-averaged", "tet10"}
         Four-node tets, or ten-node tets on the same edges.
     held_nodes : array_like of int, optional
         Nodes whose displacement is given by `load.prescribed` (zero where absent).

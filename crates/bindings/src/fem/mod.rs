@@ -68,8 +68,9 @@ impl Body {
     ) -> PyResult<Self> {
         let element = match element {
             "tet4" => Element::Tet4,
+            "tet4-averaged" => Element::Tet4Averaged,
             "tet10" => Element::Tet10,
-            other => return Err(bad_choice(py, "element", "`tet4` or `tet10`", other)),
+            other => return Err(bad_choice(py, "element", "`tet4`, `tet4-averaged` or `tet10`", other)),
         };
         let held = View::<i64>::new("held_nodes", held_nodes, &[&[None]])?;
         let held = held.indices::<1>(py, "held_nodes", Class::Support)?.into_flattened();
@@ -137,11 +138,12 @@ impl Body {
         self.0.n_unknowns()
     }
 
-    /// "tet4" or "tet10".
+    /// "tet4", "tet4-averaged" or "tet10".
     #[getter]
     fn element(&self) -> &'static str {
         match self.0.element() {
             Element::Tet4 => "tet4",
+            Element::Tet4Averaged => "tet4-averaged",
             Element::Tet10 => "tet10",
         }
     }

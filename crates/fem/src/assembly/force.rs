@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::lanes::{Eight, WIDTH};
 use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, displacement_gradient, local};
-use crate::element::{Element, Geometry, Rule, TET4, TET10};
+use crate::element::{Geometry, Rule, TET4, TET10};
 
 /// Energy and smallest volume ratio of a state.
 #[derive(Debug, Clone, Copy)]
@@ -18,9 +18,9 @@ pub(crate) struct Energy {
 }
 
 impl Energy {
-    const NOTHING: Self = Self { total: 0.0, min_det_f: f64::INFINITY };
+    pub(super) const NOTHING: Self = Self { total: 0.0, min_det_f: f64::INFINITY };
 
-    fn and(self, other: Self) -> Self {
+    pub(super) fn and(self, other: Self) -> Self {
         Self { total: self.total + other.total, min_det_f: self.min_det_f.min(other.min_det_f) }
     }
 }
@@ -41,12 +41,15 @@ pub(crate) fn internal_force_into<M: PointModel>(
     parallel: bool,
 ) -> Option<Energy> {
     let loops = Loops { geometry, model, displacement };
+    if let Some(patches) = &geometry.patches {
+        return loops.averaged_force(patches, force, parallel);
+    }
     let parallel = parallel && geometry.n_elements() >= PARALLEL_FROM;
-    match (geometry.element, parallel) {
-        (Element::Tet4, false) => loops.serial(&TET4, force),
-        (Element::Tet10, false) => loops.serial(&TET10, force),
-        (Element::Tet4, true) => loops.parallel(&TET4, force, buffer),
-        (Element::Tet10, true) => loops.parallel(&TET10, force, buffer),
+    match (geometry.element.n_nodes(), parallel) {
+        (4, false) => loops.serial(&TET4, force),
+        (_, false) => loops.serial(&TET10, force),
+        (4, true) => loops.parallel(&TET4, force, buffer),
+        (_, true) => loops.parallel(&TET10, force, buffer),
     }
 }
 

@@ -12,6 +12,8 @@
 //! of the elements; alone, they are added at once, in the same order. Energies are summed in fixed
 //! chunks. So the bits do not depend on the number of threads.
 
+mod averaged;
+mod averaged_tangent;
 mod force;
 mod lanes;
 mod points;
@@ -128,7 +130,7 @@ fn displacement_gradient<const N: usize>(
 /// `displacement` `(3 n_nodes)`, mm; one entry an element, dimensionless.
 pub(crate) fn det_f_by_element(geometry: &Geometry, displacement: &[f64]) -> Vec<f64> {
     match geometry.element {
-        Element::Tet4 => det_f_with(&TET4, geometry, displacement),
+        Element::Tet4 | Element::Tet4Averaged => det_f_with(&TET4, geometry, displacement),
         Element::Tet10 => det_f_with(&TET10, geometry, displacement),
     }
 }
@@ -137,6 +139,7 @@ pub(crate) fn det_f_by_element(geometry: &Geometry, displacement: &[f64]) -> Vec
 pub(crate) fn gradients_at_points(geometry: &Geometry, displacement: &[f64]) -> Vec<Matrix3> {
     match geometry.element {
         Element::Tet4 => gradients_with(&TET4, geometry, displacement),
+        Element::Tet4Averaged => averaged::gradients(geometry, displacement),
         Element::Tet10 => gradients_with(&TET10, geometry, displacement),
     }
 }

@@ -2,8 +2,9 @@
 
 use nalgebra::{SMatrix, SymmetricEigen};
 
+use super::averaged::Averages;
 use super::{Loops, PointModel, displacement_gradient, entry, local};
-use crate::element::{Element, Geometry, Rule, TET4, TET10};
+use crate::element::{Geometry, Rule, TET4, TET10};
 use crate::material::{Matrix3, NeoHookean, Tangent};
 use crate::system::factor::Blocks;
 
@@ -20,6 +21,8 @@ pub(crate) enum TangentKind {
 pub(crate) struct ElementTangents<'a, M: PointModel> {
     loops: Loops<'a, M>,
     kind: TangentKind,
+    /// Of [`Element::Tet4Averaged`]; none where an element is inverted.
+    averages: Option<Averages>,
 }
 
 impl<'a, M: PointModel> ElementTangents<'a, M> {
@@ -32,19 +35,29 @@ impl<'a, M: PointModel> ElementTangents<'a, M> {
         displacement: &'a [f64],
         kind: TangentKind,
     ) -> Self {
-        Self { loops: Loops { geometry, model, displacement }, kind }
+        let loops = Loops { geometry, model, displacement };
+        let averages = geometry.patches.as_ref().and_then(|patches| loops.averages(patches, false));
+        Self { loops, kind, averages }
     }
 }
 
 impl<M: PointModel> Blocks for ElementTangents<'_, M> {
-    fn width(&self) -> usize {
-        self.loops.geometry.element.n_nodes()
+    fn width(&self, clique: usize) -> usize {
+        match &self.loops.geometry.patches {
+            Some(patches) => patches.nodes_of(clique).len(),
+            None => self.loops.geometry.element.n_nodes(),
+        }
     }
 
-    fn blocks_into(&self, element: usize, blocks: &mut [[f64; 9]]) -> bool {
-        match self.loops.geometry.element {
-            Element::Tet4 => self.loops.element_tangent(&TET4, element, self.kind, blocks),
-            Element::Tet10 => self.loops.element_tangent(&TET10, element, self.kind, blocks),
+    fn blocks_into(&self, clique: usize, blocks: &mut [[f64; 9]]) -> bool {
+        if let Some(patches) = &self.loops.geometry.patches {
+            return self.averages.as_ref().is_some_and(|averages| {
+                self.loops.patch_tangent(patches, averages, clique, self.kind, blocks)
+            });
+        }
+        match self.loops.geometry.element.n_nodes() {
+            4 => self.loops.element_tangent(&TET4, clique, self.kind, blocks),
+            _ => self.loops.element_tangent(&TET10, clique, self.kind, blocks),
         }
     }
 }
@@ -83,7 +96,7 @@ impl<M: PointModel> Loops<'_, M> {
 }
 
 /// `∂N/∂X` from `∂N/∂ξ`.
-fn spatial_gradients<const N: usize>(
+pub(super) fn spatial_gradients<const N: usize>(
     gradients: &[[f64; 3]; N],
     inverse_jacobian: &[[f64; 3]; 3],
 ) -> [[f64; 3]; N] {
@@ -173,7 +186,7 @@ fn add_blocks<const N: usize>(
 }
 
 /// Remove the negative eigenvalues of a symmetric tangent.
-fn clamp(tangent: &mut Tangent) {
+pub(super) fn clamp(tangent: &mut Tangent) {
     let matrix = SMatrix::<f64, 9, 9>::from_fn(|i, j| tangent[i][j]);
     let mut eigen = SymmetricEigen::new(matrix);
     if eigen.eigenvalues.iter().all(|&v| v >= 0.0) {
@@ -202,9 +215,12 @@ pub(crate) fn tangent_product_into<M: PointModel>(
     product: &mut [f64],
 ) -> bool {
     let loops = Loops { geometry, model, displacement };
-    match geometry.element {
-        Element::Tet4 => loops.product(&TET4, direction, product),
-        Element::Tet10 => loops.product(&TET10, direction, product),
+    if let Some(patches) = &geometry.patches {
+        return loops.averaged_product(patches, direction, product);
+    }
+    match geometry.element.n_nodes() {
+        4 => loops.product(&TET4, direction, product),
+        _ => loops.product(&TET10, direction, product),
     }
 }
 

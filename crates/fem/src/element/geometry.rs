@@ -2,6 +2,7 @@
 
 use super::{EDGES, Element};
 use crate::mesh::Mesh;
+use crate::system::Cliques;
 
 /// What the element loops read, made once a body.
 #[derive(Debug)]
@@ -15,6 +16,46 @@ pub(crate) struct Geometry {
     pub(crate) volume: Vec<f64>,
     /// Places in the connectivity at which each node occurs: starts, then places, ascending.
     pub(crate) node2place: (Vec<u32>, Vec<u32>),
+    /// Patches of [`Element::Tet4Averaged`]; none for other elements.
+    pub(crate) patches: Option<Patches>,
+}
+
+/// The elements around each node.
+#[derive(Debug)]
+pub(crate) struct Patches {
+    /// First entry of each patch in `nodes`, and the number of entries.
+    starts: Vec<u32>,
+    /// Nodes of the elements around each node, itself included, ascending.
+    nodes: Vec<u32>,
+    /// Volume of the elements around each node, mm³; 0 where there is none.
+    pub(crate) volume: Vec<f64>,
+}
+
+impl Patches {
+    fn new(connectivity: &[u32], (starts, places): &(Vec<u32>, Vec<u32>), volume: &[f64]) -> Self {
+        let mut patches = Self { starts: vec![0], nodes: Vec::new(), volume: Vec::new() };
+        for around in starts.windows(2).map(|s| &places[s[0] as usize..s[1] as usize]) {
+            let elements = around.iter().map(|&place| place as usize / 4);
+            let mut own: Vec<u32> =
+                elements.clone().flat_map(|e| connectivity[4 * e..][..4].to_vec()).collect();
+            own.sort_unstable();
+            own.dedup();
+            patches.nodes.extend(own);
+            patches.starts.push(patches.nodes.len() as u32);
+            patches.volume.push(elements.map(|e| volume[e]).sum());
+        }
+        patches
+    }
+
+    /// Nodes of the patch around a node.
+    pub(crate) fn nodes_of(&self, node: usize) -> &[u32] {
+        &self.nodes[self.starts[node] as usize..self.starts[node + 1] as usize]
+    }
+
+    /// Place of a node in the patch around `centre`, of which it must be.
+    pub(crate) fn place(&self, centre: usize, node: u32) -> usize {
+        self.nodes_of(centre).partition_point(|&other| other < node)
+    }
 }
 
 impl Geometry {
@@ -26,21 +67,33 @@ impl Geometry {
     ) -> (Self, Vec<[f64; 3]>) {
         let mut nodes = mesh.nodes().to_vec();
         let connectivity = match element {
-            Element::Tet4 => mesh.tets().iter().flatten().map(|&n| n as u32).collect(),
+            Element::Tet4 | Element::Tet4Averaged => {
+                mesh.tets().iter().flatten().map(|&n| n as u32).collect()
+            }
             Element::Tet10 => {
                 nodes
                     .extend(edges.iter().map(|&[a, b]| midpoint(mesh.nodes()[a], mesh.nodes()[b])));
                 quadratic_connectivity(mesh, edges)
             }
         };
-        let (inverse_jacobian, volume) =
+        let (inverse_jacobian, volume): (_, Vec<f64>) =
             (0..mesh.n_tets()).map(|t| (inverse_jacobian(mesh, t), mesh.tet_volume(t))).unzip();
         let node2place = places(&connectivity, nodes.len());
-        (Self { element, connectivity, inverse_jacobian, volume, node2place }, nodes)
+        let patches = (element == Element::Tet4Averaged)
+            .then(|| Patches::new(&connectivity, &node2place, &volume));
+        (Self { element, connectivity, inverse_jacobian, volume, node2place, patches }, nodes)
     }
 
     pub(crate) fn n_elements(&self) -> usize {
         self.volume.len()
+    }
+
+    /// Sets of nodes that the stiffness couples: those of an element, or of a patch.
+    pub(crate) fn cliques(&self) -> Cliques<'_> {
+        match &self.patches {
+            Some(patches) => Cliques::varying(&patches.nodes, &patches.starts),
+            None => Cliques::new(&self.connectivity, self.element.n_nodes()),
+        }
     }
 
     /// Nodes of one element.
@@ -56,7 +109,7 @@ impl Geometry {
         let kind = self.element;
         self.nodes_of(element).iter().enumerate().map(move |(a, &node)| {
             let share = match (kind, a < 4) {
-                (Element::Tet4, _) => 0.25,
+                (Element::Tet4 | Element::Tet4Averaged, _) => 0.25,
                 (Element::Tet10, true) => -0.05,
                 (Element::Tet10, false) => 0.2,
             };

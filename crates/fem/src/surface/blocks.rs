@@ -1,12 +1,12 @@
-//! Stiffness of facets as part of the elements that own them.
+//! Stiffness of facets as part of the cliques that hold their nodes.
 
 use super::facet::Facet;
 use crate::system::factor::Blocks;
 
-/// Blocks of facets by element.
+/// Blocks of facets by clique.
 #[derive(Debug, Default)]
 pub(crate) struct FacetBlocks {
-    /// Element, pair of its nodes as [`Blocks`] counts them, and block; by element.
+    /// Clique, pair of its nodes as [`Blocks`] counts them, and block; by clique.
     entries: Vec<(usize, usize, [f64; 9])>,
 }
 
@@ -18,7 +18,7 @@ impl FacetBlocks {
                 if pa >= pb {
                     let mut flat = [0.0; 9];
                     flat.copy_from_slice(block(a, b).as_flattened());
-                    self.entries.push((facet.tet, pa * (pa + 1) / 2 + pb, flat));
+                    self.entries.push((facet.clique, pa * (pa + 1) / 2 + pb, flat));
                 }
             }
         }
@@ -28,9 +28,9 @@ impl FacetBlocks {
         self.entries.sort_by_key(|entry| entry.0);
     }
 
-    fn add_to(&self, element: usize, blocks: &mut [[f64; 9]]) {
-        let first = self.entries.partition_point(|entry| entry.0 < element);
-        for (_, pair, block) in self.entries[first..].iter().take_while(|e| e.0 == element) {
+    fn add_to(&self, clique: usize, blocks: &mut [[f64; 9]]) {
+        let first = self.entries.partition_point(|entry| entry.0 < clique);
+        for (_, pair, block) in self.entries[first..].iter().take_while(|e| e.0 == clique) {
             for (sum, value) in blocks[*pair].iter_mut().zip(block) {
                 *sum += value;
             }
@@ -45,14 +45,14 @@ pub(crate) struct WithFacets<'a, E> {
 }
 
 impl<E: Blocks> Blocks for WithFacets<'_, E> {
-    fn width(&self) -> usize {
-        self.elements.width()
+    fn width(&self, clique: usize) -> usize {
+        self.elements.width(clique)
     }
 
-    fn blocks_into(&self, element: usize, blocks: &mut [[f64; 9]]) -> bool {
-        let upright = self.elements.blocks_into(element, blocks);
+    fn blocks_into(&self, clique: usize, blocks: &mut [[f64; 9]]) -> bool {
+        let upright = self.elements.blocks_into(clique, blocks);
         if upright && !self.facets.entries.is_empty() {
-            self.facets.add_to(element, blocks);
+            self.facets.add_to(clique, blocks);
         }
         upright
     }

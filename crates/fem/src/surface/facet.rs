@@ -13,11 +13,11 @@ const FACET_EDGES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
 /// One facet of a body's surface.
 #[derive(Debug, Clone)]
 pub(crate) struct Facet {
-    /// Element that owns it.
-    pub(super) tet: usize,
+    /// Clique of the body's matrix that holds its nodes: its element, or a patch around a corner.
+    pub(super) clique: usize,
     /// Its nodes: corners, anticlockwise seen from outside, then mid-edge nodes.
     pub(crate) nodes: Vec<usize>,
-    /// Place of each node in the element.
+    /// Place of each node in the clique.
     pub(super) places: Vec<usize>,
     /// Outward normal of the undeformed facet, of length one.
     pub(crate) normal: [f64; 3],
@@ -59,10 +59,15 @@ impl Facet {
         }
         let element = body.geometry().nodes_of(tet);
         let nodes: Vec<usize> = places.iter().map(|&a| element[a] as usize).collect();
+        let mut clique = tet;
+        if let Some(patches) = &body.geometry().patches {
+            clique = nodes[0];
+            places = nodes.iter().map(|&node| patches.place(clique, node as u32)).collect();
+        }
         let [a, b, c] = [0, 1, 2].map(|k| body.nodes()[nodes[k]]);
         let twice = cross(minus(b, a), minus(c, a));
         let length = twice.iter().map(|v| v * v).sum::<f64>().sqrt();
-        Self { tet, nodes, places, normal: twice.map(|v| v / length), area: 0.5 * length }
+        Self { clique, nodes, places, normal: twice.map(|v| v / length), area: 0.5 * length }
     }
 
     /// Add a matrix of its nodes times a direction of all nodes.

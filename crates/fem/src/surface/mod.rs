@@ -66,7 +66,7 @@ impl SurfaceTerms {
         Some(energy)
     }
 
-    /// Tangent at a displacement (none: at rest) as blocks of the elements that own the facets;
+    /// Tangent at a displacement (none: at rest) as blocks of the cliques that hold the facets;
     /// none where a facet of the skin has lost its area.
     pub(crate) fn blocks(
         &self,

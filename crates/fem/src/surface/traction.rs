@@ -101,7 +101,7 @@ impl Body {
     /// Nodes of a facet that carry a constant traction in equal parts.
     fn facet_carriers(&self, [a, b, c]: [usize; 3]) -> [usize; 3] {
         match self.element() {
-            Element::Tet4 => [a, b, c],
+            Element::Tet4 | Element::Tet4Averaged => [a, b, c],
             Element::Tet10 => [[a, b], [b, c], [a, c]].map(|[p, q]| {
                 let edge = [p.min(q), p.max(q)];
                 self.n_corner_nodes() + self.mid_edges().partition_point(|e| *e < edge)

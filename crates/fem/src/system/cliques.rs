@@ -4,23 +4,45 @@
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cliques<'a> {
     nodes: &'a [u32],
-    width: usize,
+    extent: Extent<'a>,
+}
+
+/// Where sets begin and end.
+#[derive(Debug, Clone, Copy)]
+enum Extent<'a> {
+    /// All of one width.
+    Width(usize),
+    /// First entry of each set, and the number of entries.
+    Starts(&'a [u32]),
 }
 
 impl<'a> Cliques<'a> {
     /// Sets of `width` nodes each.
     pub(crate) fn new(nodes: &'a [u32], width: usize) -> Self {
-        Self { nodes, width }
+        Self { nodes, extent: Extent::Width(width) }
+    }
+
+    /// Sets of any widths: set `k` has the entries from `starts[k]` to `starts[k + 1]`.
+    pub(crate) fn varying(nodes: &'a [u32], starts: &'a [u32]) -> Self {
+        Self { nodes, extent: Extent::Starts(starts) }
     }
 
     /// Number of sets.
     pub(crate) fn len(&self) -> usize {
-        self.nodes.len() / self.width
+        match self.extent {
+            Extent::Width(width) => self.nodes.len() / width,
+            Extent::Starts(starts) => starts.len() - 1,
+        }
     }
 
     /// Nodes of one set.
     pub(crate) fn get(&self, clique: usize) -> &'a [u32] {
-        &self.nodes[clique * self.width..(clique + 1) * self.width]
+        match self.extent {
+            Extent::Width(width) => &self.nodes[clique * width..(clique + 1) * width],
+            Extent::Starts(starts) => {
+                &self.nodes[starts[clique] as usize..starts[clique + 1] as usize]
+            }
+        }
     }
 
     /// All nodes, set after set.
@@ -30,6 +52,9 @@ impl<'a> Cliques<'a> {
 
     /// The set that the entry `place` of [`Cliques::nodes`] belongs to.
     pub(crate) fn owner(&self, place: usize) -> usize {
-        place / self.width
+        match self.extent {
+            Extent::Width(width) => place / width,
+            Extent::Starts(starts) => starts.partition_point(|&start| start as usize <= place) - 1,
+        }
     }
 }

@@ -70,8 +70,8 @@ pub(crate) trait Blocks: Sync {
     /// `a`; false where the matrix does not exist (an inverted element).
     fn blocks_into(&self, clique: usize, blocks: &mut [[f64; 9]]) -> bool;
 
-    /// Nodes of every clique.
-    fn width(&self) -> usize;
+    /// Nodes of a clique.
+    fn width(&self, clique: usize) -> usize;
 }
 
 /// How a factor is made.
@@ -321,17 +321,18 @@ impl<B: Blocks> Work<'_, B> {
         update: &mut [T],
         scratch: &mut Scratch<T>,
     ) -> Result<(), FemError> {
-        let width = self.matrix.width();
         let blocks = &mut scratch.blocks;
-        blocks.resize(width * (width + 1) / 2, [0.0; 9]);
         for k in front.cliques.clone() {
-            if !self.matrix.blocks_into(self.fronts.cliques[k] as usize, blocks) {
+            let clique = self.fronts.cliques[k] as usize;
+            let width = self.matrix.width(clique);
+            blocks.resize(width * (width + 1) / 2, [0.0; 9]);
+            if !self.matrix.blocks_into(clique, blocks) {
                 return Err(FemError::SingularStiffness {
                     pivot: front.first,
                     n_dofs: self.fronts.n_unknowns,
                 });
             }
-            let spots = &self.fronts.spots[k * width..(k + 1) * width];
+            let spots = &self.fronts.spots[self.fronts.first_spot[k]..][..width];
             let mut target = Target { front, panel, update };
             let mut pair = 0;
             for a in 0..width {

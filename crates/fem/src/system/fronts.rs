@@ -113,6 +113,8 @@ pub(crate) struct Fronts {
     pub(super) cliques: Vec<u32>,
     /// Spots of the nodes of all cliques, in the order of the cliques.
     pub(super) spots: Vec<Spot>,
+    /// First spot of each of these cliques.
+    pub(super) first_spot: Vec<usize>,
     pub(super) n_unknowns: usize,
     /// Entries of all panels.
     pub(super) n_entries: usize,
@@ -231,6 +233,7 @@ pub(super) fn analyse(
         roots: Vec::new(),
         cliques: Vec::new(),
         spots: Vec::new(),
+        first_spot: Vec::new(),
         n_unknowns: first_unknown[n],
         n_entries: 0,
         n_local: 0,
@@ -307,6 +310,7 @@ pub(super) fn analyse(
         let clique_begin = built.cliques.len();
         for &clique in &by_front[f] {
             built.cliques.push(clique);
+            built.first_spot.push(built.spots.len());
             for &node in cliques.get(clique as usize) {
                 let v = vertex_of_node[node as usize];
                 built.spots.push(match v {
