@@ -315,6 +315,11 @@ fn what_is_no_stable_equilibrium_is_refused() {
         let error = here.derivatives(&[cause]).expect_err("none").to_string();
         assert!(error.contains(words), "{error}");
     }
+    let averaged = clamped_at_x0(bar([1, 1, 1], [6.0; 3]), Element::Tet4Averaged);
+    let still = vec![[0.0; 3]; averaged.n_nodes()];
+    let error = Linearised::new(&averaged, &material, &Load::default(), &still, &tight())
+        .expect_err("other elements");
+    assert!(matches!(error, FemError::NotWithElement { .. }), "{error}");
     let loose = Observation::of_reactions([(15, [1.0; 3])]);
     let error = here.adjoints(&[loose]).expect_err("free").to_string();
     assert!(error.contains("the reaction of node 15, which is not held"), "{error}");

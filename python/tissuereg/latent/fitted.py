@@ -30,7 +30,7 @@ from tissuereg.simulate.solve import Simulations, Simulator
 from tissuereg.simulate.variation import Variation, random_inclusion
 
 #: A member that needs more iterations is far beyond what tissue does; it fails instead of holding up the others.
-_SOLVE = {"tolerance": 1e-5, "max_iterations": 150}
+_SOLVE = {"tolerance": 1e-5, "max_iterations": 400}
 
 #: How often the random events are halved where the body cannot bear them.
 _MOST_HALVINGS = 3

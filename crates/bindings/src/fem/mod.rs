@@ -70,7 +70,9 @@ impl Body {
             "tet4" => Element::Tet4,
             "tet4-averaged" => Element::Tet4Averaged,
             "tet10" => Element::Tet10,
-            other => return Err(bad_choice(py, "element", "`tet4`, `tet4-averaged` or `tet10`", other)),
+            other => {
+                return Err(bad_choice(py, "element", "`tet4`, `tet4-averaged` or `tet10`", other));
+            }
         };
         let held = View::<i64>::new("held_nodes", held_nodes, &[&[None]])?;
         let held = held.indices::<1>(py, "held_nodes", Class::Support)?.into_flattened();

@@ -72,7 +72,9 @@ impl Rig {
             "tet4" => Element::Tet4,
             "tet4-averaged" => Element::Tet4Averaged,
             "tet10" => Element::Tet10,
-            other => return Err(bad_choice(py, "element", "`tet4`, `tet4-averaged` or `tet10`", other)),
+            other => {
+                return Err(bad_choice(py, "element", "`tet4`, `tet4-averaged` or `tet10`", other));
+            }
         };
         let mesh = super::mesh_of(py, nodes, tets)?;
         let (n_tets, n_points) = (Some(mesh.n_tets()), Some(element.n_points()));

@@ -20,6 +20,8 @@ pub(crate) fn add_forces_of(geometry: &Geometry, stresses: &[Matrix3], force: &m
     match geometry.element {
         Element::Tet4 => add_with(&TET4, geometry, stresses, force),
         Element::Tet10 => add_with(&TET10, geometry, stresses, force),
+        // `Linearised::new` refuses these.
+        Element::Tet4Averaged => {}
     }
 }
 

@@ -7,6 +7,7 @@ use super::cause::{Cause, Scene};
 use super::rates::{Derivative, Tangent, exact, factor};
 use crate::assembly::{gradients_at_points, point_volumes};
 use crate::body::Body;
+use crate::element::Element;
 use crate::error::FemError;
 use crate::load::{Load, NodalLoad, check_finite, check_length};
 use crate::material::{Material, Matrix3, Parameter};
@@ -69,7 +70,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
     ///
     /// # Errors
     ///
-    /// [`FemError::NotInEquilibrium`] with the residual, [`FemError::NotStable`] where the tangent
+    /// [`FemError::NotWithElement`], [`FemError::NotInEquilibrium`] with the residual, [`FemError::NotStable`] where the tangent
     /// is not positive definite; those of [`solve`](crate::solve) for wrong input.
     ///
     /// # Cost
@@ -85,6 +86,9 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         settings.check()?;
         settings.check_cancel()?;
         let own = body.borrow();
+        if own.element() == Element::Tet4Averaged {
+            return Err(FemError::NotWithElement { what: "derivatives", element: own.element() });
+        }
         material.check_size(own.n_tets(), own.element().n_points())?;
         check_length("displacement (one row a node)", own.n_nodes(), displacement.len())?;
         check_finite("displacement", displacement)?;
