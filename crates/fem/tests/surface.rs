@@ -27,7 +27,7 @@ fn mean_over(body: &Body, facets: &[[usize; 3]], u: &[[f64; 3]]) -> [f64; 3] {
     let carriers = |t: &[usize; 3]| -> Vec<usize> {
         let pairs = [[t[0], t[1]], [t[1], t[2]], [t[0], t[2]]].map(|[a, b]| [a.min(b), a.max(b)]);
         match body.element() {
-            Element::Tet4 => t.to_vec(),
+            Element::Tet4 | Element::Tet4Averaged => t.to_vec(),
             Element::Tet10 => (0..body.mid_edges().len())
                 .filter(|&e| pairs.contains(&body.mid_edges()[e]))
                 .map(|e| body.n_corner_nodes() + e)
