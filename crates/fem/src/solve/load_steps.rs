@@ -72,7 +72,7 @@ impl Path<'_> {
                 let metric = self.metric.clone();
                 let limit = self.limit(STEP_ITERATIONS);
                 let ended = self.step(&mut state, from, 1.0, limit)?;
-                let ended = self.go_on(&mut state, 1.0, ended, 0.5 * self.allowed)?;
+                let ended = self.go_on(&mut state, 1.0, ended, self.allowed)?;
                 if ended.stop.is_none() {
                     return Ok(self.finish(state, ended));
                 }

@@ -45,8 +45,8 @@ pub struct SolveSettings {
     /// of the forces is accepted in any case. Dimensionless.
     pub tolerance: f64,
     /// Iterations allowed in all load steps together. With [`LoadSteps::Auto`] the attempt at the
-    /// full load also ends once it has taken the time of as many iterations, factorisations and
-    /// trials included, and the steps after it once they have taken the time of twice as many (by
+    /// full load also ends once it has taken the time of twice as many iterations, factorisations and
+    /// trials included, and the steps after it once they have taken the same again (by
     /// their size, not by the clock, so that results stay the same).
     pub max_iterations: usize,
     /// Which iteration is used.
