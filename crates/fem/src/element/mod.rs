@@ -33,7 +33,7 @@ pub enum Element {
     /// Engng 14, 437, 1998; the form that takes any law is the F-bar of de Souza Neto et al., Int.
     /// J. Numer. Meth. Engng 62, 353, 2005, per node and with exact derivatives).
     ///
-    /// Stiffness couples a node with the elements two rings around; a factor takes some three
+    /// Stiffness couples a node with the elements two rings around; a factor takes five to six
     /// times as long as with [`Element::Tet4`]. Fields per point have four points an element, one
     /// a corner. Hooke's law is linear in the averaged gradient, not in the displacement.
     Tet4Averaged,
