@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use crate::element::{Element, Geometry, edges_of};
 use crate::error::FemError;
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, ascending};
 use crate::solve::RestCache;
 use crate::supports::Supports;
 use crate::system::check_rigid_modes;
@@ -281,11 +281,6 @@ fn check_resting(mesh: &Mesh, supports: &Supports) -> Result<(), FemError> {
         }
     }
     Ok(())
-}
-
-fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
-    triangle.sort_unstable();
-    triangle
 }
 
 /// Held axes of corner nodes, followed by those of mid-edge nodes.

@@ -187,14 +187,18 @@ fn check_use(n_nodes: usize, tets: &[[usize; 4]]) -> Result<(), FemError> {
 /// One face: its nodes in ascending order, and where it came from (4 tet + face).
 type KeyedFace = ([usize; 3], usize);
 
+/// Corners of a triangle in the order by which equal triangles are found.
+pub(crate) fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
+    triangle.sort_unstable();
+    triangle
+}
+
 /// All faces of all tetrahedra, sorted so that equal triangles are neighbours.
 fn sorted_faces(tets: &[[usize; 4]]) -> Vec<KeyedFace> {
     let mut faces = Vec::with_capacity(4 * tets.len());
     for (tet, corners) in tets.iter().enumerate() {
         for (f, face) in FACES.iter().enumerate() {
-            let mut key = face.map(|a| corners[a]);
-            key.sort_unstable();
-            faces.push((key, 4 * tet + f));
+            faces.push((ascending(face.map(|a| corners[a])), 4 * tet + f));
         }
     }
     faces.sort_unstable();

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::error::FemError;
+use crate::mesh::ascending;
 use crate::surface::Springs;
 
 /// Held nodes, each along chosen axes.
@@ -116,11 +117,6 @@ impl Supports {
         }
         Ok(by_node)
     }
-}
-
-fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
-    triangle.sort_unstable();
-    triangle
 }
 
 impl From<&[usize]> for Supports {

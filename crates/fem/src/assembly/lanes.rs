@@ -11,7 +11,7 @@
 //! where nothing of first order cancels. Other elements are left to the scalar law.
 
 use crate::element::Geometry;
-use crate::material::NeoHookean;
+use crate::material::PlainLaws;
 
 /// Elements side by side.
 pub(super) const WIDTH: usize = 8;
@@ -37,7 +37,7 @@ pub(super) struct Answer {
 /// Evaluates eight elements; a type, so that it is compiled for the processor at hand.
 pub(super) struct Eight<'a> {
     pub(super) geometry: &'a Geometry,
-    pub(super) laws: &'a [NeoHookean],
+    pub(super) laws: PlainLaws<'a>,
     pub(super) displacement: &'a [f64],
     /// First element; those behind the last one repeat it.
     pub(super) first: usize,
@@ -153,7 +153,7 @@ impl Eight<'_> {
                     inputs.jacobian[k][j][l] = jacobian[k][j];
                 }
             }
-            let law = &self.laws[if self.laws.len() == 1 { 0 } else { element }];
+            let law = self.laws.at(element, 0);
             inputs.weight[l] = self.geometry.volume[element];
             inputs.mu[l] = law.mu;
             inputs.lambda[l] = law.lambda;

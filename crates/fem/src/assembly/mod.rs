@@ -24,7 +24,7 @@ pub(crate) use points::{add_forces_of, point_volumes};
 pub(crate) use tangent::{ElementTangents, TangentKind, tangent_product_into};
 
 use crate::element::{Element, Geometry, Rule, TET4, TET10};
-use crate::material::{Hyperelastic, Material, Matrix3, NeoHookean, Response, Tangent};
+use crate::material::{Hyperelastic, Material, Matrix3, PlainLaws, Response, Tangent};
 
 /// Elements whose energies are summed together.
 const CHUNK: usize = 256;
@@ -41,26 +41,9 @@ pub(crate) trait PointModel: Sync {
     /// `∂P/∂h`; none where the point is inverted.
     fn tangent(&self, element: usize, point: usize, h: &Matrix3) -> Option<Tangent>;
 
-    /// The laws of a plain neo-Hookean body, for which the loops have faster forms: one for all,
-    /// one an element, or one a point.
-    fn neo_hookean(&self) -> Option<&[NeoHookean]> {
+    /// The laws of a plain neo-Hookean body, for which the loops have faster forms.
+    fn neo_hookean(&self) -> Option<PlainLaws<'_>> {
         None
-    }
-}
-
-/// The entry for a point of a field that has one for all, one an element, or one a point.
-#[inline(always)]
-fn entry<T: Copy>(
-    field: &[T],
-    n_elements: usize,
-    n_points: usize,
-    element: usize,
-    point: usize,
-) -> T {
-    match field.len() {
-        1 => field[0],
-        n if n == n_elements => field[element],
-        _ => field[element * n_points + point],
     }
 }
 
@@ -75,7 +58,7 @@ impl PointModel for Material {
         self.law_at(element, point).tangent(h)
     }
 
-    fn neo_hookean(&self) -> Option<&[NeoHookean]> {
+    fn neo_hookean(&self) -> Option<PlainLaws<'_>> {
         self.plain_neo_hookean()
     }
 }

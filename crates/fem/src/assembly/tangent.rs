@@ -3,7 +3,7 @@
 use nalgebra::{SMatrix, SymmetricEigen};
 
 use super::averaged::Averages;
-use super::{Loops, PointModel, displacement_gradient, entry, local};
+use super::{Loops, PointModel, displacement_gradient, local};
 use crate::element::{Geometry, Rule, TET4, TET10};
 use crate::material::{Matrix3, NeoHookean, Tangent};
 use crate::system::factor::Blocks;
@@ -78,7 +78,7 @@ impl<M: PointModel> Loops<'_, M> {
             let h = displacement_gradient(&u, gradients, inverse_jacobian);
             let spatial = spatial_gradients(gradients, inverse_jacobian);
             if let (Some(laws), TangentKind::Exact) = (self.model.neo_hookean(), kind) {
-                let law = entry(laws, self.geometry.n_elements(), Q, element, point);
+                let law = laws.at(element, point);
                 let Some((inverse_f, twist)) = law.tangent_parts(&h) else { return false };
                 add_neo_hookean(&law, &inverse_f, twist, &spatial, weight, blocks);
                 continue;

@@ -156,7 +156,7 @@ fn inverse_jacobian(mesh: &Mesh, tet: usize) -> [[f64; 3]; 3] {
     [cross(b, c), cross(c, a), cross(a, b)].map(|row| row.map(|v| v / six_volumes))
 }
 
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 

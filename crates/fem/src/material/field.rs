@@ -50,6 +50,21 @@ pub struct Material {
     skin: Vec<Skin>,
 }
 
+/// A field of neo-Hookean laws and nothing else.
+#[derive(Clone, Copy)]
+pub(crate) struct PlainLaws<'a> {
+    moduli: &'a [NeoHookean],
+    layout: Layout,
+}
+
+impl PlainLaws<'_> {
+    /// The law at one quadrature point of a tetrahedron.
+    #[inline(always)]
+    pub(crate) fn at(self, tet: usize, point: usize) -> NeoHookean {
+        self.moduli[self.layout.entry(tet, point)]
+    }
+}
+
 impl Material {
     /// Neo-Hookean material with a field of stiffness; [`with_law`](Self::with_law) and
     /// [`with_fibres`](Self::with_fibres) make others of it.
@@ -211,12 +226,12 @@ impl Material {
     }
 
     /// Lamé constants where the law is the neo-Hookean one with logarithmic volumetric energy and
-    /// no fibres: one entry, one a tetrahedron, or one a quadrature point.
-    pub(crate) fn plain_neo_hookean(&self) -> Option<&[NeoHookean]> {
+    /// no fibres.
+    pub(crate) fn plain_neo_hookean(&self) -> Option<PlainLaws<'_>> {
         let plain = self.kind == LawKind::NeoHookean
             && self.volumetric == Volumetric::Log
             && self.fibres.is_none();
-        plain.then_some(&self.moduli)
+        plain.then_some(PlainLaws { moduli: &self.moduli, layout: self.layout })
     }
 
     /// Check that the fields fit a body of `n_tets` tetrahedra of `n_points` points.

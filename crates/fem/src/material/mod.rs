@@ -22,6 +22,7 @@ mod tensor;
 
 pub use fibre::Fibre;
 pub use field::Material;
+pub(crate) use field::PlainLaws;
 pub use kind::{LawKind, OgdenTerms, Parameter};
 pub use kinematics::Volumetric;
 pub use law::Law;

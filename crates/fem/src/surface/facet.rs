@@ -3,9 +3,9 @@
 use std::collections::HashMap;
 
 use crate::body::Body;
-use crate::element::{EDGES, Element};
+use crate::element::{EDGES, Element, cross};
 use crate::error::FemError;
-use crate::mesh::FACES;
+use crate::mesh::{FACES, ascending};
 
 /// Corners of the edges of a facet, in the order of its mid-edge nodes 3 to 5.
 const FACET_EDGES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
@@ -89,15 +89,6 @@ impl Facet {
     }
 }
 
-pub(crate) fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
-    triangle.sort_unstable();
-    triangle
-}
-
 pub(super) fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| a[i] - b[i])
-}
-
-pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }

@@ -12,9 +12,10 @@
 
 use nalgebra::{SMatrix, SymmetricEigen};
 
-use super::facet::{Facet, cross, minus};
+use super::facet::{Facet, minus};
 use crate::assembly::TangentKind;
 use crate::body::Body;
+use crate::element::cross;
 use crate::error::FemError;
 use crate::history::must;
 use crate::material::{NeoHookean, x_minus_log};

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use super::facet::{ascending, facets_of};
+use super::facet::{facets_of, minus};
 use crate::body::Body;
-use crate::element::Element;
+use crate::element::{Element, cross};
 use crate::error::FemError;
 use crate::load::{check_finite, check_length};
+use crate::mesh::ascending;
 
 impl Body {
     /// Consistent nodal forces (mN) of dead tractions on facets of the surface.
@@ -111,8 +112,6 @@ impl Body {
 }
 
 fn area([a, b, c]: [[f64; 3]; 3]) -> f64 {
-    let u: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
-    let v: [f64; 3] = std::array::from_fn(|i| c[i] - a[i]);
-    let n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-    0.5 * n.iter().map(|c| c * c).sum::<f64>().sqrt()
+    let twice = cross(minus(b, a), minus(c, a));
+    0.5 * twice.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
