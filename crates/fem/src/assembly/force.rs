@@ -4,9 +4,10 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::lanes::{Eight, WIDTH};
+use super::packs::{PACKS, Packs, PacksAnswer};
 use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, displacement_gradient, local};
-use crate::element::{Geometry, Rule, TET4, TET10};
+use crate::element::{Element, Geometry, PACK, Rule, TET4, TET10};
+use crate::material::PlainLaws;
 
 /// Energy and smallest volume ratio of a state.
 #[derive(Debug, Clone, Copy)]
@@ -45,6 +46,12 @@ pub(crate) fn internal_force_into<M: PointModel>(
         return loops.averaged_force(patches, force, parallel);
     }
     let parallel = parallel && geometry.n_elements() >= PARALLEL_FROM;
+    if let (Element::Tet4, Some(laws)) = (geometry.element, model.neo_hookean()) {
+        return match parallel {
+            false => loops.serial_packs(laws, force),
+            true => loops.parallel_packs(laws, force, buffer),
+        };
+    }
     match (geometry.element.n_nodes(), parallel) {
         (4, false) => loops.serial(&TET4, force),
         (_, false) => loops.serial(&TET10, force),
@@ -96,6 +103,12 @@ impl<M: PointModel> Loops<'_, M> {
             })
             .collect();
         let chunks = chunks?;
+        self.collect(buffer, force);
+        Some(chunks.into_iter().fold(Energy::NOTHING, Energy::and))
+    }
+
+    /// Write to each node the sum of what its elements have left in `buffer`.
+    fn collect(&self, buffer: &[f64], force: &mut [f64]) {
         let (start, places) = &self.geometry.node2place;
         force.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(c, rows)| {
             for (k, row) in rows.chunks_exact_mut(3).enumerate() {
@@ -108,7 +121,62 @@ impl<M: PointModel> Loops<'_, M> {
                 }
             }
         });
+    }
+
+    fn serial_packs(&self, laws: PlainLaws, force: &mut [f64]) -> Option<Energy> {
+        force.fill(0.0);
+        let mut rows = [[[0.0; 3]; 4]; PACK * PACKS];
+        let mut sum = Energy::NOTHING;
+        let elements = self.geometry.connectivity.as_chunks::<4>().0;
+        for (chunk, elements) in elements.chunks(rows.len()).enumerate() {
+            let rows = &mut rows[..elements.len()];
+            sum = sum.and(self.packs(laws, chunk * PACKS, rows)?);
+            for (nodes, rows) in elements.iter().zip(rows) {
+                for (&node, row) in nodes.iter().zip(rows) {
+                    let target = &mut force[3 * node as usize..3 * node as usize + 3];
+                    for i in 0..3 {
+                        target[i] += row[i];
+                    }
+                }
+            }
+        }
+        Some(sum)
+    }
+
+    fn parallel_packs(
+        &self,
+        laws: PlainLaws,
+        force: &mut [f64],
+        buffer: &mut Vec<f64>,
+    ) -> Option<Energy> {
+        buffer.resize(12 * self.geometry.n_elements(), 0.0);
+        let chunks: Option<Vec<Energy>> = buffer
+            .par_chunks_mut(12 * PACK * PACKS)
+            .enumerate()
+            .map(|(c, slots)| {
+                let rows = slots.as_chunks_mut::<3>().0.as_chunks_mut::<4>().0;
+                self.packs(laws, c * PACKS, rows)
+            })
+            .collect();
+        let chunks = chunks?;
+        self.collect(buffer, force);
         Some(chunks.into_iter().fold(Energy::NOTHING, Energy::and))
+    }
+
+    /// Write the nodal forces of up to [`PACKS`] packs of elements.
+    fn packs(&self, laws: PlainLaws, first: usize, rows: &mut [[[f64; 3]; 4]]) -> Option<Energy> {
+        let Self { geometry, displacement, .. } = *self;
+        let all = Packs { geometry, laws, displacement, first, rows: &mut *rows };
+        let PacksAnswer { mut energy, far } = pulp::Arch::new().dispatch(all);
+        for pack in (0..PACKS).filter(|pack| far & (1 << pack) != 0) {
+            let elements = PACK * pack..rows.len().min(PACK * (pack + 1));
+            for (k, row) in elements.clone().zip(&mut rows[elements]) {
+                let (own, forces) = self.element(&TET4, PACK * first + k)?;
+                energy = energy.and(own);
+                *row = forces;
+            }
+        }
+        Some(energy)
     }
 
     /// Evaluate some elements in order and hand each one's nodal forces to `take`.
@@ -120,34 +188,6 @@ impl<M: PointModel> Loops<'_, M> {
         mut take: impl FnMut(usize, &[[f64; 3]; N]),
     ) -> Option<Energy> {
         let mut sum = Energy::NOTHING;
-        if let (4, Some(laws)) = (N, self.model.neo_hookean()) {
-            for first in elements.clone().step_by(WIDTH) {
-                let last = elements.end.min(first + WIDTH);
-                let Self { geometry, displacement, .. } = *self;
-                let eight =
-                    pulp::Arch::new().dispatch(Eight { geometry, laws, displacement, first });
-                for element in first..last {
-                    if !eight.near {
-                        let (energy, rows) = self.element(rule, element)?;
-                        sum = sum.and(energy);
-                        take(element, &rows);
-                        continue;
-                    }
-                    let l = element - first;
-                    let mut rows = [[0.0; 3]; N];
-                    for k in 0..3 {
-                        for i in 0..3 {
-                            let force = eight.force[k][i][l];
-                            rows[k + 1][i] = force;
-                            rows[0][i] -= force;
-                        }
-                    }
-                    sum = sum.and(Energy { total: eight.energy[l], min_det_f: eight.det_f[l] });
-                    take(element, &rows);
-                }
-            }
-            return Some(sum);
-        }
         for element in elements {
             let (energy, rows) = self.element(rule, element)?;
             sum = sum.and(energy);

@@ -1,8 +1,7 @@
-//! Internal forces of four-node neo-Hookean elements, eight at a time.
+//! Four-node neo-Hookean elements side by side, as many as the processor takes at once.
 //!
-//! The same mathematics as the general loop in `force`, written on arrays of eight so that the
-//! compiler vectorises it for the processor at hand. With `x = J − 1`, the law needs `ln J` and
-//! `x − ln J`, and for `|x| < 0.3` both follow from
+//! The same mathematics as the scalar law. With `x = J − 1`, the law needs `ln J` and `x − ln J`,
+//! and for `|x| < 0.3` both follow from
 //!
 //! ```text
 //! s = x / (2 + x),     x − ln(1 + x) = x²/2 − s (x²/2 + R(s²)),     R = Σ_k 2 s^2k / (2 k + 1)
@@ -10,213 +9,186 @@
 //!
 //! where nothing of first order cancels. Other elements are left to the scalar law.
 
-use crate::element::Geometry;
-use crate::material::PlainLaws;
-
-/// Elements side by side.
-pub(super) const WIDTH: usize = 8;
+use pulp::Simd;
 
 /// Largest `|J − 1|` for which the series of the logarithm is summed.
 const NEAR: f64 = 0.3;
 
-type Lane = [f64; WIDTH];
+/// `R` by powers of `s²`: with `s² < 0.032`, twelve terms leave less than 1e-18.
+const SERIES: [f64; 12] = {
+    let mut terms = [0.0; 12];
+    let mut k = 0;
+    while k < 12 {
+        terms[k] = 2.0 / (2 * k + 3) as f64;
+        k += 1;
+    }
+    terms
+};
 
-/// What eight elements answer.
+/// Three rows of three, one entry an element.
+pub(super) type Matrices<S> = [[<S as Simd>::f64s; 3]; 3];
+
+/// What the law and the geometry of some elements take.
 #[derive(Clone, Copy)]
-pub(super) struct Answer {
-    /// Strain energy, µJ.
-    pub(super) energy: Lane,
-    /// det F.
-    pub(super) det_f: Lane,
+pub(super) struct Elements<S: Simd> {
+    /// `∂ξ_k/∂X_j`, 1/mm.
+    pub(super) jacobian: Matrices<S>,
+    /// Volumes, mm³.
+    pub(super) weight: S::f64s,
+    /// Lamé constants, kPa.
+    pub(super) mu: S::f64s,
+    pub(super) lambda: S::f64s,
+}
+
+/// What some elements answer.
+pub(super) struct Answer<S: Simd> {
     /// Forces of nodes 1 to 3 by component, mN; node 0 balances them.
-    pub(super) force: [[Lane; 3]; 3],
-    /// Whether the series of the logarithm holds for all eight.
-    pub(super) near: bool,
+    pub(super) force: Matrices<S>,
+    /// Strain energy, µJ.
+    pub(super) energy: S::f64s,
+    /// det F.
+    pub(super) det_f: S::f64s,
+    /// 0 where the series of the logarithm holds, else 1 (also where `det_f` is NaN).
+    pub(super) far: S::f64s,
 }
 
-/// Evaluates eight elements; a type, so that it is compiled for the processor at hand.
-pub(super) struct Eight<'a> {
-    pub(super) geometry: &'a Geometry,
-    pub(super) laws: PlainLaws<'a>,
-    pub(super) displacement: &'a [f64],
-    /// First element; those behind the last one repeat it.
-    pub(super) first: usize,
-}
-
-impl pulp::WithSimd for Eight<'_> {
-    type Output = Answer;
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) -> Answer {
-        self.evaluate()
-    }
-}
-
-impl Eight<'_> {
-    #[inline(always)]
-    fn evaluate(&self) -> Answer {
-        let mut inputs = Inputs::default();
-        self.gather(&mut inputs);
-        let Inputs { edges, jacobian, weight, mu, lambda } = inputs;
-
-        // h = Σ_a (u_a − u_0) ⊗ ∂ξ_a/∂X
-        let mut h = [[[0.0; WIDTH]; 3]; 3];
-        for i in 0..3 {
-            for j in 0..3 {
-                for l in 0..WIDTH {
-                    h[i][j][l] = edges[0][i][l] * jacobian[0][j][l]
-                        + edges[1][i][l] * jacobian[1][j][l]
-                        + edges[2][i][l] * jacobian[2][j][l];
-                }
-            }
-        }
-        let cofactor = cofactor(&h);
-        let mut answer = Answer {
-            energy: [0.0; WIDTH],
-            det_f: [0.0; WIDTH],
-            force: [[[0.0; WIDTH]; 3]; 3],
-            near: true,
-        };
-        let (mut shear, mut pressure) = ([0.0; WIDTH], [0.0; WIDTH]);
-        let (mut second, mut trace) = ([0.0; WIDTH], [0.0; WIDTH]);
-        let mut far = 0.0_f64;
-        for l in 0..WIDTH {
-            let tr = h[0][0][l] + h[1][1][l] + h[2][2][l];
-            let third = h[0][0][l] * cofactor[0][0][l]
-                + h[0][1][l] * cofactor[0][1][l]
-                + h[0][2][l] * cofactor[0][2][l];
-            let q = cofactor[0][0][l] + cofactor[1][1][l] + cofactor[2][2][l] + third;
-            let x = tr + q;
-            let rest = x_minus_log(x);
-            let log = x - rest;
-            let det_f = 1.0 + x;
-            let inverse = 1.0 / det_f;
-            let mut square = 0.0;
-            for i in 0..3 {
-                for j in 0..3 {
-                    square += h[i][j][l] * h[i][j][l];
-                }
-            }
-            // NaN is far as well.
-            far += if x.abs() < NEAR { 0.0 } else { 1.0 };
-            answer.det_f[l] = det_f;
-            answer.energy[l] =
-                weight[l] * (mu[l] * (0.5 * square - q + rest) + 0.5 * lambda[l] * log * log);
-            shear[l] = weight[l] * mu[l] * inverse;
-            pressure[l] = weight[l] * lambda[l] * log * inverse;
-            second[l] = q;
-            trace[l] = tr;
-        }
-        answer.near = far == 0.0;
-        // w P = shear (J h + hᵀ + q I − cof h) + pressure cof F
-        let mut stress = [[[0.0; WIDTH]; 3]; 3];
-        for i in 0..3 {
-            for j in 0..3 {
-                let unit = if i == j { 1.0 } else { 0.0 };
-                for l in 0..WIDTH {
-                    let cof_f = cofactor[i][j][l] - h[j][i][l] + unit * (1.0 + trace[l]);
-                    stress[i][j][l] = shear[l]
-                        * (answer.det_f[l] * h[i][j][l] + h[j][i][l] - cofactor[i][j][l]
-                            + unit * second[l])
-                        + pressure[l] * cof_f;
-                }
-            }
-        }
-        for k in 0..3 {
-            for i in 0..3 {
-                for l in 0..WIDTH {
-                    answer.force[k][i][l] = stress[i][0][l] * jacobian[k][0][l]
-                        + stress[i][1][l] * jacobian[k][1][l]
-                        + stress[i][2][l] * jacobian[k][2][l];
-                }
-            }
-        }
-        answer
-    }
-
-    #[inline(always)]
-    fn gather(&self, inputs: &mut Inputs) {
-        let last = self.geometry.n_elements() - 1;
-        for l in 0..WIDTH {
-            let element = (self.first + l).min(last);
-            let nodes = &self.geometry.connectivity[4 * element..4 * element + 4];
-            let at = |a: usize, i: usize| self.displacement[3 * nodes[a] as usize + i];
-            for i in 0..3 {
-                let origin = at(0, i);
-                for k in 0..3 {
-                    inputs.edges[k][i][l] = at(k + 1, i) - origin;
-                }
-            }
-            let jacobian = &self.geometry.inverse_jacobian[element];
-            for k in 0..3 {
-                for j in 0..3 {
-                    inputs.jacobian[k][j][l] = jacobian[k][j];
-                }
-            }
-            let law = self.laws.at(element, 0);
-            inputs.weight[l] = self.geometry.volume[element];
-            inputs.mu[l] = law.mu;
-            inputs.lambda[l] = law.lambda;
-        }
-    }
-}
-
-/// What is gathered for eight elements.
-#[derive(Default)]
-struct Inputs {
-    /// `u_(k+1) − u_0` by component.
-    edges: [[Lane; 3]; 3],
-    /// `∂ξ_k/∂X_j`.
-    jacobian: [[Lane; 3]; 3],
-    weight: Lane,
-    mu: Lane,
-    lambda: Lane,
-}
-
+/// Forces and energies for `edges[k][i]`, component `i` of `u_(k+1) − u_0`, mm.
 #[inline(always)]
-fn cofactor(m: &[[Lane; 3]; 3]) -> [[Lane; 3]; 3] {
-    let mut c = [[[0.0; WIDTH]; 3]; 3];
+pub(super) fn neo_hookean<S: Simd>(
+    simd: S,
+    elements: &Elements<S>,
+    edges: &Matrices<S>,
+) -> Answer<S> {
+    let Elements { jacobian, weight, mu, lambda } = *elements;
+    let splat = |v: f64| simd.splat_f64s(v);
+    let (one, half) = (splat(1.0), splat(0.5));
+    let zero = [[splat(0.0); 3]; 3];
+
+    // h = Σ_a (u_a − u_0) ⊗ ∂ξ_a/∂X
+    let mut h = zero;
+    for i in 0..3 {
+        for j in 0..3 {
+            h[i][j] = sum_of_products(
+                simd,
+                [edges[0][i], edges[1][i], edges[2][i]],
+                [jacobian[0][j], jacobian[1][j], jacobian[2][j]],
+            );
+        }
+    }
+    let mut cofactor = zero;
     for i in 0..3 {
         let (p, q) = ((i + 1) % 3, (i + 2) % 3);
         for j in 0..3 {
             let (r, s) = ((j + 1) % 3, (j + 2) % 3);
-            for l in 0..WIDTH {
-                c[i][j][l] = m[p][r][l] * m[q][s][l] - m[p][s][l] * m[q][r][l];
-            }
+            let minus = simd.neg_f64s(simd.mul_f64s(h[p][s], h[q][r]));
+            cofactor[i][j] = simd.mul_add_e_f64s(h[p][r], h[q][s], minus);
         }
     }
-    c
+    let trace = simd.add_f64s(simd.add_f64s(h[0][0], h[1][1]), h[2][2]);
+    let third = sum_of_products(simd, h[0], cofactor[0]);
+    let q = simd.add_f64s(
+        simd.add_f64s(cofactor[0][0], cofactor[1][1]),
+        simd.add_f64s(cofactor[2][2], third),
+    );
+    let x = simd.add_f64s(trace, q);
+    let rest = x_minus_log(simd, x);
+    let log = simd.sub_f64s(x, rest);
+    let det_f = simd.add_f64s(one, x);
+    let mut square = sum_of_products(simd, h[0], h[0]);
+    square = simd.add_f64s(square, sum_of_products(simd, h[1], h[1]));
+    square = simd.add_f64s(square, sum_of_products(simd, h[2], h[2]));
+    let near = simd.less_than_f64s(simd.abs_f64s(x), splat(NEAR));
+
+    let shape = simd.add_f64s(simd.mul_add_e_f64s(half, square, simd.neg_f64s(q)), rest);
+    let half_lambda_log = simd.mul_f64s(simd.mul_f64s(half, lambda), log);
+    let density = simd.mul_add_e_f64s(half_lambda_log, log, simd.mul_f64s(mu, shape));
+
+    // w P = shear (J h + hᵀ + q I − cof h) + pressure cof F
+    let over_det = simd.div_f64s(weight, det_f);
+    let shear = simd.mul_f64s(over_det, mu);
+    let pressure = simd.mul_f64s(over_det, simd.mul_f64s(lambda, log));
+    let grown = simd.add_f64s(one, trace);
+    let mut stress = zero;
+    for i in 0..3 {
+        for j in 0..3 {
+            let mut inner = simd.sub_f64s(h[j][i], cofactor[i][j]);
+            let mut cof_f = simd.sub_f64s(cofactor[i][j], h[j][i]);
+            if i == j {
+                inner = simd.add_f64s(inner, q);
+                cof_f = simd.add_f64s(cof_f, grown);
+            }
+            inner = simd.mul_add_e_f64s(det_f, h[i][j], inner);
+            stress[i][j] = simd.mul_add_e_f64s(shear, inner, simd.mul_f64s(pressure, cof_f));
+        }
+    }
+    let mut force = zero;
+    for k in 0..3 {
+        for i in 0..3 {
+            force[k][i] = sum_of_products(simd, stress[i], jacobian[k]);
+        }
+    }
+    Answer {
+        force,
+        energy: simd.mul_f64s(weight, density),
+        det_f,
+        far: simd.select_f64s(near, splat(0.0), one),
+    }
+}
+
+#[inline(always)]
+fn sum_of_products<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3]) -> S::f64s {
+    let last = simd.mul_f64s(a[2], b[2]);
+    simd.mul_add_e_f64s(a[0], b[0], simd.mul_add_e_f64s(a[1], b[1], last))
 }
 
 /// `x − ln(1 + x)` for `|x| < 0.3`.
 #[inline(always)]
-fn x_minus_log(x: f64) -> f64 {
-    let s = x / (2.0 + x);
-    let z = s * s;
-    // z < 0.032: twelve terms leave less than 1e-18.
-    let mut series = 0.0;
-    for k in (1..13).rev() {
-        series = series * z + 2.0 / (2 * k + 1) as f64;
+fn x_minus_log<S: Simd>(simd: S, x: S::f64s) -> S::f64s {
+    let s = simd.div_f64s(x, simd.add_f64s(simd.splat_f64s(2.0), x));
+    let z = simd.mul_f64s(s, s);
+    let mut series = simd.splat_f64s(0.0);
+    for k in (0..SERIES.len()).rev() {
+        series = simd.mul_add_e_f64s(series, z, simd.splat_f64s(SERIES[k]));
     }
-    let half_square = 0.5 * x * x;
-    half_square - s * (half_square + z * series)
+    let half_square = simd.mul_f64s(simd.splat_f64s(0.5), simd.mul_f64s(x, x));
+    let correction = simd.mul_f64s(s, simd.mul_add_e_f64s(z, series, half_square));
+    simd.sub_f64s(half_square, correction)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// `x − ln(1 + x)` of many numbers.
+    struct Many<'a>(&'a mut [f64]);
+
+    impl pulp::WithSimd for Many<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            for x in S::as_mut_simd_f64s(self.0).0 {
+                *x = x_minus_log(simd, *x);
+            }
+        }
+    }
+
     #[test]
     fn the_series_is_the_logarithm() {
-        for k in -2999..3000 {
-            let x = f64::from(k) * 1e-4;
-            let log = x - x_minus_log(x);
+        let x: Vec<f64> = (-2992..3008).map(|k| f64::from(k) * 1e-4).collect();
+        let mut rest = x.clone();
+        assert_eq!(x.len() % 8, 0);
+        pulp::Arch::new().dispatch(Many(&mut rest));
+        for (x, rest) in x.iter().zip(rest).filter(|(x, _)| x.abs() < NEAR) {
+            let log = x - rest;
             // Two units in the last place.
             assert!((log - x.ln_1p()).abs() <= 2.0 * f64::EPSILON * log.abs(), "{x}: {log}");
         }
         // Where x and its logarithm agree to all digits: x²/2 − x³/3 + x⁴/4.
         let x = 1e-5;
         let exact = x * x * (0.5 - x * (1.0 / 3.0 - x * 0.25));
-        assert!((x_minus_log(x) / exact - 1.0).abs() < 1e-14);
+        let mut rest = [x; 8];
+        pulp::Arch::new().dispatch(Many(&mut rest));
+        assert!((rest[0] / exact - 1.0).abs() < 1e-14);
     }
 }

@@ -16,6 +16,7 @@ mod averaged;
 mod averaged_tangent;
 mod force;
 mod lanes;
+mod packs;
 mod points;
 mod tangent;
 

@@ -16,8 +16,51 @@ pub(crate) struct Geometry {
     pub(crate) volume: Vec<f64>,
     /// Places in the connectivity at which each node occurs: starts, then places, ascending.
     pub(crate) node2place: (Vec<u32>, Vec<u32>),
+    /// Elements of [`Element::Tet4`] eight by eight; nothing for others.
+    pub(crate) packs: Packs,
     /// Patches of [`Element::Tet4Averaged`]; none for other elements.
     pub(crate) patches: Option<Patches>,
+}
+
+/// Elements whose numbers stand side by side.
+pub(crate) const PACK: usize = 8;
+
+/// Four-node elements eight by eight, each number of all eight together. The last pack is filled
+/// with elements without volume, whose nodes are one.
+#[derive(Debug, Default)]
+pub(crate) struct Packs {
+    /// Nodes 0 to 3.
+    pub(crate) nodes: Vec<[[u32; PACK]; 4]>,
+    /// `∂ξ_k/∂X_j`, 1/mm.
+    pub(crate) inverse_jacobian: Vec<[[[f64; PACK]; 3]; 3]>,
+    /// mm³.
+    pub(crate) volume: Vec<[f64; PACK]>,
+}
+
+impl Packs {
+    fn new(connectivity: &[u32], inverse_jacobian: &[[[f64; 3]; 3]], volume: &[f64]) -> Self {
+        let mut packs = Self::default();
+        for first in (0..volume.len()).step_by(PACK) {
+            let mut nodes = [[connectivity[4 * first]; PACK]; 4];
+            let mut jacobians = [[[0.0; PACK]; 3]; 3];
+            let mut volumes = [0.0; PACK];
+            for (l, element) in (first..volume.len().min(first + PACK)).enumerate() {
+                for a in 0..4 {
+                    nodes[a][l] = connectivity[4 * element + a];
+                }
+                for k in 0..3 {
+                    for j in 0..3 {
+                        jacobians[k][j][l] = inverse_jacobian[element][k][j];
+                    }
+                }
+                volumes[l] = volume[element];
+            }
+            packs.nodes.push(nodes);
+            packs.inverse_jacobian.push(jacobians);
+            packs.volume.push(volumes);
+        }
+        packs
+    }
 }
 
 /// The elements around each node.
@@ -76,12 +119,18 @@ impl Geometry {
                 quadratic_connectivity(mesh, edges)
             }
         };
-        let (inverse_jacobian, volume): (_, Vec<f64>) =
+        let (inverse_jacobian, volume): (Vec<[[f64; 3]; 3]>, Vec<f64>) =
             (0..mesh.n_tets()).map(|t| (inverse_jacobian(mesh, t), mesh.tet_volume(t))).unzip();
         let node2place = places(&connectivity, nodes.len());
         let patches = (element == Element::Tet4Averaged)
             .then(|| Patches::new(&connectivity, &node2place, &volume));
-        (Self { element, connectivity, inverse_jacobian, volume, node2place, patches }, nodes)
+        let packs = match element {
+            Element::Tet4 => Packs::new(&connectivity, &inverse_jacobian, &volume),
+            Element::Tet4Averaged | Element::Tet10 => Packs::default(),
+        };
+        let geometry =
+            Self { element, connectivity, inverse_jacobian, volume, node2place, packs, patches };
+        (geometry, nodes)
     }
 
     pub(crate) fn n_elements(&self) -> usize {

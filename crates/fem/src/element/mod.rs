@@ -17,7 +17,7 @@
 
 mod geometry;
 
-pub(crate) use geometry::{Geometry, Patches, cross, edges_of};
+pub(crate) use geometry::{Geometry, PACK, Patches, cross, edges_of};
 
 /// Element type of a body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -58,6 +58,12 @@ pub(crate) struct PlainLaws<'a> {
 }
 
 impl PlainLaws<'_> {
+    /// The one law of a homogeneous body.
+    #[inline(always)]
+    pub(crate) fn uniform(self) -> Option<NeoHookean> {
+        if self.layout == Layout::Uniform { self.moduli.first().copied() } else { None }
+    }
+
     /// The law at one quadrature point of a tetrahedron.
     #[inline(always)]
     pub(crate) fn at(self, tet: usize, point: usize) -> NeoHookean {

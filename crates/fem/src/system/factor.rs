@@ -17,7 +17,8 @@ use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, MatMut, Par};
 
-use super::fronts::{Front, Fronts, Spot};
+use super::entry::{Entry, Precision};
+use super::fronts::{BLOCK, Front, Fronts, STEP, Spot, Step};
 use crate::error::FemError;
 
 /// Subtrees with less work than this are not worth a second thread.
@@ -25,44 +26,6 @@ const PARALLEL_WORK: f64 = 2e6;
 
 /// Fronts with less work than this are factored by one thread.
 const PARALLEL_FRONT: f64 = 2e7;
-
-/// Number type of a factor.
-pub(crate) trait Precision:
-    faer::traits::RealField
-    + Copy
-    + Default
-    + std::ops::AddAssign
-    + std::ops::SubAssign
-    + std::ops::Mul<Output = Self>
-    + std::ops::Sub<Output = Self>
-    + std::ops::Add<Output = Self>
-    + std::ops::Div<Output = Self>
-{
-    fn from_f64(value: f64) -> Self;
-    fn to_f64(self) -> f64;
-}
-
-impl Precision for f64 {
-    #[inline(always)]
-    fn from_f64(value: f64) -> Self {
-        value
-    }
-    #[inline(always)]
-    fn to_f64(self) -> f64 {
-        self
-    }
-}
-
-impl Precision for f32 {
-    #[inline(always)]
-    fn from_f64(value: f64) -> Self {
-        value as f32
-    }
-    #[inline(always)]
-    fn to_f64(self) -> f64 {
-        f64::from(self)
-    }
-}
 
 /// A matrix given clique by clique.
 pub(crate) trait Blocks: Sync {
@@ -86,7 +49,8 @@ pub(crate) struct Making<'a> {
 /// Factor of a positive definite matrix, in the precision that sufficed.
 #[derive(Debug)]
 pub(crate) enum Factor {
-    Single(Numeric<f32>),
+    /// Made in single precision, kept in whole numbers.
+    Compact(Numeric<i16>),
     Double(Numeric<f64>),
 }
 
@@ -102,7 +66,7 @@ impl Factor {
         making: Making,
     ) -> Result<Self, FemError> {
         match Numeric::new(fronts, matrix, making) {
-            Ok(factor) => Ok(Self::Single(factor)),
+            Ok(factor) => Ok(Self::Compact(factor)),
             Err(FemError::SingularStiffness { .. }) => Self::double(fronts, matrix, making),
             Err(error) => Err(error),
         }
@@ -120,58 +84,86 @@ impl Factor {
     /// Euclidean norm of the diagonal of the matrix.
     pub(crate) fn diagonal_norm(&self, fronts: &Fronts) -> f64 {
         match self {
-            Self::Single(factor) => factor.diagonal_norm(fronts),
+            Self::Compact(factor) => factor.diagonal_norm(fronts),
             Self::Double(factor) => factor.diagonal_norm(fronts),
         }
     }
 }
 
+/// One column of the factor, apart from its entries below the diagonal.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Column<R> {
+    /// Of the entries below the diagonal.
+    pub(super) scale: R,
+    /// One over the entry on the diagonal.
+    pub(super) inverse_pivot: R,
+}
+
 /// Panels of all fronts.
 #[derive(Debug)]
-pub(crate) struct Numeric<T> {
-    pub(super) panels: Vec<T>,
+pub(crate) struct Numeric<E: Entry> {
+    pub(super) panels: Vec<E>,
+    /// One an unknown.
+    pub(super) columns: Vec<Column<E::Real>>,
     diagonal_norm: OnceLock<f64>,
 }
 
-impl<T: Precision> Numeric<T> {
+/// What some consecutive fronts write.
+struct Slots<'a, E: Entry> {
+    panels: &'a mut [E],
+    columns: &'a mut [Column<E::Real>],
+}
+
+impl<'a, E: Entry> Slots<'a, E> {
+    /// The first fronts, of so many entries and columns, and the others.
+    fn split(self, entries: usize, columns: usize) -> (Slots<'a, E>, Slots<'a, E>) {
+        let (panels, other_panels) = self.panels.split_at_mut(entries);
+        let (columns, other_columns) = self.columns.split_at_mut(columns);
+        (Self { panels, columns }, Self { panels: other_panels, columns: other_columns })
+    }
+}
+
+impl<E: Entry> Numeric<E> {
     fn new(fronts: &Fronts, matrix: &impl Blocks, making: Making) -> Result<Self, FemError> {
         let too_large = |_| FemError::TooLarge { n_dofs: fronts.n_unknowns };
-        let mut panels: Vec<T> = Vec::new();
+        let mut panels: Vec<E> = Vec::new();
         // Asked for first, since there is no zeroed allocation that may fail.
         panels.try_reserve_exact(fronts.n_entries).map_err(too_large)?;
-        panels = vec![T::default(); fronts.n_entries];
+        panels = vec![E::default(); fronts.n_entries];
+        let mut columns = vec![Column::default(); fronts.n_unknowns];
         let work = Work { fronts, matrix, making };
-        let mut rest = panels.as_mut_slice();
-        let mut taken = 0;
+        let mut rest = Slots { panels: &mut panels, columns: &mut columns };
+        let mut scratch = Scratch::default();
+        let (mut panel, mut unknown) = (0, 0);
         for &root in &fronts.roots {
-            let end = panel_end(fronts, root);
-            let (own, after) = rest.split_at_mut(end - taken);
+            let end = fronts.panel_end(root);
+            let end_unknown = fronts.unknown_end(root);
+            let (own, after) = rest.split(end - panel, end_unknown - unknown);
             rest = after;
-            taken = end;
-            work.subtree(root, own, &mut Scratch::default())?;
+            (panel, unknown) = (end, end_unknown);
+            work.subtree(root, own, &mut scratch)?;
         }
-        Ok(Self { panels, diagonal_norm: OnceLock::new() })
+        Ok(Self { panels, columns, diagonal_norm: OnceLock::new() })
     }
 
     /// `K_ii = Σ_j L_ij²`, as the factor has it.
     fn diagonal_norm(&self, fronts: &Fronts) -> f64 {
         *self.diagonal_norm.get_or_init(|| {
             let mut diagonal = vec![0.0; fronts.n_unknowns];
+            let mut local = Vec::new();
             for front in &fronts.fronts {
-                let rows = fronts.rows_of(front);
-                for step in front.steps() {
-                    for j in 0..step.n_columns {
-                        let begin = front.panel + step.begin + j * step.n_rows;
-                        let column = &self.panels[begin..begin + step.n_rows];
-                        for (i, v) in column.iter().enumerate().skip(j) {
-                            let v = v.to_f64();
-                            let unknown = match (step.first + i).checked_sub(front.n_own) {
-                                None => front.first + step.first + i,
-                                Some(row) => rows[row] as usize,
-                            };
-                            diagonal[unknown] += v * v;
-                        }
-                    }
+                local.clear();
+                local.resize(front.size(), E::Real::default());
+                let columns = &self.columns[front.first..front.first + front.n_own];
+                let panel = &self.panels[front.panel..];
+                let (steps, squares) = (fronts.steps_of(front), &mut local);
+                pulp::Arch::new().dispatch(AddSquares { steps, panel, columns, squares });
+                let (own, below) = local.split_at(front.n_own);
+                for (d, v) in diagonal[front.first..].iter_mut().zip(own) {
+                    *d += v.to_f64();
+                }
+                for (&row, v) in fronts.rows_of(front).iter().zip(below) {
+                    diagonal[row as usize] += v.to_f64();
                 }
             }
             diagonal.iter().map(|d| d * d).sum::<f64>().sqrt()
@@ -179,10 +171,78 @@ impl<T: Precision> Numeric<T> {
     }
 }
 
-/// End of the panels of a subtree.
-fn panel_end(fronts: &Fronts, root: u32) -> usize {
-    let front = &fronts.fronts[root as usize];
-    front.panel + front.panel_len()
+/// Adds the squares of the rows of a panel; a type, so that it is compiled for the processor at
+/// hand.
+struct AddSquares<'a, E: Entry> {
+    steps: &'a [Step],
+    panel: &'a [E],
+    columns: &'a [Column<E::Real>],
+    squares: &'a mut [E::Real],
+}
+
+impl<E: Entry> pulp::WithSimd for AddSquares<'_, E> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        let one = E::Real::from_f64(1.0);
+        for step in self.steps {
+            let n = step.n_columns;
+            let head = &self.panel[step.begin..step.blocks()];
+            let blocks = &self.panel[step.blocks()..step.end()];
+            let (own, below) = self.squares[step.first..].split_at_mut(n);
+            for j in 0..n {
+                let Column { scale, inverse_pivot } = self.columns[step.first + j];
+                let (pivot, factor) = (one / inverse_pivot, scale * scale);
+                own[j] += pivot * pivot;
+                for i in j + 1..n {
+                    let v = head[j * STEP + i].real();
+                    own[i] += v * v * factor;
+                }
+                for (block, rows) in blocks.chunks(n * BLOCK).zip(below.chunks_mut(BLOCK)) {
+                    let column = &block[j * BLOCK..(j + 1) * BLOCK];
+                    for (square, v) in rows.iter_mut().zip(column) {
+                        *square += v.real() * v.real() * factor;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Stores the columns of an eliminated front.
+struct Store<'a, E: Entry> {
+    steps: &'a [Step],
+    /// Rows of the front.
+    size: usize,
+    /// Column by column.
+    eliminated: &'a [E::Real],
+    slots: Slots<'a, E>,
+}
+
+impl<E: Entry> pulp::WithSimd for Store<'_, E> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        let one = E::Real::from_f64(1.0);
+        for step in self.steps {
+            let n = step.n_columns;
+            let (head, blocks) = self.slots.panels[step.begin..step.end()].split_at_mut(n * STEP);
+            for j in 0..n {
+                let diagonal = (step.first + j) * (self.size + 1);
+                let column = &self.eliminated[diagonal..][..n - j + step.n_rows];
+                let (own, below) = column.split_at(n - j);
+                let scale = E::scale(&column[1..]);
+                let inverse_pivot = one / own[0];
+                self.slots.columns[step.first + j] = Column { scale, inverse_pivot };
+                E::store(&own[1..], scale, &mut head[j * STEP + j + 1..j * STEP + n]);
+                for (block, rows) in blocks.chunks_mut(n * BLOCK).zip(below.chunks(BLOCK)) {
+                    E::store(rows, scale, &mut block[j * BLOCK..j * BLOCK + rows.len()]);
+                }
+            }
+        }
+    }
 }
 
 /// What one thread keeps between fronts.
@@ -216,41 +276,43 @@ struct Work<'a, B: Blocks> {
 }
 
 impl<B: Blocks> Work<'_, B> {
-    /// Factor a subtree, whose panels are `panels`; return the update of its root.
-    fn subtree<T: Precision>(
+    /// Factor a subtree into its slots; return the update of its root.
+    fn subtree<E: Entry>(
         &self,
         root: u32,
-        panels: &mut [T],
-        scratch: &mut Scratch<T>,
-    ) -> Result<Vec<T>, FemError> {
+        slots: Slots<E>,
+        scratch: &mut Scratch<E::Real>,
+    ) -> Result<Vec<E::Real>, FemError> {
         let front = &self.fronts.fronts[root as usize];
         if !self.making.parallel || front.work < PARALLEL_WORK {
-            return self.sequence(root, panels, scratch);
+            return self.sequence(root, slots, scratch);
         }
-        let (below, own) = panels.split_at_mut(panels.len() - front.panel_len());
+        let entries = slots.panels.len() - front.panel_len();
+        let columns = slots.columns.len() - front.n_own;
+        let (below, own) = slots.split(entries, columns);
         let children = self.fronts.children_of(front);
         let updates = self.children(children, below, scratch)?;
         self.front(front, own, updates, scratch)
     }
 
-    /// Factor sibling subtrees, whose panels follow each other in `panels`.
-    fn children<T: Precision>(
+    /// Factor sibling subtrees, whose slots follow each other.
+    fn children<E: Entry>(
         &self,
         children: &[u32],
-        panels: &mut [T],
-        scratch: &mut Scratch<T>,
-    ) -> Result<Vec<(u32, Vec<T>)>, FemError> {
+        slots: Slots<E>,
+        scratch: &mut Scratch<E::Real>,
+    ) -> Result<Vec<(u32, Vec<E::Real>)>, FemError> {
         match *children {
             [] => Ok(Vec::new()),
-            [one] => Ok(vec![(one, self.subtree(one, panels, scratch)?)]),
+            [one] => Ok(vec![(one, self.subtree(one, slots, scratch)?)]),
             _ => {
                 let (low, high) = children.split_at(children.len() / 2);
-                let begin = panel_begin(self.fronts, low[0]);
-                let middle = panel_begin(self.fronts, high[0]) - begin;
-                let (low_panels, high_panels) = panels.split_at_mut(middle);
+                let (begin, middle) = (self.begin(low[0]), self.begin(high[0]));
+                let (low_slots, high_slots) =
+                    slots.split(middle.panel - begin.panel, middle.first - begin.first);
                 let (first, second) = rayon::join(
-                    || self.children(low, low_panels, scratch),
-                    || self.children(high, high_panels, &mut Scratch::default()),
+                    || self.children(low, low_slots, scratch),
+                    || self.children(high, high_slots, &mut Scratch::default()),
                 );
                 let mut all = first?;
                 all.extend(second?);
@@ -259,19 +321,24 @@ impl<B: Blocks> Work<'_, B> {
         }
     }
 
+    /// First front of a subtree.
+    fn begin(&self, root: u32) -> &Front {
+        &self.fronts.fronts[self.fronts.fronts[root as usize].first_below]
+    }
+
     /// Factor a subtree front by front.
-    fn sequence<T: Precision>(
+    fn sequence<E: Entry>(
         &self,
         root: u32,
-        panels: &mut [T],
-        scratch: &mut Scratch<T>,
-    ) -> Result<Vec<T>, FemError> {
+        slots: Slots<E>,
+        scratch: &mut Scratch<E::Real>,
+    ) -> Result<Vec<E::Real>, FemError> {
         let first_below = self.fronts.fronts[root as usize].first_below;
-        let mut pending: Vec<(u32, Vec<T>)> = Vec::new();
-        let mut rest = panels;
+        let mut pending: Vec<(u32, Vec<E::Real>)> = Vec::new();
+        let mut rest = slots;
         for f in first_below..=root as usize {
             let front = &self.fronts.fronts[f];
-            let (own, after) = rest.split_at_mut(front.panel_len());
+            let (own, after) = rest.split(front.panel_len(), front.n_own);
             rest = after;
             let updates = pending.split_off(pending.len() - front.children.len());
             let update = self.front(front, own, updates, scratch)?;
@@ -280,36 +347,32 @@ impl<B: Blocks> Work<'_, B> {
         Ok(pending.pop().map(|(_, update)| update).unwrap_or_default())
     }
 
-    /// Assemble and eliminate one front; return its update.
-    fn front<T: Precision>(
+    /// Assemble and eliminate one front; return its update, of which only what lies on or below
+    /// the diagonal means anything.
+    fn front<E: Entry>(
         &self,
         front: &Front,
-        stored: &mut [T],
-        children: Vec<(u32, Vec<T>)>,
-        scratch: &mut Scratch<T>,
-    ) -> Result<Vec<T>, FemError> {
+        slots: Slots<E>,
+        children: Vec<(u32, Vec<E::Real>)>,
+        scratch: &mut Scratch<E::Real>,
+    ) -> Result<Vec<E::Real>, FemError> {
         if self.making.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             return Err(FemError::Cancelled);
         }
         let mut update = scratch.spare.pop().unwrap_or_default();
-        update.clear();
-        update.resize(front.n_rows * front.n_rows, T::default());
+        let n = front.n_rows;
+        clear_lower(&mut update, n, n);
         let mut panel = std::mem::take(&mut scratch.panel);
-        panel.clear();
-        panel.resize(front.n_own * front.size(), T::default());
+        clear_lower(&mut panel, front.size(), front.n_own);
         self.add_cliques(front, &mut panel, &mut update, scratch)?;
         for (child, child_update) in children {
             add_update(self.fronts, front, child, &child_update, &mut panel, &mut update);
             scratch.spare.push(child_update);
         }
         self.eliminate(front, &mut panel, &mut update, scratch)?;
-        for step in front.steps() {
-            for j in 0..step.n_columns {
-                let begin = (step.first + j) * front.size() + step.first;
-                stored[step.begin + j * step.n_rows..][..step.n_rows]
-                    .copy_from_slice(&panel[begin..begin + step.n_rows]);
-            }
-        }
+        let steps = self.fronts.steps_of(front);
+        let store = Store { steps, size: front.size(), eliminated: &panel, slots };
+        pulp::Arch::new().dispatch(store);
         scratch.panel = panel;
         Ok(update)
     }
@@ -366,7 +429,7 @@ impl<B: Blocks> Work<'_, B> {
             scratch.memory_size = n_own;
         }
         let Some(memory) = &mut scratch.memory else { return Ok(()) };
-        let panel = MatMut::from_column_major_slice_mut(panel, size, n_own);
+        let panel = MatMut::from_column_major_slice_mut(&mut panel[..size * n_own], size, n_own);
         let (mut own, mut rows) = panel.split_at_row_mut(n_own);
         let factored = cholesky_in_place(
             own.as_mut(),
@@ -393,7 +456,7 @@ impl<B: Blocks> Work<'_, B> {
         if n_rows > 0 {
             solve_lower_triangular_in_place(own.as_ref(), rows.as_mut().transpose_mut(), par);
             matmul(
-                MatMut::from_column_major_slice_mut(update, n_rows, n_rows),
+                MatMut::from_column_major_slice_mut(&mut update[..n_rows * n_rows], n_rows, n_rows),
                 BlockStructure::TriangularLower,
                 Accum::Add,
                 rows.as_ref(),
@@ -408,9 +471,17 @@ impl<B: Blocks> Work<'_, B> {
     }
 }
 
-/// Begin of the panels of a subtree.
-fn panel_begin(fronts: &Fronts, root: u32) -> usize {
-    fronts.fronts[fronts.fronts[root as usize].first_below].panel
+/// Make room for a matrix by columns and clear it on and below the diagonal.
+fn clear_lower<T: Precision>(matrix: &mut Vec<T>, n_rows: usize, n_columns: usize) {
+    let entries = n_rows * n_columns;
+    if matrix.len() < entries {
+        matrix.clear();
+        matrix.resize(entries, T::default());
+        return;
+    }
+    for j in 0..n_columns {
+        matrix[j * (n_rows + 1)..(j + 1) * n_rows].fill(T::default());
+    }
 }
 
 /// A front while it is assembled.

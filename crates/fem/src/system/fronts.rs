@@ -16,9 +16,12 @@
 use super::cliques::Cliques;
 use super::graph::{Graph, column_counts, elimination_tree, inverse};
 
-/// Columns of a panel that stand together: each such step holds the rows from its first column on,
-/// column by column.
+/// Columns of a panel that stand together, as a step: first the square of their own rows, column by
+/// column, then the rows below in blocks, each column by column. So a solution reads it end to end.
 pub(super) const STEP: usize = 8;
+
+/// Rows of a block of a step; the last one is filled with zeros.
+pub(super) const BLOCK: usize = 16;
 
 /// No front, no place.
 pub(super) const NONE: u32 = u32::MAX;
@@ -40,8 +43,11 @@ pub(super) struct Front {
     pub(super) n_rows: usize,
     /// Place of its rows in [`Fronts::rows`].
     pub(super) rows: usize,
-    /// Place of its panel.
+    /// Place of its panel, and the number of its entries.
     pub(super) panel: usize,
+    panel_len: usize,
+    /// Its steps in [`Fronts::steps`].
+    steps: std::ops::Range<usize>,
     /// Place of its local vector in a solve.
     pub(super) local: usize,
     /// Its parent, [`NONE`] for a root.
@@ -62,32 +68,45 @@ impl Front {
         self.n_own + self.n_rows
     }
 
-    /// Steps of the panel: first column, number of columns, place from the panel's begin.
-    pub(super) fn steps(&self) -> impl DoubleEndedIterator<Item = Step> + '_ {
-        let whole = self.n_own / STEP;
-        (0..self.n_own.div_ceil(STEP)).map(move |k| {
-            let first = k * STEP;
-            let n_columns = if k < whole { STEP } else { self.n_own - first };
-            // Σ STEP (size − STEP i) over the steps before.
-            let begin = STEP * (k * self.size() - STEP * (k * k.saturating_sub(1) / 2));
-            Step { first, n_columns, begin, n_rows: self.size() - first }
-        })
-    }
-
     /// Entries of the panel.
     pub(super) fn panel_len(&self) -> usize {
-        self.steps().last().map_or(0, |step| step.begin + step.n_columns * step.n_rows)
+        self.panel_len
     }
 }
 
 /// Some columns of a panel.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Step {
+    /// First column.
     pub(super) first: usize,
     pub(super) n_columns: usize,
+    /// Place in the panel.
     pub(super) begin: usize,
-    /// Rows from `first` on.
+    /// Rows below these columns' own.
     pub(super) n_rows: usize,
+}
+
+impl Step {
+    /// Steps of a panel of `n_own` columns and `size` rows.
+    fn of_panel(n_own: usize, size: usize) -> impl Iterator<Item = Self> {
+        let mut begin = 0;
+        (0..n_own).step_by(STEP).map(move |first| {
+            let n_columns = STEP.min(n_own - first);
+            let step = Self { first, n_columns, begin, n_rows: size - first - n_columns };
+            begin = step.end();
+            step
+        })
+    }
+
+    /// Place of the blocks in the panel.
+    pub(super) fn blocks(&self) -> usize {
+        self.begin + self.n_columns * STEP
+    }
+
+    /// End in the panel.
+    pub(super) fn end(&self) -> usize {
+        self.blocks() + self.n_rows.div_ceil(BLOCK) * BLOCK * self.n_columns
+    }
 }
 
 /// Where a node of a clique lies in a front: local unknown of its first free axis, and its free
@@ -107,6 +126,8 @@ pub(crate) struct Fronts {
     /// Place of each of these rows among the unknowns of the parent front.
     pub(super) in_parent: Vec<u32>,
     pub(super) children: Vec<u32>,
+    /// Steps of all panels.
+    steps: Vec<Step>,
     /// Fronts without parent.
     pub(super) roots: Vec<u32>,
     /// Cliques by the front in which they are added.
@@ -146,6 +167,22 @@ impl Fronts {
     pub(super) fn local_range(&self, root: u32) -> std::ops::Range<usize> {
         let front = &self.fronts[root as usize];
         self.fronts[front.first_below].local..front.local + front.size()
+    }
+
+    /// End of the panels of a subtree.
+    pub(super) fn panel_end(&self, root: u32) -> usize {
+        let front = &self.fronts[root as usize];
+        front.panel + front.panel_len()
+    }
+
+    /// End of the unknowns of a subtree.
+    pub(super) fn unknown_end(&self, root: u32) -> usize {
+        let front = &self.fronts[root as usize];
+        front.first + front.n_own
+    }
+
+    pub(super) fn steps_of(&self, front: &Front) -> &[Step] {
+        &self.steps[front.steps.clone()]
     }
 
     pub(super) fn rows_of(&self, front: &Front) -> &[u32] {
@@ -230,6 +267,7 @@ pub(super) fn analyse(
         rows: Vec::new(),
         in_parent: Vec::new(),
         children: Vec::new(),
+        steps: Vec::new(),
         roots: Vec::new(),
         cliques: Vec::new(),
         spots: Vec::new(),
@@ -263,12 +301,17 @@ pub(super) fn analyse(
             built.roots.push(f as u32);
             built.work += work;
         }
+        let steps = built.steps.len();
+        built.steps.extend(Step::of_panel(n_own, n_own + n_rows));
+        let panel_len = built.steps[steps..].last().map_or(0, Step::end);
         built.fronts.push(Front {
             first,
             n_own,
             n_rows,
             rows: rows_at,
             panel: built.n_entries,
+            panel_len,
+            steps: steps..built.steps.len(),
             local: built.n_local,
             parent: parent[f],
             first_below,
@@ -276,7 +319,7 @@ pub(super) fn analyse(
             cliques: 0..0,
             work,
         });
-        built.n_entries += built.fronts[f].panel_len();
+        built.n_entries += panel_len;
         built.n_local += n_own + n_rows;
     }
     built.in_parent = vec![NONE; built.rows.len()];

@@ -2,6 +2,7 @@
 //! and the numeric factor made from them.
 
 mod cliques;
+mod entry;
 pub(crate) mod factor;
 mod fronts;
 mod graph;

@@ -4,11 +4,11 @@
 //! its children pass on; going back it reads its rows from its parent's. No two subtrees touch the
 //! same numbers, so that they can run at the same time with the same bits.
 
-use super::factor::{Factor, Numeric, Precision};
-use super::fronts::{Front, Fronts, STEP, Step};
+use pulp::Simd;
 
-/// Numbers summed side by side.
-const LANES: usize = 16;
+use super::entry::{Entry, Precision};
+use super::factor::{Column, Factor, Numeric};
+use super::fronts::{BLOCK, Front, Fronts, STEP, Step};
 
 /// Subtrees whose panels hold fewer entries are not worth a second thread.
 const PARALLEL_ENTRIES: usize = 150_000;
@@ -32,7 +32,7 @@ impl Factor {
         parallel: bool,
     ) {
         match self {
-            Self::Single(f) => {
+            Self::Compact(f) => {
                 f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
             }
             Self::Double(f) => {
@@ -42,14 +42,14 @@ impl Factor {
     }
 }
 
-impl<T: Precision> Numeric<T> {
+impl<E: Entry> Numeric<E> {
     fn solve_into(
         &self,
         fronts: &Fronts,
         scale: f64,
         rhs: &[f64],
         out: &mut [f64],
-        local: &mut Vec<T>,
+        local: &mut Vec<E::Real>,
         parallel: bool,
     ) {
         // Single precision has a narrow range of exponents: bring the right-hand side to size 1.
@@ -58,8 +58,8 @@ impl<T: Precision> Numeric<T> {
             out.fill(if size == 0.0 { 0.0 } else { f64::NAN });
             return;
         }
-        local.resize(fronts.n_local, T::default());
-        let solving = Solving { fronts, panels: &self.panels, parallel, from: rhs, size };
+        local.resize(fronts.n_local, E::Real::default());
+        let solving = Solving { fronts, factor: self, parallel, from: rhs, size };
         let mut rest = local.as_mut_slice();
         for &root in &fronts.roots {
             let (own, after) = rest.split_at_mut(fronts.local_range(root).len());
@@ -77,22 +77,22 @@ impl<T: Precision> Numeric<T> {
     }
 }
 
-struct Solving<'a, T> {
+struct Solving<'a, E: Entry> {
     fronts: &'a Fronts,
-    panels: &'a [T],
+    factor: &'a Numeric<E>,
     parallel: bool,
     from: &'a [f64],
     size: f64,
 }
 
-impl<T: Precision> Solving<'_, T> {
+impl<E: Entry> Solving<'_, E> {
     fn splits(&self, front: &Front) -> bool {
         let first = &self.fronts.fronts[front.first_below];
         self.parallel && front.children.len() > 1 && front.panel - first.panel > PARALLEL_ENTRIES
     }
 
     /// Forward through a subtree with the local vectors `local`.
-    fn forward(&self, root: u32, local: &mut [T]) {
+    fn forward(&self, root: u32, local: &mut [E::Real]) {
         let front = &self.fronts.fronts[root as usize];
         let base = self.fronts.fronts[front.first_below].local;
         if self.splits(front) {
@@ -106,7 +106,7 @@ impl<T: Precision> Solving<'_, T> {
         }
     }
 
-    fn forward_children(&self, children: &[u32], local: &mut [T]) {
+    fn forward_children(&self, children: &[u32], local: &mut [E::Real]) {
         match *children {
             [] => {}
             [one] => self.forward(one, local),
@@ -124,13 +124,13 @@ impl<T: Precision> Solving<'_, T> {
         self.fronts.local_range(high[0]).start - self.fronts.local_range(low[0]).start
     }
 
-    fn forward_front(&self, front: &Front, local: &mut [T], base: usize) {
+    fn forward_front(&self, front: &Front, local: &mut [E::Real], base: usize) {
         let (below, own) = local.split_at_mut(front.local - base);
         let own = &mut own[..front.size()];
         for (x, r) in own.iter_mut().zip(&self.from[front.first..front.first + front.n_own]) {
-            *x = T::from_f64(r / self.size);
+            *x = E::Real::from_f64(r / self.size);
         }
-        own[front.n_own..].fill(T::default());
+        own[front.n_own..].fill(E::Real::default());
         for &child in self.fronts.children_of(front) {
             let child = &self.fronts.fronts[child as usize];
             let passed = &below[child.local - base + child.n_own..][..child.n_rows];
@@ -138,12 +138,11 @@ impl<T: Precision> Solving<'_, T> {
                 own[place as usize] += value;
             }
         }
-        let panel = &self.panels[front.panel..];
-        pulp::Arch::new().dispatch(Eliminate { front, panel, x: own });
+        pulp::Arch::new().dispatch(Eliminate { stored: self.stored(front), x: own });
     }
 
     /// Back through a subtree; `above` is the local vector of its root's parent.
-    fn backward(&self, root: u32, local: &mut [T], above: Option<&[T]>) {
+    fn backward(&self, root: u32, local: &mut [E::Real], above: Option<&[E::Real]>) {
         let front = &self.fronts.fronts[root as usize];
         let base = self.fronts.fronts[front.first_below].local;
         let (below, own) = local.split_at_mut(front.local - base);
@@ -166,7 +165,7 @@ impl<T: Precision> Solving<'_, T> {
         }
     }
 
-    fn backward_children(&self, children: &[u32], local: &mut [T], above: &[T]) {
+    fn backward_children(&self, children: &[u32], local: &mut [E::Real], above: &[E::Real]) {
         match *children {
             [] => {}
             [one] => self.backward(one, local, Some(above)),
@@ -182,177 +181,190 @@ impl<T: Precision> Solving<'_, T> {
         }
     }
 
-    fn backward_front(&self, front: &Front, own: &mut [T], above: Option<&[T]>) {
+    fn backward_front(&self, front: &Front, own: &mut [E::Real], above: Option<&[E::Real]>) {
         if let Some(above) = above {
             let rows = &mut own[front.n_own..];
             for (x, &place) in rows.iter_mut().zip(self.fronts.in_parent_of(front)) {
                 *x = above[place as usize];
             }
         }
-        let panel = &self.panels[front.panel..];
-        pulp::Arch::new().dispatch(Substitute { front, panel, x: &mut own[..front.size()] });
+        let x = &mut own[..front.size()];
+        pulp::Arch::new().dispatch(Substitute { stored: self.stored(front), x });
+    }
+
+    fn stored(&self, front: &Front) -> Stored<'_, E> {
+        Stored {
+            steps: self.fronts.steps_of(front),
+            panel: &self.factor.panels[front.panel..front.panel + front.panel_len()],
+            columns: &self.factor.columns[front.first..front.first + front.n_own],
+        }
     }
 }
 
-/// Forward through one panel; as a type, so that it is compiled for the processor at hand.
-struct Eliminate<'a, T> {
-    front: &'a Front,
-    panel: &'a [T],
-    x: &'a mut [T],
+/// One front of a factor.
+#[derive(Clone, Copy)]
+struct Stored<'a, E: Entry> {
+    steps: &'a [Step],
+    panel: &'a [E],
+    columns: &'a [Column<E::Real>],
 }
 
-impl<T: Precision> pulp::WithSimd for Eliminate<'_, T> {
+/// Forward through one panel; as a type, so that it is compiled for the processor at hand.
+struct Eliminate<'a, E: Entry> {
+    stored: Stored<'a, E>,
+    x: &'a mut [E::Real],
+}
+
+impl<E: Entry> pulp::WithSimd for Eliminate<'_, E> {
     type Output = ();
 
+    /// `x_own <- L_own⁻¹ x_own`, `x_rows <- x_rows − L_rows x_own`
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) {
-        eliminate(self.front, self.panel, self.x);
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        for &step in self.stored.steps {
+            let x = &mut self.x[step.first..];
+            match step.n_columns {
+                1 => eliminate::<S, E, 1>(simd, self.stored, step, x),
+                2 => eliminate::<S, E, 2>(simd, self.stored, step, x),
+                3 => eliminate::<S, E, 3>(simd, self.stored, step, x),
+                4 => eliminate::<S, E, 4>(simd, self.stored, step, x),
+                5 => eliminate::<S, E, 5>(simd, self.stored, step, x),
+                6 => eliminate::<S, E, 6>(simd, self.stored, step, x),
+                7 => eliminate::<S, E, 7>(simd, self.stored, step, x),
+                _ => eliminate::<S, E, STEP>(simd, self.stored, step, x),
+            }
+        }
     }
 }
 
 /// Back through one panel.
-struct Substitute<'a, T> {
-    front: &'a Front,
-    panel: &'a [T],
-    x: &'a mut [T],
+struct Substitute<'a, E: Entry> {
+    stored: Stored<'a, E>,
+    x: &'a mut [E::Real],
 }
 
-impl<T: Precision> pulp::WithSimd for Substitute<'_, T> {
+impl<E: Entry> pulp::WithSimd for Substitute<'_, E> {
     type Output = ();
 
+    /// `x_own <- L_own⁻ᵀ (x_own − L_rowsᵀ x_rows)`
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) {
-        substitute(self.front, self.panel, self.x);
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        for &step in self.stored.steps.iter().rev() {
+            let x = &mut self.x[step.first..];
+            match step.n_columns {
+                1 => substitute::<S, E, 1>(simd, self.stored, step, x),
+                2 => substitute::<S, E, 2>(simd, self.stored, step, x),
+                3 => substitute::<S, E, 3>(simd, self.stored, step, x),
+                4 => substitute::<S, E, 4>(simd, self.stored, step, x),
+                5 => substitute::<S, E, 5>(simd, self.stored, step, x),
+                6 => substitute::<S, E, 6>(simd, self.stored, step, x),
+                7 => substitute::<S, E, 7>(simd, self.stored, step, x),
+                _ => substitute::<S, E, STEP>(simd, self.stored, step, x),
+            }
+        }
     }
 }
 
-/// `x_own <- L_own⁻¹ x_own`, `x_rows <- x_rows − L_rows x_own`.
+/// Forward through the `C` columns of a step; `x` begins with their own rows.
 #[inline(always)]
-fn eliminate<T: Precision>(front: &Front, panel: &[T], x: &mut [T]) {
-    for step in front.steps() {
-        let Step { first, n_columns, begin, n_rows } = step;
-        let columns = &panel[begin..begin + n_columns * n_rows];
-        let x = &mut x[first..];
-        for c in 0..n_columns {
-            let column = &columns[c * n_rows..(c + 1) * n_rows];
-            let value = x[c] / column[c];
-            x[c] = value;
-            for i in c + 1..n_columns {
-                x[i] -= column[i] * value;
-            }
+fn eliminate<S: Simd, E: Entry, const C: usize>(
+    simd: S,
+    stored: Stored<E>,
+    step: Step,
+    x: &mut [E::Real],
+) {
+    let (own, below) = x.split_at_mut(C);
+    let head = &stored.panel[step.begin..step.begin + C * STEP];
+    let mut scaled = [E::Real::default(); C];
+    for c in 0..C {
+        let Column { scale, inverse_pivot } = stored.columns[step.first + c];
+        own[c] = own[c] * inverse_pivot;
+        scaled[c] = E::Real::default() - own[c] * scale;
+        for i in c + 1..C {
+            own[i] += head[c * STEP + i].real() * scaled[c];
         }
-        let (v, rest) = x.split_at_mut(n_columns);
-        let column = |c: usize| &columns[c * n_rows + n_columns..(c + 1) * n_rows];
-        if n_columns == STEP {
-            for c in [0, 4] {
-                subtract_columns(
-                    rest,
-                    [column(c), column(c + 1), column(c + 2), column(c + 3)],
-                    [v[c], v[c + 1], v[c + 2], v[c + 3]],
-                );
-            }
+    }
+    let mut values = [E::Real::splat(simd, E::Real::default()); C];
+    for c in 0..C {
+        values[c] = E::Real::splat(simd, scaled[c]);
+    }
+    let blocks = stored.panel[step.blocks()..step.end()].chunks_exact(C * BLOCK);
+    for (block, rows) in blocks.zip(below[..step.n_rows].chunks_mut(BLOCK)) {
+        if rows.len() == BLOCK {
+            add_columns::<S, E, C>(simd, block, &values, rows);
         } else {
-            for c in 0..n_columns {
-                for (r, &l) in rest.iter_mut().zip(column(c)) {
-                    *r -= l * v[c];
-                }
-            }
+            let mut whole = [E::Real::default(); BLOCK];
+            whole[..rows.len()].copy_from_slice(rows);
+            add_columns::<S, E, C>(simd, block, &values, &mut whole);
+            rows.copy_from_slice(&whole[..rows.len()]);
         }
     }
 }
 
-/// `x <- x − Σ_c columns_c v_c`
+/// `rows <- rows + Σ_c column_c value_c`
 #[inline(always)]
-fn subtract_columns<T: Precision>(x: &mut [T], columns: [&[T]; 4], v: [T; 4]) {
-    let n = x.len();
-    let [a, b, c, d] = columns;
-    let (a, b, c, d) = (&a[..n], &b[..n], &c[..n], &d[..n]);
-    for i in 0..n {
-        x[i] -= (a[i] * v[0] + b[i] * v[1]) + (c[i] * v[2] + d[i] * v[3]);
+fn add_columns<S: Simd, E: Entry, const C: usize>(
+    simd: S,
+    block: &[E],
+    values: &[<E::Real as Precision>::Lanes<S>; C],
+    rows: &mut [E::Real],
+) {
+    let columns = block.as_chunks::<BLOCK>().0;
+    for (k, x) in E::Real::lanes_mut::<S>(rows).iter_mut().enumerate() {
+        let mut sum = *x;
+        for c in 0..C {
+            let column = E::widen(&columns[c]);
+            sum = E::Real::mul_add(simd, E::Real::lanes::<S>(&column)[k], values[c], sum);
+        }
+        *x = sum;
     }
 }
 
-/// `x_own <- L_own⁻ᵀ (x_own − L_rowsᵀ x_rows)`.
+/// Back through the `C` columns of a step; `x` begins with their own rows.
 #[inline(always)]
-fn substitute<T: Precision>(front: &Front, panel: &[T], x: &mut [T]) {
-    for step in front.steps().rev() {
-        let Step { first, n_columns, begin, n_rows } = step;
-        let columns = &panel[begin..begin + n_columns * n_rows];
-        let (head, rest) = x[first..].split_at_mut(n_columns);
-        let column = |c: usize| &columns[c * n_rows + n_columns..(c + 1) * n_rows];
-        if n_columns == STEP {
-            for c in [0, 4] {
-                let sums = products([column(c), column(c + 1), column(c + 2), column(c + 3)], rest);
-                for k in 0..4 {
-                    head[c + k] -= sums[k];
-                }
-            }
+fn substitute<S: Simd, E: Entry, const C: usize>(
+    simd: S,
+    stored: Stored<E>,
+    step: Step,
+    x: &mut [E::Real],
+) {
+    let (own, below) = x.split_at_mut(C);
+    let mut sums = [E::Real::splat(simd, E::Real::default()); C];
+    let blocks = stored.panel[step.blocks()..step.end()].chunks_exact(C * BLOCK);
+    // Backwards, as all of the factor is read.
+    for (block, rows) in blocks.zip(below[..step.n_rows].chunks(BLOCK)).rev() {
+        if rows.len() == BLOCK {
+            add_products::<S, E, C>(simd, block, rows, &mut sums);
         } else {
-            for c in 0..n_columns {
-                head[c] -= product(column(c), rest);
-            }
+            let mut whole = [E::Real::default(); BLOCK];
+            whole[..rows.len()].copy_from_slice(rows);
+            add_products::<S, E, C>(simd, block, &whole, &mut sums);
         }
-        for c in (0..n_columns).rev() {
-            let column = &columns[c * n_rows..(c + 1) * n_rows];
-            let mut value = head[c];
-            for i in c + 1..n_columns {
-                value -= column[i] * head[i];
-            }
-            head[c] = value / column[c];
+    }
+    let head = &stored.panel[step.begin..step.begin + C * STEP];
+    for c in (0..C).rev() {
+        let Column { scale, inverse_pivot } = stored.columns[step.first + c];
+        let mut sum = E::Real::sum(simd, sums[c]);
+        for i in c + 1..C {
+            sum += head[c * STEP + i].real() * own[i];
         }
+        own[c] = (own[c] - sum * scale) * inverse_pivot;
     }
 }
 
-/// Scalar products of four columns with a vector, summed in fixed lanes.
+/// `sums_c <- sums_c + column_c · rows`, lane by lane.
 #[inline(always)]
-fn products<T: Precision>(columns: [&[T]; 4], x: &[T]) -> [T; 4] {
-    let mut sums = [T::default(); 4];
-    let [a, b, c, d] = columns;
-    let mut lanes = [[T::default(); LANES]; 4];
-    let (x_chunks, x_rest) = x.as_chunks::<LANES>();
-    let (a_chunks, a_rest) = a.as_chunks::<LANES>();
-    let (b_chunks, b_rest) = b.as_chunks::<LANES>();
-    let (c_chunks, c_rest) = c.as_chunks::<LANES>();
-    let (d_chunks, d_rest) = d.as_chunks::<LANES>();
-    for ((((y, a), b), c), d) in
-        x_chunks.iter().zip(a_chunks).zip(b_chunks).zip(c_chunks).zip(d_chunks)
-    {
-        for k in 0..LANES {
-            lanes[0][k] += a[k] * y[k];
-            lanes[1][k] += b[k] * y[k];
-            lanes[2][k] += c[k] * y[k];
-            lanes[3][k] += d[k] * y[k];
+fn add_products<S: Simd, E: Entry, const C: usize>(
+    simd: S,
+    block: &[E],
+    rows: &[E::Real],
+    sums: &mut [<E::Real as Precision>::Lanes<S>; C],
+) {
+    let columns = block.as_chunks::<BLOCK>().0;
+    for c in 0..C {
+        let column = E::widen(&columns[c]);
+        for (&x, &l) in E::Real::lanes::<S>(rows).iter().zip(E::Real::lanes::<S>(&column)) {
+            sums[c] = E::Real::mul_add(simd, l, x, sums[c]);
         }
     }
-    let rests = [a_rest, b_rest, c_rest, d_rest];
-    for c in 0..4 {
-        for k in 0..LANES {
-            sums[c] += lanes[c][k];
-        }
-        for (l, y) in rests[c].iter().zip(x_rest) {
-            sums[c] += *l * *y;
-        }
-    }
-    sums
-}
-
-/// Scalar product, summed in fixed lanes.
-#[inline(always)]
-fn product<T: Precision>(column: &[T], x: &[T]) -> T {
-    let mut lanes = [T::default(); LANES];
-    let (x_chunks, x_rest) = x.as_chunks::<LANES>();
-    let (chunks, rest) = column.as_chunks::<LANES>();
-    for (y, a) in x_chunks.iter().zip(chunks) {
-        for k in 0..LANES {
-            lanes[k] += a[k] * y[k];
-        }
-    }
-    let mut sum = T::default();
-    for lane in lanes {
-        sum += lane;
-    }
-    for (l, y) in rest.iter().zip(x_rest) {
-        sum += *l * *y;
-    }
-    sum
 }
