@@ -64,7 +64,7 @@ impl Mesh {
         check_indices(&nodes, &tets)?;
         check_volumes(&nodes, &tets)?;
         check_use(nodes.len(), &tets)?;
-        let faces = sorted_faces(&tets);
+        let faces = sorted_faces(nodes.len(), &tets);
         let surface_triangles = boundary_faces(&tets, &faces)?;
         let blocks = blocks_by_tet(tets.len(), &faces);
         Ok(Self { nodes, tets, surface_triangles, blocks })
@@ -194,15 +194,31 @@ pub(crate) fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
 }
 
 /// All faces of all tetrahedra, sorted so that equal triangles are neighbours.
-fn sorted_faces(tets: &[[usize; 4]]) -> Vec<KeyedFace> {
+fn sorted_faces(n_nodes: usize, tets: &[[usize; 4]]) -> Vec<KeyedFace> {
+    // By their lowest node first: what is left to sort is a handful each.
     let mut faces = Vec::with_capacity(4 * tets.len());
+    let mut starts = vec![0; n_nodes + 1];
     for (tet, corners) in tets.iter().enumerate() {
         for (f, face) in FACES.iter().enumerate() {
-            faces.push((ascending(face.map(|a| corners[a])), 4 * tet + f));
+            let key = ascending(face.map(|a| corners[a]));
+            starts[key[0] + 1] += 1;
+            faces.push((key, 4 * tet + f));
         }
     }
-    faces.sort_unstable();
-    faces
+    for node in 0..n_nodes {
+        starts[node + 1] += starts[node];
+    }
+    let mut sorted = vec![([0; 3], 0); faces.len()];
+    let mut next = starts.clone();
+    for face in faces {
+        let place = &mut next[face.0[0]];
+        sorted[*place] = face;
+        *place += 1;
+    }
+    for own in starts.windows(2) {
+        sorted[own[0]..own[1]].sort_unstable();
+    }
+    sorted
 }
 
 fn boundary_faces(tets: &[[usize; 4]], faces: &[KeyedFace]) -> Result<Vec<[usize; 3]>, FemError> {

@@ -12,9 +12,9 @@ use super::settings::Method;
 use crate::error::{FemError, StopReason};
 
 /// Iterations that take as long as a factorisation, by its multiply-adds over its entries `x`:
-/// `x / (FACTOR_COST[0] + FACTOR_COST[1] x)`. Measured on one thread: 21 at x = 236 (4,000 nodes),
-/// 27 at 695 (20,000); small factors are cheap.
-const FACTOR_COST: [f64; 2] = [6.0, 0.025];
+/// `x / (FACTOR_COST[0] + FACTOR_COST[1] x)`. Measured on one thread: 9 at x = 45 (200 nodes), 20 at
+/// 155 (1,700), 41 at 230 (4,000), 47 at 690 (20,000).
+const FACTOR_COST: [f64; 2] = [5.0, 0.0135];
 
 /// Iterations that a fresh metric still needs, for the decision to make one.
 const AFTER_REFRESH: f64 = 7.0;

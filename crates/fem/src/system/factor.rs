@@ -268,6 +268,18 @@ impl<T> Default for Scratch<T> {
     }
 }
 
+impl<T> Scratch<T> {
+    /// The smallest spare that has room for so many numbers; the largest where none has.
+    fn take_spare(&mut self, entries: usize) -> Vec<T> {
+        let fit = |spare: &Vec<T>| match spare.capacity() {
+            room if room >= entries => (0, room),
+            room => (1, usize::MAX - room),
+        };
+        let best = (0..self.spare.len()).min_by_key(|&k| fit(&self.spare[k]));
+        best.map(|k| self.spare.swap_remove(k)).unwrap_or_default()
+    }
+}
+
 /// What all threads read.
 struct Work<'a, B: Blocks> {
     fronts: &'a Fronts,
@@ -359,8 +371,8 @@ impl<B: Blocks> Work<'_, B> {
         if self.making.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             return Err(FemError::Cancelled);
         }
-        let mut update = scratch.spare.pop().unwrap_or_default();
         let n = front.n_rows;
+        let mut update = scratch.take_spare(n * n);
         clear_lower(&mut update, n, n);
         let mut panel = std::mem::take(&mut scratch.panel);
         clear_lower(&mut panel, front.size(), front.n_own);

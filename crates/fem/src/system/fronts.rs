@@ -14,7 +14,7 @@
 //! unknowns and in panels, so that subtrees can be worked on at the same time.
 
 use super::cliques::Cliques;
-use super::graph::{Graph, column_counts, elimination_tree, inverse};
+use super::graph::{Graph, column_counts, elimination_tree, inverse, postorder};
 
 /// Columns of a panel that stand together, as a step: first the square of their own rows, column by
 /// column, then the rows below in blocks, each column by column. So a solution reads it end to end.
@@ -158,11 +158,6 @@ impl Fronts {
         self.work / self.n_entries.max(1) as f64
     }
 
-    /// Multiply-adds of a factorisation.
-    pub(crate) fn work(&self) -> f64 {
-        self.work
-    }
-
     /// Places of the local vectors of a subtree.
     pub(super) fn local_range(&self, root: u32) -> std::ops::Range<usize> {
         let front = &self.fronts[root as usize];
@@ -198,20 +193,49 @@ impl Fronts {
     }
 }
 
-/// Find the fronts of a graph under a postordered elimination order.
+/// A postordered elimination order with its tree.
+pub(super) struct Elimination {
+    /// Vertex at each position.
+    order: Vec<u32>,
+    /// Parent of each position.
+    tree: Vec<u32>,
+    /// Entries below the diagonal in each column.
+    count: Vec<u32>,
+}
+
+impl Elimination {
+    /// The tree of an order, which is postordered.
+    pub(super) fn new(graph: &Graph, order: Vec<u32>) -> Self {
+        let tree = elimination_tree(graph, &order);
+        let post = postorder(&tree);
+        let place = inverse(&post);
+        let order: Vec<u32> = post.iter().map(|&k| order[k as usize]).collect();
+        let moved = |p: u32| if p == NONE { NONE } else { place[p as usize] };
+        let tree: Vec<u32> = post.iter().map(|&k| moved(tree[k as usize])).collect();
+        let count = column_counts(graph, &order, &tree);
+        Self { order, tree, count }
+    }
+
+    /// Operations, up to a factor.
+    pub(super) fn work(&self) -> f64 {
+        self.count.iter().map(|&c| f64::from(c + 1).powi(2)).sum()
+    }
+}
+
+/// Find the fronts of a graph under an elimination order.
 ///
 /// # Shapes
 ///
-/// `order` vertex at each position; `free_axes` bits of the free axes of each vertex;
-/// `vertex_of_node` one entry a node, [`NONE`] where all axes are held.
+/// `free_axes` bits of the free axes of each vertex; `vertex_of_node` one entry a node, [`NONE`]
+/// where all axes are held.
 pub(super) fn analyse(
     graph: &Graph,
-    order: &[u32],
+    elimination: Elimination,
     free_axes: &[u8],
     cliques: Cliques,
     vertex_of_node: &[u32],
 ) -> Analysis {
-    let groups = Groups::merged(graph, order, free_axes);
+    let groups = Groups::merged(&elimination, free_axes);
     let order = groups.order;
     let position = inverse(&order);
     let width = |v: u32| free_axes[v as usize].count_ones() as usize;
@@ -414,9 +438,8 @@ struct Group {
 impl Groups {
     /// Columns of equal structure make a group; small groups are merged into their parents where
     /// that stores few zeros.
-    fn merged(graph: &Graph, order: &[u32], free_axes: &[u8]) -> Self {
-        let tree = elimination_tree(graph, order);
-        let count = column_counts(graph, order, &tree);
+    fn merged(elimination: &Elimination, free_axes: &[u8]) -> Self {
+        let Elimination { order, tree, count } = elimination;
         let n = order.len();
         let width = |k: usize| free_axes[order[k] as usize].count_ones() as usize;
         let mut group_of = vec![0u32; n];

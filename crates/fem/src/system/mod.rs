@@ -9,6 +9,7 @@ mod graph;
 mod ordering;
 pub(crate) mod pattern;
 mod rigid;
+mod separator;
 mod substitute;
 
 pub(crate) use cliques::Cliques;
