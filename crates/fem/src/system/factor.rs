@@ -27,6 +27,9 @@ const PARALLEL_WORK: f64 = 2e6;
 /// Fronts with less work than this are factored by one thread.
 const PARALLEL_FRONT: f64 = 2e7;
 
+/// Numbers in buffers that are grown in place (the system moves their pages) and not made anew.
+const MUCH: usize = 1 << 18;
+
 /// A matrix given clique by clique.
 pub(crate) trait Blocks: Sync {
     /// Write the 3x3 blocks of the pairs `a >= b` of a clique's nodes, row by row, rows of node
@@ -269,14 +272,20 @@ impl<T> Default for Scratch<T> {
 }
 
 impl<T> Scratch<T> {
-    /// The smallest spare that has room for so many numbers; the largest where none has.
+    /// Room for so many numbers: the smallest spare that has it; where none has, a new one, or the
+    /// largest, to grow, where a new one would be much.
     fn take_spare(&mut self, entries: usize) -> Vec<T> {
-        let fit = |spare: &Vec<T>| match spare.capacity() {
+        let fit = |spare: &Vec<T>| match spare.len() {
             room if room >= entries => (0, room),
             room => (1, usize::MAX - room),
         };
         let best = (0..self.spare.len()).min_by_key(|&k| fit(&self.spare[k]));
-        best.map(|k| self.spare.swap_remove(k)).unwrap_or_default()
+        match best {
+            Some(k) if self.spare[k].len() >= entries || entries > MUCH => {
+                self.spare.swap_remove(k)
+            }
+            _ => Vec::new(),
+        }
     }
 }
 
@@ -486,10 +495,13 @@ impl<B: Blocks> Work<'_, B> {
 /// Make room for a matrix by columns and clear it on and below the diagonal.
 fn clear_lower<T: Precision>(matrix: &mut Vec<T>, n_rows: usize, n_columns: usize) {
     let entries = n_rows * n_columns;
-    if matrix.len() < entries {
-        matrix.clear();
-        matrix.resize(entries, T::default());
+    if matrix.len() < entries && entries <= MUCH {
+        // Growing would copy what is to be cleared.
+        *matrix = vec![T::default(); entries];
         return;
+    }
+    if matrix.len() < entries {
+        matrix.resize(entries, T::default());
     }
     for j in 0..n_columns {
         matrix[j * (n_rows + 1)..(j + 1) * n_rows].fill(T::default());
@@ -549,19 +561,30 @@ fn add_update<T: Precision>(
     let child = &fronts.fronts[child as usize];
     let places = fronts.in_parent_of(child);
     let n = child.n_rows;
+    // Rows that stand together in the child mostly do so in the parent.
+    let runs: Vec<&[u32]> = places.chunk_by(|a, b| a + 1 == *b).collect();
+    let mut j = 0;
     // Places ascend: a parent's rows and own unknowns stand in elimination order.
-    for j in 0..n {
-        let column = places[j] as usize;
-        let source = &child_update[j * n + j..(j + 1) * n];
-        let target = if column < front.n_own {
-            &mut panel[column * front.size()..(column + 1) * front.size()]
-        } else {
-            let start = (column - front.n_own) * front.n_rows;
-            &mut update[start..start + front.n_rows]
-        };
-        let shift = if column < front.n_own { 0 } else { front.n_own };
-        for (&place, &value) in places[j..].iter().zip(source) {
-            target[place as usize - shift] += value;
+    for (k, run) in runs.iter().enumerate() {
+        for (skipped, &column) in run.iter().enumerate() {
+            let column = column as usize;
+            let (target, shift) = if column < front.n_own {
+                (&mut panel[column * front.size()..(column + 1) * front.size()], 0)
+            } else {
+                let start = (column - front.n_own) * front.n_rows;
+                (&mut update[start..start + front.n_rows], front.n_own)
+            };
+            let mut source = &child_update[j * n + j..(j + 1) * n];
+            let rest_of_run = &run[skipped..];
+            for rows in std::iter::once(&rest_of_run).chain(&runs[k + 1..]) {
+                let (values, behind) = source.split_at(rows.len());
+                source = behind;
+                let begin = rows[0] as usize - shift;
+                for (t, &value) in target[begin..begin + rows.len()].iter_mut().zip(values) {
+                    *t += value;
+                }
+            }
+            j += 1;
         }
     }
 }
