@@ -1,4 +1,4 @@
-"""Every exception that tissuereg raises on purpose.
+"""Every exception that tissuereg raises on purpose, and its warnings that can be told apart.
 
 Message form: what must hold, what was found, where. The command line turns an error into one
 paragraph and the exit code its class states; nothing here imports anything.
@@ -111,3 +111,7 @@ class ParityError(TissueRegError, RuntimeError):
     """An exported network and its source disagree."""
 
     exit_code = 3
+
+
+class LockingWarning(UserWarning):
+    """Four-node tets are used where they lock: they move too little on any affordable mesh."""

@@ -8,7 +8,7 @@ use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
 use tissuereg_esmda::EsmdaError;
-use tissuereg_fem::FemError;
+use tissuereg_fem::{Element, FemError, Material};
 
 use crate::report;
 
@@ -61,6 +61,21 @@ impl Class {
             Self::Ensemble => imported::EnsembleError::type_object(py),
         }
     }
+}
+
+/// Warn, once a call, of linear tets that lock with one of these materials, whose largest Poisson's ratio is among
+/// `poisson`.
+pub(crate) fn warn_of_locking<'a>(
+    py: Python<'_>,
+    element: Element,
+    mut materials: impl Iterator<Item = &'a Material>,
+    poisson: &[f64],
+) -> PyResult<()> {
+    if element == Element::Tet4 && materials.any(Material::locks_linear_tets) {
+        let largest = poisson.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        py.import("tissuereg._locking")?.call_method1("warn_of_locking", (largest,))?;
+    }
+    Ok(())
 }
 
 /// An exception of a class, with its place.

@@ -143,6 +143,11 @@ def solve_frames(
     MaterialError, ShapeError, SupportError
         If the input does not fit the body.
 
+    Warns
+    -----
+    LockingWarning
+        If Poisson's ratio is above 0.475 somewhere and the elements are ``"tet4"``.
+
     Examples
     --------
     >>> block = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})

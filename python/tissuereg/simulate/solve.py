@@ -1,6 +1,5 @@
 """One static solve, or many on one body: the Python face of the Rust solver."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -62,10 +61,6 @@ class Simulations:
         return np.array([i for i in range(len(self.displacement)) if i not in lost], dtype=np.int64)
 
 
-#: Poisson's ratio above which linear tets lock, as `Material::locks_linear_tets` of the core has it.
-_LOCKING_POISSON = 0.475
-
-
 class Simulator:
     """A mesh analysed once for many solves: element data, ordering, symbolic factor.
 
@@ -74,7 +69,8 @@ class Simulator:
     mesh : Mesh
         Reference shape.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Four-node tets, or ten-node tets on the same edges (second order, straight edges).
+        Four-node tets, the same with volume ratios averaged at the nodes (for Poisson's ratios above 0.475), or ten-node
+        tets on the same edges (second order, straight edges).
     held_nodes : array_like of int, optional
         Nodes whose displacement is given; the node set ``fixed`` where absent.
 
@@ -129,11 +125,13 @@ class Simulator:
             If no equilibrium is found; it carries the last good load fraction and the worst tets.
         LoadError, MaterialError, ShapeError
             If the input does not fit the body.
+
+        Warns
+        -----
+        LockingWarning
+            If Poisson's ratio is above 0.475 somewhere and the elements are ``"tet4"``.
         """
         young, poisson = self.moduli(material)
-        if self.element == "tet4" and np.max(poisson) > _LOCKING_POISSON:
-            text = f"four-node tets lock at Poisson's ratio {np.max(poisson):g} and move too little; "
-            warnings.warn(text + 'element="tet4-averaged" or "tet10" does not', stacklevel=2)
         found = self.body.solve(
             young,
             poisson,
@@ -171,6 +169,11 @@ class Simulator:
         ------
         LoadError
             If there is not one material a load.
+
+        Warns
+        -----
+        LockingWarning
+            As `solve`, once for all members.
         """
         if len(loads) != len(materials):
             message = f"there must be one material a load, got {len(materials)} for {len(loads)}"
@@ -210,7 +213,7 @@ class Simulator:
             If the number of values is neither one nor that of the tets.
         """
         young, poisson = material.young_array, material.poisson_array
-        n_points = 4 if self.element == "tet10" else 1
+        n_points = 1 if self.element == "tet4" else 4
         for name, values in (("young", young), ("poisson", poisson)):
             if values.shape not in ((1,), (self.mesh.n_tets,), (self.mesh.n_tets, 1), (self.mesh.n_tets, n_points)):
                 points = f" or one a quadrature point ({self.mesh.n_tets}, {n_points})" if values.ndim == 2 else ""

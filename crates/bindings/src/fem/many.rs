@@ -101,6 +101,7 @@ impl Members {
                 springs: Vec::new(),
             });
         }
+        errors::warn_of_locking(py, body.element(), members.materials.iter(), poisson.slice())?;
         Ok(members)
     }
 

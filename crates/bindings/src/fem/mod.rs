@@ -211,6 +211,7 @@ impl Body {
         let material = law
             .material(body.element(), body.n_tets(), young.slice(), poisson.slice())
             .map_err(mapped)?;
+        errors::warn_of_locking(py, body.element(), [&material].into_iter(), poisson.slice())?;
         let load = Load {
             nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
             body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),

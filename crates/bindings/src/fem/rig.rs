@@ -85,6 +85,7 @@ impl Rig {
             .map_or(&Law::default(), |law| law)
             .material(element, mesh.n_tets(), young.slice(), poisson.slice())
             .map_err(mapped)?;
+        errors::warn_of_locking(py, element, [&material].into_iter(), poisson.slice())?;
         for (triangles, numbers) in &skins {
             let triangles = triangles_of("skin triangles", triangles)?;
             let [thickness, young, poisson] = exactly(py, "skin", numbers)?;
