@@ -1,7 +1,7 @@
 //! A body: mesh, element type and supports, with everything that is made once from them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use crate::element::{Element, Geometry, edges_of};
@@ -9,8 +9,8 @@ use crate::error::FemError;
 use crate::mesh::{Mesh, ascending};
 use crate::solve::RestCache;
 use crate::supports::Supports;
-use crate::system::check_rigid_modes;
 use crate::system::pattern::Pattern;
+use crate::system::{PlainOrder, check_rigid_modes};
 
 /// A supported mesh with its element data, elimination order and symbolic factor.
 ///
@@ -46,6 +46,7 @@ pub struct Body {
     supports: Supports,
     held: Vec<[bool; 3]>,
     pattern: Arc<Pattern>,
+    plain_order: OnceLock<Result<PlainOrder, FemError>>,
     rest_cache: RestCache,
     analyse_seconds: f64,
 }
@@ -115,6 +116,7 @@ impl Body {
             supports: self.supports.clone(),
             held: self.held.clone(),
             pattern: Arc::clone(&self.pattern),
+            plain_order: OnceLock::new(),
             rest_cache: RestCache::default(),
             analyse_seconds: start.elapsed().as_secs_f64(),
         })
@@ -136,6 +138,7 @@ impl Body {
             supports,
             held,
             pattern,
+            plain_order: OnceLock::new(),
             rest_cache: RestCache::default(),
             analyse_seconds: start.elapsed().as_secs_f64(),
         })
@@ -203,6 +206,20 @@ impl Body {
 
     pub(crate) fn pattern(&self) -> &Pattern {
         &self.pattern
+    }
+
+    /// Order of plain linear tets on the unknowns of a body of [`Element::Tet4Averaged`], made when
+    /// first asked for.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::TooLarge`].
+    pub(crate) fn plain_order(&self) -> Result<&PlainOrder, FemError> {
+        let make = || {
+            let elements = self.geometry().elements();
+            PlainOrder::new(self.nodes(), elements, &self.held, &self.pattern)
+        };
+        self.plain_order.get_or_init(make).as_ref().map_err(FemError::clone)
     }
 
     pub(crate) fn rest_cache(&self) -> &RestCache {

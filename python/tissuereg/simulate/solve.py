@@ -69,8 +69,8 @@ class Simulator:
     mesh : Mesh
         Reference shape.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Four-node tets, the same with volume ratios averaged at the nodes (for Poisson's ratios above 0.475), or ten-node
-        tets on the same edges (second order, straight edges).
+        Four-node tets, the same with volume ratios averaged at the nodes (for Poisson's ratios above 0.475), or
+        ten-node tets on the same edges (second order, straight edges).
     held_nodes : array_like of int, optional
         Nodes whose displacement is given; the node set ``fixed`` where absent.
 

@@ -20,6 +20,7 @@
 
 use rayon::prelude::*;
 
+use super::averaged_neo_hookean as plain;
 use super::force::Energy;
 use super::tangent::spatial_gradients;
 use super::{Loops, PARALLEL_FROM, PointModel, displacement_gradient, local};
@@ -31,6 +32,8 @@ pub(super) struct Averages {
     pub(super) elements: Vec<Deformed>,
     /// `J̄_a − 1`
     pub(super) nodes: Vec<f64>,
+    /// `ln J̄_a`
+    pub(super) logs: Vec<f64>,
 }
 
 /// How one element is deformed.
@@ -43,7 +46,7 @@ pub(super) struct Deformed {
     /// `J − 1`
     x: f64,
     /// `ln J`
-    log: f64,
+    pub(super) log: f64,
 }
 
 impl Deformed {
@@ -62,9 +65,9 @@ impl Deformed {
         1.0 + self.x
     }
 
-    /// `s − 1` and `F_ea − I` for a corner where `J̄ − 1 = x`.
-    pub(super) fn averaged(&self, x: f64) -> (f64, Matrix3) {
-        let growth = ((x.ln_1p() - self.log) / 3.0).exp_m1();
+    /// `s − 1` and `F_ea − I` for a corner where `ln J̄ = log`.
+    pub(super) fn averaged(&self, log: f64) -> (f64, Matrix3) {
+        let growth = ((log - self.log) / 3.0).exp_m1();
         let mut h = self.h;
         for i in 0..3 {
             for j in 0..3 {
@@ -132,7 +135,7 @@ pub(super) fn gradients(geometry: &Geometry, displacement: &[f64]) -> Vec<Matrix
         .iter()
         .zip(geometry.connectivity.chunks_exact(4))
         .flat_map(|(element, nodes)| {
-            nodes.iter().map(|&node| element.averaged(averages.nodes[node as usize]).1)
+            nodes.iter().map(|&node| element.averaged(averages.logs[node as usize]).1)
         })
         .collect()
 }
@@ -152,7 +155,8 @@ fn averages(
         let part = |element: usize, _| geometry.volume[element] * elements[element].x;
         Some(sum_around(geometry, node, part) / patches.volume[node].max(f64::MIN_POSITIVE))
     })?;
-    Some(Averages { elements, nodes })
+    let logs = nodes.iter().map(|x: &f64| x.ln_1p()).collect();
+    Some(Averages { elements, nodes, logs })
 }
 
 /// Sum over the elements around a node, of which it is corner `a`.
@@ -171,12 +175,12 @@ pub(super) fn around(
 }
 
 /// What one element gives to its stress and to the pressures of its corners.
-struct Part {
-    energy: Energy,
+pub(super) struct Part {
+    pub(super) energy: Energy,
     /// `¼ Σ_a (s P − p G)`
-    stress: Matrix3,
+    pub(super) stress: Matrix3,
     /// `¼ V_e p` at each corner.
-    pressure: [f64; 4],
+    pub(super) pressure: [f64; 4],
 }
 
 impl<M: PointModel> Loops<'_, M> {
@@ -193,20 +197,26 @@ impl<M: PointModel> Loops<'_, M> {
     ) -> Option<Energy> {
         let averages = self.averages(patches, parallel)?;
         let n = self.geometry.n_elements();
-        let parts = all(n, parallel, |element| self.part(&averages, element))?;
+        let parts = match self.model.neo_hookean() {
+            Some(laws) => all(n, parallel, |element| {
+                let volume = self.geometry.volume[element];
+                plain::part(laws, &averages, element, volume, self.geometry.nodes_of(element))
+            }),
+            None => all(n, parallel, |element| self.part(&averages, element)),
+        }?;
         let nodal = all(patches.volume.len(), parallel, |node| {
             let sum = sum_around(self.geometry, node, |element, a| parts[element].pressure[a]);
             Some(sum / (patches.volume[node] * (1.0 + averages.nodes[node])))
         })?;
-        let stresses = all(n, parallel, |element| {
+        let forces = all(n, parallel, |element| {
             let deformed = &averages.elements[element];
             let mut stress = parts[element].stress;
             let nodes = self.geometry.nodes_of(element);
             let sum: f64 = nodes.iter().map(|&node| nodal[node as usize]).sum();
             add_scaled(&mut stress, deformed.det_f() * sum, &deformed.inverse);
-            Some(stress)
+            Some(self.nodal_forces(element, &stress))
         })?;
-        self.gather(&stresses, force, parallel);
+        self.gather(&forces, force, parallel);
         Some(parts.iter().fold(Energy::NOTHING, |sum, part| sum.and(part.energy)))
     }
 
@@ -220,7 +230,7 @@ impl<M: PointModel> Loops<'_, M> {
             pressure: [0.0; 4],
         };
         for (a, &node) in self.geometry.nodes_of(element).iter().enumerate() {
-            let (growth, h) = deformed.averaged(averages.nodes[node as usize]);
+            let (growth, h) = deformed.averaged(averages.logs[node as usize]);
             let answer = self.model.response(element, a, &h)?;
             let p = dot(&answer.stress, &deformation(&h)) / 3.0;
             part.energy.total += quarter * answer.energy;
@@ -231,23 +241,30 @@ impl<M: PointModel> Loops<'_, M> {
         Some(part)
     }
 
-    /// Nodal forces of element stresses.
-    fn gather(&self, stresses: &[Matrix3], force: &mut [f64], parallel: bool) {
-        let row = |(node, row): (usize, &mut [f64])| {
+    /// Forces of an element's stress on its corners.
+    fn nodal_forces(&self, element: usize, stress: &Matrix3) -> [[f64; 3]; 4] {
+        let jacobian = &self.geometry.inverse_jacobian[element];
+        let volume = self.geometry.volume[element];
+        spatial_gradients(&TET4.gradients[0], jacobian)
+            .map(|g| stress.map(|row| volume * (row[0] * g[0] + row[1] * g[1] + row[2] * g[2])))
+    }
+
+    /// Sum the forces of all elements node by node.
+    fn gather(&self, forces: &[[[f64; 3]; 4]], force: &mut [f64], parallel: bool) {
+        let rows = forces.as_flattened();
+        let (starts, places) = &self.geometry.node2place;
+        let sum = |(node, row): (usize, &mut [f64])| {
             row.fill(0.0);
-            for (element, a) in around(self.geometry, node) {
-                let jacobian = &self.geometry.inverse_jacobian[element];
-                let g = spatial_gradients(&[TET4.gradients[0][a]], jacobian)[0];
+            for &place in &places[starts[node] as usize..starts[node + 1] as usize] {
                 for i in 0..3 {
-                    let sum: f64 = (0..3).map(|j| stresses[element][i][j] * g[j]).sum();
-                    row[i] += self.geometry.volume[element] * sum;
+                    row[i] += rows[place as usize][i];
                 }
             }
         };
-        if parallel && stresses.len() >= PARALLEL_FROM {
-            force.par_chunks_exact_mut(3).with_min_len(256).enumerate().for_each(row);
+        if parallel && forces.len() >= PARALLEL_FROM {
+            force.par_chunks_exact_mut(3).with_min_len(256).enumerate().for_each(sum);
         } else {
-            force.chunks_exact_mut(3).enumerate().for_each(row);
+            force.chunks_exact_mut(3).enumerate().for_each(sum);
         }
     }
 
@@ -260,7 +277,10 @@ impl<M: PointModel> Loops<'_, M> {
     ) -> bool {
         match self.averaged_stress_change(patches, direction) {
             Some(stresses) => {
-                self.gather(&stresses, product, false);
+                let each = stresses.iter().enumerate();
+                let forces: Vec<_> =
+                    each.map(|(element, stress)| self.nodal_forces(element, stress)).collect();
+                self.gather(&forces, product, false);
                 true
             }
             None => false,
@@ -298,7 +318,7 @@ impl<M: PointModel> Loops<'_, M> {
             let (dh, theta) = &changes[element];
             let turned = inverse_change(&deformed.inverse, dh);
             for (a, &node) in geometry.nodes_of(element).iter().enumerate() {
-                let (growth, h) = deformed.averaged(averages.nodes[node as usize]);
+                let (growth, h) = deformed.averaged(averages.logs[node as usize]);
                 let s = 1.0 + growth;
                 let f = deformation(&h);
                 let stretch = (means[node as usize] - theta) / 3.0;

@@ -49,7 +49,8 @@ impl<M: PointModel> Loops<'_, M> {
         let mut corners = Vec::new();
         let (mut nodal, mut pressure) = (0.0, 0.0);
         for (element, a) in around(geometry, centre) {
-            let Some(corner) = self.corner(averages, element, a, mean, kind) else { return false };
+            let log = averages.logs[centre];
+            let Some(corner) = self.corner(averages, element, a, log, kind) else { return false };
             let quarter = 0.25 * geometry.volume[element];
             nodal += quarter * corner.nodal;
             pressure += quarter * corner.pressure;
@@ -107,11 +108,11 @@ impl<M: PointModel> Loops<'_, M> {
         averages: &Averages,
         element: usize,
         a: usize,
-        mean: f64,
+        log: f64,
         kind: TangentKind,
     ) -> Option<Corner> {
         let deformed = &averages.elements[element];
-        let (growth, h) = deformed.averaged(mean);
+        let (growth, h) = deformed.averaged(log);
         let s = 1.0 + growth;
         let mut tangent = self.model.tangent(element, a, &h)?;
         if kind == TangentKind::Clamped {

@@ -13,12 +13,15 @@
 //! chunks. So the bits do not depend on the number of threads.
 
 mod averaged;
+mod averaged_neo_hookean;
 mod averaged_tangent;
 mod force;
 mod lanes;
 mod packs;
 mod points;
 mod tangent;
+#[cfg(test)]
+mod tests;
 
 pub(crate) use force::{Energy, internal_force_into};
 pub(crate) use points::{add_forces_of, point_volumes};

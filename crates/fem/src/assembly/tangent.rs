@@ -3,8 +3,9 @@
 use nalgebra::{SMatrix, SymmetricEigen};
 
 use super::averaged::Averages;
+use super::averaged_neo_hookean::{PlainPatches, nodal_pressures};
 use super::{Loops, PointModel, displacement_gradient, local};
-use crate::element::{Geometry, Rule, TET4, TET10};
+use crate::element::{Geometry, Patches, Rule, TET4, TET10};
 use crate::material::{Matrix3, NeoHookean, Tangent};
 use crate::system::factor::Blocks;
 
@@ -21,8 +22,12 @@ pub(crate) enum TangentKind {
 pub(crate) struct ElementTangents<'a, M: PointModel> {
     loops: Loops<'a, M>,
     kind: TangentKind,
-    /// Of [`Element::Tet4Averaged`]; none where an element is inverted.
+    /// Of [`Element::Tet4Averaged`](crate::Element::Tet4Averaged) whose cliques are patches.
+    patches: Option<&'a Patches>,
+    /// Of patches; none where an element is inverted.
     averages: Option<Averages>,
+    /// Of patches of a plain neo-Hookean law.
+    plain: Option<PlainPatches<'a>>,
 }
 
 impl<'a, M: PointModel> ElementTangents<'a, M> {
@@ -36,24 +41,47 @@ impl<'a, M: PointModel> ElementTangents<'a, M> {
         kind: TangentKind,
     ) -> Self {
         let loops = Loops { geometry, model, displacement };
-        let averages = geometry.patches.as_ref().and_then(|patches| loops.averages(patches, false));
-        Self { loops, kind, averages }
+        let patches = geometry.patches.as_ref();
+        let averages = patches.and_then(|patches| loops.averages(patches, false));
+        let plain = averages.as_ref().zip(model.neo_hookean()).and_then(|(averages, laws)| {
+            let pressures = nodal_pressures(&loops, laws, averages)?;
+            Some(PlainPatches { laws, pressures })
+        });
+        Self { loops, kind, patches, averages, plain }
+    }
+
+    /// The tangent without averaging: linear tets with the law of their first point.
+    pub(crate) fn without_patches(
+        geometry: &'a Geometry,
+        model: &'a M,
+        displacement: &'a [f64],
+        kind: TangentKind,
+    ) -> Self {
+        let loops = Loops { geometry, model, displacement };
+        Self { loops, kind, patches: None, averages: None, plain: None }
     }
 }
 
 impl<M: PointModel> Blocks for ElementTangents<'_, M> {
     fn width(&self, clique: usize) -> usize {
-        match &self.loops.geometry.patches {
+        match self.patches {
             Some(patches) => patches.nodes_of(clique).len(),
             None => self.loops.geometry.element.n_nodes(),
         }
     }
 
     fn blocks_into(&self, clique: usize, blocks: &mut [[f64; 9]]) -> bool {
-        if let Some(patches) = &self.loops.geometry.patches {
-            return self.averages.as_ref().is_some_and(|averages| {
-                self.loops.patch_tangent(patches, averages, clique, self.kind, blocks)
-            });
+        if let Some(patches) = self.patches {
+            let (loops, kind) = (&self.loops, self.kind);
+            return match (&self.averages, &self.plain) {
+                (Some(averages), Some(plain)) => {
+                    loops.plain_patch_tangent(patches, averages, plain, clique, kind, blocks)
+                }
+                (Some(averages), None) => {
+                    loops.patch_tangent(patches, averages, clique, kind, blocks)
+                }
+                (None, _) => false,
+            };
         }
         match self.loops.geometry.element.n_nodes() {
             4 => self.loops.element_tangent(&TET4, clique, self.kind, blocks),

@@ -141,8 +141,13 @@ impl Geometry {
     pub(crate) fn cliques(&self) -> Cliques<'_> {
         match &self.patches {
             Some(patches) => Cliques::varying(&patches.nodes, &patches.starts),
-            None => Cliques::new(&self.connectivity, self.element.n_nodes()),
+            None => self.elements(),
         }
+    }
+
+    /// Nodes of all elements.
+    pub(crate) fn elements(&self) -> Cliques<'_> {
+        Cliques::new(&self.connectivity, self.element.n_nodes())
     }
 
     /// Nodes of one element.

@@ -3,6 +3,11 @@
 //! The undeformed stiffness is linear in Young's modulus. Its factor is made for the *shape* of a
 //! stiffness field: moduli divided by the largest and rounded to 24 bits, so that proportional
 //! fields share a factor and its bits depend on nothing but the shape. A metric need not be exact.
+//!
+//! That of averaged linear tets is the stiffness of plain ones with a moderate Poisson's ratio, as
+//! long as their own is not above [`PLAIN_LIMIT`]: averaging takes the energy of volume changes that
+//! alternate from element to element, so that of both the softer is the better guide. It costs a
+//! third of a solve and a sixth of a factor.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
@@ -10,17 +15,30 @@ use std::time::Instant;
 
 use crate::assembly::{ElementTangents, TangentKind};
 use crate::body::Body;
+use crate::element::Element;
 use crate::error::FemError;
 use crate::material::{Fibres, Layout, Material, Stiffness};
 use crate::solve::problem::{Problem, State, Workspace};
 use crate::surface::{Skin, Springs, SurfaceTerms, WithFacets};
 use crate::system::factor::{Factor, Making};
+use crate::system::{Fronts, PlainOrder};
+
+/// Largest Poisson's ratio at which plain tets serve averaged ones as a metric. Measured on a dome of
+/// 4,000 nodes (to 1e-6): 24 iterations instead of 19 at 0.45, 53 instead of 14 with one more factor
+/// at 0.49, 250 instead of 43 at 0.4995.
+const PLAIN_LIMIT: f64 = 0.491;
+
+/// Largest Poisson's ratio of the plain tets. Measured from 0.3 to 0.49: iterations are fewest
+/// between 0.4 and 0.45.
+const PLAIN_POISSON: f64 = 0.42;
 
 /// Factor of `K / scale⁻¹`: a solve with it is multiplied by `scale`.
 #[derive(Debug, Clone)]
 pub(crate) struct Metric {
     factor: Arc<Factor>,
     scale: f64,
+    /// Whether the factor is that of plain tets, on a body of averaged ones.
+    plain: bool,
 }
 
 impl Metric {
@@ -33,19 +51,41 @@ impl Metric {
         workspace: &mut Workspace,
     ) {
         workspace.report.solves += 1;
-        self.factor.solve_into(
-            &problem.body.pattern().fronts,
-            self.scale,
-            rhs,
-            out,
-            &mut workspace.solve_scratch,
-            problem.parallel,
-        );
+        let Workspace { solve_scratch, reordered: [own_rhs, own_out], .. } = workspace;
+        let parallel = problem.parallel;
+        let Some(order) = self.order(problem.body) else {
+            let fronts = &problem.body.pattern().fronts;
+            return self.factor.solve_into(fronts, self.scale, rhs, out, solve_scratch, parallel);
+        };
+        order.take(rhs, own_rhs);
+        own_out.resize(rhs.len(), 0.0);
+        let fronts = &order.pattern.fronts;
+        self.factor.solve_into(fronts, self.scale, own_rhs, own_out, solve_scratch, parallel);
+        order.give(own_out, out);
+    }
+
+    /// Order of the unknowns of the factor, where it is not that of the body.
+    fn order<'b>(&self, body: &'b Body) -> Option<&'b PlainOrder> {
+        // There is one: the factor was made with it.
+        if self.plain { body.plain_order().ok() } else { None }
+    }
+
+    fn fronts<'b>(&self, body: &'b Body) -> &'b Fronts {
+        self.order(body).map_or(&body.pattern().fronts, |order| &order.pattern.fronts)
     }
 
     /// Euclidean norm of the diagonal of the matrix, mN/mm.
     pub(crate) fn diagonal_norm(&self, problem: &Problem) -> f64 {
-        self.factor.diagonal_norm(&problem.body.pattern().fronts) / self.scale
+        self.factor.diagonal_norm(self.fronts(problem.body)) / self.scale
+    }
+
+    /// Time of a solve with a renewed metric over that of one with this.
+    pub(crate) fn lightness(&self, problem: &Problem) -> f64 {
+        let entries = |fronts: &Fronts| fronts.work() / fronts.factor_to_solve();
+        match self.order(problem.body) {
+            Some(order) => entries(&problem.body.pattern().fronts) / entries(&order.pattern.fronts),
+            None => 1.0,
+        }
     }
 
     /// Replace by the tangent at a state; kept as it is where no factor of that can be made.
@@ -83,7 +123,7 @@ impl Metric {
             }
         }
         workspace.report.seconds.factor += start.elapsed().as_secs_f64();
-        Ok(Self { factor: Arc::new(result?), scale: 1.0 })
+        Ok(Self { factor: Arc::new(result?), scale: 1.0, plain: false })
     }
 }
 
@@ -158,10 +198,18 @@ impl Shape {
         hasher.finish()
     }
 
-    fn material(&self) -> Result<Material, FemError> {
+    /// Whether plain tets make the factor of this shape on a body.
+    fn is_plain_on(&self, body: &Body) -> bool {
+        body.element() == Element::Tet4Averaged
+            && self.springs.is_empty()
+            && self.skin.is_empty()
+            && self.poisson.iter().all(|&nu| nu <= PLAIN_LIMIT)
+    }
+
+    fn material(&self, most: f64) -> Result<Material, FemError> {
         // A modulus of zero after rounding would make the shape singular.
         let young: Vec<f64> = self.young.iter().map(|&v| f64::from(v).max(1e-30)).collect();
-        let poisson = self.poisson.clone();
+        let poisson: Vec<f64> = self.poisson.iter().map(|nu| nu.min(most)).collect();
         let material = Material::new(match (self.layout, young.as_slice(), poisson.as_slice()) {
             (_, &[young], &[poisson]) => Stiffness::Uniform { young, poisson },
             (Layout::PerPoint(n_points), ..) => Stiffness::PerPoint { n_points, young, poisson },
@@ -175,15 +223,22 @@ impl Shape {
 
     /// Factor of the undeformed stiffness of this shape.
     pub(crate) fn factor(&self, body: &Body, parallel: bool) -> Result<Factor, FemError> {
-        let material = self.material()?;
         let at_rest = vec![0.0; 3 * body.n_nodes()];
         let kind = TangentKind::Exact;
+        let making = Making { parallel, cancel: None };
+        if self.is_plain_on(body) {
+            let material = self.material(PLAIN_POISSON)?;
+            let elements =
+                ElementTangents::without_patches(body.geometry(), &material, &at_rest, kind);
+            let fronts = &body.plain_order()?.pattern.fronts;
+            return Factor::single_or_double(fronts, &elements, making);
+        }
+        let material = self.material(1.0)?;
         let elements = ElementTangents::new(body.geometry(), &material, &at_rest, kind);
         let surface = SurfaceTerms::new(body, &self.springs, &self.skin)?;
         let Some(facets) = surface.blocks(None, kind) else {
             return Err(FemError::SingularStiffness { pivot: 0, n_dofs: body.n_unknowns() });
         };
-        let making = Making { parallel, cancel: None };
         let matrix = WithFacets { elements, facets: &facets };
         Factor::single_or_double(&body.pattern().fronts, &matrix, making)
     }
@@ -203,15 +258,15 @@ impl RestCache {
         parallel: bool,
     ) -> Result<Metric, FemError> {
         let (shape, young) = Shape::of(material, springs);
-        let scale = 1.0 / young;
+        let (scale, plain) = (1.0 / young, shape.is_plain_on(body));
         if let Some(factor) = self.find(&shape) {
-            return Ok(Metric { factor, scale });
+            return Ok(Metric { factor, scale, plain });
         }
         let factor = Arc::new(shape.factor(body, parallel)?);
         if let Ok(mut slot) = self.0.lock() {
             *slot = Some((shape, Arc::clone(&factor)));
         }
-        Ok(Metric { factor, scale })
+        Ok(Metric { factor, scale, plain })
     }
 
     fn find(&self, shape: &Shape) -> Option<Arc<Factor>> {
@@ -247,6 +302,6 @@ impl SharedRest {
         if slot.1 > 0 {
             slot.0 = Some(Arc::clone(&factor));
         }
-        Ok(Metric { factor, scale: 1.0 / young })
+        Ok(Metric { factor, scale: 1.0 / young, plain: self.shape.is_plain_on(body) })
     }
 }

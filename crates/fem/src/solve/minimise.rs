@@ -104,7 +104,7 @@ impl Minimiser {
                 return Ok(ended(Some(StopReason::IterationsUsedUp)));
             }
             self.history.push(residual);
-            if self.wants_refresh(problem, tolerance, fresh) {
+            if self.wants_refresh(problem, metric, tolerance, fresh) {
                 metric.renew(problem, state, workspace)?;
                 self.memory.clear();
                 self.history.clear();
@@ -161,15 +161,21 @@ impl Minimiser {
     }
 
     /// Whether the metric should be made anew at the current state.
-    fn wants_refresh(&self, problem: &Problem, tolerance: f64, fresh: bool) -> bool {
+    fn wants_refresh(
+        &self,
+        problem: &Problem,
+        metric: &Metric,
+        tolerance: f64,
+        fresh: bool,
+    ) -> bool {
         match problem.settings.method {
             Method::QuasiNewton => false,
             Method::Newton => !fresh,
-            Method::Auto => !fresh && self.converges_slowly(problem, tolerance),
+            Method::Auto => !fresh && self.converges_slowly(problem, metric, tolerance),
         }
     }
 
-    fn converges_slowly(&self, problem: &Problem, tolerance: f64) -> bool {
+    fn converges_slowly(&self, problem: &Problem, metric: &Metric, tolerance: f64) -> bool {
         const WINDOW: usize = 6;
         let n = self.history.len();
         if n <= WINDOW + 2 {
@@ -179,7 +185,7 @@ impl Minimiser {
         let rate = (now / before).ln() / WINDOW as f64;
         let cost = iterations_per_factor(problem);
         let remaining = if rate < 0.0 { (tolerance / now).ln() / rate } else { f64::INFINITY };
-        remaining > cost + AFTER_REFRESH
+        remaining > (cost + AFTER_REFRESH) * metric.lightness(problem)
     }
 }
 

@@ -5,6 +5,7 @@ use crate::assembly::{
     tangent_product_into,
 };
 use crate::body::Body;
+use crate::element::Element;
 use crate::error::{FemError, WorstTet};
 use crate::history::StepModel;
 use crate::load::NodalLoad;
@@ -61,6 +62,8 @@ impl State {
 pub(crate) struct Workspace {
     pub(crate) report: SolveReport,
     pub(crate) solve_scratch: SolveScratch,
+    /// Right-hand side and solution in another order of the unknowns.
+    pub(crate) reordered: [Vec<f64>; 2],
     element_forces: Vec<f64>,
 }
 
@@ -141,6 +144,13 @@ impl Problem<'_> {
         let making = Making { parallel: self.parallel, cancel: self.settings.cancel.as_deref() };
         match self.settings.method {
             Method::Newton => Factor::double(fronts, &matrix, making),
+            // Near incompressibility the exact tangent of averaged elements is indefinite on the
+            // way, and a second look in double precision finds the same.
+            Method::Auto | Method::QuasiNewton
+                if self.body.element() == Element::Tet4Averaged && kind == TangentKind::Exact =>
+            {
+                Factor::compact(fronts, &matrix, making)
+            }
             Method::Auto | Method::QuasiNewton => Factor::single_or_double(fronts, &matrix, making),
         }
     }

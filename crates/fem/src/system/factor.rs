@@ -68,11 +68,23 @@ impl Factor {
         matrix: &impl Blocks,
         making: Making,
     ) -> Result<Self, FemError> {
-        match Numeric::new(fronts, matrix, making) {
-            Ok(factor) => Ok(Self::Compact(factor)),
+        match Self::compact(fronts, matrix, making) {
             Err(FemError::SingularStiffness { .. }) => Self::double(fronts, matrix, making),
-            Err(error) => Err(error),
+            result => result,
         }
+    }
+
+    /// Factor in compact entries, without a second look in double precision.
+    ///
+    /// # Errors
+    ///
+    /// As [`Factor::single_or_double`].
+    pub(crate) fn compact(
+        fronts: &Fronts,
+        matrix: &impl Blocks,
+        making: Making,
+    ) -> Result<Self, FemError> {
+        Numeric::new(fronts, matrix, making).map(Self::Compact)
     }
 
     /// Factor in double precision.

@@ -8,11 +8,14 @@ mod fronts;
 mod graph;
 mod ordering;
 pub(crate) mod pattern;
+mod plain_order;
 mod rigid;
 mod separator;
 mod substitute;
 
 pub(crate) use cliques::Cliques;
+pub(crate) use fronts::Fronts;
+pub(crate) use plain_order::PlainOrder;
 pub use rigid::RigidModes;
 pub(crate) use rigid::check_rigid_modes;
 pub(crate) use substitute::SolveScratch;
