@@ -1,11 +1,11 @@
-//! Near incompressibility: linear tets whose volume ratios are averaged at the nodes.
-//!
-//! The reference of the locking test is the ten-node tet of this crate, not a published
-//! value.
+//! Near incompressibility: linear tets whose volume ratios are averaged at the nodes, and quadratic
+//! ones, beside published values. `examples/incompressible.rs` has the whole tables.
 #![allow(clippy::expect_used)]
 
 mod common;
 
+use common::incompressible::evenness;
+use common::incompressible::{BLOCK, BLOCK_POISSON, COOK, Problem, block as pressed_block, cook};
 use common::laws::recipes;
 use common::{Random, bar, largest, largest_difference, nodes_where};
 use tissuereg_fem::{
@@ -202,4 +202,58 @@ fn springs_and_histories_work_on_patches() {
 fn linear_tets_are_said_to_lock_from_where_they_do() {
     let locks = |nu| Material::neo_hookean(10.0, nu).expect("valid").locks_linear_tets();
     assert_eq!([0.3, 0.45, 0.47, 0.49, 0.499].map(locks), [false, false, false, true, true]);
+}
+
+/// Displacement of a published problem where it is measured, mm, and the answer.
+fn measured(problem: &Problem) -> (f64, Vec<[f64; 3]>) {
+    let Problem { body, material, load, node, axis } = problem;
+    let settings = SolveSettings { tolerance: 1e-6, ..SolveSettings::default() };
+    let answer = solve(body, material, load, &settings).expect("an equilibrium");
+    (answer.displacement[*node][*axis].abs(), answer.displacement)
+}
+
+#[test]
+fn cooks_membrane_rises_as_published() {
+    // 0.4995 lies between two published values that differ by 0.05 %.
+    let limit = (0.4995, 0.5 * (COOK[3].1 + COOK[4].1));
+    for (poisson, published) in [COOK[2], limit] {
+        let (quadratic, _) = measured(&cook(8, Element::Tet10, poisson));
+        let off = quadratic / published - 1.0;
+        assert!(off.abs() < 0.01, "quadratic tets at nu {poisson}: {quadratic} of {published} mm");
+        // Too stiff, and half as much on a mesh twice as fine.
+        let errors = [8, 16].map(|n| 1.0 - measured(&cook(n, AVERAGED, poisson)).0 / published);
+        println!("nu {poisson}: quadratic {off}, averaged {errors:?}");
+        assert!(errors[1] > 0.0 && errors[1] < 0.4 * errors[0], "nu {poisson}: {errors:?}");
+    }
+    let (averaged, _) = measured(&cook(24, AVERAGED, limit.0));
+    assert!((averaged / limit.1 - 1.0).abs() < 0.01, "averaged: {averaged} of {} mm", limit.1);
+    let (linear, _) = measured(&cook(16, Element::Tet4, limit.0));
+    assert!(linear < 0.96 * limit.1, "linear tets lock: {linear}");
+}
+
+#[test]
+fn a_pressed_block_gives_way_as_published() {
+    for (n, element) in [(4, Element::Tet10), (4, AVERAGED), (8, AVERAGED)] {
+        let (found, _) = measured(&pressed_block(n, element, BLOCK_POISSON));
+        assert!((found / BLOCK - 1.0).abs() < 0.01, "{element:?}, {n} cells: {found} mm");
+    }
+    let (linear, _) = measured(&pressed_block(4, Element::Tet4, BLOCK_POISSON));
+    assert!(linear < 0.9 * BLOCK, "linear tets lock: {linear}");
+}
+
+#[test]
+fn averaged_pressure_is_rougher_than_that_of_quadratic_tets_and_does_not_alternate() {
+    let of = |n, element| {
+        let problem = cook(n, element, 0.4995);
+        let (_, displacement) = measured(&problem);
+        evenness(&problem.body, &displacement)
+    };
+    let (averaged, quadratic) = (of(16, AVERAGED), of(8, Element::Tet10));
+    println!(
+        "{:?} {} {:?} {}",
+        averaged.range, averaged.roughness, quadratic.range, quadratic.roughness
+    );
+    assert!(averaged.roughness < 1.0);
+    // What the element's documentation says: elements change their volumes, patches do not.
+    assert!(averaged.range[0] < 0.98 && quadratic.range[0] > 0.98);
 }

@@ -2,6 +2,7 @@
 #![allow(dead_code, clippy::expect_used, clippy::panic)]
 
 pub mod cases;
+pub mod incompressible;
 pub mod laws;
 pub mod npz;
 
