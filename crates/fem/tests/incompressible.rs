@@ -4,6 +4,8 @@
 
 mod common;
 
+use std::path::Path;
+
 use common::incompressible::evenness;
 use common::incompressible::{BLOCK, BLOCK_POISSON, COOK, Problem, block as pressed_block, cook};
 use common::laws::recipes;
@@ -242,18 +244,32 @@ fn a_pressed_block_gives_way_as_published() {
 }
 
 #[test]
-fn averaged_pressure_is_rougher_than_that_of_quadratic_tets_and_does_not_alternate() {
+fn a_pressed_block_at_the_limit_gives_way_as_bricks_of_felupe_say() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/incompressible_felupe.npz");
+    let bricks = npz::read(&path).expect("stored");
+    let finest = |name: &str| bricks[name].values.last().copied().expect("an entry");
+    // The bricks meet the published value, so the problem is the same.
+    assert!((finest("published") / BLOCK - 1.0).abs() < 0.003);
+    for element in [AVERAGED, Element::Tet10] {
+        let (found, _) = measured(&pressed_block(4, element, 0.4995));
+        let expected = finest("nu_04995");
+        assert!((found / expected - 1.0).abs() < 0.01, "{element:?}: {found} of {expected} mm");
+    }
+}
+
+#[test]
+fn averaged_volume_ratios_are_as_uneven_as_the_documentation_says() {
     let of = |n, element| {
         let problem = cook(n, element, 0.4995);
         let (_, displacement) = measured(&problem);
         evenness(&problem.body, &displacement)
     };
     let (averaged, quadratic) = (of(16, AVERAGED), of(8, Element::Tet10));
-    println!(
-        "{:?} {} {:?} {}",
-        averaged.range, averaged.roughness, quadratic.range, quadratic.roughness
-    );
-    assert!(averaged.roughness < 1.0);
-    // What the element's documentation says: elements change their volumes, patches do not.
-    assert!(averaged.range[0] < 0.98 && quadratic.range[0] > 0.98);
+    println!("{:?} {}", averaged.range, averaged.roughness);
+    println!("{:?} {}", quadratic.range, quadratic.roughness);
+    // A weakness of the element, measured: should it go, the documentation must change.
+    assert!(averaged.roughness > 0.8 && averaged.roughness < 1.0);
+    assert!(quadratic.roughness < 0.4);
+    assert!(averaged.range[0] > 0.95 && averaged.range[0] < 0.98);
+    assert!(quadratic.range[0] > 0.998 && quadratic.range[1] < 1.002);
 }

@@ -216,6 +216,11 @@ fn add_blocks<const N: usize>(
 /// Remove the negative eigenvalues of a symmetric tangent.
 pub(super) fn clamp(tangent: &mut Tangent) {
     let matrix = SMatrix::<f64, 9, 9>::from_fn(|i, j| tangent[i][j]);
+    // Most points need nothing, and a Cholesky factor says so in a tenth of the time.
+    let rounding = 1e-13 * matrix.trace().abs();
+    if (matrix + SMatrix::<f64, 9, 9>::identity() * rounding).cholesky().is_some() {
+        return;
+    }
     let mut eigen = SymmetricEigen::new(matrix);
     if eigen.eigenvalues.iter().all(|&v| v >= 0.0) {
         return;
