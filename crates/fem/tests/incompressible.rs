@@ -9,6 +9,7 @@ use std::path::Path;
 use common::incompressible::evenness;
 use common::incompressible::{BLOCK, BLOCK_POISSON, COOK, Problem, block as pressed_block, cook};
 use common::laws::recipes;
+use common::npz;
 use common::{Random, bar, largest, largest_difference, nodes_where};
 use tissuereg_fem::{
     Behaviour, Body, Element, History, Load, Material, Method, SolveSettings, Springs,

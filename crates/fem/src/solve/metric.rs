@@ -81,7 +81,7 @@ impl Metric {
 
     /// Time of a solve with a renewed metric over that of one with this.
     pub(crate) fn lightness(&self, problem: &Problem) -> f64 {
-        let entries = |fronts: &Fronts| fronts.work() / fronts.factor_to_solve();
+        let entries = |fronts: &Fronts| fronts.n_entries as f64;
         match self.order(problem.body) {
             Some(order) => entries(&problem.body.pattern().fronts) / entries(&order.pattern.fronts),
             None => 1.0,

@@ -138,7 +138,7 @@ pub(crate) struct Fronts {
     pub(super) first_spot: Vec<usize>,
     pub(super) n_unknowns: usize,
     /// Entries of all panels.
-    pub(super) n_entries: usize,
+    pub(crate) n_entries: usize,
     /// Unknowns of all fronts, rows included.
     pub(super) n_local: usize,
     /// Multiply-adds of a factorisation.
