@@ -2,6 +2,7 @@
 
 import sys
 import warnings
+from types import FrameType
 
 from tissuereg.errors import LockingWarning
 
@@ -16,7 +17,8 @@ def warn_of_locking(poisson: float) -> None:
     poisson : float
         Largest Poisson's ratio.
     """
-    level, frame = 1, sys._getframe()
+    level = 1
+    frame: FrameType | None = sys._getframe()
     while frame is not None and str(frame.f_globals.get("__name__")).split(".")[0] == "tissuereg":
         level, frame = level + 1, frame.f_back
     text = f"four-node tets lock at Poisson's ratio {poisson:g} and move too little; "

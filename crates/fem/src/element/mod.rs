@@ -40,7 +40,9 @@ pub enum Element {
     /// dimensions with 24 x 24 cells at `ν = 0.4995`, where [`Element::Tet4`] lacks 2.4 % and
     /// [`Element::Tet10`] with 8 x 8 cells 0.6 %; 0.2 % too much on a pressed block with 8³ cells,
     /// where they lack 5.2 % and have 1.0 % too much (4³). What is missing on coarse meshes is what
-    /// linear tets lack in bending at any `ν`. Of stresses expect less: on the membrane single
+    /// linear tets lack in bending at any `ν`. On a dome of 4,000 nodes pulled at a patch, all that is
+    /// 10 mm or more from the patch moves as with quadratic tets to 0.2 % at 0.45, 0.49 and 0.4995
+    /// (root mean square); linear ones lack 12 % at 0.4995. Of stresses expect less: on the membrane single
     /// elements keep their volume to 4 % only (quadratic ones to 0.1 %), and the pressure changes
     /// from one node to the next by as much as over the body (0.9 of its standard deviation, root
     /// mean square; 0.3 with quadratic tets). There is no stabilisation; take pressures from
