@@ -1,4 +1,4 @@
-"""Pressed block of `tests/common/incompressible.rs` by felupe: eight-node bricks with a pressure and a volume ratio each.
+"""Pressed block of `tests/common/incompressible.rs` by felupe: bricks with a pressure and a volume ratio each.
 
     python make_incompressible.py [--cells 4 8]
 
