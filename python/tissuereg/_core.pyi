@@ -9,8 +9,11 @@ _Integers = NDArray[np.int64]
 _Element = Literal["tet4", "tet4-averaged", "tet10"]
 
 __all__ = [
+    "Adjoints",
     "Body",
+    "Cause",
     "Law",
+    "Linearised",
     "ManySolutions",
     "Noise",
     "Rig",
@@ -34,6 +37,19 @@ def schedule_constant(n_steps: int) -> _Floats: ...
 def schedule_geometric(n_steps: int, decrease: float) -> _Floats: ...
 def check_schedule(alphas: _Floats, *, total: float = 1.0) -> _Floats: ...
 def screen_members(predicted: _Floats, limit: float) -> tuple[_Integers, list[tuple[int, str]]]: ...
+
+@final
+class Adjoints:
+    @property
+    def young(self) -> _Floats: ...
+    @property
+    def poisson(self) -> _Floats: ...
+    @property
+    def forces(self) -> _Floats: ...
+    @property
+    def body_force(self) -> _Floats: ...
+    @property
+    def prescribed(self) -> _Floats: ...
 
 @final
 class Body:
@@ -78,6 +94,18 @@ class Body:
         load_steps: int = 0,
         threads: int = 0,
     ) -> Solution: ...
+    def linearise(
+        self,
+        displacement: _Floats,
+        young: _Floats,
+        poisson: _Floats,
+        *,
+        law: Law | None = None,
+        forces: _Floats | None = None,
+        body_force: _Floats | None = None,
+        prescribed: _Floats | None = None,
+        threads: int = 0,
+    ) -> Linearised: ...
     def solve_many(
         self,
         young: _Floats,
@@ -96,6 +124,17 @@ class Body:
     ) -> ManySolutions: ...
 
 @final
+class Cause:
+    @staticmethod
+    def parameter(name: str, term: int = 0) -> Cause: ...
+    @staticmethod
+    def field(name: str, rates: _Floats) -> Cause: ...
+    @staticmethod
+    def load(
+        *, forces: _Floats | None = None, body_force: _Floats | None = None, prescribed: _Floats | None = None
+    ) -> Cause: ...
+
+@final
 class Law:
     def __new__(
         cls,
@@ -111,6 +150,11 @@ class Law:
     def nominal_stress(
         self, mode: str, amounts: _Floats, young: float, poisson: float, *, incompressible: bool = False
     ) -> _Floats: ...
+
+@final
+class Linearised:
+    def derivatives(self, causes: list[Cause]) -> tuple[_Floats, _Floats]: ...
+    def adjoints(self, observations: list[tuple[_Integers, _Floats, _Integers, _Floats]]) -> Adjoints: ...
 
 @final
 class Rig:

@@ -1,6 +1,8 @@
 //! An equilibrium and its tangent.
 
 use std::borrow::Borrow;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use super::adjoint::{Adjoint, Observation};
 use super::cause::{Cause, Scene};
@@ -125,6 +127,11 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             gradients,
             factor,
         })
+    }
+
+    /// Take another flag that ends calls with [`FemError::Cancelled`] where it is raised.
+    pub fn cancel_by(&mut self, flag: Option<Arc<AtomicBool>>) {
+        self.settings.cancel = flag;
     }
 
     /// How displacement and reactions follow each cause.
