@@ -10,7 +10,7 @@ from tissuereg.simulate.sensitivity import Field, Linearised, Observation, Param
 from tissuereg.simulate.solve import Simulator
 
 TIGHT = {"tolerance": 1e-12, "method": "newton"}
-ELEMENTS = ["tet4", "tet10"]
+ELEMENTS = ["tet4", "tet4-averaged", "tet10"]
 PULL = tr.Load(body_force=[0.02, 0.005, 0.04])
 
 

@@ -144,7 +144,6 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         | E::NotInEquilibrium { .. }
         | E::NotStable { .. }
         | E::NoSuchCause { .. }
-        | E::NotWithElement { .. }
         | E::Cancelled => Ok(()),
     })
 }
@@ -189,7 +188,6 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
             (Class::Convergence, None)
         }
         E::NoSuchCause { what } => (Class::Material, Some(what.clone())),
-        E::NotWithElement { .. } => (Class::Base, Some("element".to_owned())),
         E::BadObservation { what, node, .. } => (Class::Load, Some(format!("{what}, node {node}"))),
         E::InvertedStart { tet, .. } => (Class::Load, Some(format!("start, tet {tet}"))),
         E::NoEquilibrium(failure) => {
