@@ -143,6 +143,7 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         | E::NoRestShape { .. }
         | E::NotInEquilibrium { .. }
         | E::NotStable { .. }
+        | E::NothingRecorded
         | E::NoSuchCause { .. }
         | E::Cancelled => Ok(()),
     })
@@ -194,7 +195,7 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
             let worst = failure.worst_tets.first();
             (Class::Convergence, worst.map(|worst| format!("tet {}", worst.tet)))
         }
-        E::Cancelled => (Class::Base, None),
+        E::NothingRecorded | E::Cancelled => (Class::Base, None),
     }
 }
 
