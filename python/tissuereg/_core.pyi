@@ -133,6 +133,16 @@ class Cause:
     def load(
         *, forces: _Floats | None = None, body_force: _Floats | None = None, prescribed: _Floats | None = None
     ) -> Cause: ...
+    @staticmethod
+    def loads(
+        n_frames: int,
+        *,
+        forces: _Floats | None = None,
+        body_force: _Floats | None = None,
+        prescribed: _Floats | None = None,
+    ) -> Cause: ...
+    @staticmethod
+    def motion(pad: int, rates: _Floats) -> Cause: ...
 
 @final
 class Law:
@@ -174,6 +184,7 @@ class Rig:
         rests: bool = False,
         skins: list[tuple[_Integers, list[float]]] = ...,
         hangs_in: _Floats | None = None,
+        record: bool = False,
         tolerance: float = 1e-9,
         max_iterations: int = 1000,
         threads: int = 0,
@@ -187,6 +198,11 @@ class Rig:
         body_force: _Floats | None = None,
         prescribed: _Floats | None = None,
     ) -> RigFrame: ...
+    def derivatives(self, causes: list[Cause]) -> tuple[_Floats, _Floats, _Floats]: ...
+    def adjoints(
+        self,
+        observations: list[tuple[int, tuple[_Integers, _Floats], tuple[_Integers, _Floats], tuple[_Integers, _Floats]]],
+    ) -> tuple[_Floats, _Floats]: ...
     @property
     def rest_nodes(self) -> _Floats: ...
 

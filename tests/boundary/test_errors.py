@@ -134,10 +134,17 @@ def test_bad_derivatives_raise_by_cause(body):
     with pytest.raises(errors.ConvergenceError, match="equilibrium"):
         body.linearise(rest, one(9.0), one(0.4), **load)
     here = body.linearise(rest, one(9.0), one(0.4))
-    with pytest.raises(errors.TissueRegError, match=r"`name` must be a parameter of a law, got `c7`"):
+    with pytest.raises(errors.TissueRegError, match=r"`name` must be a parameter of .*, got `c7`"):
         _core.Cause.parameter("c7")
     with pytest.raises(errors.TissueRegError, match=r"`name` must be `young` or `poisson`, got `b`"):
         _core.Cause.field("b", np.ones((body.n_tets, 1)))
+    with pytest.raises(
+        errors.TissueRegError, match=r"`causes` must be of an equilibrium, .*, got `Cause\(SetFraction\)`"
+    ):
+        here.derivatives([_core.Cause.parameter("set.fraction")])
+    rig = _core.Rig(body.nodes, body.tets, body.held_nodes, one(9.0), one(0.4))
+    with pytest.raises(errors.TissueRegError, match="must record its steps"):
+        rig.derivatives([])
     with pytest.raises(errors.MaterialError, match="FibreK1 of this law"):
         here.derivatives([_core.Cause.parameter("k1_over_mu")])
     with pytest.raises(errors.ShapeError, match="rates"):

@@ -114,9 +114,19 @@ MANY_CAUSES = """
     here.derivatives(causes)
 """
 
+MANY_FRAME_CAUSES = """
+    mesh = block(cells=(8, 6, 10))
+    moduli = np.array([9.0]), np.array([0.4])
+    rig = _core.Rig(mesh.nodes, mesh.tets, mesh.fixed_nodes, *moduli, record=True, threads={threads})
+    rig.advance(0.0, np.empty((0, 3)))
+    causes = [_core.Cause.parameter("young")] * 20000
+    started()
+    rig.derivatives(causes)
+"""
+
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
-@pytest.mark.parametrize("work", [MANY, ONE, FRAME, MANY_CAUSES])
+@pytest.mark.parametrize("work", [MANY, ONE, FRAME, MANY_CAUSES, MANY_FRAME_CAUSES])
 @pytest.mark.parametrize("threads", [1, 0])
 def test_control_c_stops_a_call_that_would_last_minutes(work, threads):
     code = textwrap.dedent(

@@ -1,7 +1,7 @@
 """How an equilibrium follows its causes, and how an observation follows the stiffness of every point.
 
 Exact derivatives by the tangent of the equilibrium, which is factored once: many causes cost one solution each, and so
-do many observations.
+do many observations. `tissuereg.simulate.frame_sensitivity` is the same through time frames.
 """
 
 from collections.abc import Sequence
@@ -19,15 +19,20 @@ from tissuereg.simulate.solve import Simulator
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of the law, moved alike everywhere.
+    """A number of the law, moved alike everywhere, or one of what it does and of what lies on the body.
 
     Parameters
     ----------
     name : str
         ``"young"``, ``"poisson"``, a shape parameter (``"share"``, ``"c2_over_c1"``, ``"c3_over_c1"``, ``"alpha"``,
-        ``"weight"``, ``"b"``), or ``"k1_over_mu"`` and ``"k2"`` of fibres.
+        ``"weight"``, ``"b"``), or ``"k1_over_mu"`` and ``"k2"`` of fibres. Through frames also those of a behaviour
+        (``"relaxation.g"``, ``"relaxation.tau_s"``, ``"rate.viscosity_kpa_s"``, ``"softening.r"``,
+        ``"softening.m_kpa"``, ``"softening.beta"``, ``"set.fraction"``, ``"drainage.share"``, ``"drainage.tau_s"``,
+        ``"swelling.linear_strain"``, ``"swelling.from_time_s"``, ``"swelling.to_time_s"``), of springs
+        (``"springs.normal_kpa_per_mm"``, ``"springs.tangential_kpa_per_mm"``) and of skins (``"skins.young_kpa"``,
+        ``"skins.thickness_mm"``). Only the viscosity has a derivative where its behaviour is absent.
     term : int
-        Which term of an Ogden law, from 0 on.
+        Which term of an Ogden law or of the relaxation, which springs or skin; from 0 on.
     """
 
     name: str
@@ -50,7 +55,7 @@ class Field:
     rates: Any
 
 
-#: What a derivative may be taken by. A load is a rate of the load that acts.
+#: What a derivative may be taken by. A load is a rate of the load that acts; through frames, of all of them.
 Cause = Parameter | Field | Load
 
 
@@ -170,7 +175,7 @@ class Linearised:
             poisson,
             law=material.core_law(),
             threads=threads,
-            **_parts(simulator, load),
+            **load_parts(simulator, load, len(simulator.held_nodes)),
         )
 
     def derivatives(self, causes: Sequence[Cause]) -> Derivatives:
@@ -246,7 +251,7 @@ def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
     if isinstance(cause, Parameter):
         return _core.Cause.parameter(cause.name, cause.term)
     if isinstance(cause, Load):
-        return _core.Cause.load(**_parts(simulator, cause))
+        return _core.Cause.load(**load_parts(simulator, cause, len(simulator.held_nodes)))
     rates = np.asarray(cause.rates, np.float64)
     shape = (simulator.mesh.n_tets, simulator.n_points)
     if rates.ndim == 1:
@@ -284,10 +289,29 @@ def core_observation(observation: Observation) -> tuple[IntArray, FloatArray, In
     )
 
 
-def _parts(simulator: Simulator, load: Load) -> dict[str, FloatArray | None]:
-    """Return forces, body force and prescribed displacements of a load as the compiled solver takes them."""
+def load_parts(simulator: Simulator, load: Load, n_held: int) -> dict[str, FloatArray | None]:
+    """Return the parts of a load as the compiled solver takes them.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        What it acts on.
+    load : Load
+        What acts.
+    n_held : int
+        Number of held nodes.
+
+    Returns
+    -------
+    dict of str to (ndarray of float64 or None)
+        ``forces``, ``body_force`` and ``prescribed``.
+
+    Raises
+    ------
+    LoadError, ShapeError
+        If the load does not fit the body.
+    """
     own, moved = load.body_force, load.prescribed
-    n_held = len(simulator.held_nodes)
     return {
         "forces": simulator.forces(load),
         "body_force": None if own is None else float_array("body_force", own, (3,)),

@@ -6,7 +6,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
 use tissuereg_fem::material::Parameter;
-use tissuereg_fem::{FemError, Load, Observation, SolveSettings};
+use tissuereg_fem::{
+    self as fem, BehaviourParameter, FemError, FrameCause, Load, Observation, SolveSettings,
+};
 
 use super::bad_choice;
 use crate::arrays::{self, View};
@@ -16,14 +18,19 @@ use crate::lock;
 /// What a derivative is taken by.
 #[pyclass(frozen, module = "tissuereg._core")]
 #[derive(Clone)]
-pub(crate) struct Cause(tissuereg_fem::Cause);
+pub(crate) struct Cause(pub(super) FrameCause);
 
 #[pymethods]
 impl Cause {
-    /// A parameter of the law, moved alike everywhere; `term` counts the terms of an Ogden law.
+    /// A number of the law, moved alike everywhere, or, by a name with a dot, one of the behaviour, of springs or of
+    /// skins; `term` counts terms of series and sets of springs and skins.
     #[staticmethod]
     #[pyo3(signature = (name, term=0))]
     fn parameter(py: Python<'_>, name: &str, term: usize) -> PyResult<Self> {
+        if let Some(number) = number_of_behaviour(name, term) {
+            return Ok(Self(FrameCause::Behaviour(number)));
+        }
+        let always = |cause| Ok(Self(FrameCause::Always(cause)));
         let parameter = match name {
             "young" => Parameter::Young,
             "poisson" => Parameter::Poisson,
@@ -35,9 +42,16 @@ impl Cause {
             "b" => Parameter::B,
             "k1_over_mu" => Parameter::FibreK1,
             "k2" => Parameter::FibreK2,
-            other => return Err(bad_choice(py, "name", "a parameter of a law", other)),
+            "springs.normal_kpa_per_mm" => return always(fem::Cause::SpringNormal(term)),
+            "springs.tangential_kpa_per_mm" => return always(fem::Cause::SpringTangential(term)),
+            "skins.young_kpa" => return always(fem::Cause::SkinYoung(term)),
+            "skins.thickness_mm" => return always(fem::Cause::SkinThickness(term)),
+            other => {
+                let wanted = "a parameter of a law, a behaviour, springs or skins";
+                return Err(bad_choice(py, "name", wanted, other));
+            }
         };
-        Ok(Self(tissuereg_fem::Cause::Parameter(parameter)))
+        always(fem::Cause::Parameter(parameter))
     }
 
     /// Young's modulus or Poisson's ratio along a field of rates, float64 (n_tets, n_points).
@@ -45,14 +59,16 @@ impl Cause {
     fn field(name: &str, rates: &Bound<'_, PyAny>) -> PyResult<Self> {
         let view = View::<f64>::new("rates", rates, &[&[None, None]])?;
         let rates_of_all = view.slice().to_vec();
-        match name {
-            "young" => Ok(Self(tissuereg_fem::Cause::YoungField(rates_of_all))),
-            "poisson" => Ok(Self(tissuereg_fem::Cause::PoissonField(rates_of_all))),
-            other => Err(bad_choice(rates.py(), "name", "`young` or `poisson`", other)),
-        }
+        let cause = match name {
+            "young" => fem::Cause::YoungField(rates_of_all),
+            "poisson" => fem::Cause::PoissonField(rates_of_all),
+            other => return Err(bad_choice(rates.py(), "name", "`young` or `poisson`", other)),
+        };
+        Ok(Self(FrameCause::Always(cause)))
     }
 
-    /// The load along another one: forces, body force and prescribed displacements as rates.
+    /// The load along another one: forces, body force and prescribed displacements as rates; through frames, in all of
+    /// them.
     #[staticmethod]
     #[pyo3(signature = (*, forces=None, body_force=None, prescribed=None))]
     fn load(
@@ -64,27 +80,92 @@ impl Cause {
         let forces = View::<f64>::optional("forces", forces, &rows)?;
         let body_force = View::<f64>::optional("body_force", body_force, &[&[Some(3)]])?;
         let prescribed = View::<f64>::optional("prescribed", prescribed, &rows)?;
-        Ok(Self(tissuereg_fem::Cause::Load(Load {
+        Ok(Self(FrameCause::Always(fem::Cause::Load(Load {
             nodal_forces: forces.map(|view| view.rows::<3>().to_vec()),
             body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
             prescribed: prescribed.map(|view| view.rows::<3>().to_vec()),
             springs: Vec::new(),
-        })))
+        }))))
+    }
+
+    /// The same with the frames as first axis.
+    #[staticmethod]
+    #[pyo3(signature = (n_frames, *, forces=None, body_force=None, prescribed=None))]
+    fn loads(
+        n_frames: usize,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let (n, three) = (Some(n_frames), Some(3));
+        let rows: [&[Option<usize>]; 1] = [&[n, None, three]];
+        let forces = View::<f64>::optional("forces", forces, &rows)?;
+        let body_force = View::<f64>::optional("body_force", body_force, &[&[n, three]])?;
+        let prescribed = View::<f64>::optional("prescribed", prescribed, &rows)?;
+        let of = |view: &Option<View<'_, f64>>, frame: usize| {
+            view.as_ref().map(|view| {
+                let each = view.shape()[1];
+                view.rows::<3>()[frame * each..(frame + 1) * each].to_vec()
+            })
+        };
+        let loads = (0..n_frames).map(|frame| Load {
+            nodal_forces: of(&forces, frame),
+            body_force: body_force.as_ref().map_or([0.0; 3], |view| view.rows()[frame]),
+            prescribed: of(&prescribed, frame),
+            springs: Vec::new(),
+        });
+        Ok(Self(FrameCause::Loads(loads.collect())))
+    }
+
+    /// The motion of a pad along another one, float64 (n_frames, 3).
+    #[staticmethod]
+    fn motion(pad: usize, rates: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let rates = View::<f64>::new("rates", rates, &[&[None, Some(3)]])?.rows::<3>().to_vec();
+        Ok(Self(FrameCause::Motion { pad, rates }))
     }
 
     fn __repr__(&self) -> String {
-        use tissuereg_fem::Cause as C;
+        use fem::Cause as C;
         match &self.0 {
-            C::YoungField(rates) => format!("Cause(YoungField, n_points={})", rates.len()),
-            C::PoissonField(rates) => format!("Cause(PoissonField, n_points={})", rates.len()),
-            C::Load(_) => "Cause(Load)".to_owned(),
-            other => format!("Cause({other:?})"),
+            FrameCause::Always(C::YoungField(rates)) => {
+                format!("Cause(YoungField, n_points={})", rates.len())
+            }
+            FrameCause::Always(C::PoissonField(rates)) => {
+                format!("Cause(PoissonField, n_points={})", rates.len())
+            }
+            FrameCause::Always(C::Load(_)) => "Cause(Load)".to_owned(),
+            FrameCause::Always(other) => format!("Cause({other:?})"),
+            FrameCause::Behaviour(number) => format!("Cause({number:?})"),
+            FrameCause::Loads(loads) => format!("Cause(Loads, n_frames={})", loads.len()),
+            FrameCause::Motion { pad, rates } => {
+                format!("Cause(Motion, pad={pad}, n_frames={})", rates.len())
+            }
         }
     }
 }
 
+/// A number of a behaviour by the names of its parts.
+fn number_of_behaviour(name: &str, term: usize) -> Option<BehaviourParameter> {
+    use BehaviourParameter as P;
+    Some(match name {
+        "relaxation.g" => P::RelaxationShare(term),
+        "relaxation.tau_s" => P::RelaxationTime(term),
+        "rate.viscosity_kpa_s" => P::Viscosity,
+        "softening.r" => P::SofteningR,
+        "softening.m_kpa" => P::SofteningM,
+        "softening.beta" => P::SofteningBeta,
+        "set.fraction" => P::SetFraction,
+        "drainage.share" => P::DrainageShare,
+        "drainage.tau_s" => P::DrainageTime,
+        "swelling.linear_strain" => P::SwellingStrain,
+        "swelling.from_time_s" => P::SwellingFrom,
+        "swelling.to_time_s" => P::SwellingTo,
+        _ => return None,
+    })
+}
+
 /// Rows for every cause.
-type Stack<'py> = Bound<'py, PyArray3<f64>>;
+pub(super) type Stack<'py> = Bound<'py, PyArray3<f64>>;
 
 /// Nodes and weights of displacements, nodes and weights of reactions.
 type Weights<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>);
@@ -144,8 +225,15 @@ impl Linearised {
         py: Python<'py>,
         causes: Vec<PyRef<'py, Cause>>,
     ) -> PyResult<(Stack<'py>, Stack<'py>)> {
-        let causes: Vec<tissuereg_fem::Cause> =
-            causes.iter().map(|cause| cause.0.clone()).collect();
+        let alone = |cause: &PyRef<'_, Cause>| match &cause.0 {
+            FrameCause::Always(cause) => Ok(cause.clone()),
+            _ => {
+                let found = cause.__repr__();
+                let wanted = "of an equilibrium, not of frames";
+                Err(bad_choice(py, "causes", wanted, &found))
+            }
+        };
+        let causes = causes.iter().map(alone).collect::<PyResult<Vec<_>>>()?;
         let n = causes.len();
         let found = self.call(py, move |inner| inner.derivatives(&causes))?;
         let (mut displacement, mut reactions) = (Vec::new(), Vec::new());

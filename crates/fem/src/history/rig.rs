@@ -267,6 +267,11 @@ impl Rig {
         (&self.pads[pad], &self.middles[pad])
     }
 
+    /// Frames that have been recorded, see [`History::recorded`].
+    pub fn n_recorded_frames(&self) -> usize {
+        self.phases.iter().filter(|phase| phase.is_last).count()
+    }
+
     pub(crate) fn n_pads(&self) -> usize {
         self.pads.len()
     }

@@ -84,7 +84,7 @@ impl Rig {
     ) -> Result<Vec<FrameAdjoint>, FemError> {
         settings.check_cancel()?;
         let steps = recorded(self)?;
-        let n_frames = self.phases().iter().filter(|phase| phase.is_last).count();
+        let n_frames = self.n_recorded_frames();
         for FrameObservation { frame, pads, .. } in observations {
             if *frame >= n_frames {
                 let (name, must) = ("frame", "the number of a recorded frame");

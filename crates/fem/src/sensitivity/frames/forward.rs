@@ -121,7 +121,7 @@ struct Followed<'a> {
 
 impl<'a> Followed<'a> {
     fn new(rig: &Rig, cause: &'a FrameCause) -> Result<Self, FemError> {
-        let n_frames = rig.phases().iter().filter(|phase| phase.is_last).count();
+        let n_frames = rig.n_recorded_frames();
         let (history, body) = (rig.history(), rig.body());
         let mut loads: &[Load] = &[];
         match cause {
