@@ -8,7 +8,7 @@ use super::numbers::BehaviourParameter;
 use super::point::Answer;
 use super::prony::Memory;
 use super::record::StepRecord;
-use super::scalar::{Dual, Matrix, Scalar, constant, values};
+use super::scalar::{Dual, LANES, Matrix, Scalar, constant, values};
 use crate::material::{Hyperelastic, Law, Material, Matrix3, Parameter};
 
 /// What a body is made of, apart from what covers it.
@@ -32,6 +32,7 @@ pub(crate) struct Moved<'a> {
 }
 
 impl Moved<'_> {
+    /// Whether nothing moves.
     pub(crate) fn is_nothing(&self) -> bool {
         self.parameter.is_none() && self.behaviour.is_none() && self.memory.is_empty()
     }
@@ -104,55 +105,61 @@ pub(super) fn follow_law<S: Scalar>(
 }
 
 impl StepRecord {
-    fn common(&self, substance: Substance, moved: Option<BehaviourParameter>) -> Common<Dual> {
-        let numbers = substance
-            .behaviour
-            .numbers(|name, value| Dual { value, rate: f64::from(u8::from(moved == Some(name))) });
+    fn common(&self, substance: Substance, moved: &[Moved]) -> Common<Dual> {
+        let numbers = substance.behaviour.numbers(|name, value| Dual {
+            value,
+            rates: lanes(moved, |one| f64::from(u8::from(one.behaviour == Some(name)))),
+        });
         Common::new(&numbers, substance.behaviour.is_split(), self.length, self.time)
     }
 
-    /// `Ṗ` at all points at fixed displacement; none where one is inverted.
+    /// `Ṗ` at all points at fixed displacement along up to [`LANES`] causes, `[point][cause]`; none
+    /// where a point is inverted.
     pub(crate) fn stress_rates(
         &self,
         substance: Substance,
         gradients: &[Matrix3],
-        moved: Moved,
-    ) -> Option<Vec<Matrix3>> {
-        let common = self.common(substance, moved.behaviour);
+        moved: &[Moved],
+    ) -> Option<Vec<[Matrix3; LANES]>> {
+        let common = self.common(substance, moved);
+        let laws = Laws::new(substance, moved);
         let one = |(index, h): (usize, &Matrix3)| {
-            let state = self.dual(index, moved.memory);
+            let state = self.dual(index, moved);
             let at = common.point(&state);
-            let law = |he: &Matrix<Dual>| law_at(substance, moved, index, he);
-            let answer = common.response(&at, &constant(h), law)?;
-            Some(answer.stress.map(|row| row.map(|v| v.rate)))
+            let answer = common.response(&at, &constant(h), laws.at(index))?;
+            let lane = |k: usize| answer.stress.map(|row| row.map(|v| v.rates[k]));
+            Some(std::array::from_fn(lane))
         };
         gradients.par_iter().with_min_len(256).enumerate().map(one).collect()
     }
 
-    /// Rates of the memory after the step, while displacement gradients move at `rates`.
+    /// Rates of the memory after the step, `[point][number][cause]`, while displacement gradients
+    /// move at `rates`, `[cause][point]`.
     pub(crate) fn memory_rates(
         &self,
         substance: Substance,
         gradients: &[Matrix3],
-        rates: &[Matrix3],
-        moved: Moved,
-    ) -> Option<Vec<f64>> {
-        let common = self.common(substance, moved.behaviour);
+        rates: &[Vec<Matrix3>],
+        moved: &[Moved],
+    ) -> Option<Vec<[f64; LANES]>> {
+        let common = self.common(substance, moved);
+        let laws = Laws::new(substance, moved);
         let width = self.memory_len();
-        let mut all = vec![0.0; width * gradients.len()];
-        let one = |(index, out): (usize, &mut [f64])| {
-            let mut state = self.dual(index, moved.memory);
+        let mut all = vec![[0.0; LANES]; width * gradients.len()];
+        let one = |(index, out): (usize, &mut [[f64; LANES]])| {
+            let mut state = self.dual(index, moved);
             let at = common.point(&state);
-            let (h, rate) = (&gradients[index], &rates[index]);
-            let h: Matrix<Dual> = std::array::from_fn(|i| {
-                std::array::from_fn(|j| Dual { value: h[i][j], rate: rate[i][j] })
-            });
-            let law = |he: &Matrix<Dual>| law_at(substance, moved, index, he);
-            common.update(&at, &h, law, &mut state)?;
+            let h = &gradients[index];
+            let entry = |i: usize, j: usize| Dual {
+                value: h[i][j],
+                rates: lanes(rates, |own| own[index][i][j]),
+            };
+            let h: Matrix<Dual> = std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)));
+            common.update(&at, &h, laws.at(index), &mut state)?;
             let mut entries = out.iter_mut();
             state.for_each(|v| {
                 if let Some(entry) = entries.next() {
-                    *entry = v.rate;
+                    *entry = v.rates;
                 }
             });
             Some(())
@@ -163,26 +170,52 @@ impl StepRecord {
     }
 
     /// Memory of a point before the step, with its rates.
-    fn dual(&self, index: usize, memory: &[f64]) -> PointState<Dual> {
+    fn dual(&self, index: usize, moved: &[Moved]) -> PointState<Dual> {
         let state = &self.before[index];
-        let own = memory.get(index * state.len()..).unwrap_or_default();
-        let mut rates = own.iter().copied().chain(std::iter::repeat(0.0));
-        state.map(|value| Dual { value, rate: rates.next().unwrap_or(0.0) })
+        let mut place = index * state.len();
+        state.map(|value| {
+            let rates = lanes(moved, |one| one.memory.get(place).copied().unwrap_or(0.0));
+            place += 1;
+            Dual { value, rates }
+        })
     }
 }
 
-fn law_at(
-    substance: Substance,
-    moved: Moved,
-    index: usize,
-    he: &Matrix<Dual>,
-) -> Option<Answer<Dual>> {
-    let law = substance.material.law_at(index / substance.n_points, index % substance.n_points);
-    match moved.parameter {
-        None => follow_law(&law, &[], he),
-        Some((parameter, field)) => {
-            let rate = field.map_or(1.0, |rates| rates[index]);
-            follow_law(&law, &[(parameter, Dual { value: 0.0, rate })], he)
+/// A number of each cause; 0 where there are fewer than lanes.
+fn lanes<T>(causes: &[T], of: impl Fn(&T) -> f64) -> [f64; LANES] {
+    std::array::from_fn(|k| causes.get(k).map_or(0.0, &of))
+}
+
+/// Laws at all points, with the parameters that causes move.
+struct Laws<'a> {
+    substance: Substance<'a>,
+    moved: &'a [Moved<'a>],
+    parameters: Vec<Parameter>,
+}
+
+impl<'a> Laws<'a> {
+    fn new(substance: Substance<'a>, moved: &'a [Moved<'a>]) -> Self {
+        let mut parameters = Vec::new();
+        for (parameter, _) in moved.iter().filter_map(|one| one.parameter) {
+            if !parameters.contains(&parameter) {
+                parameters.push(parameter);
+            }
         }
+        Self { substance, moved, parameters }
+    }
+
+    /// What the law at a point answers.
+    fn at(&self, index: usize) -> impl Fn(&Matrix<Dual>) -> Option<Answer<Dual>> {
+        let n_points = self.substance.n_points;
+        let law = self.substance.material.law_at(index / n_points, index % n_points);
+        let number = |parameter: &Parameter| {
+            let rate = |one: &Moved| match one.parameter {
+                Some((own, field)) if own == *parameter => field.map_or(1.0, |field| field[index]),
+                _ => 0.0,
+            };
+            (*parameter, Dual { value: 0.0, rates: lanes(self.moved, rate) })
+        };
+        let parameters: Vec<(Parameter, Dual)> = self.parameters.iter().map(number).collect();
+        move |he: &Matrix<Dual>| follow_law(&law, &parameters, he)
     }
 }

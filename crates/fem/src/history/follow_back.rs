@@ -5,27 +5,30 @@ use rayon::prelude::*;
 use super::common::{Common, PointState};
 use super::follow::{Substance, follow_law};
 use super::record::StepRecord;
-use super::scalar::{Matrix, constant};
+use super::scalar::{LANES, Matrix, constant};
 use super::tape::{Tape, Var};
 use crate::material::{Matrix3, Parameter};
 
-/// Derivatives of several observations by what points remember and by their moduli.
+/// Derivatives of several observations by what the points remember and by their moduli.
 pub(crate) struct Backward {
     /// Number of observations.
     pub(crate) n: usize,
-    /// By the memory, `[point][observation][number]`.
-    pub(crate) memory: Vec<f64>,
-    /// By Young's modulus and Poisson's ratio, `[point][observation]`.
+    pub(crate) points: Vec<PointBack>,
+}
+
+/// Derivatives of all observations at one point.
+#[derive(Clone)]
+pub(crate) struct PointBack {
+    /// By the memory, `[observation][number]`; empty where nothing is remembered.
+    memory: Vec<f64>,
+    /// By Young's modulus and Poisson's ratio.
     pub(crate) moduli: Vec<[f64; 2]>,
 }
 
 impl Backward {
     pub(crate) fn new(n: usize, n_points: usize, memory_len: usize) -> Self {
-        Self {
-            n,
-            memory: vec![0.0; n * n_points * memory_len],
-            moduli: vec![[0.0; 2]; n * n_points],
-        }
+        let one = PointBack { memory: vec![0.0; n * memory_len], moduli: vec![[0.0; 2]; n] };
+        Self { n, points: vec![one; n_points] }
     }
 }
 
@@ -36,8 +39,6 @@ struct Inputs<'t> {
     state: PointState<Var<'t>>,
     h: Matrix<Var<'t>>,
 }
-
-const MODULI: usize = 2;
 
 impl<'t> Inputs<'t> {
     fn new(tape: &'t Tape, state: &PointState<f64>, h: &Matrix3, moves: bool) -> Self {
@@ -58,62 +59,52 @@ impl StepRecord {
     }
 
     /// Take the derivatives by the memory after the step to those by the memory before it, and return
-    /// those by the displacement gradients, `[point][observation]`.
+    /// those by the displacement gradients, `[point][observation]`; nothing where none are felt.
     pub(crate) fn memory_back(
         &self,
         substance: Substance,
         gradients: &[Matrix3],
         back: &mut Backward,
-    ) -> Option<Vec<Matrix3>> {
-        let common = self.plain(substance);
+    ) -> Option<Vec<Vec<Matrix3>>> {
+        let plain = self.plain(substance);
         let (n, width) = (back.n, self.memory_len());
-        let mut by_gradient = vec![[[0.0; 3]; 3]; n * gradients.len()];
-        let one = |work: &mut Work,
-                   index: usize,
-                   memory: &mut [f64],
-                   moduli: &mut [[f64; 2]],
-                   by_h: &mut [Matrix3]| {
-            if memory.iter().all(|&v| v == 0.0) {
-                return Some(());
+        let one = |Work { tape, weights }: &mut Work, (index, point): (usize, &mut PointBack)| {
+            if point.memory.iter().all(|&v| v == 0.0) {
+                return Some(Vec::new());
             }
-            work.tape.clear();
-            let inputs = Inputs::new(&work.tape, &self.before[index], &gradients[index], true);
-            let lifted = common.lifted();
-            let at = lifted.point(&inputs.state);
+            tape.clear();
+            let inputs = Inputs::new(tape, &self.before[index], &gradients[index], true);
+            let common = plain.lifted();
+            let at = common.point(&inputs.state);
             let law = law_of(substance, index);
             let mut after = inputs.state.clone();
-            lifted.update(&at, &inputs.h, |he| follow_law(&law, &inputs.moduli, he), &mut after)?;
+            common.update(&at, &inputs.h, |he| follow_law(&law, &inputs.moduli, he), &mut after)?;
             let mut places = Vec::with_capacity(width);
             after.for_each(|number: Var| places.push(number.place()));
-            for (k, memory) in memory.chunks_exact_mut(width).enumerate() {
-                let weights = &mut work.weights;
-                weights.clear();
-                weights.resize(work.tape.len(), 0.0);
-                for (place, weight) in places.iter().zip(memory.iter()) {
-                    if let Some(place) = place {
-                        weights[*place] += weight;
+            let mut by_gradient = vec![[[0.0; 3]; 3]; n];
+            for first in (0..n).step_by(LANES) {
+                begin(tape, weights);
+                let some = first..n.min(first + LANES);
+                for (lane, k) in some.clone().enumerate() {
+                    for (place, weight) in places.iter().zip(&point.memory[k * width..]) {
+                        if let Some(place) = place {
+                            weights[*place][lane] += weight;
+                        }
                     }
                 }
-                work.tape.sweep(weights);
-                let (own, rest) = weights[MODULI..].split_at(width);
-                memory.copy_from_slice(own);
-                (0..MODULI).for_each(|m| moduli[k][m] += weights[m]);
-                by_h[k].as_flattened_mut().copy_from_slice(&rest[..9]);
+                tape.sweep(weights);
+                for (lane, k) in some.enumerate() {
+                    let mut found = weights.iter().map(|lanes| lanes[lane]);
+                    let mut next = || found.next().unwrap_or(0.0);
+                    point.moduli[k].iter_mut().for_each(|sum| *sum += next());
+                    point.memory[k * width..(k + 1) * width].fill_with(&mut next);
+                    by_gradient[k].as_flattened_mut().fill_with(&mut next);
+                }
             }
-            Some(())
+            Some(by_gradient)
         };
-        let done: Option<Vec<()>> = back
-            .memory
-            .par_chunks_mut((n * width).max(1))
-            .zip(back.moduli.par_chunks_mut(n.max(1)))
-            .zip(by_gradient.par_chunks_mut(n.max(1)))
-            .enumerate()
-            .with_min_len(64)
-            .map_init(Work::default, |work, (index, ((memory, moduli), by_h))| {
-                one(work, index, memory, moduli, by_h)
-            })
-            .collect();
-        done.map(|_| by_gradient)
+        let points = back.points.par_iter_mut().enumerate().with_min_len(64);
+        points.map_init(Work::default, one).collect()
     }
 
     /// Add what the observations feel of the stress at fixed displacement, where each weighs it by
@@ -125,43 +116,40 @@ impl StepRecord {
         pulls: &[Vec<Matrix3>],
         back: &mut Backward,
     ) -> Option<()> {
-        let common = self.plain(substance);
+        let plain = self.plain(substance);
         let (n, width) = (back.n, self.memory_len());
-        let one = |work: &mut Work, index: usize, memory: &mut [f64], moduli: &mut [[f64; 2]]| {
-            work.tape.clear();
-            let inputs = Inputs::new(&work.tape, &self.before[index], &gradients[index], false);
-            let lifted = common.lifted();
-            let at = lifted.point(&inputs.state);
+        let one = |Work { tape, weights }: &mut Work, (index, point): (usize, &mut PointBack)| {
+            tape.clear();
+            let inputs = Inputs::new(tape, &self.before[index], &gradients[index], false);
+            let common = plain.lifted();
+            let at = common.point(&inputs.state);
             let law = law_of(substance, index);
             let answer =
-                lifted.response(&at, &inputs.h, |he| follow_law(&law, &inputs.moduli, he))?;
-            for (k, memory) in memory.chunks_exact_mut(width).enumerate() {
-                let weights = &mut work.weights;
-                weights.clear();
-                weights.resize(work.tape.len(), 0.0);
-                let pull = pulls[k][index].as_flattened();
-                for (number, weight) in answer.stress.as_flattened().iter().zip(pull) {
-                    if let Some(place) = number.place() {
-                        weights[place] += weight;
+                common.response(&at, &inputs.h, |he| follow_law(&law, &inputs.moduli, he))?;
+            for first in (0..n).step_by(LANES) {
+                begin(tape, weights);
+                let some = first..n.min(first + LANES);
+                for (lane, k) in some.clone().enumerate() {
+                    let pull = pulls[k][index].as_flattened();
+                    for (number, weight) in answer.stress.as_flattened().iter().zip(pull) {
+                        if let Some(place) = number.place() {
+                            weights[place][lane] += weight;
+                        }
                     }
                 }
-                work.tape.sweep(weights);
-                let own = &weights[MODULI..MODULI + width];
-                memory.iter_mut().zip(own).for_each(|(sum, v)| *sum += v);
-                (0..MODULI).for_each(|m| moduli[k][m] += weights[m]);
+                tape.sweep(weights);
+                for (lane, k) in some.enumerate() {
+                    let mut found = weights.iter().map(|lanes| lanes[lane]);
+                    let own = &mut point.moduli[k];
+                    own.iter_mut().zip(&mut found).for_each(|(sum, v)| *sum += v);
+                    let own = point.memory.iter_mut().skip(k * width).take(width);
+                    own.zip(&mut found).for_each(|(sum, v)| *sum += v);
+                }
             }
             Some(())
         };
-        let done: Option<Vec<()>> = back
-            .memory
-            .par_chunks_mut((n * width).max(1))
-            .zip(back.moduli.par_chunks_mut(n.max(1)))
-            .enumerate()
-            .with_min_len(64)
-            .map_init(Work::default, |work, (index, (memory, moduli))| {
-                one(work, index, memory, moduli)
-            })
-            .collect();
+        let points = back.points.par_iter_mut().enumerate().with_min_len(64);
+        let done: Option<Vec<()>> = points.map_init(Work::default, one).collect();
         done.map(|_| ())
     }
 }
@@ -174,5 +162,11 @@ fn law_of(substance: Substance, index: usize) -> crate::material::Law {
 #[derive(Default)]
 struct Work {
     tape: Tape,
-    weights: Vec<f64>,
+    weights: Vec<[f64; LANES]>,
+}
+
+/// Weights of nothing yet.
+fn begin(tape: &Tape, weights: &mut Vec<[f64; LANES]>) {
+    weights.clear();
+    weights.resize(tape.len(), [0.0; LANES]);
 }

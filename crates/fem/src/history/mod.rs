@@ -55,3 +55,4 @@ pub(crate) use record::StepRecord;
 pub(crate) use rig::Phase;
 pub use rig::{Pad, Rig, RigFrame};
 pub use run::History;
+pub(crate) use scalar::LANES;

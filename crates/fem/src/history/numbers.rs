@@ -102,6 +102,16 @@ impl Behaviour {
         }
     }
 
+    /// Whether what a body has been through matters.
+    pub(crate) fn remembers(&self) -> bool {
+        let relaxes = self.relaxation.as_ref().is_some_and(|relaxation| !relaxation.g.is_empty());
+        relaxes
+            || self.viscosity_kpa_s > 0.0
+            || self.softening.is_some()
+            || self.set.is_some()
+            || self.drainage.is_some()
+    }
+
     /// Whether the two parts of the energy have to be told apart.
     pub(super) fn is_split(&self) -> bool {
         let isochoric = self.relaxation.as_ref().is_some_and(|relaxation| {

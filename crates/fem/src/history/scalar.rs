@@ -77,72 +77,97 @@ impl Scalar for f64 {
     }
 }
 
-/// A number and its rate along one cause.
+/// Causes or observations that are followed at once: a row of processor lanes.
+pub(crate) const LANES: usize = 8;
+
+/// A number and its rates along several causes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Dual {
     pub(crate) value: f64,
-    pub(crate) rate: f64,
+    pub(crate) rates: [f64; LANES],
+}
+
+impl Dual {
+    #[inline(always)]
+    fn from_rates(value: f64, rate: impl Fn(usize) -> f64) -> Self {
+        Self { value, rates: std::array::from_fn(rate) }
+    }
 }
 
 impl Scalar for Dual {
     const FOLLOWS: bool = true;
 
+    #[inline(always)]
     fn constant(value: f64) -> Self {
-        Self { value, rate: 0.0 }
+        Self { value, rates: [0.0; LANES] }
     }
 
+    #[inline(always)]
     fn value(self) -> f64 {
         self.value
     }
 
+    #[inline]
     fn is_constant(self) -> bool {
-        self.rate == 0.0
+        self.rates.iter().all(|&rate| rate == 0.0)
     }
 
+    #[inline(always)]
     fn chain(value: f64, slopes: impl IntoIterator<Item = (Self, f64)>) -> Self {
-        let rate = slopes.into_iter().map(|(by, slope)| slope * by.rate).sum();
-        Self { value, rate }
+        let mut sum = Self::constant(value);
+        for (by, slope) in slopes {
+            for k in 0..LANES {
+                sum.rates[k] += slope * by.rates[k];
+            }
+        }
+        sum
     }
 }
 
 impl Add for Dual {
     type Output = Self;
 
+    #[inline(always)]
     fn add(self, other: Self) -> Self {
-        Self { value: self.value + other.value, rate: self.rate + other.rate }
+        Self::from_rates(self.value + other.value, |k| self.rates[k] + other.rates[k])
     }
 }
 
 impl Sub for Dual {
     type Output = Self;
 
+    #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        Self { value: self.value - other.value, rate: self.rate - other.rate }
+        Self::from_rates(self.value - other.value, |k| self.rates[k] - other.rates[k])
     }
 }
 
 impl Mul for Dual {
     type Output = Self;
 
+    #[inline(always)]
     fn mul(self, other: Self) -> Self {
-        let rate = self.rate * other.value + self.value * other.rate;
-        Self { value: self.value * other.value, rate }
+        Self::from_rates(self.value * other.value, |k| {
+            self.rates[k] * other.value + self.value * other.rates[k]
+        })
     }
 }
 
 impl Div for Dual {
     type Output = Self;
 
+    #[inline(always)]
     fn div(self, other: Self) -> Self {
-        let value = self.value / other.value;
-        Self { value, rate: (self.rate - value * other.rate) / other.value }
+        let (value, over) = (self.value / other.value, 1.0 / other.value);
+        Self::from_rates(value, |k| over * (self.rates[k] - value * other.rates[k]))
     }
 }
 
 impl Neg for Dual {
     type Output = Self;
 
+    #[inline(always)]
     fn neg(self) -> Self {
-        Self { value: -self.value, rate: -self.rate }
+        Self::from_rates(-self.value, |k| -self.rates[k])
     }
 }

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::scalar::Scalar;
+use super::scalar::{LANES, Scalar};
 
 /// What numbers were made from: of each, the numbers before it and its slopes by them.
 #[derive(Debug, Default)]
@@ -55,17 +55,21 @@ impl Tape {
         self.entries.borrow().ends.len()
     }
 
-    /// Turn weights of all numbers into the derivatives of the weighted sum by all numbers.
-    pub(super) fn sweep(&self, weights: &mut [f64]) {
+    /// Turn weights of all numbers into the derivatives of the weighted sum by all numbers, for several
+    /// sums at once.
+    pub(super) fn sweep(&self, weights: &mut [[f64; LANES]]) {
         let entries = self.entries.borrow();
         for place in (0..entries.ends.len().min(weights.len())).rev() {
             let weight = weights[place];
-            if weight == 0.0 {
+            if weight == [0.0; LANES] {
                 continue;
             }
             let begin = if place == 0 { 0 } else { entries.ends[place - 1] };
             for &(by, slope) in &entries.edges[begin..entries.ends[place]] {
-                weights[by] += weight * slope;
+                let sum = &mut weights[by];
+                for k in 0..LANES {
+                    sum[k] += slope * weight[k];
+                }
             }
         }
     }
@@ -158,13 +162,14 @@ mod tests {
         let (x, y) = (tape.input(1.3), tape.input(-0.7));
         let sine = (x * y).apply((1.3 * -0.7_f64).sin(), (1.3 * -0.7_f64).cos());
         let z = -(sine / (x - Var::constant(2.0)) + y * y);
-        let mut weights = vec![0.0; tape.len()];
-        weights[z.place().unwrap_or_default()] = 2.0;
+        let mut weights = vec![[0.0; LANES]; tape.len()];
+        weights[z.place().unwrap_or_default()][3] = 2.0;
         tape.sweep(&mut weights);
         let (product, less) = (1.3 * -0.7_f64, 1.3 - 2.0);
         let by_x = -2.0 * (-0.7 * product.cos() / less - product.sin() / (less * less));
         let by_y = -2.0 * (1.3 * product.cos() / less + 2.0 * -0.7);
-        assert!((weights[0] - by_x).abs() < 1e-15 && (weights[1] - by_y).abs() < 1e-15);
+        assert!((weights[0][3] - by_x).abs() < 1e-15 && (weights[1][3] - by_y).abs() < 1e-15);
+        assert_eq!(weights[0][2], 0.0);
         assert!((Var::constant(2.0) * Var::constant(3.0)).is_constant());
     }
 }

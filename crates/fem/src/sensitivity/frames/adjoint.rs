@@ -96,7 +96,10 @@ impl Rig {
             }
         }
         let n_points = self.body().n_tets() * self.body().element().n_points();
-        let width = steps.first().map_or(1, |step| step.memory_len());
+        let width = match self.history().behaviour().remembers() {
+            true => steps.first().map_or(0, |step| step.memory_len()),
+            false => 0,
+        };
         let at_once = (CARRIED / (n_points * width).max(1)).max(1);
         settings.in_pool(|| {
             let mut found = Vec::with_capacity(observations.len());
@@ -162,6 +165,7 @@ impl Sweep<'_> {
         let by_gradient = step
             .memory_back(*substance, gradients, &mut self.back)
             .ok_or_else(|| inverted(step))?;
+        let is_felt = by_gradient.iter().any(|point| !point.is_empty());
         let is_end = phase.is_last && number == phase.end;
         let mut jobs = Vec::with_capacity(self.back.n);
         for (k, seen) in self.observations.iter().enumerate() {
@@ -172,14 +176,14 @@ impl Sweep<'_> {
             if let Some(later) = self.pending[k].remove(&number) {
                 weights.0.iter_mut().zip(&later).for_each(|(sum, v)| *sum += v);
             }
-            let own: Vec<Matrix3> = by_gradient
-                .iter()
-                .skip(k)
-                .step_by(self.back.n)
-                .zip(&volumes)
-                .map(|(m, volume)| m.map(|row| row.map(|v| v / volume)))
-                .collect();
-            map.add_forces(geometry, &own, &mut weights.0);
+            if is_felt {
+                let felt = |(point, volume): (&Vec<Matrix3>, &f64)| {
+                    let by = point.get(k).copied().unwrap_or_default();
+                    by.map(|row| row.map(|v| v / volume))
+                };
+                let own: Vec<Matrix3> = by_gradient.iter().zip(&volumes).map(felt).collect();
+                map.add_forces(geometry, &own, &mut weights.0);
+            }
             jobs.push(weights);
         }
         let felt = arrived.with_tangent(settings, |tangent| {
@@ -219,7 +223,7 @@ impl Sweep<'_> {
 
     fn adjoints(&self) -> Vec<FrameAdjoint> {
         let by = |k: usize, modulus: usize| {
-            self.back.moduli.iter().skip(k).step_by(self.back.n).map(|m| m[modulus]).collect()
+            self.back.points.iter().map(|point| point.moduli[k][modulus]).collect()
         };
         (0..self.back.n).map(|k| FrameAdjoint { young: by(k, 0), poisson: by(k, 1) }).collect()
     }

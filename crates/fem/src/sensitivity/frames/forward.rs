@@ -3,13 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::super::cause::{Cause, Rates, check_parameter};
+use super::super::rates::Derivative;
 use super::step::{Arrived, inverted, recorded};
 use super::{FrameCause, FrameDerivative};
 use crate::error::FemError;
-use crate::history::{Moved, Phase, Rig, StepRecord};
+use crate::history::{LANES, Moved, Phase, Rig, StepRecord};
 use crate::load::{Load, NodalLoad, check_finite, check_length};
-use crate::material::Parameter;
+use crate::material::{Matrix3, Parameter};
 use crate::solve::SolveSettings;
 
 impl Rig {
@@ -84,15 +87,17 @@ impl Rig {
                         is_kept: kept.contains(&(k + 1)),
                         number: k + 1,
                     };
-                    let jobs: Vec<(&Followed, &Sweep)> = causes.iter().zip(&sweeps).collect();
                     let next = arrived.with_tangent(settings, |tangent| {
-                        tangent.each(&jobs, |(cause, sweep), scratch, parallel| {
+                        let points = pass.point_forces(&causes, &sweeps)?;
+                        let jobs: Vec<_> = causes.iter().zip(&sweeps).zip(&points).collect();
+                        let found = tangent.each(&jobs, |job, scratch, parallel| {
                             settings.check_cancel()?;
-                            let rates = pass.rates(cause, sweep)?;
-                            let (flat, derivative) = tangent.follow(&rates, scratch, parallel)?;
-                            let frame = is_end.then(|| pass.frame(derivative));
-                            Ok((pass.go_on(cause, sweep, flat)?, frame))
-                        })
+                            let ((cause, sweep), forces) = job;
+                            let rates = pass.rates(cause, sweep, forces)?;
+                            tangent.follow(&rates, scratch, parallel)
+                        })?;
+                        settings.check_cancel()?;
+                        pass.go_on(&causes, &sweeps, found, is_end)
                     })?;
                     for (c, (sweep, frame)) in next.into_iter().enumerate() {
                         sweeps[c] = sweep;
@@ -184,6 +189,11 @@ impl<'a> Followed<'a> {
     }
 }
 
+/// What of causes moves at the points.
+fn moved_by<'a>(causes: &'a [Followed], sweeps: &'a [Sweep]) -> Vec<Moved<'a>> {
+    causes.iter().zip(sweeps).map(|(cause, sweep)| cause.moved(&sweep.memory)).collect()
+}
+
 /// How far a cause has been followed.
 #[derive(Debug, Clone, Default)]
 struct Sweep {
@@ -206,9 +216,35 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// Rates at fixed displacement.
-    fn rates(&self, followed: &Followed, sweep: &Sweep) -> Result<Rates, FemError> {
+    /// Nodal forces of `Ṗ` at fixed displacement, one a cause; empty where there are none.
+    fn point_forces(
+        &self,
+        causes: &[Followed],
+        sweeps: &[Sweep],
+    ) -> Result<Vec<Vec<f64>>, FemError> {
         let Arrived { step, substance, gradients, map, .. } = self.arrived;
+        let mut all = Vec::with_capacity(causes.len());
+        for (causes, sweeps) in causes.chunks(LANES).zip(sweeps.chunks(LANES)) {
+            let moved = moved_by(causes, sweeps);
+            if moved.iter().all(Moved::is_nothing) {
+                all.resize(all.len() + moved.len(), Vec::new());
+                continue;
+            }
+            let stresses =
+                step.stress_rates(*substance, gradients, &moved).ok_or_else(|| inverted(step))?;
+            let force = |k: usize| {
+                let own: Vec<Matrix3> = stresses.iter().map(|lanes| lanes[k]).collect();
+                let mut force = vec![0.0; step.displacement.len()];
+                map.add_forces(step.body.geometry(), &own, &mut force);
+                force
+            };
+            all.extend((0..moved.len()).into_par_iter().map(force).collect::<Vec<_>>());
+        }
+        Ok(all)
+    }
+
+    /// Rates at fixed displacement, with the forces of the points.
+    fn rates(&self, followed: &Followed, sweep: &Sweep, points: &[f64]) -> Result<Rates, FemError> {
         let mut unbalanced = match followed.cause {
             FrameCause::Always(
                 cause @ (Cause::SpringNormal(_)
@@ -216,14 +252,9 @@ impl Pass<'_> {
                 | Cause::SkinYoung(_)
                 | Cause::SkinThickness(_)),
             ) => self.arrived.surface_rates(cause)?,
-            _ => vec![0.0; step.displacement.len()],
+            _ => vec![0.0; self.arrived.step.displacement.len()],
         };
-        let moved = followed.moved(&sweep.memory);
-        if !moved.is_nothing() {
-            let stresses =
-                step.stress_rates(*substance, gradients, moved).ok_or_else(|| inverted(step))?;
-            map.add_forces(step.body.geometry(), &stresses, &mut unbalanced);
-        }
+        unbalanced.iter_mut().zip(points).for_each(|(sum, force)| *sum += force);
         for (sum, force) in unbalanced.iter_mut().zip(self.force(followed, sweep)?) {
             *sum -= force;
         }
@@ -287,27 +318,61 @@ impl Pass<'_> {
         Ok(held.iter().any(|&rate| rate != 0.0).then_some(held))
     }
 
-    /// The sweep after the step.
-    fn go_on(&self, followed: &Followed, sweep: &Sweep, flat: Vec<f64>) -> Result<Sweep, FemError> {
-        let Arrived { step, substance, gradients, map, .. } = self.arrived;
-        let rates = map.gradients(step.body.geometry(), &flat);
-        let moved = followed.moved(&sweep.memory);
-        let memory = step
-            .memory_rates(*substance, gradients, &rates, moved)
-            .ok_or_else(|| inverted(step))?;
-        let force = match step.part < 1.0 {
-            true => sweep.force.clone(),
-            false => self.force(followed, sweep)?,
-        };
-        let mut displacement = sweep.displacement.clone();
-        if self.is_kept {
-            displacement.insert(self.number, Arc::new(flat));
+    /// The sweeps after the step, and what its frame says where it ends one.
+    fn go_on(
+        &self,
+        causes: &[Followed],
+        sweeps: &[Sweep],
+        found: Vec<(Vec<f64>, Derivative)>,
+        is_end: bool,
+    ) -> Result<Vec<(Sweep, Option<FrameDerivative>)>, FemError> {
+        let memories = self.memories(causes, sweeps, &found)?;
+        let mut next = Vec::with_capacity(found.len());
+        for (c, ((flat, derivative), memory)) in found.into_iter().zip(memories).enumerate() {
+            let sweep = &sweeps[c];
+            let force = match self.arrived.step.part < 1.0 {
+                true => sweep.force.clone(),
+                false => self.force(&causes[c], sweep)?,
+            };
+            let mut displacement = sweep.displacement.clone();
+            if self.is_kept {
+                displacement.insert(self.number, Arc::new(flat));
+            }
+            let frame = is_end.then(|| self.frame(derivative));
+            next.push((Sweep { memory, force, displacement }, frame));
         }
-        Ok(Sweep { memory, force, displacement })
+        Ok(next)
+    }
+
+    /// Rates of the memory after the step, one list a cause.
+    fn memories(
+        &self,
+        causes: &[Followed],
+        sweeps: &[Sweep],
+        found: &[(Vec<f64>, Derivative)],
+    ) -> Result<Vec<Vec<f64>>, FemError> {
+        let Arrived { step, substance, gradients, map, .. } = self.arrived;
+        if !substance.behaviour.remembers() {
+            return Ok(vec![Vec::new(); causes.len()]);
+        }
+        let mut all = Vec::with_capacity(causes.len());
+        for (begin, causes) in causes.chunks(LANES).enumerate().map(|(k, some)| (k * LANES, some)) {
+            let end = begin + causes.len();
+            let moved = moved_by(causes, &sweeps[begin..end]);
+            let own = found[begin..end].par_iter();
+            let rates: Vec<Vec<Matrix3>> =
+                own.map(|(flat, _)| map.gradients(step.body.geometry(), flat)).collect();
+            let lanes = step
+                .memory_rates(*substance, gradients, &rates, &moved)
+                .ok_or_else(|| inverted(step))?;
+            let memory = |k: usize| lanes.iter().map(|lanes| lanes[k]).collect();
+            all.extend((0..moved.len()).into_par_iter().map(memory).collect::<Vec<_>>());
+        }
+        Ok(all)
     }
 
     /// What the frame says that the step ends.
-    fn frame(&self, derivative: super::super::rates::Derivative) -> FrameDerivative {
+    fn frame(&self, derivative: Derivative) -> FrameDerivative {
         let mut reactions = derivative.reactions;
         let rows = reactions.split_off(self.rig.body().held_nodes().len());
         let mut left = rows.as_slice();
