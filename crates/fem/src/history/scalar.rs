@@ -147,9 +147,7 @@ impl Mul for Dual {
 
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
-        Self::from_rates(self.value * other.value, |k| {
-            self.rates[k] * other.value + self.value * other.rates[k]
-        })
+        Self::chain(self.value * other.value, [(self, other.value), (other, self.value)])
     }
 }
 
