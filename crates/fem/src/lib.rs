@@ -81,7 +81,9 @@
 //!
 //! [`Linearised`] is an equilibrium with its exact tangent: it tells how displacement and reactions
 //! follow a [`Cause`] (a parameter, a field of moduli, a load, springs, a skin), and by one adjoint
-//! solution how an [`Observation`] follows the stiffness of every quadrature point.
+//! solution how an [`Observation`] follows the stiffness of every quadrature point. For the frames of
+//! a history that is [recorded](History::recorded), [`Rig::derivatives`] and [`Rig::adjoints`] are the
+//! same, also by the numbers of a [`Behaviour`] and the motion of pads.
 //!
 //! # Promises
 //!

@@ -21,6 +21,7 @@
 //! Michaleris, Tortorelli and Vidal, *Int. J. Numer. Methods Eng.* 37, 2471 (1994).
 
 mod adjoint;
+mod followed;
 mod forward;
 mod step;
 
