@@ -9,8 +9,11 @@ _Integers = NDArray[np.int64]
 _Element = Literal["tet4", "tet4-averaged", "tet10"]
 
 __all__ = [
+    "Adjoints",
     "Body",
+    "Cause",
     "Law",
+    "Linearised",
     "ManySolutions",
     "Noise",
     "Rig",
@@ -34,6 +37,19 @@ def schedule_constant(n_steps: int) -> _Floats: ...
 def schedule_geometric(n_steps: int, decrease: float) -> _Floats: ...
 def check_schedule(alphas: _Floats, *, total: float = 1.0) -> _Floats: ...
 def screen_members(predicted: _Floats, limit: float) -> tuple[_Integers, list[tuple[int, str]]]: ...
+
+@final
+class Adjoints:
+    @property
+    def young(self) -> _Floats: ...
+    @property
+    def poisson(self) -> _Floats: ...
+    @property
+    def forces(self) -> _Floats: ...
+    @property
+    def body_force(self) -> _Floats: ...
+    @property
+    def prescribed(self) -> _Floats: ...
 
 @final
 class Body:
@@ -78,6 +94,18 @@ class Body:
         load_steps: int = 0,
         threads: int = 0,
     ) -> Solution: ...
+    def linearise(
+        self,
+        displacement: _Floats,
+        young: _Floats,
+        poisson: _Floats,
+        *,
+        law: Law | None = None,
+        forces: _Floats | None = None,
+        body_force: _Floats | None = None,
+        prescribed: _Floats | None = None,
+        threads: int = 0,
+    ) -> Linearised: ...
     def solve_many(
         self,
         young: _Floats,
@@ -94,6 +122,27 @@ class Body:
         threads: int = 0,
         progress: Callable[[int], object] | None = None,
     ) -> ManySolutions: ...
+
+@final
+class Cause:
+    @staticmethod
+    def parameter(name: str, term: int = 0) -> Cause: ...
+    @staticmethod
+    def field(name: str, rates: _Floats) -> Cause: ...
+    @staticmethod
+    def load(
+        *, forces: _Floats | None = None, body_force: _Floats | None = None, prescribed: _Floats | None = None
+    ) -> Cause: ...
+    @staticmethod
+    def loads(
+        n_frames: int,
+        *,
+        forces: _Floats | None = None,
+        body_force: _Floats | None = None,
+        prescribed: _Floats | None = None,
+    ) -> Cause: ...
+    @staticmethod
+    def motion(pad: int, rates: _Floats) -> Cause: ...
 
 @final
 class Law:
@@ -113,6 +162,11 @@ class Law:
     ) -> _Floats: ...
 
 @final
+class Linearised:
+    def derivatives(self, causes: list[Cause]) -> tuple[_Floats, _Floats]: ...
+    def adjoints(self, observations: list[tuple[_Integers, _Floats, _Integers, _Floats]]) -> Adjoints: ...
+
+@final
 class Rig:
     def __new__(
         cls,
@@ -130,6 +184,7 @@ class Rig:
         rests: bool = False,
         skins: list[tuple[_Integers, list[float]]] = ...,
         hangs_in: _Floats | None = None,
+        record: bool = False,
         tolerance: float = 1e-9,
         max_iterations: int = 1000,
         threads: int = 0,
@@ -143,6 +198,11 @@ class Rig:
         body_force: _Floats | None = None,
         prescribed: _Floats | None = None,
     ) -> RigFrame: ...
+    def derivatives(self, causes: list[Cause]) -> tuple[_Floats, _Floats, _Floats]: ...
+    def adjoints(
+        self,
+        observations: list[tuple[int, tuple[_Integers, _Floats], tuple[_Integers, _Floats], tuple[_Integers, _Floats]]],
+    ) -> tuple[_Floats, _Floats]: ...
     @property
     def rest_nodes(self) -> _Floats: ...
 

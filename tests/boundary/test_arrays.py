@@ -28,6 +28,22 @@ def one(value):
     return np.array([value])
 
 
+NO_NODES, NO_WEIGHTS = np.empty(0, dtype=np.int64), np.empty((0, 3))
+
+
+NOTHING = NO_NODES, NO_WEIGHTS
+
+
+def recorded(mesh, **settings):
+    rig = _core.Rig(mesh.nodes, mesh.tets, mesh.fixed_nodes, one(9.0), one(0.4), record=True, **settings)
+    rig.advance(0.0, np.empty((0, 3)), body_force=np.array([0.0, 1e-3, 0.0]))
+    return rig
+
+
+def at_rest(body):
+    return body.linearise(np.zeros_like(body.nodes), one(9.0), one(0.4))
+
+
 @pytest.mark.parametrize(
     ("name", "call"),
     [
@@ -51,6 +67,20 @@ def one(value):
         ("body_force", lambda b, m: b.solve_many(np.ones(2), np.ones(2), body_force=np.zeros(3))),
         ("triangles", lambda b, m: b.traction_forces(np.zeros(3, dtype=np.int64), np.zeros((1, 3)))),
         ("traction", lambda b, m: b.traction_forces(np.zeros((1, 3), dtype=np.int64), np.zeros((2, 3)))),
+        ("displacement", lambda b, m: b.linearise(np.zeros((3, 3)), one(9.0), one(0.4))),
+        ("young", lambda b, m: b.linearise(np.zeros_like(b.nodes), np.ones(2), one(0.4))),
+        ("rates", lambda b, m: _core.Cause.field("young", np.ones(360))),
+        ("forces", lambda b, m: _core.Cause.load(forces=np.ones(3))),
+        ("forces", lambda b, m: _core.Cause.loads(2, forces=np.ones((3, 4, 3)))),
+        ("body_force", lambda b, m: _core.Cause.loads(2, body_force=np.ones(3))),
+        ("prescribed", lambda b, m: _core.Cause.loads(2, prescribed=np.ones((2, 3)))),
+        ("rates", lambda b, m: _core.Cause.motion(0, np.ones(3))),
+        ("weights", lambda b, m: recorded(m).adjoints([(0, (np.array([1]), np.ones(3)), NOTHING, NOTHING)])),
+        ("held_nodes", lambda b, m: recorded(m).adjoints([(0, NOTHING, (np.ones(1), np.ones((1, 3))), NOTHING)])),
+        ("pad_weights", lambda b, m: recorded(m).adjoints([(0, NOTHING, NOTHING, (np.array([0]), np.ones(3)))])),
+        ("nodes", lambda b, m: at_rest(b).adjoints([(np.ones(1), np.ones((1, 3)), NO_NODES, NO_WEIGHTS)])),
+        ("weights", lambda b, m: at_rest(b).adjoints([(np.array([1]), np.ones((2, 3)), NO_NODES, NO_WEIGHTS)])),
+        ("held_weights", lambda b, m: at_rest(b).adjoints([(NO_NODES, NO_WEIGHTS, np.array([0]), NO_WEIGHTS)])),
         ("alphas", lambda b, m: _core.check_schedule(np.ones((1, 1)))),
         ("predicted", lambda b, m: _core.screen_members(np.ones(3), 1e6)),
         ("std", lambda b, m: _core.Noise.diagonal([0.1])),
@@ -102,6 +132,11 @@ def test_inputs_stay_as_they_are(block_mesh, update):
     found = body.solve(one(9.0), one(0.4), forces=forces[0])
     body.solve(one(9.0), one(0.4), forces=forces[0], start=found.displacement)
     body.solve_many(one(9.0), one(0.4), forces=forces)
+    here = body.linearise(found.displacement, one(9.0), one(0.4), forces=forces[0])
+    rates = np.ones((body.n_tets, 1))
+    given.append(rates)
+    before.append(rates.copy())
+    here.derivatives([_core.Cause.field("young", rates), _core.Cause.load(forces=forces[0])])
     _core.Step(*update, alpha=2.0).apply(parameters)
     _core.Step.square_root(*update[:3], alpha=2.0).apply(parameters)
     for array, copy in zip(given, before, strict=True):
@@ -118,6 +153,20 @@ def test_results_own_their_memory_and_have_the_stated_shapes(body, block_mesh):
     many = body.solve_many(np.full(2, 9.0), np.full(2, 0.4), body_force=np.zeros((2, 3)))
     assert (many.displacement.shape, many.reactions.shape) == ((2, n, 3), (2, h, 3))
     assert len(many.reports) == 2
+    here = body.linearise(found.displacement, one(9.0), one(0.4), body_force=np.array([0.0, 1e-3, 0.0]))
+    displacement, reactions = here.derivatives([_core.Cause.parameter("young"), _core.Cause.parameter("poisson")])
+    assert (displacement.shape, reactions.shape) == ((2, n, 3), (2, h, 3))
+    adjoints = here.adjoints([(np.array([n - 1]), np.ones((1, 3)), NO_NODES, NO_WEIGHTS)])
+    assert adjoints.young.shape == adjoints.poisson.shape == (1, body.n_tets, 1)
+    assert (adjoints.forces.shape, adjoints.body_force.shape) == ((1, n, 3), (1, 3))
+    assert adjoints.prescribed.shape == (1, h, 3)
+    rig = recorded(block_mesh)
+    rows, forces, pads = rig.derivatives([_core.Cause.parameter("young"), _core.Cause.parameter("poisson")])
+    assert (rows.shape, forces.shape, pads.shape) == ((2, 1, n, 3), (2, 1, h, 3), (2, 1, 0, 3))
+    young, poisson = rig.adjoints([(0, (np.array([n - 1]), np.ones((1, 3))), NOTHING, NOTHING)])
+    assert young.shape == poisson.shape == (1, body.n_tets, 1)
+    nothing, _ = here.derivatives([])
+    assert nothing.shape == (0, n, 3)
     assert body.surface_triangles.dtype == body.tets.dtype == body.held_nodes.dtype == np.int64
     assert not np.shares_memory(body.nodes, block_mesh.nodes)
 

@@ -128,6 +128,35 @@ def test_a_member_without_equilibrium_is_a_row_and_not_an_exception(body):
     assert many.reports[1] == {}
 
 
+def test_bad_derivatives_raise_by_cause(body):
+    load = {"body_force": np.array([0.0, 1e-3, 0.0])}
+    rest = np.zeros_like(body.nodes)
+    with pytest.raises(errors.ConvergenceError, match="equilibrium"):
+        body.linearise(rest, one(9.0), one(0.4), **load)
+    here = body.linearise(rest, one(9.0), one(0.4))
+    with pytest.raises(errors.TissueRegError, match=r"`name` must be a parameter of .*, got `c7`"):
+        _core.Cause.parameter("c7")
+    with pytest.raises(errors.TissueRegError, match=r"`name` must be `young` or `poisson`, got `b`"):
+        _core.Cause.field("b", np.ones((body.n_tets, 1)))
+    with pytest.raises(
+        errors.TissueRegError, match=r"`causes` must be of an equilibrium, .*, got `Cause\(SetFraction\)`"
+    ):
+        here.derivatives([_core.Cause.parameter("set.fraction")])
+    rig = _core.Rig(body.nodes, body.tets, body.held_nodes, one(9.0), one(0.4))
+    with pytest.raises(errors.TissueRegError, match="must record its steps"):
+        rig.derivatives([])
+    with pytest.raises(errors.MaterialError, match="FibreK1 of this law"):
+        here.derivatives([_core.Cause.parameter("k1_over_mu")])
+    with pytest.raises(errors.ShapeError, match="rates"):
+        here.derivatives([_core.Cause.field("young", np.ones((3, 1)))])
+    none = np.empty(0, dtype=np.int64), np.empty((0, 3))
+    with pytest.raises(errors.LoadError, match="which is not held") as caught:
+        here.adjoints([(*none, np.array([body.n_nodes - 1]), np.ones((1, 3)))])
+    assert caught.value.node == body.n_nodes - 1
+    with pytest.raises(errors.LoadError, match="got -1 in row 0"):
+        here.adjoints([(np.array([-1]), np.ones((1, 3)), *none)])
+
+
 @pytest.mark.parametrize(
     ("match", "call"),
     [

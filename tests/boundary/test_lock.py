@@ -106,9 +106,27 @@ FRAME = """
         rig.advance(0.0, np.empty((0, 3)), body_force=np.array([0.0, 2e-2, 0.0]))
 """
 
+MANY_CAUSES = """
+    body = body_of(cells=(10, 8, 14), element="tet10")
+    here = body.linearise(np.zeros_like(body.nodes), np.array([9.0]), np.array([0.4]), threads={threads})
+    causes = [_core.Cause.parameter("young")] * 5000
+    started()
+    here.derivatives(causes)
+"""
+
+MANY_FRAME_CAUSES = """
+    mesh = block(cells=(8, 6, 10))
+    moduli = np.array([9.0]), np.array([0.4])
+    rig = _core.Rig(mesh.nodes, mesh.tets, mesh.fixed_nodes, *moduli, record=True, threads={threads})
+    rig.advance(0.0, np.empty((0, 3)))
+    causes = [_core.Cause.parameter("young")] * 20000
+    started()
+    rig.derivatives(causes)
+"""
+
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
-@pytest.mark.parametrize("work", [MANY, ONE, FRAME])
+@pytest.mark.parametrize("work", [MANY, ONE, FRAME, MANY_CAUSES, MANY_FRAME_CAUSES])
 @pytest.mark.parametrize("threads", [1, 0])
 def test_control_c_stops_a_call_that_would_last_minutes(work, threads):
     code = textwrap.dedent(
@@ -171,6 +189,21 @@ def test_one_solve_gives_the_same_bits_at_one_and_two_threads(slow_body, method)
     one, two = displacement(1), displacement(2)
     assert np.abs(one).max() > 0.1
     np.testing.assert_array_equal(one, two)
+
+
+def test_derivatives_give_the_same_bits_at_one_and_two_threads(slow_body):
+    load = {"body_force": np.array([0.0, 2e-3, 0.0])}
+    moduli = np.array([20.0]), np.array([0.45])
+    where = slow_body.solve(*moduli, **load).displacement
+    causes = [_core.Cause.parameter("young"), _core.Cause.parameter("poisson")]
+    seen = [(np.array([7]), np.ones((1, 3)), np.array([0]), np.ones((1, 3)))]
+    found = []
+    for threads in (1, 2):
+        here = slow_body.linearise(where, *moduli, threads=threads, **load)
+        found.append([*here.derivatives(causes), here.adjoints(seen).young])
+    for one, two in zip(*found, strict=True):
+        assert np.abs(one).max() > 0.0
+        np.testing.assert_array_equal(one, two)
 
 
 def test_a_step_gives_the_same_bits_at_one_and_two_threads():

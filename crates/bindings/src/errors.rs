@@ -158,8 +158,8 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         | E::NoRestShape { .. }
         | E::NotInEquilibrium { .. }
         | E::NotStable { .. }
+        | E::NothingRecorded
         | E::NoSuchCause { .. }
-        | E::NotWithElement { .. }
         | E::Cancelled => Ok(()),
     })
 }
@@ -204,14 +204,13 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
             (Class::Convergence, None)
         }
         E::NoSuchCause { what } => (Class::Material, Some(what.clone())),
-        E::NotWithElement { .. } => (Class::Base, Some("element".to_owned())),
         E::BadObservation { what, node, .. } => (Class::Load, Some(format!("{what}, node {node}"))),
         E::InvertedStart { tet, .. } => (Class::Load, Some(format!("start, tet {tet}"))),
         E::NoEquilibrium(failure) => {
             let worst = failure.worst_tets.first();
             (Class::Convergence, worst.map(|worst| format!("tet {}", worst.tet)))
         }
-        E::Cancelled => (Class::Base, None),
+        E::NothingRecorded | E::Cancelled => (Class::Base, None),
     }
 }
 

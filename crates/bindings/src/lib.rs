@@ -23,7 +23,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::fem::{
-        Body, Law, ManySolutions, Rig, RigFrame, Solution, check_mesh, surface_triangles,
+        Adjoints, Body, Cause, Law, Linearised, ManySolutions, Rig, RigFrame, Solution, check_mesh,
+        surface_triangles,
     };
 
     /// Version of all parts, from the workspace.

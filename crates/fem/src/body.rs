@@ -122,6 +122,18 @@ impl Body {
         })
     }
 
+    /// The same body once more, with a cache of its own; all else is shared or small.
+    pub(crate) fn again(&self) -> Self {
+        Self {
+            shape: Arc::clone(&self.shape),
+            supports: self.supports.clone(),
+            held: self.held.clone(),
+            pattern: Arc::clone(&self.pattern),
+            rest_cache: RestCache::default(),
+            analyse_seconds: self.analyse_seconds,
+        }
+    }
+
     fn supported(
         shape: Arc<ShapeOfBody>,
         supports: Supports,

@@ -286,14 +286,9 @@ pub enum FemError {
         /// Number of unknowns.
         n_dofs: usize,
     },
-    /// Something that these elements cannot do.
-    #[error("{what} cannot be had with {element:?} elements; use Tet4 or Tet10")]
-    NotWithElement {
-        /// What was asked for.
-        what: &'static str,
-        /// Elements of the body.
-        element: crate::element::Element,
-    },
+    /// Derivatives of a history whose steps were not recorded.
+    #[error("the history must record its steps for derivatives: make it by `History::recorded`")]
+    NothingRecorded,
     /// A derivative by something that the model does not have.
     #[error("there is no derivative by {what}: the model has none")]
     NoSuchCause {

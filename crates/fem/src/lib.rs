@@ -81,7 +81,9 @@
 //!
 //! [`Linearised`] is an equilibrium with its exact tangent: it tells how displacement and reactions
 //! follow a [`Cause`] (a parameter, a field of moduli, a load, springs, a skin), and by one adjoint
-//! solution how an [`Observation`] follows the stiffness of every quadrature point.
+//! solution how an [`Observation`] follows the stiffness of every quadrature point. For the frames of
+//! a history that is [recorded](History::recorded), [`Rig::derivatives`] and [`Rig::adjoints`] are the
+//! same, also by the numbers of a [`Behaviour`] and the motion of pads.
 //!
 //! # Promises
 //!
@@ -113,14 +115,18 @@ pub use element::Element;
 pub use ensemble::{Member, Outcome, solve_many};
 pub use error::{FemError, NoEquilibrium, StopReason, WorstTet};
 pub use history::{
-    Behaviour, Drainage, History, Pad, Part, Relaxation, Rig, RigFrame, Set, Softening, Swelling,
+    Behaviour, BehaviourParameter, Drainage, History, Pad, Part, Relaxation, Rig, RigFrame, Set,
+    Softening, Swelling,
 };
 pub use load::Load;
 pub use material::{Material, Stiffness};
 pub use mesh::{DEGENERATE_LIMIT, Mesh};
 pub use rest_shape::{RestShape, rest_shape};
 pub use resultant::{Resultant, resultant};
-pub use sensitivity::{Adjoint, Cause, Derivative, Linearised, Observation};
+pub use sensitivity::{
+    Adjoint, Cause, Derivative, FrameAdjoint, FrameCause, FrameDerivative, FrameObservation,
+    Linearised, Observation,
+};
 pub use solve::{
     LoadSteps, Method, Solution, SolveReport, SolveSettings, StageSeconds, internal_forces,
     is_stable, solve, solve_from,

@@ -94,6 +94,27 @@ fn stress_by_a_parameter_is_the_derivative_of_stress() {
 }
 
 #[test]
+fn energy_by_a_parameter_is_the_derivative_of_energy() {
+    for recipe in recipes() {
+        for parameter in recipe.material().expect("sound").parameters() {
+            for h in gradients() {
+                let (own, stress) = recipe.law().response_by(&h, parameter).expect("upright");
+                assert_eq!(recipe.law().stress_by(&h, parameter), Some(stress));
+                let at = |by: f64| recipe.moved(parameter, by).law().energy(&h).expect("upright");
+                let (plus, minus) = (at(STEP), at(-STEP));
+                let slope = (plus - minus) / (2.0 * STEP);
+                let error = (slope - own).abs();
+                assert!(
+                    error < 1e-8 * (1.0 + own.abs()) + 1e-9 * plus.abs(),
+                    "{} {parameter:?}: {slope} {own}",
+                    recipe.name
+                );
+            }
+        }
+    }
+}
+
+#[test]
 fn the_ogden_tangent_holds_at_equal_stretches() {
     let law = recipes().into_iter().find(|r| r.name == "ogden").expect("listed").law();
     let rotation = [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]];

@@ -60,6 +60,8 @@ class Frames:
         Frames without equilibrium, with the reason; the history goes on from the frame before.
     reports : list of dict
         Work done, one a frame; empty for one that failed.
+    record : Record or None
+        What derivatives need, where `solve_frames` was asked to keep it (`tissuereg.simulate.sensitivity`).
     """
 
     times: FloatArray
@@ -71,6 +73,29 @@ class Frames:
     rest_nodes: FloatArray
     failed: list[tuple[int, str]]
     reports: list[dict[str, Any]]
+    record: "Record | None" = None
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Frames as they went, for `tissuereg.simulate.sensitivity`.
+
+    Attributes
+    ----------
+    rig : _core.Rig
+        The body with all its steps.
+    spreader : Simulator
+        Spreads loads over nodes.
+    n_held : int
+        Number of held nodes.
+    pads : list of str
+        Names of the pads.
+    """
+
+    rig: _core.Rig
+    spreader: Simulator
+    n_held: int
+    pads: list[str]
 
 
 def solve_frames(
@@ -87,6 +112,7 @@ def solve_frames(
     in_reference: bool = False,
     element: str = "tet4",
     held_nodes: Any = None,
+    record: bool = False,
     tolerance: float = 1e-9,
     threads: int = 0,
     progress: Callable[[int], object] | None = None,
@@ -122,6 +148,8 @@ def solve_frames(
         Four-node tets, or ten-node tets on the same edges.
     held_nodes : array_like of int, optional
         Nodes whose displacement is given by the loads (zero where absent).
+    record : bool
+        Whether to keep all steps for derivatives.
     tolerance : float
         Norm of the residual over the norm of the load.
     threads : int
@@ -182,6 +210,7 @@ def solve_frames(
         rests=len(springs) > 0,
         skins=[one.as_tuple() for one in skins],
         hangs_in=body_force if in_reference else None,
+        record=record,
         tolerance=tolerance,
         threads=threads,
     )
@@ -210,7 +239,8 @@ def solve_frames(
     if len(answer.failed) == n > 0:
         message = f"some frame must find equilibrium; none does: {answer.failed[0][1]}"
         raise ConvergenceError(message, where="frame 0")
-    return replace(answer, rest_nodes=rig.rest_nodes[: mesh.n_nodes].copy())
+    kept = Record(rig, spreader, len(held), [pad.name for pad in pads]) if record else None
+    return replace(answer, rest_nodes=rig.rest_nodes[: mesh.n_nodes].copy(), record=kept)
 
 
 def _one_a_frame(loads: Load | Sequence[Load] | None, n_frames: int) -> list[Load]:

@@ -87,6 +87,11 @@ class Simulator:
         self.held_nodes: IntArray = held
         self.body = _core.Body(mesh.nodes, mesh.tets, held, element=element)
 
+    @property
+    def n_points(self) -> int:
+        """Quadrature points of an element."""
+        return 1 if self.element == "tet4" else 4
+
     def forces(self, load: Load) -> FloatArray | None:
         """Return all nodal forces of a load, tractions included, in mN; None where there are none."""
         total = None
@@ -213,7 +218,7 @@ class Simulator:
             If the number of values is neither one nor that of the tets.
         """
         young, poisson = material.young_array, material.poisson_array
-        n_points = 1 if self.element == "tet4" else 4
+        n_points = self.n_points
         for name, values in (("young", young), ("poisson", poisson)):
             if values.shape not in ((1,), (self.mesh.n_tets,), (self.mesh.n_tets, 1), (self.mesh.n_tets, n_points)):
                 points = f" or one a quadrature point ({self.mesh.n_tets}, {n_points})" if values.ndim == 2 else ""

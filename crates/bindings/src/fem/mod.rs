@@ -3,6 +3,7 @@
 mod law;
 mod many;
 mod rig;
+mod sensitivity;
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -11,11 +12,12 @@ use numpy::IntoPyArray;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tissuereg_fem::{Element, FemError, Load, LoadSteps, Mesh, Method, SolveSettings};
+use tissuereg_fem::{Element, Load, LoadSteps, Material, Mesh, Method, SolveSettings};
 
 pub(crate) use self::law::Law;
 pub(crate) use self::many::ManySolutions;
 pub(crate) use self::rig::{Rig, RigFrame};
+pub(crate) use self::sensitivity::{Adjoints, Cause, Linearised};
 use crate::arrays::{self, View};
 use crate::errors::{self, Class};
 use crate::{lock, report};
@@ -192,32 +194,18 @@ impl Body {
         load_steps: usize,
         threads: usize,
     ) -> PyResult<Solution> {
-        let body = &self.0;
-        let (n_tets, n_points) = (Some(body.n_tets()), Some(body.element().n_points()));
-        let moduli: [&[Option<usize>]; 3] = [&[Some(1)], &[n_tets], &[n_tets, n_points]];
-        let young = View::<f64>::new("young", young, &moduli)?;
-        let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
-        let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
-        let three = Some(3);
-        let forces = View::<f64>::optional("forces", forces, &[&[all, three], &[corners, three]])?;
-        let body_force = View::<f64>::optional("body_force", body_force, &[&[three]])?;
-        let n_held = Some(body.held_nodes().len());
-        let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[n_held, three]])?;
-        let start = View::<f64>::optional("start", start, &[&[all, three]])?;
         let settings = settings_of(py, tolerance, max_iterations, method, load_steps, threads)?;
-
-        let mapped = |error: FemError| errors::from_fem(py, &error, None);
-        let law = law.cloned().unwrap_or_default();
-        let material = law
-            .material(body.element(), body.n_tets(), young.slice(), poisson.slice())
-            .map_err(mapped)?;
-        errors::warn_of_locking(py, body.element(), [&material].into_iter(), poisson.slice())?;
-        let load = Load {
-            nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
-            body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
-            prescribed: prescribed.map(|rows| rows.rows::<3>().to_vec()),
-            springs: Vec::new(),
-        };
+        let (three, all) = (Some(3), Some(self.0.n_nodes()));
+        let start = View::<f64>::optional("start", start, &[&[all, three]])?;
+        let OneProblem { material, load, settings } = OneProblem::new(
+            &self.0,
+            [young, poisson],
+            law,
+            forces,
+            body_force,
+            prescribed,
+            settings,
+        )?;
         let start = start.map(|rows| rows.rows::<3>().to_vec());
         let body = self.0.clone();
         let cancel = Arc::new(AtomicBool::new(false));
@@ -227,7 +215,40 @@ impl Body {
             Some(start) => tissuereg_fem::solve_from(&body, &material, &load, &start, &settings),
         };
         let answer = lock::run_watched(py, &cancel, |_| Ok(()), work)?;
-        Solution::new(py, answer.map_err(mapped)?, tolerance)
+        let answer = answer.map_err(|error| errors::from_fem(py, &error, None))?;
+        Solution::new(py, answer, tolerance)
+    }
+
+    /// The exact tangent at an equilibrium, which answers derivatives; arguments as those of `solve`, `displacement` its
+    /// answer, float64 (n_nodes, 3) mm.
+    #[pyo3(signature = (displacement, young, poisson, *, law=None, forces=None, body_force=None, prescribed=None,
+                        threads=0))]
+    #[allow(clippy::too_many_arguments)] // keywords in Python
+    fn linearise(
+        &self,
+        py: Python<'_>,
+        displacement: &Bound<'_, PyAny>,
+        young: &Bound<'_, PyAny>,
+        poisson: &Bound<'_, PyAny>,
+        law: Option<&Law>,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+        threads: usize,
+    ) -> PyResult<Linearised> {
+        let rows: [&[Option<usize>]; 1] = [&[Some(self.0.n_nodes()), Some(3)]];
+        let displacement = View::<f64>::new("displacement", displacement, &rows)?;
+        let settings = SolveSettings { n_threads: threads, ..SolveSettings::default() };
+        let problem = OneProblem::new(
+            &self.0,
+            [young, poisson],
+            law,
+            forces,
+            body_force,
+            prescribed,
+            settings,
+        )?;
+        Linearised::new(py, &self.0, problem, displacement.rows::<3>().to_vec())
     }
 
     /// Equilibria of many members, in parallel, each on one thread. Moduli as for one, the member axis first; one law a
@@ -314,6 +335,49 @@ impl Solution {
         let report = self.report.bind(py);
         let iterations = report.get_item("iterations")?;
         Ok(format!("Solution(iterations={})", iterations.map_or("?".to_owned(), |n| n.to_string())))
+    }
+}
+
+/// Material and load of one problem, checked and copied.
+struct OneProblem {
+    material: Material,
+    load: Load,
+    settings: SolveSettings,
+}
+
+impl OneProblem {
+    fn new(
+        body: &tissuereg_fem::Body,
+        [young, poisson]: [&Bound<'_, PyAny>; 2],
+        law: Option<&Law>,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+        settings: SolveSettings,
+    ) -> PyResult<Self> {
+        let py = young.py();
+        let (n_tets, n_points) = (Some(body.n_tets()), Some(body.element().n_points()));
+        let moduli: [&[Option<usize>]; 3] = [&[Some(1)], &[n_tets], &[n_tets, n_points]];
+        let young = View::<f64>::new("young", young, &moduli)?;
+        let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
+        let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
+        let three = Some(3);
+        let forces = View::<f64>::optional("forces", forces, &[&[all, three], &[corners, three]])?;
+        let body_force = View::<f64>::optional("body_force", body_force, &[&[three]])?;
+        let n_held = Some(body.held_nodes().len());
+        let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[n_held, three]])?;
+        let material = law
+            .map_or(&Law::default(), |law| law)
+            .material(body.element(), body.n_tets(), young.slice(), poisson.slice())
+            .map_err(|error| errors::from_fem(py, &error, None))?;
+        errors::warn_of_locking(py, body.element(), [&material].into_iter(), poisson.slice())?;
+        let load = Load {
+            nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
+            body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
+            prescribed: prescribed.map(|rows| rows.rows::<3>().to_vec()),
+            springs: Vec::new(),
+        };
+        Ok(Self { material, load, settings })
     }
 }
 

@@ -3,14 +3,16 @@
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use numpy::PyArray2;
+use numpy::{PyArray2, PyArray4};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tissuereg_fem::{
-    Behaviour, Body, Drainage, Element, FemError, History, Load, Material, Mesh, Pad, Part,
-    Relaxation, Resultant, Set, Skin, Softening, SolveSettings, Springs, Supports, Swelling,
+    Behaviour, Body, Drainage, Element, FemError, FrameAdjoint, FrameCause, FrameObservation,
+    History, Load, Material, Mesh, Observation, Pad, Part, Relaxation, Resultant, Set, Skin,
+    Softening, SolveSettings, Springs, Supports, Swelling,
 };
 
+use super::sensitivity::{Cause, Stack, weights_of};
 use super::{Law, bad_choice, settings_of};
 use crate::arrays::{self, View};
 use crate::errors::{self, Class};
@@ -36,17 +38,19 @@ struct Sizes {
     corners: usize,
     held: usize,
     pads: usize,
+    /// Tets and quadrature points of each.
+    points: [usize; 2],
 }
 
 #[pymethods]
 impl Rig {
     /// Springs are triangles with (normal, tangential) stiffness in kPa/mm, skins with (thickness mm, Young kPa,
     /// Poisson). With `rests` the springs help to hold the body. `hangs_in` is a body force, mN/mm^3, that acts in the
-    /// mesh as given already.
+    /// mesh as given already. With `record` the steps are kept for derivatives.
     #[new]
     #[pyo3(signature = (nodes, tets, held_nodes, young, poisson, *, law=None, element="tet4", pads=Vec::new(), behaviour=None,
-                        springs=Vec::new(), rests=false, skins=Vec::new(), hangs_in=None, tolerance=1e-9,
-                        max_iterations=1000, threads=0))]
+                        springs=Vec::new(), rests=false, skins=Vec::new(), hangs_in=None, record=false,
+                        tolerance=1e-9, max_iterations=1000, threads=0))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
     fn new(
         py: Python<'_>,
@@ -63,6 +67,7 @@ impl Rig {
         rests: bool,
         skins: Vec<Sheet<'_>>,
         hangs_in: Option<&Bound<'_, PyAny>>,
+        record: bool,
         tolerance: f64,
         max_iterations: usize,
         threads: usize,
@@ -114,7 +119,7 @@ impl Rig {
         let settings = settings_of(py, tolerance, max_iterations, "auto", 0, threads)?;
         let cancel = Arc::new(AtomicBool::new(false));
         let watched = SolveSettings { cancel: Some(cancel.clone()), ..settings.clone() };
-        let plan = Plan { mesh, element, supports, material, behaviour, pads, weight };
+        let plan = Plan { mesh, element, supports, material, behaviour, pads, weight, record };
         let (own_springs, n_pads) = (springs.clone(), plan.pads.len());
         let work = move || plan.build(own_springs, &watched);
         let (rig, hung, sizes) =
@@ -134,7 +139,7 @@ impl Rig {
         body_force: Option<&Bound<'_, PyAny>>,
         prescribed: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<RigFrame> {
-        let Sizes { nodes, corners, held, pads } = self.sizes;
+        let Sizes { nodes, corners, held, pads, .. } = self.sizes;
         let three = Some(3);
         let motions = View::<f64>::new("motions", motions, &[&[Some(pads), three]])?;
         let shapes: [&[Option<usize>]; 2] = [&[Some(nodes), three], &[Some(corners), three]];
@@ -162,6 +167,71 @@ impl Rig {
         RigFrame::new(py, frame, &self.hung, self.settings.tolerance)
     }
 
+    /// How all frames that were found follow each cause: displacement, float64 (n_causes, n_frames, n_nodes, 3) mm,
+    /// reactions, (n_causes, n_frames, h, 3) mN, and forces of the pads, (n_causes, n_frames, n_pads, 3) mN, NaN where
+    /// absent.
+    fn derivatives<'py>(
+        &self,
+        py: Python<'py>,
+        causes: Vec<PyRef<'py, Cause>>,
+    ) -> PyResult<(Frames<'py>, Frames<'py>, Frames<'py>)> {
+        let causes: Vec<FrameCause> = causes.iter().map(|cause| cause.0.clone()).collect();
+        let n = causes.len();
+        let found = self.call(py, move |rig, settings| {
+            let n_frames = rig.n_recorded_frames();
+            rig.derivatives(&causes, settings).map(|found| (found, n_frames))
+        })?;
+        let (found, n_frames) = found;
+        let Sizes { nodes, held, pads, .. } = self.sizes;
+        let (mut displacement, mut reactions, mut forces) = (Vec::new(), Vec::new(), Vec::new());
+        for frame in found.into_iter().flatten() {
+            displacement.extend(frame.displacement.into_flattened());
+            reactions.extend(frame.reactions.into_flattened());
+            forces.extend(frame.pads.iter().flat_map(|pad| pad.unwrap_or([f64::NAN; 3])));
+        }
+        Ok((
+            arrays::from_vec(py, displacement, [n, n_frames, nodes, 3])?,
+            arrays::from_vec(py, reactions, [n, n_frames, held, 3])?,
+            arrays::from_vec(py, forces, [n, n_frames, pads, 3])?,
+        ))
+    }
+
+    /// How observations of frames follow Young's modulus and Poisson's ratio of every quadrature point, two float64
+    /// (n_obs, n_tets, n_points). Each is the number of its frame and three pairs of numbers and weights (k, 3): of nodes,
+    /// of held nodes, and of pads.
+    fn adjoints<'py>(
+        &self,
+        py: Python<'py>,
+        observations: Vec<(usize, Pair<'py>, Pair<'py>, Pair<'py>)>,
+    ) -> PyResult<(Stack<'py>, Stack<'py>)> {
+        let observations = observations
+            .iter()
+            .map(|(frame, nodes, held, pads)| {
+                Ok(FrameObservation {
+                    frame: *frame,
+                    observation: Observation {
+                        displacement: weights_of(py, ["nodes", "weights"], &nodes.0, &nodes.1)?,
+                        reactions: weights_of(
+                            py,
+                            ["held_nodes", "held_weights"],
+                            &held.0,
+                            &held.1,
+                        )?,
+                    },
+                    pads: weights_of(py, ["pads", "pad_weights"], &pads.0, &pads.1)?,
+                })
+            })
+            .collect::<PyResult<Vec<_>>>()?;
+        let [tets, points] = self.sizes.points;
+        let shape = [observations.len(), tets, points];
+        let found = self.call(py, move |rig, settings| rig.adjoints(&observations, settings))?;
+        let gathered = |pick: fn(&FrameAdjoint) -> &Vec<f64>| {
+            let values = found.iter().flat_map(pick).copied().collect();
+            arrays::from_vec(py, values, shape)
+        };
+        Ok((gathered(|one| &one.young)?, gathered(|one| &one.poisson)?))
+    }
+
     /// Places of all nodes of the unloaded body, float64 (n_nodes, 3), mm.
     #[getter]
     fn rest_nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
@@ -178,6 +248,28 @@ impl Rig {
     }
 }
 
+/// Rows of every frame for every cause.
+type Frames<'py> = Bound<'py, PyArray4<f64>>;
+
+/// Numbers and weights.
+type Pair<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>);
+
+impl Rig {
+    /// Run a call that Ctrl-C ends and that leaves the rig as it is.
+    fn call<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&tissuereg_fem::Rig, &SolveSettings) -> Result<T, FemError> + Send + 'static,
+    ) -> PyResult<T> {
+        let cancel = Arc::new(AtomicBool::new(false));
+        let settings = SolveSettings { cancel: Some(cancel.clone()), ..self.settings.clone() };
+        let rig = self.rig.clone();
+        let watched = move || work(&rig.lock().unwrap_or_else(PoisonError::into_inner), &settings);
+        lock::run_watched(py, &cancel, |_| Ok(()), watched)?
+            .map_err(|error| errors::from_fem(py, &error, None))
+    }
+}
+
 /// What a rig is made of.
 struct Plan {
     mesh: Mesh,
@@ -187,6 +279,7 @@ struct Plan {
     behaviour: Behaviour,
     pads: Vec<Pad>,
     weight: Option<[f64; 3]>,
+    record: bool,
 }
 
 impl Plan {
@@ -208,9 +301,11 @@ impl Plan {
             nodes: body.n_nodes(),
             corners: body.n_corner_nodes(),
             held: body.held_nodes().len(),
+            points: [body.n_tets(), body.element().n_points()],
             pads: 0,
         };
-        let history = History::new(&body, self.material, self.behaviour)?;
+        let make = if self.record { History::recorded } else { History::new };
+        let history = make(&body, self.material, self.behaviour)?;
         Ok((tissuereg_fem::Rig::new(body, history, self.pads)?, hung, sizes))
     }
 }

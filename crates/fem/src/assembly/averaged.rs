@@ -28,6 +28,7 @@ use crate::element::{Geometry, Patches, TET4};
 use crate::material::{Matrix3, Tangent, cofactor, det_f_minus_one};
 
 /// Volume ratios of a state, by element and by node.
+#[derive(Debug)]
 pub(super) struct Averages {
     pub(super) elements: Vec<Deformed>,
     /// `J̄_a − 1`
@@ -37,7 +38,7 @@ pub(super) struct Averages {
 }
 
 /// How one element is deformed.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Deformed {
     /// Displacement gradient.
     pub(super) h: Matrix3,
@@ -140,7 +141,7 @@ pub(super) fn gradients(geometry: &Geometry, displacement: &[f64]) -> Vec<Matrix
         .collect()
 }
 
-fn averages(
+pub(super) fn averages(
     geometry: &Geometry,
     patches: &Patches,
     displacement: &[f64],
@@ -160,7 +161,11 @@ fn averages(
 }
 
 /// Sum over the elements around a node, of which it is corner `a`.
-fn sum_around(geometry: &Geometry, node: usize, part: impl Fn(usize, usize) -> f64) -> f64 {
+pub(super) fn sum_around(
+    geometry: &Geometry,
+    node: usize,
+    part: impl Fn(usize, usize) -> f64,
+) -> f64 {
     around(geometry, node).map(|(element, a)| part(element, a)).sum()
 }
 

@@ -24,7 +24,7 @@ mod tangent;
 mod tests;
 
 pub(crate) use force::{Energy, internal_force_into};
-pub(crate) use points::{add_forces_of, point_volumes};
+pub(crate) use points::{PointMap, point_volumes};
 pub(crate) use tangent::{ElementTangents, TangentKind, tangent_product_into};
 
 use crate::element::{Element, Geometry, Rule, TET4, TET10};

@@ -1,6 +1,12 @@
-//! Sums over quadrature points of stresses that are known there.
+//! Stresses and gradients at quadrature points: what a displacement rate does there, and the nodal
+//! forces of stresses that are known there.
+//!
+//! The two are transposes of each other: `Σ w P : ġ(v) = f(P) · v` for every stress and rate.
 
-use crate::element::{Element, Geometry, Rule, TET4, TET10};
+use super::averaged::{Averages, averages, deformation, dot, sum_around};
+use super::tangent::spatial_gradients;
+use super::{displacement_gradient, gradients_at_points, local};
+use crate::element::{Element, Geometry, Patches, Rule, TET4, TET10};
 use crate::material::Matrix3;
 
 /// Undeformed volume that belongs to each quadrature point, element after element, mm³.
@@ -10,19 +16,125 @@ pub(crate) fn point_volumes(geometry: &Geometry) -> Vec<f64> {
     geometry.volume.iter().flat_map(per_point).collect()
 }
 
-/// Add the nodal forces of stresses at all quadrature points, element after element:
-/// `f_ai += w Σ_j P_ij ∂N_a/∂X_j`.
-///
-/// # Shapes
-///
-/// `stresses` one a quadrature point, kPa; `force` `(3 n_nodes)`, mN.
-pub(crate) fn add_forces_of(geometry: &Geometry, stresses: &[Matrix3], force: &mut [f64]) {
-    match geometry.element {
-        Element::Tet4 => add_with(&TET4, geometry, stresses, force),
-        Element::Tet10 => add_with(&TET10, geometry, stresses, force),
-        // `Linearised::new` refuses these.
-        Element::Tet4Averaged => {}
+/// Where a body is, as far as its points need to know to follow rates.
+#[derive(Debug)]
+pub(crate) struct PointMap {
+    /// Volume ratios of averaged elements.
+    averaged: Option<Averages>,
+}
+
+impl PointMap {
+    /// None where an averaged element is inverted.
+    ///
+    /// # Shapes
+    ///
+    /// `displacement` `(3 n_nodes)`, mm.
+    pub(crate) fn new(geometry: &Geometry, displacement: &[f64]) -> Option<Self> {
+        let averaged = match &geometry.patches {
+            Some(patches) => Some(averages(geometry, patches, displacement, false)?),
+            None => None,
+        };
+        Some(Self { averaged })
     }
+
+    /// Rates of the displacement gradients at all points along a displacement rate `(3 n_nodes)`.
+    ///
+    /// With averaged volume ratios `Ḟ_ea = s Ḟ + ⅓ F_ea (θ̄_a − θ)`, as in `averaged_tangent`.
+    pub(crate) fn gradients(&self, geometry: &Geometry, rate: &[f64]) -> Vec<Matrix3> {
+        let (Some(patches), Some(averages)) = (&geometry.patches, &self.averaged) else {
+            return gradients_at_points(geometry, rate);
+        };
+        let changes: Vec<(Matrix3, f64)> = (0..geometry.n_elements())
+            .map(|element| {
+                let u = local::<4>(geometry, element, rate);
+                let jacobian = &geometry.inverse_jacobian[element];
+                let dh = displacement_gradient(&u, &TET4.gradients[0], jacobian);
+                (dh, dot(&averages.elements[element].inverse, &dh))
+            })
+            .collect();
+        let grown = |element: usize, _| {
+            geometry.volume[element] * averages.elements[element].det_f() * changes[element].1
+        };
+        let means: Vec<f64> = (0..patches.volume.len())
+            .map(|node| sum_around(geometry, node, grown) / grown_volume(patches, averages, node))
+            .collect();
+        let mut rates = Vec::with_capacity(4 * geometry.n_elements());
+        for (element, (dh, theta)) in changes.iter().enumerate() {
+            for &node in geometry.nodes_of(element) {
+                let node = node as usize;
+                let (growth, h) = averages.elements[element].averaged(averages.nodes[node]);
+                let f = deformation(&h);
+                let stretch = (means[node] - theta) / 3.0;
+                rates.push(matrix(|i, j| (1.0 + growth) * dh[i][j] + stretch * f[i][j]));
+            }
+        }
+        rates
+    }
+
+    /// Add the nodal forces of stresses at all points: `f_ai += w Σ_j P_ij ∂N_a/∂X_j`, and with
+    /// averaged volume ratios those of the element stresses that `averaged` forms of them.
+    ///
+    /// # Shapes
+    ///
+    /// `stresses` one a quadrature point, kPa; `force` `(3 n_nodes)`, mN.
+    pub(crate) fn add_forces(&self, geometry: &Geometry, stresses: &[Matrix3], force: &mut [f64]) {
+        match (&geometry.patches, &self.averaged) {
+            (Some(patches), Some(averages)) => {
+                let stresses = element_stresses(geometry, patches, averages, stresses);
+                add_with(&TET4, geometry, &stresses, force);
+            }
+            _ if geometry.element == Element::Tet10 => {
+                add_with(&TET10, geometry, stresses, force);
+            }
+            _ => add_with(&TET4, geometry, stresses, force),
+        }
+    }
+}
+
+/// `P_e = ¼ Σ_a (s P − p G) + J_e G Σ_a Q_a` of stresses `P` at the corners.
+fn element_stresses(
+    geometry: &Geometry,
+    patches: &Patches,
+    averages: &Averages,
+    stresses: &[Matrix3],
+) -> Vec<Matrix3> {
+    let corners = |element: usize| {
+        let deformed = &averages.elements[element];
+        let nodes = geometry.nodes_of(element).iter().zip(&stresses[4 * element..]);
+        nodes.map(move |(&node, stress)| {
+            let (growth, h) = deformed.averaged(averages.nodes[node as usize]);
+            (node as usize, 1.0 + growth, stress, dot(stress, &deformation(&h)) / 3.0)
+        })
+    };
+    let pressures: Vec<f64> = (0..geometry.n_elements())
+        .flat_map(|element| corners(element).map(move |(.., p)| p))
+        .collect();
+    let part =
+        |element: usize, a: usize| 0.25 * geometry.volume[element] * pressures[4 * element + a];
+    let nodal: Vec<f64> = (0..patches.volume.len())
+        .map(|node| sum_around(geometry, node, part) / grown_volume(patches, averages, node))
+        .collect();
+    (0..geometry.n_elements())
+        .map(|element| {
+            let deformed = &averages.elements[element];
+            let g = &deformed.inverse;
+            let mut sum = [[0.0; 3]; 3];
+            for (node, s, stress, p) in corners(element) {
+                let along = deformed.det_f() * nodal[node] - 0.25 * p;
+                sum = matrix(|i, j| sum[i][j] + 0.25 * s * stress[i][j] + along * g[i][j]);
+            }
+            sum
+        })
+        .collect()
+}
+
+/// `V_a J̄_a`
+fn grown_volume(patches: &Patches, averages: &Averages, node: usize) -> f64 {
+    patches.volume[node] * (1.0 + averages.nodes[node])
+}
+
+fn matrix(entry: impl Fn(usize, usize) -> f64) -> Matrix3 {
+    std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))
 }
 
 fn add_with<const N: usize, const Q: usize>(
@@ -36,12 +148,10 @@ fn add_with<const N: usize, const Q: usize>(
         let weight = geometry.volume[element] / Q as f64;
         let mut rows = [[0.0; 3]; N];
         for (stress, gradients) in stresses.iter().zip(&rule.gradients) {
-            for i in 0..3 {
-                let pulled: [f64; 3] = std::array::from_fn(|k| {
-                    weight * (0..3).map(|j| stress[i][j] * jacobian[k][j]).sum::<f64>()
-                });
-                for (row, g) in rows.iter_mut().zip(gradients) {
-                    row[i] += (0..3).map(|k| pulled[k] * g[k]).sum::<f64>();
+            let spatial = spatial_gradients(gradients, jacobian);
+            for (row, g) in rows.iter_mut().zip(&spatial) {
+                for i in 0..3 {
+                    row[i] += weight * (0..3).map(|j| stress[i][j] * g[j]).sum::<f64>();
                 }
             }
         }

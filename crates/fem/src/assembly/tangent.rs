@@ -235,7 +235,8 @@ pub(super) fn clamp(tangent: &mut Tangent) {
 }
 
 /// Write the product of the exact tangent at a displacement with a direction; false where an
-/// element is inverted. No matrix is formed.
+/// element is inverted. No matrix is formed. Of elements that are not named, the product may lack the
+/// parts (those with averaged volume ratios always count).
 ///
 /// # Shapes
 ///
@@ -245,6 +246,7 @@ pub(crate) fn tangent_product_into<M: PointModel>(
     model: &M,
     displacement: &[f64],
     direction: &[f64],
+    elements: &[usize],
     product: &mut [f64],
 ) -> bool {
     let loops = Loops { geometry, model, displacement };
@@ -252,8 +254,8 @@ pub(crate) fn tangent_product_into<M: PointModel>(
         return loops.averaged_product(patches, direction, product);
     }
     match geometry.element.n_nodes() {
-        4 => loops.product(&TET4, direction, product),
-        _ => loops.product(&TET10, direction, product),
+        4 => loops.product(&TET4, direction, elements, product),
+        _ => loops.product(&TET10, direction, elements, product),
     }
 }
 
@@ -262,10 +264,11 @@ impl<M: PointModel> Loops<'_, M> {
         &self,
         rule: &Rule<N, Q>,
         direction: &[f64],
+        elements: &[usize],
         product: &mut [f64],
     ) -> bool {
         product.fill(0.0);
-        for element in 0..self.geometry.n_elements() {
+        for &element in elements {
             let u = local::<N>(self.geometry, element, self.displacement);
             let d = local::<N>(self.geometry, element, direction);
             let inverse_jacobian = &self.geometry.inverse_jacobian[element];

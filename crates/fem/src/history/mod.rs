@@ -15,7 +15,10 @@
 //! * `point`: chain rule of the first line, stress and tangent, once for all laws;
 //! * `prony`: `a` and `S_hist`, the relaxed answer to all steps before (Simo's recursion);
 //! * `softening`: `φ`, of the largest energy so far (Mullins effect);
-//! * `state`: what is remembered, and its update; `Fp` is the set, `s` the swelling;
+//! * `common`: what is remembered, and its update; `Fp` is the set, `s` the swelling; `state` for all
+//!   points of a body;
+//! * `scalar`, `numbers`: numbers that carry derivatives, and those of a behaviour;
+//! * `record`, `follow`, `follow_back`, `tape`: steps as they went, and their derivatives at points;
 //! * `run`: [`History`] itself; `rig`: pads that are bonded and released.
 //!
 //! # References
@@ -25,18 +28,31 @@
 //! Appl. Mech. Eng. 171, 419 (1999) (variational updates).
 
 mod behaviour;
+mod common;
+mod follow;
+mod follow_back;
+mod numbers;
 mod point;
 mod prony;
+mod record;
 mod rig;
 mod run;
+mod scalar;
 mod softening;
 mod state;
+mod tape;
 mod tensor;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use behaviour::must;
 pub use behaviour::{Behaviour, Drainage, Part, Relaxation, Set, Softening, Swelling};
+pub(crate) use follow::{Moved, Substance};
+pub(crate) use follow_back::Backward;
+pub use numbers::BehaviourParameter;
 pub(crate) use point::StepModel;
+pub(crate) use record::StepRecord;
+pub(crate) use rig::Phase;
 pub use rig::{Pad, Rig, RigFrame};
 pub use run::History;
+pub(crate) use scalar::LANES;

@@ -9,35 +9,50 @@
 //! Q[pq,kl] = j (δ_pk δ_ql − ⅓ F[pq] G[kl])
 //! ```
 //!
-//! and `Fe = F A` with a constant `A` gives `P = s³ P_e Aᵀ`.
+//! and `Fe = F A` with a constant `A` gives `P = s³ P_e Aᵀ`. Energy and stress are written over any
+//! [`Scalar`]; the tangent is that of plain numbers.
 
+use super::common::{Common, PointStep, Weights};
+use super::scalar::{Matrix, Scalar};
 use super::softening::Softened;
-use super::state::{PointStep, StepState, Weights};
+use super::state::StepState;
 use super::tensor::{
-    ZERO, add_scaled, contracted, green_strain, inverse_transposed, plus_identity, product,
-    transposed,
+    add_scaled, contracted, det_f_minus_one, green_strain, inverse_transposed, minus,
+    plus_identity, plus_scalar, product, scaled, transposed, zero,
 };
 use crate::assembly::PointModel;
-use crate::material::{Matrix3, Response, Tangent, det_f_minus_one};
+use crate::material::{Matrix3, Response, Tangent};
+
+/// Energy density, first Piola–Kirchhoff stress (kPa) and volume ratio at a point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Answer<S> {
+    pub(crate) energy: S,
+    pub(crate) stress: Matrix<S>,
+    pub(crate) det_f: f64,
+}
+
+impl From<Response> for Answer<f64> {
+    fn from(response: Response) -> Self {
+        let Response { energy, stress, det_f } = response;
+        Self { energy, stress, det_f }
+    }
+}
 
 /// A time step of a body as the element loops see it.
 #[derive(Debug)]
 pub(crate) struct StepModel<'a, M> {
     /// The law at every point.
-    pub(super) elastic: &'a M,
+    pub(crate) elastic: &'a M,
     /// What holds within the step.
-    pub(super) step: &'a StepState,
+    pub(crate) step: &'a StepState,
 }
 
 impl<M: PointModel> PointModel for StepModel<'_, M> {
     fn response(&self, element: usize, point: usize, h: &Matrix3) -> Option<Response> {
+        let law = |he: &Matrix3| self.elastic.response(element, point, he).map(Answer::from);
         let at = self.step.at(element, point);
-        let elastic = |he: &Matrix3| self.elastic.response(element, point, he);
-        let mut answer = self
-            .step
-            .stored(at, h, |he| weighted(elastic, he, self.step.weights, at, self.step))?;
-        self.step.add_memory(at, h, &mut answer);
-        Some(answer)
+        let Answer { energy, stress, det_f } = self.step.common.response(at, h, law)?;
+        Some(Response { energy, stress, det_f })
     }
 
     fn tangent(&self, element: usize, point: usize, h: &Matrix3) -> Option<Tangent> {
@@ -47,9 +62,9 @@ impl<M: PointModel> PointModel for StepModel<'_, M> {
         if let Some(pull) = &at.pull {
             tangent = pulled(&tangent, pull);
         }
-        let volume = self.step.stretch.powi(3);
+        let volume = self.step.common.stretch.powi(3);
         tangent.iter_mut().flatten().for_each(|v| *v *= volume);
-        self.step.add_memory_tangent(at, h, &mut tangent);
+        add_memory_tangent(at, h, &mut tangent);
         Some(tangent)
     }
 }
@@ -60,12 +75,12 @@ impl<M: PointModel> StepModel<'_, M> {
         element: usize,
         point: usize,
         he: &Matrix3,
-        at: &PointStep,
+        at: &PointStep<f64>,
     ) -> Option<Tangent> {
-        let weights = self.step.weights;
+        let weights = self.step.common.weights;
         let mut tangent = self.elastic.tangent(element, point, he)?;
         scale(&mut tangent, weights.volumetric);
-        if !self.step.is_split() {
+        if !self.step.common.split {
             return Some(tangent);
         }
         let bar = bar_gradient(he);
@@ -73,7 +88,7 @@ impl<M: PointModel> StepModel<'_, M> {
         let law_tangent = self.elastic.tangent(element, point, &bar)?;
         let stress = isochoric_stress(&law.stress, he);
         let iso = isochoric_tangent(&law.stress, &law_tangent, &stress, he);
-        let softened = self.step.softened(law.energy, at);
+        let softened = self.step.common.softened(law.energy, at);
         let slope = weights.isochoric * softened.slope - weights.volumetric;
         let curvature = weights.isochoric * softened.curvature;
         for a in 0..9 {
@@ -86,45 +101,130 @@ impl<M: PointModel> StepModel<'_, M> {
     }
 }
 
-/// Energy and stress `a_vol (ψ − ψ_iso) + a_iso φ(ψ_iso)` at an elastic gradient.
-pub(super) fn weighted(
-    law: impl Fn(&Matrix3) -> Option<Response>,
-    he: &Matrix3,
-    weights: Weights,
-    at: &PointStep,
-    step: &StepState,
-) -> Option<Response> {
-    let whole = law(he)?;
-    let mut stress = ZERO;
-    add_scaled(&mut stress, weights.volumetric, &whole.stress);
-    if !step.is_split() {
-        let energy = weights.volumetric * whole.energy;
-        return Some(Response { energy, stress, det_f: whole.det_f });
+/// What the law says at an elastic gradient, whole and of the isochoric part.
+pub(super) struct Parts<S> {
+    whole: Answer<S>,
+    /// Where the parts have to be told apart.
+    isochoric: Option<Isochoric<S>>,
+}
+
+struct Isochoric<S> {
+    energy: S,
+    stress: Matrix<S>,
+    softened: Softened<S>,
+}
+
+impl<S: Scalar> Parts<S> {
+    /// `ψ_iso`, kPa; that of the whole law where parts are not told apart.
+    pub(super) fn isochoric_energy(&self) -> S {
+        self.isochoric.as_ref().map_or(self.whole.energy, |isochoric| isochoric.energy)
     }
-    let iso = law(&bar_gradient(he))?;
-    let Softened { energy, slope, .. } = step.softened(iso.energy, at);
-    let iso_stress = isochoric_stress(&iso.stress, he);
-    add_scaled(&mut stress, weights.isochoric * slope - weights.volumetric, &iso_stress);
-    let energy = weights.volumetric * (whole.energy - iso.energy) + weights.isochoric * energy;
-    Some(Response { energy, stress, det_f: whole.det_f })
+
+    /// Energy and stress `a_vol (ψ − ψ_iso) + a_iso φ(ψ_iso)`.
+    fn weighted(&self, weights: Weights<S>) -> Answer<S> {
+        let mut stress = scaled(weights.volumetric, &self.whole.stress);
+        let det_f = self.whole.det_f;
+        let Some(iso) = &self.isochoric else {
+            let energy = weights.volumetric * self.whole.energy;
+            return Answer { energy, stress, det_f };
+        };
+        let slope = weights.isochoric * iso.softened.slope - weights.volumetric;
+        add_scaled(&mut stress, slope, &iso.stress);
+        let energy = weights.volumetric * (self.whole.energy - iso.energy)
+            + weights.isochoric * iso.softened.energy;
+        Answer { energy, stress, det_f }
+    }
+}
+
+impl<S: Scalar> Common<S> {
+    /// What the law says at a displacement gradient.
+    pub(super) fn parts(
+        &self,
+        at: &PointStep<S>,
+        h: &Matrix<S>,
+        law: impl Fn(&Matrix<S>) -> Option<Answer<S>>,
+    ) -> Option<Parts<S>> {
+        let he = at.elastic_gradient(h);
+        let whole = law(&he)?;
+        let isochoric = match self.split {
+            true => {
+                let iso = law(&bar_gradient(&he))?;
+                let stress = isochoric_stress(&iso.stress, &he);
+                let softened = self.softened(iso.energy, at);
+                Some(Isochoric { energy: iso.energy, stress, softened })
+            }
+            false => None,
+        };
+        Some(Parts { whole, isochoric })
+    }
+
+    /// The first line of `Ψ` and its stress with other weights of its parts.
+    pub(super) fn stored(
+        &self,
+        at: &PointStep<S>,
+        h: &Matrix<S>,
+        parts: &Parts<S>,
+        weights: Weights<S>,
+    ) -> Answer<S> {
+        let Answer { energy, mut stress, mut det_f } = parts.weighted(weights);
+        if let Some(pull) = &at.pull {
+            stress = product(&stress, &transposed(pull));
+            det_f = 1.0 + det_f_minus_one(h).value();
+        }
+        let volume = self.stretch * self.stretch * self.stretch;
+        Answer { energy: volume * energy, stress: scaled(volume, &stress), det_f }
+    }
+
+    /// `Ψ` and its stress.
+    pub(super) fn response(
+        &self,
+        at: &PointStep<S>,
+        h: &Matrix<S>,
+        law: impl Fn(&Matrix<S>) -> Option<Answer<S>>,
+    ) -> Option<Answer<S>> {
+        let parts = self.parts(at, h, law)?;
+        Some(self.with_memory(at, h, self.stored(at, h, &parts, self.weights)))
+    }
+
+    /// With what is remembered and what flows: the second line of `Ψ`.
+    fn with_memory(&self, at: &PointStep<S>, h: &Matrix<S>, mut answer: Answer<S>) -> Answer<S> {
+        if at.history_stress.is_none() && at.flow.is_none() {
+            return answer;
+        }
+        let strain = green_strain(h);
+        let mut stress = zero();
+        if let Some(remembered) = &at.history_stress {
+            answer.energy = answer.energy + contracted(remembered, &strain);
+            stress = *remembered;
+        }
+        if let Some(flow) = &at.flow {
+            let change = minus(&strain, &flow.strain);
+            let viscous = product(&product(&flow.inverse_metric, &change), &flow.inverse_metric);
+            let viscous = scaled(flow.factor, &viscous);
+            answer.energy = answer.energy + S::constant(0.5) * contracted(&viscous, &change);
+            add_scaled(&mut stress, S::constant(1.0), &viscous);
+        }
+        let first = product(&plus_identity(h), &stress);
+        add_scaled(&mut answer.stress, S::constant(1.0), &first);
+        answer
+    }
 }
 
 /// `F̄ − I = j h + (j − 1) I`
-pub(super) fn bar_gradient(h: &Matrix3) -> Matrix3 {
-    let less = (-det_f_minus_one(h).ln_1p() / 3.0).exp_m1();
-    let mut bar = h.map(|row| row.map(|v| (1.0 + less) * v));
-    for i in 0..3 {
-        bar[i][i] += less;
-    }
-    bar
+fn bar_gradient<S: Scalar>(h: &Matrix<S>) -> Matrix<S> {
+    let x = det_f_minus_one(h);
+    let less = (-x.value().ln_1p() / 3.0).exp_m1();
+    let less = x.apply(less, -(1.0 + less) / (3.0 * (1.0 + x.value())));
+    plus_scalar(&scaled(S::constant(1.0) + less, h), less)
 }
 
-fn isochoric_stress(law_stress: &Matrix3, h: &Matrix3) -> Matrix3 {
+fn isochoric_stress<S: Scalar>(law_stress: &Matrix<S>, h: &Matrix<S>) -> Matrix<S> {
     let f = plus_identity(h);
-    let j = (1.0 + det_f_minus_one(h)).cbrt().recip();
-    let mean = contracted(law_stress, &f) / 3.0;
-    let mut stress = ZERO;
-    add_scaled(&mut stress, j, law_stress);
+    let x = det_f_minus_one(h);
+    let j = (1.0 + x.value()).cbrt().recip();
+    let j = x.apply(j, -j / (3.0 * (1.0 + x.value())));
+    let mean = contracted(law_stress, &f) / S::constant(3.0);
+    let mut stress = scaled(j, law_stress);
     add_scaled(&mut stress, -j * mean, &inverse_transposed(&f));
     stress
 }
@@ -184,86 +284,39 @@ fn scale(tangent: &mut Tangent, factor: f64) {
     tangent.iter_mut().flatten().for_each(|v| *v *= factor);
 }
 
-impl PointStep {
+impl<S: Scalar> PointStep<S> {
     /// `Fe − I = h A + (A − I)`
-    pub(super) fn elastic_gradient(&self, h: &Matrix3) -> Matrix3 {
+    fn elastic_gradient(&self, h: &Matrix<S>) -> Matrix<S> {
         let Some(pull) = &self.pull else { return *h };
-        let mut he = product(h, pull);
-        for i in 0..3 {
-            for j in 0..3 {
-                he[i][j] += pull[i][j] - if i == j { 1.0 } else { 0.0 };
-            }
-        }
+        let mut he = plus_scalar(pull, S::constant(-1.0));
+        add_scaled(&mut he, S::constant(1.0), &product(h, pull));
         he
     }
 }
 
-impl StepState {
-    /// The first line of `Ψ` and its stress, from an elastic answer at `Fe`.
-    pub(super) fn stored(
-        &self,
-        at: &PointStep,
-        h: &Matrix3,
-        elastic: impl FnOnce(&Matrix3) -> Option<Response>,
-    ) -> Option<Response> {
-        let mut answer = elastic(&at.elastic_gradient(h))?;
-        if let Some(pull) = &at.pull {
-            answer.stress = product(&answer.stress, &transposed(pull));
-            answer.det_f = 1.0 + det_f_minus_one(h);
-        }
-        let volume = self.stretch.powi(3);
-        answer.energy *= volume;
-        answer.stress.iter_mut().flatten().for_each(|v| *v *= volume);
-        Some(answer)
-    }
-
-    /// Add what is remembered and what flows: the second line of `Ψ`.
-    fn add_memory(&self, at: &PointStep, h: &Matrix3, answer: &mut Response) {
-        let strain = green_strain(h);
-        let mut stress = ZERO;
-        if let Some(remembered) = &at.history_stress {
-            answer.energy += contracted(remembered, &strain);
-            stress = *remembered;
-        }
-        if let Some(flow) = &at.flow {
-            let mut change = strain;
-            add_scaled(&mut change, -1.0, &flow.strain);
-            let mut viscous =
-                product(&product(&flow.inverse_metric, &change), &flow.inverse_metric);
-            viscous.iter_mut().flatten().for_each(|v| *v *= flow.factor);
-            answer.energy += 0.5 * contracted(&viscous, &change);
-            add_scaled(&mut stress, 1.0, &viscous);
-        }
-        if at.history_stress.is_some() || at.flow.is_some() {
-            let first = product(&plus_identity(h), &stress);
-            add_scaled(&mut answer.stress, 1.0, &first);
-        }
-    }
-
-    /// Its tangent: `δ_im S_nl`, and for what flows `½ c ((F B Fᵀ)_im B_nl + (F B)_in (F B)_ml)`.
-    fn add_memory_tangent(&self, at: &PointStep, h: &Matrix3, tangent: &mut Tangent) {
-        let mut stress = at.history_stress.unwrap_or(ZERO);
-        let f = plus_identity(h);
-        if let Some(flow) = &at.flow {
-            let b = &flow.inverse_metric;
-            let mut change = green_strain(h);
-            add_scaled(&mut change, -1.0, &flow.strain);
-            add_scaled(&mut stress, flow.factor, &product(&product(b, &change), b));
-            let fb = product(&f, b);
-            let fbf = product(&fb, &transposed(&f));
-            for (i, l) in (0..9).map(|il| (il / 3, il % 3)) {
-                for (m, n) in (0..9).map(|mn| (mn / 3, mn % 3)) {
-                    tangent[3 * i + l][3 * m + n] +=
-                        0.5 * flow.factor * (fbf[i][m] * b[n][l] + fb[i][n] * fb[m][l]);
-                }
+/// Its tangent: `δ_im S_nl`, and for what flows `½ c ((F B Fᵀ)_im B_nl + (F B)_in (F B)_ml)`.
+fn add_memory_tangent(at: &PointStep<f64>, h: &Matrix3, tangent: &mut Tangent) {
+    let mut stress = at.history_stress.unwrap_or(zero());
+    let f = plus_identity(h);
+    if let Some(flow) = &at.flow {
+        let b = &flow.inverse_metric;
+        let mut change = green_strain(h);
+        add_scaled(&mut change, -1.0, &flow.strain);
+        add_scaled(&mut stress, flow.factor, &product(&product(b, &change), b));
+        let fb = product(&f, b);
+        let fbf = product(&fb, &transposed(&f));
+        for (i, l) in (0..9).map(|il| (il / 3, il % 3)) {
+            for (m, n) in (0..9).map(|mn| (mn / 3, mn % 3)) {
+                tangent[3 * i + l][3 * m + n] +=
+                    0.5 * flow.factor * (fbf[i][m] * b[n][l] + fb[i][n] * fb[m][l]);
             }
         }
-        if at.history_stress.is_some() || at.flow.is_some() {
-            for i in 0..3 {
-                for l in 0..3 {
-                    for n in 0..3 {
-                        tangent[3 * i + l][3 * i + n] += stress[n][l];
-                    }
+    }
+    if at.history_stress.is_some() || at.flow.is_some() {
+        for i in 0..3 {
+            for l in 0..3 {
+                for n in 0..3 {
+                    tangent[3 * i + l][3 * i + n] += stress[n][l];
                 }
             }
         }

@@ -8,75 +8,87 @@
 //! a   = 1 − Σ g_i (1 − β_i),           S_hist = Σ g_i (e_i H_i,n − β_i S_e,n)
 //! ```
 
-use super::tensor::{ZERO, add_scaled};
-use crate::material::Matrix3;
+use super::scalar::{Matrix, Scalar};
+use super::tensor::{add_scaled, zero};
+use crate::material::{phi1, phi2};
 
 /// One term of a series: its share and its time, s.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Term {
-    pub(super) share: f64,
-    pub(super) tau: f64,
+pub(super) struct Term<S> {
+    pub(super) share: S,
+    pub(super) tau: S,
 }
 
 /// What a series remembers at one point.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Memory {
+pub(super) struct Memory<S> {
     /// Elastic second Piola–Kirchhoff stress at the end of the last step, kPa.
-    elastic: Matrix3,
+    pub(super) elastic: Matrix<S>,
     /// `H_i`, kPa.
-    terms: Vec<Matrix3>,
+    pub(super) terms: Vec<Matrix<S>>,
 }
 
-impl Memory {
+impl<S: Scalar> Memory<S> {
     pub(super) fn new(n_terms: usize) -> Self {
-        Self { elastic: ZERO, terms: vec![ZERO; n_terms] }
+        Self { elastic: zero(), terms: vec![zero(); n_terms] }
     }
 }
 
 /// `e` and `β` of every term over one step.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Decay {
-    factors: Vec<(f64, f64, f64)>,
+pub(super) struct Decay<S> {
+    factors: Vec<(S, S, S)>,
 }
 
-impl Decay {
-    pub(super) fn new(terms: &[Term], step: f64) -> Self {
+impl<S: Scalar> Decay<S> {
+    pub(super) fn new(terms: &[Term<S>], step: f64) -> Self {
         let factors = terms
             .iter()
             .map(|term| {
-                let x = step / term.tau;
-                let beta = if x > 0.0 { -(-x).exp_m1() / x } else { 1.0 };
-                (term.share, (-x).exp(), beta)
+                let x = S::constant(step) / term.tau;
+                let y = -x.value();
+                let beta = x.apply(phi1(y), phi2(y) - phi1(y));
+                (term.share, x.apply(y.exp(), -y.exp()), beta)
             })
             .collect();
         Self { factors }
     }
 
     /// `a`: what is left of an elastic stress that grows within the step.
-    pub(super) fn instant(&self) -> f64 {
-        1.0 - self.factors.iter().map(|(share, _, beta)| share * (1.0 - beta)).sum::<f64>()
+    pub(super) fn instant(&self) -> S {
+        let one = S::constant(1.0);
+        let lost = |sum: S, (share, _, beta): &(S, S, S)| sum + *share * (one - *beta);
+        one - self.factors.iter().fold(S::constant(0.0), lost)
     }
 
     /// `S_hist`, kPa.
-    pub(super) fn history(&self, memory: &Memory) -> Matrix3 {
-        let mut sum = ZERO;
+    pub(super) fn history(&self, memory: &Memory<S>) -> Matrix<S> {
+        let mut sum = zero();
         for ((share, e, beta), term) in self.factors.iter().zip(&memory.terms) {
-            add_scaled(&mut sum, share * e, term);
-            add_scaled(&mut sum, -share * beta, &memory.elastic);
+            add_scaled(&mut sum, *share * *e, term);
+            add_scaled(&mut sum, -*share * *beta, &memory.elastic);
         }
         sum
     }
 
     /// End the step at an elastic stress, kPa.
-    pub(super) fn update(&self, memory: &mut Memory, elastic: Matrix3) {
+    pub(super) fn update(&self, memory: &mut Memory<S>, elastic: Matrix<S>) {
         for ((_, e, beta), term) in self.factors.iter().zip(&mut memory.terms) {
             for i in 0..3 {
                 for j in 0..3 {
                     let change = elastic[i][j] - memory.elastic[i][j];
-                    term[i][j] = e * term[i][j] + beta * change;
+                    term[i][j] = *e * term[i][j] + *beta * change;
                 }
             }
         }
         memory.elastic = elastic;
+    }
+}
+
+impl Decay<f64> {
+    /// The same numbers, as constants of another kind.
+    pub(super) fn lifted<S: Scalar>(&self) -> Decay<S> {
+        let one = S::constant;
+        Decay { factors: self.factors.iter().map(|&(g, e, b)| (one(g), one(e), one(b))).collect() }
     }
 }

@@ -51,6 +51,20 @@ pub struct Rig {
     bonded: Vec<Option<Vec<[f64; 3]>>>,
     /// Bodies by the pads that are present.
     bodies: BTreeMap<Vec<bool>, Body>,
+    /// Of the recorded steps: how pads were while they were made.
+    phases: Vec<Phase>,
+}
+
+/// Recorded steps with the same pads.
+#[derive(Debug, Clone)]
+pub(crate) struct Phase {
+    /// Recorded steps up to its end.
+    pub(crate) end: usize,
+    /// Number of the frame, and whether this phase ends it.
+    pub(crate) frame: usize,
+    pub(crate) is_last: bool,
+    /// Recorded steps when each pad was bonded; none where it is gone.
+    pub(crate) bonded: Vec<Option<usize>>,
 }
 
 /// One frame of a rig.
@@ -91,7 +105,8 @@ impl Rig {
         }
         let middles = free.iter().map(|nodes| middles_of(&body, nodes)).collect();
         let bonded = vec![None; free.len()];
-        Ok(Self { body, history, pads: free, middles, bonded, bodies: BTreeMap::new() })
+        let (bodies, phases) = (BTreeMap::new(), Vec::new());
+        Ok(Self { body, history, pads: free, middles, bonded, bodies, phases })
     }
 
     /// The body with its own supports.
@@ -132,6 +147,14 @@ impl Rig {
         check_finite("motion of a pad", &given)?;
         let mut history = self.history.clone();
         let mut bonded = self.bonded.clone();
+        let mut phases = self.phases.clone();
+        let mut phase = match phases.last() {
+            Some(last) => Phase { frame: last.frame + 1, is_last: false, ..last.clone() },
+            None => Phase { end: 0, frame: 0, is_last: false, bonded: vec![None; bonded.len()] },
+        };
+        for (since, motion) in phase.bonded.iter_mut().zip(motions) {
+            *since = since.filter(|_| motion.is_some());
+        }
         let mut comes = false;
         for (place, motion) in bonded.iter_mut().zip(motions) {
             match motion {
@@ -142,9 +165,16 @@ impl Rig {
         if comes {
             if history.time_s().is_some() || acts(load, &history, time_s) {
                 match self.settle(&mut history, &bonded, load, &given, time_s, settings) {
-                    Ok(_) | Err(FemError::Unconstrained(_)) => {}
+                    Ok(_) => {
+                        phase.end = n_steps(&history);
+                        phases.push(phase.clone());
+                    }
+                    Err(FemError::Unconstrained(_)) => {}
                     Err(error) => return Err(error),
                 }
+            }
+            for (since, motion) in phase.bonded.iter_mut().zip(motions) {
+                *since = since.or(motion.map(|_| n_steps(&history)));
             }
             let shape = history.displacement();
             for (pad, (place, motion)) in bonded.iter_mut().zip(motions).enumerate() {
@@ -155,6 +185,10 @@ impl Rig {
             }
         }
         let solution = self.settle(&mut history, &bonded, load, &given, time_s, settings)?;
+        phases.push(Phase { end: n_steps(&history), is_last: true, ..phase });
+        if history.steps().is_some() {
+            self.phases = phases;
+        }
         self.history = history;
         self.bonded = bonded;
         Ok(self.frame(solution))
@@ -171,7 +205,7 @@ impl Rig {
         settings: &SolveSettings,
     ) -> Result<Solution, FemError> {
         let n_own = self.body.held_nodes().len();
-        let mut rows = match &load.prescribed {
+        let rows = match &load.prescribed {
             Some(rows) => {
                 check_length("prescribed displacements (one row a held node)", n_own, rows.len())?;
                 rows.clone()
@@ -190,25 +224,61 @@ impl Rig {
             self.bodies.insert(present.clone(), self.body.with_supports(supports)?);
         }
         let body = self.bodies.get(&present).unwrap_or(&self.body);
-        let place = |row: &[f64; 3], motion: &[f64; 3]| std::array::from_fn(|i| row[i] + motion[i]);
-        for (pad, bonded) in bonded.iter().enumerate() {
-            let corners = bonded.iter().flatten().take(self.pads[pad].len());
-            rows.extend(corners.map(|row| place(row, &motions[pad])));
+        let moved = |(rows, motion): (&Option<Vec<[f64; 3]>>, &[f64; 3])| {
+            let place = |row: &[f64; 3]| std::array::from_fn(|i| row[i] + motion[i]);
+            rows.as_ref().map(|rows| rows.iter().map(place).collect())
+        };
+        let places: Vec<Option<Vec<[f64; 3]>>> = bonded.iter().zip(motions).map(moved).collect();
+        for place in places.iter().flatten() {
+            check_finite("prescribed displacements", place)?;
         }
         check_finite("prescribed displacements", &rows)?;
-        let mut prescribed = body.held_displacement(&rows);
+        let prescribed = self.held_displacement(body, rows, &places);
+        let load = Load { prescribed: None, ..load.clone() };
+        history.advance_held(body, &load, Some(prescribed), time_s, settings)
+    }
+
+    /// Displacement of all nodes, flat, from that of the body's own held nodes and of the nodes and
+    /// middles of all pads that are present; zero where free. It is linear in both.
+    pub(crate) fn held_displacement(
+        &self,
+        body: &Body,
+        mut rows: Vec<[f64; 3]>,
+        places: &[Option<Vec<[f64; 3]>>],
+    ) -> Vec<f64> {
+        for (place, nodes) in places.iter().zip(&self.pads) {
+            rows.extend(place.iter().flatten().take(nodes.len()));
+        }
+        let mut all = body.held_displacement(&rows);
         // Middles keep the curvature that their edges had.
-        for (pad, bonded) in bonded.iter().enumerate() {
-            let middles = bonded.iter().flatten().skip(self.pads[pad].len());
+        for (pad, place) in places.iter().enumerate() {
+            let middles = place.iter().flatten().skip(self.pads[pad].len());
             for (&node, row) in self.middles[pad].iter().zip(middles) {
-                let moved: [f64; 3] = place(row, &motions[pad]);
                 for i in (0..3).filter(|&i| body.held()[node][i]) {
-                    prescribed[3 * node + i] = moved[i];
+                    all[3 * node + i] = row[i];
                 }
             }
         }
-        let load = Load { prescribed: None, ..load.clone() };
-        history.advance_held(body, &load, Some(prescribed), time_s, settings)
+        all
+    }
+
+    /// Nodes of a pad, and the middles of edges within it.
+    pub(crate) fn pad_nodes(&self, pad: usize) -> (&[usize], &[usize]) {
+        (&self.pads[pad], &self.middles[pad])
+    }
+
+    /// Frames that have been recorded, see [`History::recorded`].
+    pub fn n_recorded_frames(&self) -> usize {
+        self.phases.iter().filter(|phase| phase.is_last).count()
+    }
+
+    pub(crate) fn n_pads(&self) -> usize {
+        self.pads.len()
+    }
+
+    /// Phases of the recorded steps.
+    pub(crate) fn phases(&self) -> &[Phase] {
+        &self.phases
     }
 
     /// Tell the reactions of supports and pads apart.
@@ -245,6 +315,11 @@ fn middles_of(body: &Body, nodes: &[usize]) -> Vec<usize> {
         .filter(|(_, [a, b])| inside[*a] && inside[*b])
         .map(|(edge, _)| body.n_corner_nodes() + edge)
         .collect()
+}
+
+/// Steps recorded so far.
+fn n_steps(history: &History) -> usize {
+    history.steps().map_or(0, <[_]>::len)
 }
 
 /// Whether anything can deform the body before the first pad comes.

@@ -1,8 +1,12 @@
 //! A body's history, frame by frame.
 
+use std::sync::Arc;
+
 use super::behaviour::Behaviour;
+use super::common::PointState;
 use super::point::StepModel;
-use super::state::{PointState, StepState, fresh_states};
+use super::record::StepRecord;
+use super::state::{StepState, fresh_states};
 use crate::assembly::gradients_at_points;
 use crate::body::Body;
 use crate::error::{FemError, NoEquilibrium};
@@ -68,9 +72,11 @@ struct Now {
     /// Loads of the last frame, `(3 n_nodes)`, mN.
     force: Vec<f64>,
     /// One a quadrature point.
-    states: Vec<PointState>,
+    states: Vec<PointState<f64>>,
     /// Largest norm of a load so far, mN: a residual small beside it is no force.
     largest_load: f64,
+    /// All steps so far, where they are recorded.
+    steps: Option<Vec<Arc<StepRecord>>>,
 }
 
 impl History {
@@ -90,8 +96,35 @@ impl History {
             force: vec![0.0; n],
             states: fresh_states(&behaviour, body.n_tets() * body.element().n_points()),
             largest_load: 0.0,
+            steps: None,
         };
         Ok(Self { material, behaviour, now })
+    }
+
+    /// The same, with every step recorded for [`Rig::derivatives`](crate::Rig::derivatives) and
+    /// [`Rig::adjoints`](crate::Rig::adjoints). A step takes the memory of its points and a few
+    /// vectors of the displacement's length.
+    ///
+    /// # Errors
+    ///
+    /// As [`History::new`].
+    pub fn recorded(
+        body: &Body,
+        material: Material,
+        behaviour: Behaviour,
+    ) -> Result<Self, FemError> {
+        let mut history = Self::new(body, material, behaviour)?;
+        history.now.steps = Some(Vec::new());
+        Ok(history)
+    }
+
+    /// Steps so far, where they are recorded.
+    pub(crate) fn steps(&self) -> Option<&[Arc<StepRecord>]> {
+        self.now.steps.as_deref()
+    }
+
+    pub(crate) fn material(&self) -> &Material {
+        &self.material
     }
 
     /// Time of the last frame, s; none before the first.
@@ -268,6 +301,8 @@ impl Frame<'_> {
         let rest = || cache.metric(self.body, elastic, &self.load.springs, problem.parallel);
         let (state, report) = solver.find(&problem, Some(state), rest)?;
 
+        let least_load = problem.least_load;
+        let before = now.steps.is_some().then(|| now.states.clone());
         let gradients = gradients_at_points(self.body.geometry(), &state.displacement);
         if !step.update(elastic, &gradients, &mut now.states) {
             let worst = problem.worst_tets(&state.displacement);
@@ -278,7 +313,23 @@ impl Frame<'_> {
         now.displacement.clone_from(&state.displacement);
         now.force.clone_from(&load.force);
         now.time_s = Some(time);
-        Ok(solution(&problem, &state, report))
+        let answer = solution(&problem, &state, report);
+        if let (Some(steps), Some(before)) = (&mut now.steps, before) {
+            steps.push(Arc::new(StepRecord {
+                body: self.body.again(),
+                springs: self.load.springs.clone(),
+                surface: self.surface.clone(),
+                load,
+                from: start.steps.as_ref().map_or(0, Vec::len),
+                part: if start.time_s.is_some() { to } else { 1.0 },
+                before,
+                length,
+                time,
+                displacement: state.displacement,
+                least_load,
+            }));
+        }
+        Ok(answer)
     }
 
     /// The load at a fraction of the way to the frame.

@@ -2,43 +2,63 @@
 
 use std::f64::consts::PI;
 
-use super::behaviour::Softening;
+use super::scalar::Scalar;
 
 /// `φ`, `η = dφ/dW` and `dη/dW` of an isochoric energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Softened {
+pub(super) struct Softened<S> {
     /// kPa
-    pub(super) energy: f64,
+    pub(super) energy: S,
     /// Dimensionless.
-    pub(super) slope: f64,
+    pub(super) slope: S,
     /// 1/kPa
     pub(super) curvature: f64,
 }
 
-impl Softened {
+impl<S: Scalar> Softened<S> {
     /// A point under more load than ever before.
-    pub(super) fn virgin(energy: f64) -> Self {
-        Self { energy, slope: 1.0, curvature: 0.0 }
+    pub(super) fn virgin(energy: S) -> Self {
+        Self { energy, slope: S::constant(1.0), curvature: 0.0 }
     }
 }
 
-impl Softening {
+/// Numbers of the softening.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Softness<S> {
+    pub(super) r: S,
+    pub(super) m_kpa: S,
+    pub(super) beta: S,
+}
+
+impl<S: Scalar> Softness<S> {
     /// Softened energy at isochoric energy `energy`, the largest so far being `largest` (kPa).
     ///
     /// `φ(W) = W` from `Wm` on; below, with `z = Wm − W` and `c = m + β Wm`, the integral of `η`
     /// that joins it, `φ(W) = W + (z erf(z/c) + c/√π (exp(−z²/c²) − 1)) / r`.
-    pub(super) fn at(&self, energy: f64, largest: f64) -> Softened {
+    pub(super) fn at(&self, energy: S, largest: S) -> Softened<S> {
         let z = largest - energy;
-        if z <= 0.0 {
+        if z.value() <= 0.0 {
             return Softened::virgin(energy);
         }
         let c = self.m_kpa + self.beta * largest;
-        let x = z / c;
-        let erf = libm::erf(x);
+        let ratio = z / c;
+        let x = ratio.value();
+        let bell = (-x * x).exp();
+        let erf = ratio.apply(libm::erf(x), 2.0 / PI.sqrt() * bell);
+        let rest = ratio.apply((-x * x).exp_m1(), -2.0 * x * bell);
+        let root = S::constant(PI.sqrt());
         Softened {
-            energy: energy + (z * erf + c / PI.sqrt() * (-x * x).exp_m1()) / self.r,
-            slope: 1.0 - erf / self.r,
-            curvature: 2.0 / (PI.sqrt() * c * self.r) * (-x * x).exp(),
+            energy: energy + (z * erf + c / root * rest) / self.r,
+            slope: S::constant(1.0) - erf / self.r,
+            curvature: 2.0 / (PI.sqrt() * c.value() * self.r.value()) * bell,
         }
+    }
+}
+
+impl Softness<f64> {
+    /// The same numbers, as constants of another kind.
+    pub(super) fn lifted<S: Scalar>(self) -> Softness<S> {
+        let one = S::constant;
+        Softness { r: one(self.r), m_kpa: one(self.m_kpa), beta: one(self.beta) }
     }
 }

@@ -9,7 +9,7 @@
 //! Elasticity* 61, 2000, without dispersion.
 
 use super::kinematics::Kinematics;
-use super::tensor::{add_outer, add_rows, add_twist, matrix, phi1};
+use super::tensor::{add_outer, add_rows, add_twist, matrix, phi1, phi2};
 use super::{Matrix3, Tangent};
 
 /// Fibres at one point.
@@ -66,12 +66,14 @@ impl Fibre {
         (energy, at.slope.map(|row| row.map(|v| pull * v)))
     }
 
-    /// Derivative of the stress by `k₂`.
-    pub(super) fn stress_by_k2(&self, h: &Matrix3, k: &Kinematics) -> Matrix3 {
-        let Some(at) = self.stretch(h, k) else { return [[0.0; 3]; 3] };
+    /// Derivatives of energy and stress by `k₂`.
+    pub(super) fn response_by_k2(&self, h: &Matrix3, k: &Kinematics) -> (f64, Matrix3) {
+        let Some(at) = self.stretch(h, k) else { return (0.0, [[0.0; 3]; 3]) };
         let square = at.strain * at.strain;
-        let pull = self.k1_over_mu * at.strain * square * (self.k2 * square).exp();
-        at.slope.map(|row| row.map(|v| pull * v))
+        let y = self.k2 * square;
+        let energy = 0.5 * self.k1_over_mu * square * square * (phi1(y) - phi2(y));
+        let pull = self.k1_over_mu * at.strain * square * y.exp();
+        (energy, at.slope.map(|row| row.map(|v| pull * v)))
     }
 
     /// Add the tangent beside a matrix of a shear modulus.

@@ -12,7 +12,7 @@
 
 use super::kinematics::Kinematics;
 use super::tensor::{
-    add, add_columns, add_outer, add_rows, add_twist, matrix, phi1, phi2, plus_identity, product,
+    add_columns, add_outer, add_rows, add_twist, matrix, phi1, phi2, plus_identity, product,
     square, strain, trace, x_minus_log,
 };
 use super::{LawKind, Matrix3, Parameter, Tangent};
@@ -59,15 +59,16 @@ impl LawKind {
         })
     }
 
-    /// Derivatives of the slopes in `a` and `b` by a shape parameter.
-    fn slopes_by(&self, parameter: Parameter, a: f64) -> (f64, f64) {
+    /// Derivatives of the energy and of its slopes in `a` and `b` by a shape parameter.
+    fn slopes_by(&self, parameter: Parameter, a: f64, b: f64) -> (f64, f64, f64) {
+        let stiffened = |rate: f64| a * a * (phi1(rate * a) - phi2(rate * a));
         match (*self, parameter) {
-            (Self::MooneyRivlin { .. }, Parameter::Share) => (-0.5, 0.5),
-            (Self::Yeoh { .. }, Parameter::C2OverC1) => (a, 0.0),
-            (Self::Yeoh { .. }, Parameter::C3OverC1) => (1.5 * a * a, 0.0),
-            (Self::Fung { b }, Parameter::B) => (0.5 * a * (b * a).exp(), 0.0),
-            (Self::VerondaWestmann { b }, Parameter::B) => (a * (b * a).exp(), 0.0),
-            _ => (0.0, 0.0),
+            (Self::MooneyRivlin { .. }, Parameter::Share) => (0.5 * (b - a), -0.5, 0.5),
+            (Self::Yeoh { .. }, Parameter::C2OverC1) => (0.5 * a * a, a, 0.0),
+            (Self::Yeoh { .. }, Parameter::C3OverC1) => (0.5 * a * a * a, 1.5 * a * a, 0.0),
+            (Self::Fung { b }, Parameter::B) => (0.5 * stiffened(b), 0.5 * a * (b * a).exp(), 0.0),
+            (Self::VerondaWestmann { b }, Parameter::B) => (stiffened(b), a * (b * a).exp(), 0.0),
+            _ => (0.0, 0.0, 0.0),
         }
     }
 
@@ -89,20 +90,17 @@ impl LawKind {
         Some((slopes.energy, stress))
     }
 
-    /// Derivative by a shape parameter of the stress of shear modulus 1.
-    pub(super) fn isochoric_stress_by(
+    /// Derivatives by a shape parameter of energy and stress of shear modulus 1.
+    pub(super) fn isochoric_response_by(
         &self,
         parameter: Parameter,
         h: &Matrix3,
         k: &Kinematics,
-    ) -> Matrix3 {
-        let (a, mut stress) = first(h, k);
-        let (by_a, by_b) = self.slopes_by(parameter, a);
-        stress = stress.map(|row| row.map(|v| by_a * v));
-        if by_b != 0.0 {
-            add(&mut stress, by_b, &second(h, k).1);
-        }
-        stress
+    ) -> (f64, Matrix3) {
+        let (a, slope_of_a) = first(h, k);
+        let (b, slope_of_b) = if self.has_second() { second(h, k) } else { (0.0, [[0.0; 3]; 3]) };
+        let (energy, by_a, by_b) = self.slopes_by(parameter, a, b);
+        (energy, matrix(|i, j| by_a * slope_of_a[i][j] + by_b * slope_of_b[i][j]))
     }
 
     /// Add the tangent of a shear modulus.

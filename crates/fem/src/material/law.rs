@@ -48,36 +48,43 @@ impl Law {
     /// Derivative `∂P/∂parameter` at a fixed displacement gradient: kPa over the unit of the
     /// parameter. Zero for a parameter that the law does not have; none where it has no stress.
     pub fn stress_by(&self, h: &Matrix3, parameter: Parameter) -> Option<Matrix3> {
-        // Stress is linear in the two moduli, and the shape parameters leave them alone.
+        self.response_by(h, parameter).map(|(_, stress)| stress)
+    }
+
+    /// Derivatives `(∂ψ/∂parameter, ∂P/∂parameter)` at a fixed displacement gradient, as
+    /// [`stress_by`](Self::stress_by).
+    pub fn response_by(&self, h: &Matrix3, parameter: Parameter) -> Option<(f64, Matrix3)> {
+        // Energy and stress are linear in the two moduli, and the shape parameters leave them alone.
         let moduli = match parameter {
             Parameter::Young => self.moduli.by_young(),
             Parameter::Poisson => self.moduli.by_poisson(),
-            _ => return self.stress_by_shape(h, parameter),
+            _ => return self.response_by_shape(h, parameter),
         };
-        Self { moduli, ..*self }.stress(h)
+        Self { moduli, ..*self }.response(h).map(|answer| (answer.energy, answer.stress))
     }
 
-    fn stress_by_shape(&self, h: &Matrix3, parameter: Parameter) -> Option<Matrix3> {
+    fn response_by_shape(&self, h: &Matrix3, parameter: Parameter) -> Option<(f64, Matrix3)> {
         let k = match Kinematics::new(h) {
             Some(k) => k,
-            None if self.holds_at_any_h() && all_finite(h) => return Some([[0.0; 3]; 3]),
+            None if self.holds_at_any_h() && all_finite(h) => return Some((0.0, [[0.0; 3]; 3])),
             None => return None,
         };
-        let mut stress = match (parameter, self.kind, self.fibre) {
+        let (energy, stress) = match (parameter, self.kind, self.fibre) {
             (Parameter::FibreK1, _, Some(fibre)) => {
-                Fibre { k1_over_mu: 1.0, ..fibre }.response(h, &k).1
+                Fibre { k1_over_mu: 1.0, ..fibre }.response(h, &k)
             }
-            (Parameter::FibreK2, _, Some(fibre)) => fibre.stress_by_k2(h, &k),
+            (Parameter::FibreK2, _, Some(fibre)) => fibre.response_by_k2(h, &k),
             (Parameter::Alpha(term), LawKind::Ogden(terms), _) => {
-                terms.stress_by_alpha(term, h, &k)
+                terms.response_by_alpha(term, h, &k)
             }
             (Parameter::Weight(term), LawKind::Ogden(terms), _) => {
-                terms.stress_by_weight(term, h, &k)
+                terms.response_by_weight(term, h, &k)
             }
-            _ => self.kind.isochoric_stress_by(parameter, h, &k),
+            _ => self.kind.isochoric_response_by(parameter, h, &k),
         };
-        stress = stress.map(|row| row.map(|v| self.moduli.mu * v));
-        all_finite(&stress).then_some(stress)
+        let stress = stress.map(|row| row.map(|v| self.moduli.mu * v));
+        let energy = self.moduli.mu * energy;
+        (energy.is_finite() && all_finite(&stress)).then_some((energy, stress))
     }
 
     /// The law that is worth a path of its own.

@@ -13,7 +13,9 @@
 //! at `r = 0`: equal stretches need no special case and lose no digits.
 
 use super::kinematics::Kinematics;
-use super::tensor::{add_outer, add_rows, matrix, phi1, phi2, plus_identity, product, strain};
+use super::tensor::{
+    add_outer, add_rows, matrix, phi1, phi2, phi3, plus_identity, product, strain,
+};
 use super::{Matrix3, OgdenTerms, Tangent};
 
 /// What all answers share.
@@ -35,6 +37,11 @@ impl Principal {
     /// `Σᵢ sᵢ Nᵢ ⊗ Nᵢ` with `sᵢ = τᵢ/cᵢ`.
     fn second_stress(&self, tau: &[f64; 3]) -> Matrix3 {
         matrix(|i, j| (0..3).map(|a| tau[a] / self.c[a] * self.axes[i][a] * self.axes[j][a]).sum())
+    }
+
+    /// Energy of one term with all of the shear modulus.
+    fn energy(&self, alpha: f64) -> f64 {
+        2.0 * self.d.iter().map(|d| d * d * phi2(alpha * d)).sum::<f64>()
     }
 
     /// `F S`
@@ -62,27 +69,41 @@ impl OgdenTerms {
     /// Energy and stress of shear modulus 1.
     pub(super) fn response(&self, h: &Matrix3, k: &Kinematics) -> (f64, Matrix3) {
         let at = Principal::new(h, k);
-        let term = |(alpha, share): (f64, f64)| {
-            2.0 * share * at.d.iter().map(|d| d * d * phi2(alpha * d)).sum::<f64>()
-        };
-        (self.terms().map(term).sum(), at.first_stress(h, &self.tau(&at.d)))
+        (self.energy(&at), at.first_stress(h, &self.tau(&at.d)))
     }
 
-    /// Derivative by the exponent of a term of the stress of shear modulus 1.
-    pub(super) fn stress_by_alpha(&self, term: usize, h: &Matrix3, k: &Kinematics) -> Matrix3 {
-        let Some((alpha, share)) = self.terms().nth(term) else { return [[0.0; 3]; 3] };
+    fn energy(&self, at: &Principal) -> f64 {
+        self.terms().map(|(alpha, share)| share * at.energy(alpha)).sum()
+    }
+
+    /// Derivatives by the exponent of a term of energy and stress of shear modulus 1.
+    pub(super) fn response_by_alpha(
+        &self,
+        term: usize,
+        h: &Matrix3,
+        k: &Kinematics,
+    ) -> (f64, Matrix3) {
+        let Some((alpha, share)) = self.terms().nth(term) else { return (0.0, [[0.0; 3]; 3]) };
         let at = Principal::new(h, k);
         let t = at.d.map(|d| 2.0 * share * d * d * (phi1(alpha * d) - phi2(alpha * d)));
-        at.first_stress(h, &minus_mean(t))
+        let cubes = at.d.map(|d| d * d * d * (phi2(alpha * d) - 2.0 * phi3(alpha * d)));
+        (2.0 * share * cubes.iter().sum::<f64>(), at.first_stress(h, &minus_mean(t)))
     }
 
-    /// Derivative by the weight of a term of the stress of shear modulus 1.
-    pub(super) fn stress_by_weight(&self, term: usize, h: &Matrix3, k: &Kinematics) -> Matrix3 {
-        let Some((alpha, _)) = self.terms().nth(term) else { return [[0.0; 3]; 3] };
+    /// Derivatives by the weight of a term of energy and stress of shear modulus 1.
+    pub(super) fn response_by_weight(
+        &self,
+        term: usize,
+        h: &Matrix3,
+        k: &Kinematics,
+    ) -> (f64, Matrix3) {
+        let Some((alpha, _)) = self.terms().nth(term) else { return (0.0, [[0.0; 3]; 3]) };
         let at = Principal::new(h, k);
         let own = minus_mean(at.d.map(|d| 2.0 * d * phi1(alpha * d)));
         let all = self.tau(&at.d);
-        at.first_stress(h, &std::array::from_fn(|i| (own[i] - all[i]) / self.total_weight()))
+        let total = self.total_weight();
+        let stress = at.first_stress(h, &std::array::from_fn(|i| (own[i] - all[i]) / total));
+        ((at.energy(alpha) - self.energy(&at)) / total, stress)
     }
 
     /// Add the tangent of a shear modulus.

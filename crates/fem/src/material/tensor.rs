@@ -131,12 +131,12 @@ pub(crate) fn x_minus_log(x: f64, log: f64) -> f64 {
 }
 
 /// `(eʸ − 1) / y`, 1 at 0.
-pub(super) fn phi1(y: f64) -> f64 {
+pub(crate) fn phi1(y: f64) -> f64 {
     if y == 0.0 { 1.0 } else { y.exp_m1() / y }
 }
 
 /// `(eʸ − 1 − y) / y²`, 1/2 at 0. The slope of [`phi1`] is `phi1 − phi2`.
-pub(super) fn phi2(y: f64) -> f64 {
+pub(crate) fn phi2(y: f64) -> f64 {
     if y.abs() > 0.5 {
         return (y.exp_m1() - y) / (y * y);
     }
@@ -146,6 +146,19 @@ pub(super) fn phi2(y: f64) -> f64 {
         sum = (1.0 + y * sum) / f64::from(k);
     }
     sum
+}
+
+/// `(eʸ − 1 − y − y²/2) / y³`, 1/6 at 0. The slope of [`phi2`] is `phi2 − 2 phi3`.
+pub(super) fn phi3(y: f64) -> f64 {
+    if y.abs() > 0.5 {
+        return (phi2(y) - 0.5) / y;
+    }
+    // Σ yᵏ/(k + 3)!; 14 terms leave less than 1e-18.
+    let mut sum = 0.0;
+    for k in (4..17).rev() {
+        sum = (1.0 + y * sum) / f64::from(k);
+    }
+    (1.0 + y * sum) / 6.0
 }
 
 #[cfg(test)]
@@ -159,7 +172,10 @@ mod tests {
             // The closed form cancels: 1e-16 / y².
             assert!((phi2(y) - closed).abs() < 4e-16 / (y * y), "{y}");
         }
-        assert_eq!((phi1(0.0), phi2(0.0)), (1.0, 0.5));
+        assert_eq!((phi1(0.0), phi2(0.0), phi3(0.0)), (1.0, 0.5, 1.0 / 6.0));
+        for y in [-0.5, -0.4999, -0.3, 0.3, 0.4999, 0.5] {
+            assert!((phi3(y) - (phi2(y) - 0.5) / y).abs() < 4e-16 / f64::abs(y), "{y}");
+        }
         // Slope of φ1 at 1, e − (e − 1) = 1.
         assert!((phi1(1.0) - phi2(1.0) - 1.0).abs() < 1e-15);
     }

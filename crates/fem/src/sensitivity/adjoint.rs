@@ -43,7 +43,7 @@ impl Observation {
     /// # Errors
     ///
     /// [`FemError::BadObservation`], [`FemError::NonFinite`].
-    pub(super) fn spread(&self, body: &Body) -> Result<(Vec<f64>, Vec<f64>), FemError> {
+    pub(crate) fn spread(&self, body: &Body) -> Result<(Vec<f64>, Vec<f64>), FemError> {
         let mut by_node = vec![0.0; 3 * body.n_nodes()];
         for (row, &(node, values)) in self.displacement.iter().enumerate() {
             if node >= body.n_nodes() {

@@ -1,6 +1,6 @@
 //! What may move an equilibrium, and the forces out of balance that it leaves at fixed displacement.
 
-use crate::assembly::add_forces_of;
+use crate::assembly::PointMap;
 use crate::body::Body;
 use crate::error::FemError;
 use crate::load::{Load, NodalLoad, check_length};
@@ -47,6 +47,7 @@ pub(super) struct Scene<'a> {
     pub(super) displacement: &'a [f64],
     /// Displacement gradient at all points.
     pub(super) gradients: &'a [Matrix3],
+    pub(super) map: &'a PointMap,
 }
 
 impl Scene<'_> {
@@ -86,7 +87,7 @@ impl Scene<'_> {
             }
         }
         let mut unbalanced = vec![0.0; self.displacement.len()];
-        add_forces_of(self.body.geometry(), &stresses, &mut unbalanced);
+        self.map.add_forces(self.body.geometry(), &stresses, &mut unbalanced);
         Ok(unbalanced)
     }
 

@@ -1,13 +1,14 @@
 //! An equilibrium and its tangent.
 
 use std::borrow::Borrow;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use super::adjoint::{Adjoint, Observation};
 use super::cause::{Cause, Scene};
 use super::rates::{Derivative, Tangent, exact, factor};
-use crate::assembly::{gradients_at_points, point_volumes};
+use crate::assembly::{PointMap, gradients_at_points, point_volumes};
 use crate::body::Body;
-use crate::element::Element;
 use crate::error::FemError;
 use crate::load::{Load, NodalLoad, check_finite, check_length};
 use crate::material::{Material, Matrix3, Parameter};
@@ -57,6 +58,7 @@ pub struct Linearised<B> {
     settings: SolveSettings,
     state: State,
     gradients: Vec<Matrix3>,
+    map: PointMap,
     factor: Factor,
 }
 
@@ -70,8 +72,8 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
     ///
     /// # Errors
     ///
-    /// [`FemError::NotWithElement`], [`FemError::NotInEquilibrium`] with the residual, [`FemError::NotStable`] where the tangent
-    /// is not positive definite; those of [`solve`](crate::solve) for wrong input.
+    /// [`FemError::NotInEquilibrium`] with the residual, [`FemError::NotStable`] where the tangent is
+    /// not positive definite; those of [`solve`](crate::solve) for wrong input.
     ///
     /// # Cost
     ///
@@ -86,9 +88,6 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         settings.check()?;
         settings.check_cancel()?;
         let own = body.borrow();
-        if own.element() == Element::Tet4Averaged {
-            return Err(FemError::NotWithElement { what: "derivatives", element: own.element() });
-        }
         material.check_size(own.n_tets(), own.element().n_points())?;
         check_length("displacement (one row a node)", own.n_nodes(), displacement.len())?;
         check_finite("displacement", displacement)?;
@@ -106,11 +105,13 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             parallel: settings.is_parallel(),
             least_load: 0.0,
         };
-        if !Solver::new(own, problem.parallel).evaluate(&problem, &mut state) {
+        let upright = Solver::new(own, problem.parallel).evaluate(&problem, &mut state);
+        let map = PointMap::new(own.geometry(), &state.displacement).filter(|_| upright);
+        let Some(map) = map else {
             let worst = problem.worst_tets(&state.displacement);
             let (tet, det_f) = worst.first().map_or((0, f64::NAN), |w| (w.tet, w.det_f));
             return Err(FemError::InvertedStart { tet, det_f });
-        }
+        };
         let factor = settings.in_pool(|| factor(&problem, &state))?;
         let gradients = gradients_at_points(own.geometry(), &state.displacement);
         let (material, springs) = (material.clone(), load.springs.clone());
@@ -123,8 +124,14 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             settings,
             state,
             gradients,
+            map,
             factor,
         })
+    }
+
+    /// Take another flag that ends calls with [`FemError::Cancelled`] where it is raised.
+    pub fn cancel_by(&mut self, flag: Option<Arc<AtomicBool>>) {
+        self.settings.cancel = flag;
     }
 
     /// How displacement and reactions follow each cause.
@@ -210,7 +217,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         for (sum, value) in at_held.iter_mut().zip(&by_node) {
             *sum += value;
         }
-        let gradients = gradients_at_points(body.geometry(), &v);
+        let gradients = self.map.gradients(body.geometry(), &v);
         let along = |stresses: &[Matrix3]| {
             let pairs = stresses.iter().zip(&gradients);
             pairs.map(|(p, g)| dot(p.as_flattened(), g.as_flattened())).collect()
@@ -241,6 +248,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             springs: &self.springs,
             displacement: &self.state.displacement,
             gradients: &self.gradients,
+            map: &self.map,
         }
     }
 

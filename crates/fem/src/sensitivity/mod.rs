@@ -16,8 +16,8 @@
 //! Fibres that bear tension alone switch at zero strain, with continuous stress: a derivative is that
 //! of the side that the state is on, and at the switch itself that of taut fibres.
 //!
-//! Static equilibria alone: a [`History`](crate::History) has no derivatives yet, nor have the
-//! Poisson's ratio of a skin and the place of nodes.
+//! The frames of a history have derivatives as well: [`Rig::derivatives`](crate::Rig::derivatives) and
+//! `frames`. None are there by the Poisson's ratio of a skin and the place of nodes.
 //!
 //! # Reference
 //!
@@ -25,10 +25,12 @@
 
 mod adjoint;
 mod cause;
+mod frames;
 mod linearised;
 mod rates;
 
 pub use adjoint::{Adjoint, Observation};
 pub use cause::Cause;
+pub use frames::{FrameAdjoint, FrameCause, FrameDerivative, FrameObservation};
 pub use linearised::Linearised;
 pub use rates::Derivative;

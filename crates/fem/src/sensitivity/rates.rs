@@ -79,10 +79,11 @@ impl Tangent<'_> {
         full
     }
 
-    /// `K` times a direction.
+    /// `K` times a direction, right in rows of held nodes; in all rows where only held components
+    /// move.
     pub(crate) fn product(&self, direction: &[f64]) -> Result<Vec<f64>, FemError> {
         let n_dofs = self.problem.body.n_unknowns();
-        let product = self.problem.tangent_product(self.state, direction);
+        let product = self.problem.product_at_supports(self.state, direction);
         product.ok_or(FemError::NotStable { pivot: 0, n_dofs })
     }
 

@@ -157,13 +157,29 @@ impl Problem<'_> {
 
     /// Tangent at a state times a direction `(3 n_nodes)`; none where an element is inverted.
     pub(crate) fn tangent_product(&self, state: &State, direction: &[f64]) -> Option<Vec<f64>> {
+        let all: Vec<usize> = (0..self.body.n_tets()).collect();
+        self.product_of(state, direction, &all)
+    }
+
+    /// The same, right in rows of held nodes; in all rows where only held components move.
+    pub(crate) fn product_at_supports(&self, state: &State, direction: &[f64]) -> Option<Vec<f64>> {
+        let (geometry, held) = (self.body.geometry(), self.body.held());
+        let is_held = |&node: &u32| held[node as usize].contains(&true);
+        let touched = |element: &usize| geometry.nodes_of(*element).iter().any(is_held);
+        let elements: Vec<usize> = (0..self.body.n_tets()).filter(touched).collect();
+        self.product_of(state, direction, &elements)
+    }
+
+    fn product_of(&self, state: &State, direction: &[f64], elements: &[usize]) -> Option<Vec<f64>> {
         let mut product = vec![0.0; direction.len()];
         let (geometry, u) = (self.body.geometry(), &state.displacement);
         let upright = match self.model {
             Model::Elastic(model) => {
-                tangent_product_into(geometry, model, u, direction, &mut product)
+                tangent_product_into(geometry, model, u, direction, elements, &mut product)
             }
-            Model::Step(model) => tangent_product_into(geometry, model, u, direction, &mut product),
+            Model::Step(model) => {
+                tangent_product_into(geometry, model, u, direction, elements, &mut product)
+            }
         };
         (upright && self.surface.add_product(u, direction, &mut product)).then_some(product)
     }

@@ -1,0 +1,337 @@
+//! Derivatives of an equilibrium: what a body is linearised at, by what, and what is observed.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use numpy::{PyArray2, PyArray3};
+use pyo3::prelude::*;
+use tissuereg_fem::material::Parameter;
+use tissuereg_fem::{
+    self as fem, BehaviourParameter, FemError, FrameCause, Load, Observation, SolveSettings,
+};
+
+use super::bad_choice;
+use crate::arrays::{self, View};
+use crate::errors::{self, Class};
+use crate::lock;
+
+/// What a derivative is taken by.
+#[pyclass(frozen, module = "tissuereg._core")]
+#[derive(Clone)]
+pub(crate) struct Cause(pub(super) FrameCause);
+
+#[pymethods]
+impl Cause {
+    /// A number of the law, moved alike everywhere, or, by a name with a dot, one of the behaviour, of springs or of
+    /// skins; `term` counts terms of series and sets of springs and skins.
+    #[staticmethod]
+    #[pyo3(signature = (name, term=0))]
+    fn parameter(py: Python<'_>, name: &str, term: usize) -> PyResult<Self> {
+        if let Some(number) = number_of_behaviour(name, term) {
+            return Ok(Self(FrameCause::Behaviour(number)));
+        }
+        let always = |cause| Ok(Self(FrameCause::Always(cause)));
+        let parameter = match name {
+            "young" => Parameter::Young,
+            "poisson" => Parameter::Poisson,
+            "share" => Parameter::Share,
+            "c2_over_c1" => Parameter::C2OverC1,
+            "c3_over_c1" => Parameter::C3OverC1,
+            "alpha" => Parameter::Alpha(term),
+            "weight" => Parameter::Weight(term),
+            "b" => Parameter::B,
+            "k1_over_mu" => Parameter::FibreK1,
+            "k2" => Parameter::FibreK2,
+            "springs.normal_kpa_per_mm" => return always(fem::Cause::SpringNormal(term)),
+            "springs.tangential_kpa_per_mm" => return always(fem::Cause::SpringTangential(term)),
+            "skins.young_kpa" => return always(fem::Cause::SkinYoung(term)),
+            "skins.thickness_mm" => return always(fem::Cause::SkinThickness(term)),
+            other => {
+                let wanted = "a parameter of a law, a behaviour, springs or skins";
+                return Err(bad_choice(py, "name", wanted, other));
+            }
+        };
+        always(fem::Cause::Parameter(parameter))
+    }
+
+    /// Young's modulus or Poisson's ratio along a field of rates, float64 (n_tets, n_points).
+    #[staticmethod]
+    fn field(name: &str, rates: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let view = View::<f64>::new("rates", rates, &[&[None, None]])?;
+        let rates_of_all = view.slice().to_vec();
+        let cause = match name {
+            "young" => fem::Cause::YoungField(rates_of_all),
+            "poisson" => fem::Cause::PoissonField(rates_of_all),
+            other => return Err(bad_choice(rates.py(), "name", "`young` or `poisson`", other)),
+        };
+        Ok(Self(FrameCause::Always(cause)))
+    }
+
+    /// The load along another one: forces, body force and prescribed displacements as rates; through frames, in all of
+    /// them.
+    #[staticmethod]
+    #[pyo3(signature = (*, forces=None, body_force=None, prescribed=None))]
+    fn load(
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let rows: [&[Option<usize>]; 1] = [&[None, Some(3)]];
+        let forces = View::<f64>::optional("forces", forces, &rows)?;
+        let body_force = View::<f64>::optional("body_force", body_force, &[&[Some(3)]])?;
+        let prescribed = View::<f64>::optional("prescribed", prescribed, &rows)?;
+        Ok(Self(FrameCause::Always(fem::Cause::Load(Load {
+            nodal_forces: forces.map(|view| view.rows::<3>().to_vec()),
+            body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
+            prescribed: prescribed.map(|view| view.rows::<3>().to_vec()),
+            springs: Vec::new(),
+        }))))
+    }
+
+    /// The same with the frames as first axis.
+    #[staticmethod]
+    #[pyo3(signature = (n_frames, *, forces=None, body_force=None, prescribed=None))]
+    fn loads(
+        n_frames: usize,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let (n, three) = (Some(n_frames), Some(3));
+        let rows: [&[Option<usize>]; 1] = [&[n, None, three]];
+        let forces = View::<f64>::optional("forces", forces, &rows)?;
+        let body_force = View::<f64>::optional("body_force", body_force, &[&[n, three]])?;
+        let prescribed = View::<f64>::optional("prescribed", prescribed, &rows)?;
+        let of = |view: &Option<View<'_, f64>>, frame: usize| {
+            view.as_ref().map(|view| {
+                let each = view.shape()[1];
+                view.rows::<3>()[frame * each..(frame + 1) * each].to_vec()
+            })
+        };
+        let loads = (0..n_frames).map(|frame| Load {
+            nodal_forces: of(&forces, frame),
+            body_force: body_force.as_ref().map_or([0.0; 3], |view| view.rows()[frame]),
+            prescribed: of(&prescribed, frame),
+            springs: Vec::new(),
+        });
+        Ok(Self(FrameCause::Loads(loads.collect())))
+    }
+
+    /// The motion of a pad along another one, float64 (n_frames, 3).
+    #[staticmethod]
+    fn motion(pad: usize, rates: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let rates = View::<f64>::new("rates", rates, &[&[None, Some(3)]])?.rows::<3>().to_vec();
+        Ok(Self(FrameCause::Motion { pad, rates }))
+    }
+
+    fn __repr__(&self) -> String {
+        use fem::Cause as C;
+        match &self.0 {
+            FrameCause::Always(C::YoungField(rates)) => {
+                format!("Cause(YoungField, n_points={})", rates.len())
+            }
+            FrameCause::Always(C::PoissonField(rates)) => {
+                format!("Cause(PoissonField, n_points={})", rates.len())
+            }
+            FrameCause::Always(C::Load(_)) => "Cause(Load)".to_owned(),
+            FrameCause::Always(other) => format!("Cause({other:?})"),
+            FrameCause::Behaviour(number) => format!("Cause({number:?})"),
+            FrameCause::Loads(loads) => format!("Cause(Loads, n_frames={})", loads.len()),
+            FrameCause::Motion { pad, rates } => {
+                format!("Cause(Motion, pad={pad}, n_frames={})", rates.len())
+            }
+        }
+    }
+}
+
+/// A number of a behaviour by the names of its parts.
+fn number_of_behaviour(name: &str, term: usize) -> Option<BehaviourParameter> {
+    use BehaviourParameter as P;
+    Some(match name {
+        "relaxation.g" => P::RelaxationShare(term),
+        "relaxation.tau_s" => P::RelaxationTime(term),
+        "rate.viscosity_kpa_s" => P::Viscosity,
+        "softening.r" => P::SofteningR,
+        "softening.m_kpa" => P::SofteningM,
+        "softening.beta" => P::SofteningBeta,
+        "set.fraction" => P::SetFraction,
+        "drainage.share" => P::DrainageShare,
+        "drainage.tau_s" => P::DrainageTime,
+        "swelling.linear_strain" => P::SwellingStrain,
+        "swelling.from_time_s" => P::SwellingFrom,
+        "swelling.to_time_s" => P::SwellingTo,
+        _ => return None,
+    })
+}
+
+/// Rows for every cause.
+pub(super) type Stack<'py> = Bound<'py, PyArray3<f64>>;
+
+/// Nodes and weights of displacements, nodes and weights of reactions.
+type Weights<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>);
+
+/// An equilibrium with its exact tangent, factored.
+#[pyclass(frozen, module = "tissuereg._core")]
+pub(crate) struct Linearised {
+    /// Locked by a call for as long as it takes: it takes the call's flag.
+    inner: Arc<Mutex<Inner>>,
+    body: Arc<tissuereg_fem::Body>,
+}
+
+type Inner = tissuereg_fem::Linearised<Arc<tissuereg_fem::Body>>;
+
+impl Linearised {
+    /// Factor the tangent at the equilibrium of a problem.
+    pub(super) fn new(
+        py: Python<'_>,
+        body: &Arc<tissuereg_fem::Body>,
+        problem: super::OneProblem,
+        displacement: Vec<[f64; 3]>,
+    ) -> PyResult<Self> {
+        let super::OneProblem { material, load, settings } = problem;
+        let cancel = Arc::new(AtomicBool::new(false));
+        let settings = SolveSettings { cancel: Some(cancel.clone()), ..settings };
+        let own = body.clone();
+        let work = move || Inner::new(own, &material, &load, &displacement, &settings);
+        let inner = lock::run_watched(py, &cancel, |_| Ok(()), work)?
+            .map_err(|error| errors::from_fem(py, &error, None))?;
+        Ok(Self { inner: Arc::new(Mutex::new(inner)), body: body.clone() })
+    }
+
+    /// Run a call that Ctrl-C ends.
+    fn call<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&Inner) -> Result<T, FemError> + Send + 'static,
+    ) -> PyResult<T> {
+        let (inner, cancel) = (self.inner.clone(), Arc::new(AtomicBool::new(false)));
+        let flag = cancel.clone();
+        let watched = move || {
+            let mut inner = inner.lock().unwrap_or_else(PoisonError::into_inner);
+            inner.cancel_by(Some(flag));
+            work(&inner)
+        };
+        lock::run_watched(py, &cancel, |_| Ok(()), watched)?
+            .map_err(|error| errors::from_fem(py, &error, None))
+    }
+}
+
+#[pymethods]
+impl Linearised {
+    /// How displacement, float64 (n_causes, n_nodes, 3) mm, and reactions, float64 (n_causes, h, 3) mN, follow each
+    /// cause, over its unit.
+    fn derivatives<'py>(
+        &self,
+        py: Python<'py>,
+        causes: Vec<PyRef<'py, Cause>>,
+    ) -> PyResult<(Stack<'py>, Stack<'py>)> {
+        let alone = |cause: &PyRef<'_, Cause>| match &cause.0 {
+            FrameCause::Always(cause) => Ok(cause.clone()),
+            _ => {
+                let found = cause.__repr__();
+                let wanted = "of an equilibrium, not of frames";
+                Err(bad_choice(py, "causes", wanted, &found))
+            }
+        };
+        let causes = causes.iter().map(alone).collect::<PyResult<Vec<_>>>()?;
+        let n = causes.len();
+        let found = self.call(py, move |inner| inner.derivatives(&causes))?;
+        let (mut displacement, mut reactions) = (Vec::new(), Vec::new());
+        for one in found {
+            displacement.extend(one.displacement.into_flattened());
+            reactions.extend(one.reactions.into_flattened());
+        }
+        let (n_nodes, n_held) = (self.body.n_nodes(), self.body.held_nodes().len());
+        Ok((
+            arrays::from_vec(py, displacement, [n, n_nodes, 3])?,
+            arrays::from_vec(py, reactions, [n, n_held, 3])?,
+        ))
+    }
+
+    /// How observations follow everything. Each is four arrays: nodes, int64 (k,), and the weights of their displacement,
+    /// float64 (k, 3); held nodes, int64 (r,), and the weights of their reactions, float64 (r, 3).
+    fn adjoints(&self, py: Python<'_>, observations: Vec<Weights<'_>>) -> PyResult<Adjoints> {
+        let observations = observations
+            .iter()
+            .map(|(nodes, weights, held, held_weights)| {
+                Ok(Observation {
+                    displacement: weights_of(py, ["nodes", "weights"], nodes, weights)?,
+                    reactions: weights_of(py, ["held_nodes", "held_weights"], held, held_weights)?,
+                })
+            })
+            .collect::<PyResult<Vec<_>>>()?;
+        let found = self.call(py, move |inner| inner.adjoints(&observations))?;
+        Adjoints::new(py, &self.body, found)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Linearised(n_nodes={})", self.body.n_nodes())
+    }
+}
+
+/// Nodes with their weights.
+pub(super) fn weights_of(
+    py: Python<'_>,
+    [name, weights_name]: [&str; 2],
+    nodes: &Bound<'_, PyAny>,
+    weights: &Bound<'_, PyAny>,
+) -> PyResult<Vec<(usize, [f64; 3])>> {
+    let nodes = View::<i64>::new(name, nodes, &[&[None]])?;
+    let nodes = nodes.indices::<1>(py, name, Class::Load)?.into_flattened();
+    let weights = View::<f64>::new(weights_name, weights, &[&[Some(nodes.len()), Some(3)]])?;
+    Ok(nodes.into_iter().zip(weights.rows::<3>().iter().copied()).collect())
+}
+
+/// Derivatives of observations by everything.
+#[pyclass(frozen, module = "tissuereg._core")]
+pub(crate) struct Adjoints {
+    /// By Young's modulus of every quadrature point, float64 (n_obs, n_tets, n_points), per kPa.
+    #[pyo3(get)]
+    young: Py<PyArray3<f64>>,
+    /// By Poisson's ratio of every quadrature point, float64 (n_obs, n_tets, n_points).
+    #[pyo3(get)]
+    poisson: Py<PyArray3<f64>>,
+    /// By the force at every node, float64 (n_obs, n_nodes, 3), per mN.
+    #[pyo3(get)]
+    forces: Py<PyArray3<f64>>,
+    /// By the body force, float64 (n_obs, 3), per mN/mm^3.
+    #[pyo3(get)]
+    body_force: Py<PyArray2<f64>>,
+    /// By the prescribed displacement of every held node, float64 (n_obs, h, 3), per mm.
+    #[pyo3(get)]
+    prescribed: Py<PyArray3<f64>>,
+}
+
+impl Adjoints {
+    fn new(
+        py: Python<'_>,
+        body: &tissuereg_fem::Body,
+        found: Vec<tissuereg_fem::Adjoint>,
+    ) -> PyResult<Self> {
+        let n = found.len();
+        let points = [n, body.n_tets(), body.element().n_points()];
+        let gathered = |pick: fn(&tissuereg_fem::Adjoint) -> &[f64], shape| {
+            let values = found.iter().flat_map(pick).copied().collect();
+            arrays::from_vec(py, values, shape).map(Bound::unbind)
+        };
+        Ok(Self {
+            young: gathered(|one| &one.young, points)?,
+            poisson: gathered(|one| &one.poisson, points)?,
+            forces: gathered(|one| one.nodal_forces.as_flattened(), [n, body.n_nodes(), 3])?,
+            body_force: arrays::from_points(py, found.iter().map(|one| one.body_force).collect())?
+                .unbind(),
+            prescribed: gathered(
+                |one| one.prescribed.as_flattened(),
+                [n, body.held_nodes().len(), 3],
+            )?,
+        })
+    }
+}
+
+#[pymethods]
+impl Adjoints {
+    fn __repr__(&self, py: Python<'_>) -> String {
+        use numpy::PyUntypedArrayMethods;
+        format!("Adjoints(n_obs={})", self.young.bind(py).shape()[0])
+    }
+}
