@@ -45,7 +45,7 @@ def test_members_stay_within_what_tissue_strains_and_the_prior_covers_the_marker
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # no marker is out of reach
         model = fit_prior(Simulator(block_mesh), motion, settings=settings)
-    (_, (_, members), (_, held_out)) = batches
+    (_, (_, members), _, (_, held_out)) = batches
     assert len(members.failed) == len(held_out.failed) == 0
     # The bound is on the linear answer; a body that bends turns as well, which this strain counts.
     strains = fitted._strains(block_mesh, members.displacement)
@@ -57,6 +57,6 @@ def test_members_stay_within_what_tissue_strains_and_the_prior_covers_the_marker
 def test_held_out_members_have_ten_nodes_an_element_and_all_count(block_mesh, batches):
     settings = FittedPriorSettings(n_members=N_MEMBERS)
     model = fit_prior(Simulator(block_mesh), wide_motion(block_mesh), settings=settings)
-    assert [element for element, _ in batches] == ["tet4", "tet4", "tet10"]
+    assert [element for element, _ in batches] == ["tet4", "tet4", "tet4", "tet10"]
     assert model.card["held_out"] == len(model.error_fields) == settings.n_held_out
     assert model.card["members"] == N_MEMBERS
