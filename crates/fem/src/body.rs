@@ -129,6 +129,7 @@ impl Body {
             supports: self.supports.clone(),
             held: self.held.clone(),
             pattern: Arc::clone(&self.pattern),
+            plain_order: OnceLock::new(),
             rest_cache: RestCache::default(),
             analyse_seconds: self.analyse_seconds,
         }

@@ -62,7 +62,7 @@ impl PointMap {
         for (element, (dh, theta)) in changes.iter().enumerate() {
             for &node in geometry.nodes_of(element) {
                 let node = node as usize;
-                let (growth, h) = averages.elements[element].averaged(averages.nodes[node]);
+                let (growth, h) = averages.elements[element].averaged(averages.logs[node]);
                 let f = deformation(&h);
                 let stretch = (means[node] - theta) / 3.0;
                 rates.push(matrix(|i, j| (1.0 + growth) * dh[i][j] + stretch * f[i][j]));
@@ -102,7 +102,7 @@ fn element_stresses(
         let deformed = &averages.elements[element];
         let nodes = geometry.nodes_of(element).iter().zip(&stresses[4 * element..]);
         nodes.map(move |(&node, stress)| {
-            let (growth, h) = deformed.averaged(averages.nodes[node as usize]);
+            let (growth, h) = deformed.averaged(averages.logs[node as usize]);
             (node as usize, 1.0 + growth, stress, dot(stress, &deformation(&h)) / 3.0)
         })
     };

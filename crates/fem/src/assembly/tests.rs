@@ -53,7 +53,8 @@ fn energy_and_force(geometry: &Geometry, model: &Material, u: &[f64]) -> (f64, V
 
 fn product(geometry: &Geometry, model: &Material, u: &[f64], d: &[f64]) -> Vec<f64> {
     let mut product = vec![0.0; u.len()];
-    assert!(tangent_product_into(geometry, model, u, d, &mut product));
+    let all: Vec<usize> = (0..geometry.n_elements()).collect();
+    assert!(tangent_product_into(geometry, model, u, d, &all, &mut product));
     product
 }
 

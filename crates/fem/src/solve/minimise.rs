@@ -175,17 +175,21 @@ impl Minimiser {
         }
     }
 
+    /// Whether a factor would pay for itself, judged once half of its time has been spent without.
     fn converges_slowly(&self, problem: &Problem, metric: &Metric, tolerance: f64) -> bool {
-        const WINDOW: usize = 6;
+        let cost = iterations_per_factor(problem);
+        // A light metric falls short sooner than one of its own tangent.
+        let lightness = metric.lightness(problem);
+        let wait = (0.5 * cost / lightness.powi(2)).clamp(8.0, 18.0);
+        let window = (0.7 * wait).round() as usize;
         let n = self.history.len();
-        if n <= WINDOW + 2 {
+        if n <= wait as usize {
             return false;
         }
-        let (now, before) = (self.history[n - 1], self.history[n - 1 - WINDOW]);
-        let rate = (now / before).ln() / WINDOW as f64;
-        let cost = iterations_per_factor(problem);
+        let (now, before) = (self.history[n - 1], self.history[n - 1 - window]);
+        let rate = (now / before).ln() / window as f64;
         let remaining = if rate < 0.0 { (tolerance / now).ln() / rate } else { f64::INFINITY };
-        remaining > (cost + AFTER_REFRESH) * metric.lightness(problem)
+        remaining > (cost + AFTER_REFRESH) * lightness
     }
 }
 

@@ -17,6 +17,7 @@ pub(crate) trait Precision:
     + Default
     + std::ops::AddAssign
     + std::ops::SubAssign
+    + std::ops::MulAssign
     + std::ops::Mul<Output = Self>
     + std::ops::Sub<Output = Self>
     + std::ops::Add<Output = Self>

@@ -260,6 +260,9 @@ impl<E: Entry> pulp::WithSimd for Store<'_, E> {
     }
 }
 
+/// Fronts with the updates that they pass on.
+type Updates<T> = Vec<(u32, Vec<T>)>;
+
 /// What one thread keeps between fronts.
 struct Scratch<T> {
     /// Updates no longer needed.
@@ -334,7 +337,7 @@ impl<B: Blocks> Work<'_, B> {
         children: &[u32],
         slots: Slots<E>,
         scratch: &mut Scratch<E::Real>,
-    ) -> Result<Vec<(u32, Vec<E::Real>)>, FemError> {
+    ) -> Result<Updates<E::Real>, FemError> {
         match *children {
             [] => Ok(Vec::new()),
             [one] => Ok(vec![(one, self.subtree(one, slots, scratch)?)]),
@@ -367,7 +370,7 @@ impl<B: Blocks> Work<'_, B> {
         scratch: &mut Scratch<E::Real>,
     ) -> Result<Vec<E::Real>, FemError> {
         let first_below = self.fronts.fronts[root as usize].first_below;
-        let mut pending: Vec<(u32, Vec<E::Real>)> = Vec::new();
+        let mut pending: Updates<E::Real> = Vec::new();
         let mut rest = slots;
         for f in first_below..=root as usize {
             let front = &self.fronts.fronts[f];
@@ -386,7 +389,7 @@ impl<B: Blocks> Work<'_, B> {
         &self,
         front: &Front,
         slots: Slots<E>,
-        children: Vec<(u32, Vec<E::Real>)>,
+        children: Updates<E::Real>,
         scratch: &mut Scratch<E::Real>,
     ) -> Result<Vec<E::Real>, FemError> {
         if self.making.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {

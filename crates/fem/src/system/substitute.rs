@@ -278,7 +278,7 @@ fn eliminate<S: Simd, E: Entry, const C: usize>(
     let mut scaled = [E::Real::default(); C];
     for c in 0..C {
         let Column { scale, inverse_pivot } = stored.columns[step.first + c];
-        own[c] = own[c] * inverse_pivot;
+        own[c] *= inverse_pivot;
         scaled[c] = E::Real::default() - own[c] * scale;
         for i in c + 1..C {
             own[i] += head[c * STEP + i].real() * scaled[c];
