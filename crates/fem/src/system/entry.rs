@@ -2,8 +2,7 @@
 //!
 //! A solution reads every entry twice and does little with it, so that its time is that of reading.
 //! A metric need not be exact: a column of sixteen-bit whole numbers times one scale takes half the
-//! room of single precision, and no iteration more than that (measured on all reference problems;
-//! eight bits take up to a quarter more).
+//! room of single precision, and no iteration more than that on any reference problem.
 
 use faer::traits::RealField;
 use pulp::Simd;

@@ -17,8 +17,10 @@ use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, MatMut, Par};
 
+use super::assemble::{Spares, Target, add_update, clear_lower};
 use super::entry::{Entry, Precision};
-use super::fronts::{BLOCK, Front, Fronts, STEP, Spot, Step};
+use super::fronts::{Front, Fronts};
+use super::panels::{AddSquares, Column, Slots, Store};
 use crate::error::FemError;
 
 /// Subtrees with less work than this are not worth a second thread.
@@ -26,9 +28,6 @@ const PARALLEL_WORK: f64 = 2e6;
 
 /// Fronts with less work than this are factored by one thread.
 const PARALLEL_FRONT: f64 = 2e7;
-
-/// Numbers in buffers that are grown in place (the system moves their pages) and not made anew.
-const MUCH: usize = 1 << 18;
 
 /// A matrix given clique by clique.
 pub(crate) trait Blocks: Sync {
@@ -105,15 +104,6 @@ impl Factor {
     }
 }
 
-/// One column of the factor, apart from its entries below the diagonal.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Column<R> {
-    /// Of the entries below the diagonal.
-    pub(super) scale: R,
-    /// One over the entry on the diagonal.
-    pub(super) inverse_pivot: R,
-}
-
 /// Panels of all fronts.
 #[derive(Debug)]
 pub(crate) struct Numeric<E: Entry> {
@@ -121,21 +111,6 @@ pub(crate) struct Numeric<E: Entry> {
     /// One an unknown.
     pub(super) columns: Vec<Column<E::Real>>,
     diagonal_norm: OnceLock<f64>,
-}
-
-/// What some consecutive fronts write.
-struct Slots<'a, E: Entry> {
-    panels: &'a mut [E],
-    columns: &'a mut [Column<E::Real>],
-}
-
-impl<'a, E: Entry> Slots<'a, E> {
-    /// The first fronts, of so many entries and columns, and the others.
-    fn split(self, entries: usize, columns: usize) -> (Slots<'a, E>, Slots<'a, E>) {
-        let (panels, other_panels) = self.panels.split_at_mut(entries);
-        let (columns, other_columns) = self.columns.split_at_mut(columns);
-        (Self { panels, columns }, Self { panels: other_panels, columns: other_columns })
-    }
 }
 
 impl<E: Entry> Numeric<E> {
@@ -186,87 +161,13 @@ impl<E: Entry> Numeric<E> {
     }
 }
 
-/// Adds the squares of the rows of a panel; a type, so that it is compiled for the processor at
-/// hand.
-struct AddSquares<'a, E: Entry> {
-    steps: &'a [Step],
-    panel: &'a [E],
-    columns: &'a [Column<E::Real>],
-    squares: &'a mut [E::Real],
-}
-
-impl<E: Entry> pulp::WithSimd for AddSquares<'_, E> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) {
-        let one = E::Real::from_f64(1.0);
-        for step in self.steps {
-            let n = step.n_columns;
-            let head = &self.panel[step.begin..step.blocks()];
-            let blocks = &self.panel[step.blocks()..step.end()];
-            let (own, below) = self.squares[step.first..].split_at_mut(n);
-            for j in 0..n {
-                let Column { scale, inverse_pivot } = self.columns[step.first + j];
-                let (pivot, factor) = (one / inverse_pivot, scale * scale);
-                own[j] += pivot * pivot;
-                for i in j + 1..n {
-                    let v = head[j * STEP + i].real();
-                    own[i] += v * v * factor;
-                }
-                for (block, rows) in blocks.chunks(n * BLOCK).zip(below.chunks_mut(BLOCK)) {
-                    let column = &block[j * BLOCK..(j + 1) * BLOCK];
-                    for (square, v) in rows.iter_mut().zip(column) {
-                        *square += v.real() * v.real() * factor;
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// Stores the columns of an eliminated front.
-struct Store<'a, E: Entry> {
-    steps: &'a [Step],
-    /// Rows of the front.
-    size: usize,
-    /// Column by column.
-    eliminated: &'a [E::Real],
-    slots: Slots<'a, E>,
-}
-
-impl<E: Entry> pulp::WithSimd for Store<'_, E> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) {
-        let one = E::Real::from_f64(1.0);
-        for step in self.steps {
-            let n = step.n_columns;
-            let (head, blocks) = self.slots.panels[step.begin..step.end()].split_at_mut(n * STEP);
-            for j in 0..n {
-                let diagonal = (step.first + j) * (self.size + 1);
-                let column = &self.eliminated[diagonal..][..n - j + step.n_rows];
-                let (own, below) = column.split_at(n - j);
-                let scale = E::scale(&column[1..]);
-                let inverse_pivot = one / own[0];
-                self.slots.columns[step.first + j] = Column { scale, inverse_pivot };
-                E::store(&own[1..], scale, &mut head[j * STEP + j + 1..j * STEP + n]);
-                for (block, rows) in blocks.chunks_mut(n * BLOCK).zip(below.chunks(BLOCK)) {
-                    E::store(rows, scale, &mut block[j * BLOCK..j * BLOCK + rows.len()]);
-                }
-            }
-        }
-    }
-}
-
 /// Fronts with the updates that they pass on.
 type Updates<T> = Vec<(u32, Vec<T>)>;
 
 /// What one thread keeps between fronts.
 struct Scratch<T> {
-    /// Updates no longer needed.
-    spare: Vec<Vec<T>>,
+    /// Of updates.
+    spares: Spares<T>,
     /// The front at work, before it is stored in steps.
     panel: Vec<T>,
     blocks: Vec<[f64; 9]>,
@@ -277,29 +178,11 @@ struct Scratch<T> {
 impl<T> Default for Scratch<T> {
     fn default() -> Self {
         Self {
-            spare: Vec::new(),
+            spares: Spares::default(),
             panel: Vec::new(),
             blocks: Vec::new(),
             memory: None,
             memory_size: 0,
-        }
-    }
-}
-
-impl<T> Scratch<T> {
-    /// Room for so many numbers: the smallest spare that has it; where none has, a new one, or the
-    /// largest, to grow, where a new one would be much.
-    fn take_spare(&mut self, entries: usize) -> Vec<T> {
-        let fit = |spare: &Vec<T>| match spare.len() {
-            room if room >= entries => (0, room),
-            room => (1, usize::MAX - room),
-        };
-        let best = (0..self.spare.len()).min_by_key(|&k| fit(&self.spare[k]));
-        match best {
-            Some(k) if self.spare[k].len() >= entries || entries > MUCH => {
-                self.spare.swap_remove(k)
-            }
-            _ => Vec::new(),
         }
     }
 }
@@ -396,14 +279,14 @@ impl<B: Blocks> Work<'_, B> {
             return Err(FemError::Cancelled);
         }
         let n = front.n_rows;
-        let mut update = scratch.take_spare(n * n);
+        let mut update = scratch.spares.take(n * n);
         clear_lower(&mut update, n, n);
         let mut panel = std::mem::take(&mut scratch.panel);
         clear_lower(&mut panel, front.size(), front.n_own);
         self.add_cliques(front, &mut panel, &mut update, scratch)?;
         for (child, child_update) in children {
             add_update(self.fronts, front, child, &child_update, &mut panel, &mut update);
-            scratch.spare.push(child_update);
+            scratch.spares.keep(child_update);
         }
         self.eliminate(front, &mut panel, &mut update, scratch)?;
         let steps = self.fronts.steps_of(front);
@@ -504,102 +387,5 @@ impl<B: Blocks> Work<'_, B> {
             );
         }
         Ok(())
-    }
-}
-
-/// Make room for a matrix by columns and clear it on and below the diagonal.
-fn clear_lower<T: Precision>(matrix: &mut Vec<T>, n_rows: usize, n_columns: usize) {
-    let entries = n_rows * n_columns;
-    if matrix.len() < entries && entries <= MUCH {
-        // Growing would copy what is to be cleared.
-        *matrix = vec![T::default(); entries];
-        return;
-    }
-    if matrix.len() < entries {
-        matrix.resize(entries, T::default());
-    }
-    for j in 0..n_columns {
-        matrix[j * (n_rows + 1)..(j + 1) * n_rows].fill(T::default());
-    }
-}
-
-/// A front while it is assembled.
-struct Target<'a, T> {
-    front: &'a Front,
-    panel: &'a mut [T],
-    update: &'a mut [T],
-}
-
-impl<T: Precision> Target<'_, T> {
-    /// Add the block of rows of spot `a` and columns of spot `b`.
-    #[inline(always)]
-    fn add_block(&mut self, a: Spot, b: Spot, diagonal: bool, block: &[f64; 9]) {
-        if a.axes == 0b111 && b.axes == 0b111 {
-            for i in 0..3 {
-                for k in 0..=if diagonal { i } else { 2 } {
-                    self.add(a.first + i as u32, b.first + k as u32, block[3 * i + k]);
-                }
-            }
-            return;
-        }
-        let free = |spot: Spot| (0..3).filter(move |k| spot.axes & (1 << k) != 0);
-        for (row, i) in (a.first..).zip(free(a)) {
-            for (column, k) in (b.first..).zip(free(b)) {
-                if !(diagonal && k > i) {
-                    self.add(row, column, block[3 * i + k]);
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn add(&mut self, row: u32, column: u32, value: f64) {
-        let (row, column) = (row.max(column) as usize, row.min(column) as usize);
-        let n_own = self.front.n_own;
-        if column < n_own {
-            self.panel[column * self.front.size() + row] += T::from_f64(value);
-        } else {
-            self.update[(column - n_own) * self.front.n_rows + row - n_own] += T::from_f64(value);
-        }
-    }
-}
-
-/// Add the update of a child to its parent's panel and update.
-fn add_update<T: Precision>(
-    fronts: &Fronts,
-    front: &Front,
-    child: u32,
-    child_update: &[T],
-    panel: &mut [T],
-    update: &mut [T],
-) {
-    let child = &fronts.fronts[child as usize];
-    let places = fronts.in_parent_of(child);
-    let n = child.n_rows;
-    // Rows that stand together in the child mostly do so in the parent.
-    let runs: Vec<&[u32]> = places.chunk_by(|a, b| a + 1 == *b).collect();
-    let mut j = 0;
-    // Places ascend: a parent's rows and own unknowns stand in elimination order.
-    for (k, run) in runs.iter().enumerate() {
-        for (skipped, &column) in run.iter().enumerate() {
-            let column = column as usize;
-            let (target, shift) = if column < front.n_own {
-                (&mut panel[column * front.size()..(column + 1) * front.size()], 0)
-            } else {
-                let start = (column - front.n_own) * front.n_rows;
-                (&mut update[start..start + front.n_rows], front.n_own)
-            };
-            let mut source = &child_update[j * n + j..(j + 1) * n];
-            let rest_of_run = &run[skipped..];
-            for rows in std::iter::once(&rest_of_run).chain(&runs[k + 1..]) {
-                let (values, behind) = source.split_at(rows.len());
-                source = behind;
-                let begin = rows[0] as usize - shift;
-                for (t, &value) in target[begin..begin + rows.len()].iter_mut().zip(values) {
-                    *t += value;
-                }
-            }
-            j += 1;
-        }
     }
 }

@@ -1,12 +1,16 @@
 //! What is made once a body: parts and rigid modes, the elimination order and the symbolic factor;
 //! and the numeric factor made from them.
 
+mod assemble;
 mod cliques;
 mod entry;
 pub(crate) mod factor;
 mod fronts;
 mod graph;
+mod groups;
 mod ordering;
+mod panel_solve;
+mod panels;
 pub(crate) mod pattern;
 mod plain_order;
 mod rigid;

@@ -11,8 +11,9 @@ use faer::sparse::linalg::amd;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::cliques::Cliques;
-use super::fronts::{Analysis, Elimination, analyse};
+use super::fronts::{Analysis, analyse};
 use super::graph::Graph;
+use super::groups::Elimination;
 use super::separator::{Halves, Parts};
 
 /// Sets of at most this many nodes are not cut further.
