@@ -69,6 +69,13 @@ fn held_bar(element: Element) -> Body {
     Body::new(mesh, element, ends).expect("held")
 }
 
+/// Triangles of its upper side.
+fn top_of(body: &Body) -> Vec<[usize; 3]> {
+    let mesh = body.mesh();
+    let above = |t: &&[usize; 3]| t.iter().all(|&n| mesh.nodes()[n][2] > 6.0 - 1e-9);
+    mesh.surface_triangles().iter().filter(above).copied().collect()
+}
+
 #[test]
 fn every_parameter_of_every_law_agrees_with_differences() {
     for element in ALL {
@@ -96,15 +103,8 @@ fn every_parameter_of_every_law_agrees_with_differences() {
 #[test]
 fn loads_springs_and_skin_agree_with_differences() {
     for element in ALL {
-        let mesh = bar([3, 1, 1], [18.0, 6.0, 6.0]);
-        let top: Vec<[usize; 3]> = mesh
-            .surface_triangles()
-            .iter()
-            .filter(|t| t.iter().all(|&n| mesh.nodes()[n][2] > 6.0 - 1e-9))
-            .copied()
-            .collect();
-        let ends = nodes_where(&mesh, |x| x[0] < 1e-9 || x[0] > 18.0 - 1e-9);
-        let body = Body::new(mesh, element, ends).expect("held");
+        let body = held_bar(element);
+        let top = top_of(&body);
         let make = |young: f64, thickness: f64| {
             let skin = Skin { triangles: top.clone(), thickness, young, poisson: 0.3 };
             Material::neo_hookean(10.0, 0.4).and_then(|m| m.with_skin(skin)).expect("sound")
@@ -162,15 +162,8 @@ fn loads_springs_and_skin_agree_with_differences() {
 #[test]
 fn the_adjoint_is_the_transpose_of_the_derivatives() {
     for element in ALL {
-        let mesh = bar([3, 1, 1], [18.0, 6.0, 6.0]);
-        let top: Vec<[usize; 3]> = mesh
-            .surface_triangles()
-            .iter()
-            .filter(|t| t.iter().all(|&n| mesh.nodes()[n][2] > 6.0 - 1e-9))
-            .copied()
-            .collect();
-        let ends = nodes_where(&mesh, |x| x[0] < 1e-9 || x[0] > 18.0 - 1e-9);
-        let body = Body::new(mesh, element, ends).expect("held");
+        let body = held_bar(element);
+        let top = top_of(&body);
         let mut random = Random::new(11);
         let n_points = element.n_points();
         let n = body.n_tets() * n_points;

@@ -37,6 +37,45 @@ pub(super) struct Averages {
     pub(super) logs: Vec<f64>,
 }
 
+impl Averages {
+    /// `s − 1` and `F_ea − I` at the corner of an element that is a node.
+    pub(super) fn corner(&self, element: usize, node: u32) -> (f64, Matrix3) {
+        self.elements[element].averaged(self.logs[node as usize])
+    }
+
+    /// `V_a J̄_a`
+    pub(super) fn grown_volume(&self, patches: &Patches, node: usize) -> f64 {
+        patches.volume[node] * (1.0 + self.nodes[node])
+    }
+
+    /// What a displacement rate `(3 n_nodes)` does to elements and nodes.
+    pub(super) fn rates(&self, geometry: &Geometry, patches: &Patches, rate: &[f64]) -> Rates {
+        let elements: Vec<(Matrix3, f64)> = (0..geometry.n_elements())
+            .map(|element| {
+                let u = local::<4>(geometry, element, rate);
+                let jacobian = &geometry.inverse_jacobian[element];
+                let dh = displacement_gradient(&u, &TET4.gradients[0], jacobian);
+                (dh, dot(&self.elements[element].inverse, &dh))
+            })
+            .collect();
+        let grown = |element: usize, _| {
+            geometry.volume[element] * self.elements[element].det_f() * elements[element].1
+        };
+        let nodes = (0..patches.volume.len())
+            .map(|node| sum_around(geometry, node, grown) / self.grown_volume(patches, node))
+            .collect();
+        Rates { elements, nodes }
+    }
+}
+
+/// How volume ratios change along a displacement rate.
+pub(super) struct Rates {
+    /// `dh` and `θ = dJ/J`.
+    pub(super) elements: Vec<(Matrix3, f64)>,
+    /// `θ̄ = dJ̄/J̄`
+    pub(super) nodes: Vec<f64>,
+}
+
 /// How one element is deformed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Deformed {
@@ -67,7 +106,7 @@ impl Deformed {
     }
 
     /// `s − 1` and `F_ea − I` for a corner where `ln J̄ = log`.
-    pub(super) fn averaged(&self, log: f64) -> (f64, Matrix3) {
+    fn averaged(&self, log: f64) -> (f64, Matrix3) {
         let growth = ((log - self.log) / 3.0).exp_m1();
         let mut h = self.h;
         for i in 0..3 {
@@ -131,13 +170,12 @@ pub(super) fn gradients(geometry: &Geometry, displacement: &[f64]) -> Vec<Matrix
     let Some(averages) = averages else {
         return vec![[[f64::NAN; 3]; 3]; 4 * geometry.n_elements()];
     };
-    averages
-        .elements
-        .iter()
-        .zip(geometry.connectivity.chunks_exact(4))
-        .flat_map(|(element, nodes)| {
-            nodes.iter().map(|&node| element.averaged(averages.logs[node as usize]).1)
-        })
+    geometry
+        .connectivity
+        .chunks_exact(4)
+        .enumerate()
+        .flat_map(|(element, nodes)| nodes.iter().map(move |&node| (element, node)))
+        .map(|(element, node)| averages.corner(element, node).1)
         .collect()
 }
 
@@ -211,7 +249,7 @@ impl<M: PointModel> Loops<'_, M> {
         }?;
         let nodal = all(patches.volume.len(), parallel, |node| {
             let sum = sum_around(self.geometry, node, |element, a| parts[element].pressure[a]);
-            Some(sum / (patches.volume[node] * (1.0 + averages.nodes[node])))
+            Some(sum / averages.grown_volume(patches, node))
         })?;
         let forces = all(n, parallel, |element| {
             let deformed = &averages.elements[element];
@@ -221,7 +259,7 @@ impl<M: PointModel> Loops<'_, M> {
             add_scaled(&mut stress, deformed.det_f() * sum, &deformed.inverse);
             Some(self.nodal_forces(element, &stress))
         })?;
-        self.gather(&forces, force, parallel);
+        self.collect(forces.as_flattened(), force, parallel);
         Some(parts.iter().fold(Energy::NOTHING, |sum, part| sum.and(part.energy)))
     }
 
@@ -235,7 +273,7 @@ impl<M: PointModel> Loops<'_, M> {
             pressure: [0.0; 4],
         };
         for (a, &node) in self.geometry.nodes_of(element).iter().enumerate() {
-            let (growth, h) = deformed.averaged(averages.logs[node as usize]);
+            let (growth, h) = averages.corner(element, node);
             let answer = self.model.response(element, a, &h)?;
             let p = dot(&answer.stress, &deformation(&h)) / 3.0;
             part.energy.total += quarter * answer.energy;
@@ -254,25 +292,6 @@ impl<M: PointModel> Loops<'_, M> {
             .map(|g| stress.map(|row| volume * (row[0] * g[0] + row[1] * g[1] + row[2] * g[2])))
     }
 
-    /// Sum the forces of all elements node by node.
-    fn gather(&self, forces: &[[[f64; 3]; 4]], force: &mut [f64], parallel: bool) {
-        let rows = forces.as_flattened();
-        let (starts, places) = &self.geometry.node2place;
-        let sum = |(node, row): (usize, &mut [f64])| {
-            row.fill(0.0);
-            for &place in &places[starts[node] as usize..starts[node + 1] as usize] {
-                for i in 0..3 {
-                    row[i] += rows[place as usize][i];
-                }
-            }
-        };
-        if parallel && forces.len() >= PARALLEL_FROM {
-            force.par_chunks_exact_mut(3).with_min_len(256).enumerate().for_each(sum);
-        } else {
-            force.chunks_exact_mut(3).enumerate().for_each(sum);
-        }
-    }
-
     /// Product of the exact tangent with a direction, as [`super::tangent_product_into`].
     pub(super) fn averaged_product(
         &self,
@@ -285,7 +304,7 @@ impl<M: PointModel> Loops<'_, M> {
                 let each = stresses.iter().enumerate();
                 let forces: Vec<_> =
                     each.map(|(element, stress)| self.nodal_forces(element, stress)).collect();
-                self.gather(&forces, product, false);
+                self.collect(forces.as_flattened(), product, false);
                 true
             }
             None => false,
@@ -297,24 +316,8 @@ impl<M: PointModel> Loops<'_, M> {
         let geometry = self.geometry;
         let averages = self.averages(patches, false)?;
         let n = geometry.n_elements();
-        // Gradient of the direction and `θ = dJ/J` of elements, `θ̄ = dJ̄/J̄` of nodes.
-        let changes: Vec<(Matrix3, f64)> = (0..n)
-            .map(|element| {
-                let d = local::<4>(geometry, element, direction);
-                let jacobian = &geometry.inverse_jacobian[element];
-                let dh = displacement_gradient(&d, &TET4.gradients[0], jacobian);
-                let theta = dot(&averages.elements[element].inverse, &dh);
-                (dh, theta)
-            })
-            .collect();
-        let n_nodes = patches.volume.len();
-        let weight = |node: usize| patches.volume[node] * (1.0 + averages.nodes[node]);
-        let grown = |element: usize, _| {
-            geometry.volume[element] * averages.elements[element].det_f() * changes[element].1
-        };
-        let means: Vec<f64> =
-            (0..n_nodes).map(|node| sum_around(geometry, node, grown) / weight(node)).collect();
-
+        let Rates { elements: changes, nodes: means } =
+            averages.rates(geometry, patches, direction);
         let mut stresses = vec![[[0.0; 3]; 3]; n];
         let mut pressure = vec![[[0.0; 2]; 4]; n];
         for element in 0..n {
@@ -323,7 +326,7 @@ impl<M: PointModel> Loops<'_, M> {
             let (dh, theta) = &changes[element];
             let turned = inverse_change(&deformed.inverse, dh);
             for (a, &node) in geometry.nodes_of(element).iter().enumerate() {
-                let (growth, h) = deformed.averaged(averages.logs[node as usize]);
+                let (growth, h) = averages.corner(element, node);
                 let s = 1.0 + growth;
                 let f = deformation(&h);
                 let stretch = (means[node as usize] - theta) / 3.0;
@@ -340,11 +343,12 @@ impl<M: PointModel> Loops<'_, M> {
                 pressure[element][a] = [quarter * p, quarter * dp];
             }
         }
-        let nodal: Vec<[f64; 2]> = (0..n_nodes)
+        let nodal: Vec<[f64; 2]> = (0..means.len())
             .map(|node| {
+                let weight = averages.grown_volume(patches, node);
                 let [sum, change] =
                     [0, 1].map(|k| sum_around(geometry, node, |e, a| pressure[e][a][k]));
-                [sum / weight(node), (change - sum * means[node]) / weight(node)]
+                [sum / weight, (change - sum * means[node]) / weight]
             })
             .collect();
         for element in 0..n {

@@ -167,7 +167,7 @@ impl<M: PointModel> Loops<'_, M> {
     ) -> bool {
         blocks.fill([0.0; 9]);
         let geometry = self.geometry;
-        let patch_volume = patches.volume[centre] * (1.0 + averages.nodes[centre]);
+        let patch_volume = averages.grown_volume(patches, centre);
         let width = patches.nodes_of(centre).len();
         let (mut growth, mut mixed) = (vec![[0.0; 3]; width], vec![[0.0; 3]; width]);
         let mut nodal = match kind {
@@ -249,7 +249,7 @@ impl PlainPatches<'_> {
     /// `Q_a = Σ_e ¼ V_e p / (V_a J̄_a)`
     fn nodal_stress(&self, patches: &Patches, averages: &Averages, node: u32) -> f64 {
         let node = node as usize;
-        self.pressures[node] / (patches.volume[node] * (1.0 + averages.nodes[node]))
+        self.pressures[node] / averages.grown_volume(patches, node)
     }
 }
 

@@ -44,13 +44,13 @@ impl<M: PointModel> Loops<'_, M> {
     ) -> bool {
         blocks.fill([0.0; 9]);
         let geometry = self.geometry;
-        let mean = averages.nodes[centre];
-        let patch_volume = patches.volume[centre] * (1.0 + mean);
+        let patch_volume = averages.grown_volume(patches, centre);
         let mut corners = Vec::new();
         let (mut nodal, mut pressure) = (0.0, 0.0);
         for (element, a) in around(geometry, centre) {
-            let log = averages.logs[centre];
-            let Some(corner) = self.corner(averages, element, a, log, kind) else { return false };
+            let Some(corner) = self.corner(averages, element, a, centre, kind) else {
+                return false;
+            };
             let quarter = 0.25 * geometry.volume[element];
             nodal += quarter * corner.nodal;
             pressure += quarter * corner.pressure;
@@ -108,11 +108,11 @@ impl<M: PointModel> Loops<'_, M> {
         averages: &Averages,
         element: usize,
         a: usize,
-        log: f64,
+        node: usize,
         kind: TangentKind,
     ) -> Option<Corner> {
         let deformed = &averages.elements[element];
-        let (growth, h) = deformed.averaged(log);
+        let (growth, h) = averages.corner(element, node as u32);
         let s = 1.0 + growth;
         let mut tangent = self.model.tangent(element, a, &h)?;
         if kind == TangentKind::Clamped {

@@ -103,24 +103,26 @@ impl<M: PointModel> Loops<'_, M> {
             })
             .collect();
         let chunks = chunks?;
-        self.collect(buffer, force);
+        self.collect(buffer.as_chunks().0, force, true);
         Some(chunks.into_iter().fold(Energy::NOTHING, Energy::and))
     }
 
-    /// Write to each node the sum of what its elements have left in `buffer`.
-    fn collect(&self, buffer: &[f64], force: &mut [f64]) {
+    /// Write to each node the sum of the forces that its elements give it, one row a place.
+    pub(super) fn collect(&self, rows: &[[f64; 3]], force: &mut [f64], parallel: bool) {
         let (start, places) = &self.geometry.node2place;
-        force.par_chunks_mut(3 * CHUNK).enumerate().for_each(|(c, rows)| {
-            for (k, row) in rows.chunks_exact_mut(3).enumerate() {
-                let node = c * CHUNK + k;
-                row.fill(0.0);
-                for &place in &places[start[node] as usize..start[node + 1] as usize] {
-                    for i in 0..3 {
-                        row[i] += buffer[3 * place as usize + i];
-                    }
+        let sum = |(node, target): (usize, &mut [f64])| {
+            target.fill(0.0);
+            for &place in &places[start[node] as usize..start[node + 1] as usize] {
+                for i in 0..3 {
+                    target[i] += rows[place as usize][i];
                 }
             }
-        });
+        };
+        if parallel && self.geometry.n_elements() >= PARALLEL_FROM {
+            force.par_chunks_exact_mut(3).with_min_len(CHUNK).enumerate().for_each(sum);
+        } else {
+            force.chunks_exact_mut(3).enumerate().for_each(sum);
+        }
     }
 
     fn serial_packs(&self, laws: PlainLaws, force: &mut [f64]) -> Option<Energy> {
@@ -159,7 +161,7 @@ impl<M: PointModel> Loops<'_, M> {
             })
             .collect();
         let chunks = chunks?;
-        self.collect(buffer, force);
+        self.collect(buffer.as_chunks().0, force, true);
         Some(chunks.into_iter().fold(Energy::NOTHING, Energy::and))
     }
 

@@ -3,9 +3,9 @@
 //!
 //! The two are transposes of each other: `Σ w P : ġ(v) = f(P) · v` for every stress and rate.
 
-use super::averaged::{Averages, averages, deformation, dot, sum_around};
+use super::averaged::{Averages, Rates, averages, deformation, dot, sum_around};
+use super::gradients_at_points;
 use super::tangent::spatial_gradients;
-use super::{displacement_gradient, gradients_at_points, local};
 use crate::element::{Element, Geometry, Patches, Rule, TET4, TET10};
 use crate::material::Matrix3;
 
@@ -44,27 +44,13 @@ impl PointMap {
         let (Some(patches), Some(averages)) = (&geometry.patches, &self.averaged) else {
             return gradients_at_points(geometry, rate);
         };
-        let changes: Vec<(Matrix3, f64)> = (0..geometry.n_elements())
-            .map(|element| {
-                let u = local::<4>(geometry, element, rate);
-                let jacobian = &geometry.inverse_jacobian[element];
-                let dh = displacement_gradient(&u, &TET4.gradients[0], jacobian);
-                (dh, dot(&averages.elements[element].inverse, &dh))
-            })
-            .collect();
-        let grown = |element: usize, _| {
-            geometry.volume[element] * averages.elements[element].det_f() * changes[element].1
-        };
-        let means: Vec<f64> = (0..patches.volume.len())
-            .map(|node| sum_around(geometry, node, grown) / grown_volume(patches, averages, node))
-            .collect();
+        let Rates { elements: changes, nodes: means } = averages.rates(geometry, patches, rate);
         let mut rates = Vec::with_capacity(4 * geometry.n_elements());
         for (element, (dh, theta)) in changes.iter().enumerate() {
             for &node in geometry.nodes_of(element) {
-                let node = node as usize;
-                let (growth, h) = averages.elements[element].averaged(averages.logs[node]);
+                let (growth, h) = averages.corner(element, node);
                 let f = deformation(&h);
-                let stretch = (means[node] - theta) / 3.0;
+                let stretch = (means[node as usize] - theta) / 3.0;
                 rates.push(matrix(|i, j| (1.0 + growth) * dh[i][j] + stretch * f[i][j]));
             }
         }
@@ -99,10 +85,9 @@ fn element_stresses(
     stresses: &[Matrix3],
 ) -> Vec<Matrix3> {
     let corners = |element: usize| {
-        let deformed = &averages.elements[element];
         let nodes = geometry.nodes_of(element).iter().zip(&stresses[4 * element..]);
         nodes.map(move |(&node, stress)| {
-            let (growth, h) = deformed.averaged(averages.logs[node as usize]);
+            let (growth, h) = averages.corner(element, node);
             (node as usize, 1.0 + growth, stress, dot(stress, &deformation(&h)) / 3.0)
         })
     };
@@ -112,7 +97,7 @@ fn element_stresses(
     let part =
         |element: usize, a: usize| 0.25 * geometry.volume[element] * pressures[4 * element + a];
     let nodal: Vec<f64> = (0..patches.volume.len())
-        .map(|node| sum_around(geometry, node, part) / grown_volume(patches, averages, node))
+        .map(|node| sum_around(geometry, node, part) / averages.grown_volume(patches, node))
         .collect();
     (0..geometry.n_elements())
         .map(|element| {
@@ -126,11 +111,6 @@ fn element_stresses(
             sum
         })
         .collect()
-}
-
-/// `V_a J̄_a`
-fn grown_volume(patches: &Patches, averages: &Averages, node: usize) -> f64 {
-    patches.volume[node] * (1.0 + averages.nodes[node])
 }
 
 fn matrix(entry: impl Fn(usize, usize) -> f64) -> Matrix3 {

@@ -1,7 +1,7 @@
 //! Numeric Cholesky factor by dense fronts, in single or double precision.
 //!
-//! A single-precision factor serves as a metric: its errors are corrected by the iteration around
-//! it, and it takes half the memory and time. Fronts are filled from the 3x3 blocks of the cliques
+//! A factor made in single precision and kept in whole numbers serves as a metric: its errors are
+//! corrected by the iteration around it, and it takes half the time and a quarter of the memory. Fronts are filled from the 3x3 blocks of the cliques
 //! (elements), so that no sparse matrix is ever formed. Subtrees are factored at the same time
 //! where threads are to be had; every sum is taken in one fixed order, so that the bits do not
 //! depend on it.
@@ -20,7 +20,7 @@ use faer::{Accum, MatMut, Par};
 use super::assemble::{Spares, Target, add_update, clear_lower};
 use super::entry::{Entry, Precision};
 use super::fronts::{Front, Fronts};
-use super::panels::{AddSquares, Column, Slots, Store};
+use super::panels::{AddSquares, Column, Slots, Store, Stored};
 use crate::error::FemError;
 
 /// Subtrees with less work than this are not worth a second thread.
@@ -107,9 +107,9 @@ impl Factor {
 /// Panels of all fronts.
 #[derive(Debug)]
 pub(crate) struct Numeric<E: Entry> {
-    pub(super) panels: Vec<E>,
+    panels: Vec<E>,
     /// One an unknown.
-    pub(super) columns: Vec<Column<E::Real>>,
+    columns: Vec<Column<E::Real>>,
     diagonal_norm: OnceLock<f64>,
 }
 
@@ -136,6 +136,14 @@ impl<E: Entry> Numeric<E> {
         Ok(Self { panels, columns, diagonal_norm: OnceLock::new() })
     }
 
+    pub(super) fn stored<'a>(&'a self, fronts: &'a Fronts, front: &Front) -> Stored<'a, E> {
+        Stored {
+            steps: fronts.steps_of(front),
+            panel: &self.panels[front.panel..front.panel + front.panel_len()],
+            columns: &self.columns[front.first..front.first + front.n_own],
+        }
+    }
+
     /// `K_ii = Σ_j L_ij²`, as the factor has it.
     fn diagonal_norm(&self, fronts: &Fronts) -> f64 {
         *self.diagonal_norm.get_or_init(|| {
@@ -144,10 +152,8 @@ impl<E: Entry> Numeric<E> {
             for front in &fronts.fronts {
                 local.clear();
                 local.resize(front.size(), E::Real::default());
-                let columns = &self.columns[front.first..front.first + front.n_own];
-                let panel = &self.panels[front.panel..];
-                let (steps, squares) = (fronts.steps_of(front), &mut local);
-                pulp::Arch::new().dispatch(AddSquares { steps, panel, columns, squares });
+                let (stored, squares) = (self.stored(fronts, front), &mut local);
+                pulp::Arch::new().dispatch(AddSquares { stored, squares });
                 let (own, below) = local.split_at(front.n_own);
                 for (d, v) in diagonal[front.first..].iter_mut().zip(own) {
                     *d += v.to_f64();

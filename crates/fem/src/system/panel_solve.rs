@@ -4,15 +4,7 @@ use pulp::Simd;
 
 use super::entry::{Entry, Precision};
 use super::fronts::{BLOCK, STEP, Step};
-use super::panels::Column;
-
-/// One front of a factor.
-#[derive(Clone, Copy)]
-pub(super) struct Stored<'a, E: Entry> {
-    pub(super) steps: &'a [Step],
-    pub(super) panel: &'a [E],
-    pub(super) columns: &'a [Column<E::Real>],
-}
+use super::panels::{Column, Stored};
 
 /// Forward through one panel; as a type, so that it is compiled for the processor at hand.
 pub(super) struct Eliminate<'a, E: Entry> {

@@ -12,6 +12,14 @@ pub(super) struct Column<R> {
     pub(super) inverse_pivot: R,
 }
 
+/// One front of a factor.
+#[derive(Clone, Copy)]
+pub(super) struct Stored<'a, E: Entry> {
+    pub(super) steps: &'a [Step],
+    pub(super) panel: &'a [E],
+    pub(super) columns: &'a [Column<E::Real>],
+}
+
 /// What some consecutive fronts write.
 pub(super) struct Slots<'a, E: Entry> {
     pub(super) panels: &'a mut [E],
@@ -30,9 +38,7 @@ impl<'a, E: Entry> Slots<'a, E> {
 /// Adds the squares of the rows of a panel; a type, so that it is compiled for the processor at
 /// hand.
 pub(super) struct AddSquares<'a, E: Entry> {
-    pub(super) steps: &'a [Step],
-    pub(super) panel: &'a [E],
-    pub(super) columns: &'a [Column<E::Real>],
+    pub(super) stored: Stored<'a, E>,
     pub(super) squares: &'a mut [E::Real],
 }
 
@@ -42,13 +48,14 @@ impl<E: Entry> pulp::WithSimd for AddSquares<'_, E> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _simd: S) {
         let one = E::Real::from_f64(1.0);
-        for step in self.steps {
+        let Stored { steps, panel, columns } = self.stored;
+        for step in steps {
             let n = step.n_columns;
-            let head = &self.panel[step.begin..step.blocks()];
-            let blocks = &self.panel[step.blocks()..step.end()];
+            let head = &panel[step.begin..step.blocks()];
+            let blocks = &panel[step.blocks()..step.end()];
             let (own, below) = self.squares[step.first..].split_at_mut(n);
             for j in 0..n {
-                let Column { scale, inverse_pivot } = self.columns[step.first + j];
+                let Column { scale, inverse_pivot } = columns[step.first + j];
                 let (pivot, factor) = (one / inverse_pivot, scale * scale);
                 own[j] += pivot * pivot;
                 for i in j + 1..n {

@@ -7,7 +7,7 @@
 use super::entry::{Entry, Precision};
 use super::factor::{Factor, Numeric};
 use super::fronts::{Front, Fronts};
-use super::panel_solve::{Eliminate, Stored, Substitute};
+use super::panel_solve::{Eliminate, Substitute};
 
 /// Subtrees whose panels hold fewer entries are not worth a second thread.
 const PARALLEL_ENTRIES: usize = 150_000;
@@ -137,7 +137,8 @@ impl<E: Entry> Solving<'_, E> {
                 own[place as usize] += value;
             }
         }
-        pulp::Arch::new().dispatch(Eliminate { stored: self.stored(front), x: own });
+        pulp::Arch::new()
+            .dispatch(Eliminate { stored: self.factor.stored(self.fronts, front), x: own });
     }
 
     /// Back through a subtree; `above` is the local vector of its root's parent.
@@ -188,14 +189,7 @@ impl<E: Entry> Solving<'_, E> {
             }
         }
         let x = &mut own[..front.size()];
-        pulp::Arch::new().dispatch(Substitute { stored: self.stored(front), x });
-    }
-
-    fn stored(&self, front: &Front) -> Stored<'_, E> {
-        Stored {
-            steps: self.fronts.steps_of(front),
-            panel: &self.factor.panels[front.panel..front.panel + front.panel_len()],
-            columns: &self.factor.columns[front.first..front.first + front.n_own],
-        }
+        pulp::Arch::new()
+            .dispatch(Substitute { stored: self.factor.stored(self.fronts, front), x });
     }
 }
