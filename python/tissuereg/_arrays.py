@@ -1,5 +1,6 @@
 """The one place where a user's array is checked and, visibly, converted."""
 
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -87,6 +88,19 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
         message = f"`{name}` must have shape {_shown(shape)}, got {array.shape}"
         raise ShapeError(message, where=name)
     return np.ascontiguousarray(array, dtype=np.int64)
+
+
+def optional_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray | None:
+    """Return `float_array` of a value; None where it is absent."""
+    return None if value is None else float_array(name, value, shape)
+
+
+def stacked(rows: Sequence[FloatArray | None]) -> FloatArray | None:
+    """Return rows of one shape stacked, zero where absent; None where all are."""
+    some = next((row for row in rows if row is not None), None)
+    if some is None:
+        return None
+    return np.stack([np.zeros_like(some) if row is None else row for row in rows])
 
 
 def frozen(array: _Array) -> _Array:

@@ -16,7 +16,8 @@ from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import LoadError
 from tissuereg.load import Load
 from tissuereg.simulate.frames import Frames, Record
-from tissuereg.simulate.sensitivity import Cause, Observation, core_cause, core_observation, load_parts
+from tissuereg.simulate.sensitivity import Cause, Observation, core_cause, core_observation
+from tissuereg.simulate.solve import stacked_parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,19 +230,8 @@ def _frame_cause(frames: Frames, record: Record, good: IntArray, cause: FrameCau
         if len(cause.rates) != n_frames:
             message = f"there must be one rate of the load a frame, got {len(cause.rates)} for {n_frames}"
             raise LoadError(message, where="loads")
-        parts = [load_parts(record.spreader, cause.rates[frame], record.n_held) for frame in good]
-        return _core.Cause.loads(len(good), **{name: _stacked([part[name] for part in parts]) for name in _PARTS})
+        parts = [record.spreader.load_parts(cause.rates[frame], record.n_held) for frame in good]
+        return _core.Cause.loads(len(good), **stacked_parts(parts))
     if isinstance(cause, Load):
-        return _core.Cause.load(**load_parts(record.spreader, cause, record.n_held))
+        return _core.Cause.load(**record.spreader.load_parts(cause, record.n_held))
     return core_cause(record.spreader, cause)
-
-
-_PARTS = ("forces", "body_force", "prescribed")
-
-
-def _stacked(rows: Sequence[FloatArray | None]) -> FloatArray | None:
-    """Return rows of all frames, zero where absent; None where all are."""
-    some = next((row for row in rows if row is not None), None)
-    if some is None:
-        return None
-    return np.stack([np.zeros_like(some) if row is None else row for row in rows])

@@ -216,19 +216,11 @@ def solve_frames(
     )
     answer = _empty(times, mesh.n_nodes, len(held), [pad.name for pad in pads], len(springs))
     for frame, (time, load) in enumerate(zip(times, each, strict=True)):
-        own = None if load.body_force is None else float_array("body_force", load.body_force, (3,))
-        both = [force for force in (own, body_force) if force is not None]
-        prescribed = None
-        if load.prescribed is not None:
-            prescribed = float_array("prescribed", load.prescribed, (len(held), 3))
+        parts = spreader.load_parts(load, len(held))
+        both = [force for force in (parts["body_force"], body_force) if force is not None]
+        parts["body_force"] = np.sum(both, axis=0) if both else None
         try:
-            found = rig.advance(
-                float(time),
-                motions[frame],
-                forces=spreader.forces(load),
-                body_force=np.sum(both, axis=0) if both else None,
-                prescribed=prescribed,
-            )
+            found = rig.advance(float(time), motions[frame], **parts)
         except ConvergenceError as error:
             answer.failed.append((frame, str(error)))
             answer.reports.append({})

@@ -175,7 +175,7 @@ class Linearised:
             poisson,
             law=material.core_law(),
             threads=threads,
-            **load_parts(simulator, load, len(simulator.held_nodes)),
+            **simulator.load_parts(load),
         )
 
     def derivatives(self, causes: Sequence[Cause]) -> Derivatives:
@@ -251,7 +251,7 @@ def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
     if isinstance(cause, Parameter):
         return _core.Cause.parameter(cause.name, cause.term)
     if isinstance(cause, Load):
-        return _core.Cause.load(**load_parts(simulator, cause, len(simulator.held_nodes)))
+        return _core.Cause.load(**simulator.load_parts(cause))
     rates = np.asarray(cause.rates, np.float64)
     shape = (simulator.mesh.n_tets, simulator.n_points)
     if rates.ndim == 1:
@@ -287,33 +287,3 @@ def core_observation(observation: Observation) -> tuple[IntArray, FloatArray, In
         held,
         float_array("held_weights", held_weights, (len(held), 3)),
     )
-
-
-def load_parts(simulator: Simulator, load: Load, n_held: int) -> dict[str, FloatArray | None]:
-    """Return the parts of a load as the compiled solver takes them.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        What it acts on.
-    load : Load
-        What acts.
-    n_held : int
-        Number of held nodes.
-
-    Returns
-    -------
-    dict of str to (ndarray of float64 or None)
-        ``forces``, ``body_force`` and ``prescribed``.
-
-    Raises
-    ------
-    LoadError, ShapeError
-        If the load does not fit the body.
-    """
-    own, moved = load.body_force, load.prescribed
-    return {
-        "forces": simulator.forces(load),
-        "body_force": None if own is None else float_array("body_force", own, (3,)),
-        "prescribed": None if moved is None else float_array("prescribed", moved, (n_held, 3)),
-    }

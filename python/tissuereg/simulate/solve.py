@@ -2,16 +2,33 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg._arrays import FloatArray, IntArray, float_array, index_array, optional_array, stacked
 from tissuereg.errors import LoadError, MaterialError
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
+
+
+class LoadParts(TypedDict):
+    """The parts of a load, or of many with the member axis first, as the compiled solver takes them."""
+
+    forces: FloatArray | None
+    body_force: FloatArray | None
+    prescribed: FloatArray | None
+
+
+def stacked_parts(parts: Sequence[LoadParts]) -> LoadParts:
+    """Return the parts of many loads stacked, zero where absent; None where absent in all."""
+    return {
+        "forces": stacked([part["forces"] for part in parts]),
+        "body_force": stacked([part["body_force"] for part in parts]),
+        "prescribed": stacked([part["prescribed"] for part in parts]),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +124,33 @@ class Simulator:
             total = pulled if total is None else total + pulled
         return total
 
+    def load_parts(self, load: Load, n_held: int | None = None) -> LoadParts:
+        """Return the parts of a load as the compiled solver takes them.
+
+        Parameters
+        ----------
+        load : Load
+            What acts.
+        n_held : int, optional
+            Number of nodes whose displacement a load may prescribe; that of the held nodes where absent.
+
+        Returns
+        -------
+        LoadParts
+            ``forces``, ``body_force`` and ``prescribed``.
+
+        Raises
+        ------
+        LoadError, ShapeError
+            If the load does not fit the body.
+        """
+        n_held = len(self.held_nodes) if n_held is None else n_held
+        return {
+            "forces": self.forces(load),
+            "body_force": optional_array("body_force", load.body_force, (3,)),
+            "prescribed": optional_array("prescribed", load.prescribed, (n_held, 3)),
+        }
+
     def solve(self, load: Load, material: Material, **settings: Any) -> Simulation:
         """Return the equilibrium under one load.
 
@@ -141,9 +185,7 @@ class Simulator:
             young,
             poisson,
             law=material.core_law(),
-            forces=self.forces(load),
-            body_force=_optional("body_force", load.body_force, (3,)),
-            prescribed=_optional("prescribed", load.prescribed, (len(self.held_nodes), 3)),
+            **self.load_parts(load),
             **settings,
         )
         everything = found.displacement
@@ -188,12 +230,7 @@ class Simulator:
             _one_a_member([m[0] for m in moduli]),
             _one_a_member([m[1] for m in moduli]),
             laws=[material.core_law() for material in materials],
-            forces=self._stacked([self.forces(load) for load in loads], self.body.nodes.shape),
-            body_force=self._stacked([_optional("body_force", x.body_force, (3,)) for x in loads], (3,)),
-            prescribed=self._stacked(
-                [_optional("prescribed", x.prescribed, (len(self.held_nodes), 3)) for x in loads],
-                (len(self.held_nodes), 3),
-            ),
+            **stacked_parts([self.load_parts(load) for load in loads]),
             progress=progress,
             **settings,
         )
@@ -228,12 +265,6 @@ class Simulator:
         young, poisson = (v[:, 0] if v.ndim == 2 and v.shape[1] == 1 else v for v in (young, poisson))
         young, poisson = _broadcast([young, poisson])
         return young, poisson
-
-    @staticmethod
-    def _stacked(rows: list[FloatArray | None], shape: tuple[int, ...]) -> FloatArray | None:
-        if all(row is None for row in rows):
-            return None
-        return np.stack([np.zeros(shape) if row is None else row for row in rows])
 
 
 def _broadcast(fields: Sequence[FloatArray]) -> list[FloatArray]:
@@ -301,7 +332,3 @@ def simulate(
     """
     simulator = Simulator(mesh, element=element, held_nodes=held_nodes)
     return simulator.solve(load, material, tolerance=tolerance, threads=threads)
-
-
-def _optional(name: str, value: Any, shape: tuple[int, ...]) -> FloatArray | None:
-    return None if value is None else float_array(name, value, shape)
