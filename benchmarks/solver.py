@@ -1,6 +1,7 @@
 """The solver beside the machine's limits and beside other programs, in one run: `benchmarks/results/solver.json`.
 
     python benchmarks/solver.py [--quick] [--out FILE] [--reference DIR] [--peers PYTHON]
+    python benchmarks/solver.py --many      (measures many solves on one mesh again, and keeps all else in the JSON)
     python benchmarks/solver.py --table     (only writes the tables of benchmarks/README.md from the JSON)
 
 Every measurement is a process of its own (`solver_work.py`, `peers/with_*.py`); its command stands beside its figures.
@@ -155,6 +156,16 @@ def peers(python: Path, files: dict[str, Path], quadratic: Path, quick: bool) ->
     return rows, skipped
 
 
+def again(answer: dict, reference: Path, members: int) -> dict:
+    """Return the answer with many solves measured again, between two measurements of the floor."""
+    before = work(2, "floor")
+    many = work(2, "many", reference / "dome_4k_pull.npz", "--members", members)
+    floor = best_of(before, work(2, "floor"))
+    rates = {name: floor[name] for name in ("dgemm_gflops", "sgemm_gflops", "triad_gb_per_s")}
+    when = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    return {**answer, "many": {**many, "date": when, "commit": commit(), "floor": rates}}
+
+
 def commit() -> str:
     """Return the commit, with a mark where files differ from it."""
     said = subprocess.run(
@@ -170,10 +181,15 @@ def main() -> None:
     parser.add_argument("--peers", type=Path, default=Path(".venv-peers/bin/python"))
     parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--quick", action="store_true", help="few repeats, small sizes, one problem a peer")
+    parser.add_argument("--many", action="store_true", help="measure many solves again, keep all else in the JSON")
     parser.add_argument("--table", action="store_true", help="write the tables from the JSON, measure nothing")
     options = parser.parse_args()
     out = options.out.absolute()
-    if not options.table:
+    if options.many:
+        os.chdir(REPOSITORY)
+        answer = again(json.loads(out.read_text(encoding="utf-8")), options.reference, 16 if options.quick else 200)
+        out.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
+    elif not options.table:
         os.chdir(REPOSITORY)
         SCRATCH.mkdir(parents=True, exist_ok=True)
         quick = options.quick

@@ -116,8 +116,16 @@ def _many(many: dict) -> str:
         f"({100 * many['failed'] / many['members']:.1f} %); largest displacement of a member "
         f"{moved['0']:.1f} / {moved['50']:.1f} / "
         f"{moved['100']:.1f} mm (least, median, most); {many['counters_a_member']['iterations']:.1f} iterations, "
-        f"{many['counters_a_member']['factorisations']:.2f} factorisations a member."
+        f"{many['counters_a_member']['factorisations']:.2f} factorisations a member.{_measured_later(many)}"
     )
+
+
+def _measured_later(many: dict) -> str:
+    """Return when a row was measured on its own, and how fast the machine was then."""
+    if "floor" not in many:
+        return ""
+    dgemm = " / ".join(f"{many['floor']['dgemm_gflops'][n]:.0f}" for n in ("1", "2"))
+    return f" Measured again, {many['date'][:10]}, commit {many['commit']}, with dgemm at {dgemm} GFLOP/s."
 
 
 def _size_row(row: dict) -> str:

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
+use crate::assembly::NodalGradients;
 use crate::element::{Element, Geometry, edges_of};
 use crate::error::FemError;
 use crate::mesh::{Mesh, ascending};
@@ -74,7 +75,7 @@ impl Body {
             return Err(FemError::TooLarge { n_dofs: 3 * n_nodes });
         }
         let (geometry, nodes) = Geometry::new(&mesh, element, &edges);
-        let shape = Arc::new(ShapeOfBody { mesh, nodes, edges, geometry });
+        let shape = ShapeOfBody::new(mesh, nodes, edges, geometry);
         Self::supported(shape, supports.into(), start)
     }
 
@@ -112,7 +113,7 @@ impl Body {
         let edges = self.shape.edges.clone();
         let (geometry, nodes) = Geometry::new(&mesh, self.element(), &edges);
         Ok(Self {
-            shape: Arc::new(ShapeOfBody { mesh, nodes, edges, geometry }),
+            shape: ShapeOfBody::new(mesh, nodes, edges, geometry),
             supports: self.supports.clone(),
             held: self.held.clone(),
             pattern: Arc::clone(&self.pattern),
@@ -140,7 +141,7 @@ impl Body {
         supports: Supports,
         start: Instant,
     ) -> Result<Self, FemError> {
-        let ShapeOfBody { mesh, nodes, edges, geometry } = &*shape;
+        let ShapeOfBody { mesh, nodes, edges, geometry, .. } = &*shape;
         let held_corners = supports.axes_by_node(mesh.n_nodes())?;
         check_resting(mesh, &supports)?;
         check_rigid_modes(mesh, &held_corners, supports.resting())?;
@@ -215,6 +216,11 @@ impl Body {
 
     pub(crate) fn geometry(&self) -> &Geometry {
         &self.shape.geometry
+    }
+
+    /// Mean displacement gradients at the nodes; made when first asked for.
+    pub(crate) fn nodal_gradients(&self) -> &NodalGradients {
+        self.shape.gradients.get_or_init(|| NodalGradients::new(self.geometry()))
     }
 
     pub(crate) fn pattern(&self) -> &Pattern {
@@ -296,6 +302,19 @@ struct ShapeOfBody {
     nodes: Vec<[f64; 3]>,
     edges: Vec<[usize; 2]>,
     geometry: Geometry,
+    /// Made when first asked for.
+    gradients: OnceLock<NodalGradients>,
+}
+
+impl ShapeOfBody {
+    fn new(
+        mesh: Mesh,
+        nodes: Vec<[f64; 3]>,
+        edges: Vec<[usize; 2]>,
+        geometry: Geometry,
+    ) -> Arc<Self> {
+        Arc::new(Self { mesh, nodes, edges, geometry, gradients: OnceLock::new() })
+    }
 }
 
 /// Check that what rests on springs lies on the surface.

@@ -451,7 +451,7 @@ fn frames_that_are_reached_in_parts_agree_with_differences() {
         let history = History::recorded(&body, material, behaviour.clone()).expect("sound");
         let pads = vec![Pad { nodes: end.clone() }];
         let mut rig = Rig::new(held(), history, pads).expect("sound");
-        let few = SolveSettings { max_iterations: 12, ..tight() };
+        let few = SolveSettings { max_iterations: 8, ..tight() };
         let weight = |share: f64| Load { body_force: [0.0, share * force, 0.0], ..Load::default() };
         rig.advance(&weight(0.2), &[None], 0.0, &tight()).expect("stands");
         let motion = Some([-0.4 * lift, 0.0, lift]);

@@ -30,6 +30,24 @@ fn a_stretch_of_a_tenth_takes_one_factor_and_few_iterations() {
     assert!(report.evaluations <= report.iterations + 2, "{report:?}");
 }
 
+/// The rest factor is carried along; left where it was made, it leads nowhere.
+#[test]
+fn a_bar_bent_by_two_thirds_of_its_length_needs_no_new_factor() {
+    let body = clamped_at_x0(bar([12, 3, 3], [60.0, 12.0, 12.0]), Element::Tet4);
+    let tips = nodes_where(body.mesh(), |x| x[0] > 60.0 - 1e-9);
+    let mut forces = vec![[0.0; 3]; body.n_nodes()];
+    for &tip in &tips {
+        forces[tip] = [0.0, 0.0, 30.0 / tips.len() as f64];
+    }
+    let material = Material::neo_hookean(10.0, 0.45).expect("sound");
+    let settings = SolveSettings { method: Method::QuasiNewton, ..SolveSettings::default() };
+    let answer = solve(&body, &material, &Load::from_forces(forces), &settings).expect("bends");
+    let (report, deflection) = (answer.report, answer.displacement[tips[0]][2]);
+    assert!(deflection > 39.0, "{deflection}");
+    assert_eq!((report.factorisations, report.load_steps), (1, 1), "{report:?}");
+    assert!((40..=75).contains(&report.iterations), "{report:?}");
+}
+
 #[test]
 fn newton_takes_five_factors() {
     let (body, load) = pulled_bar(400.0);

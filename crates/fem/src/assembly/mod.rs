@@ -17,6 +17,7 @@ mod averaged_neo_hookean;
 mod averaged_tangent;
 mod force;
 mod lanes;
+mod nodal;
 mod packs;
 mod points;
 mod tangent;
@@ -24,6 +25,7 @@ mod tangent;
 mod tests;
 
 pub(crate) use force::{Energy, internal_force_into};
+pub(crate) use nodal::NodalGradients;
 pub(crate) use points::{PointMap, point_volumes};
 pub(crate) use tangent::{ElementTangents, TangentKind, tangent_product_into};
 

@@ -339,6 +339,7 @@ impl Path<'_> {
             *r = -*r - product[flat as usize];
         }
         let mut follow = vec![0.0; rhs.len()];
+        self.metric.follow(self.problem, state, self.workspace);
         self.metric.apply_into(self.problem, &rhs, &mut follow, self.workspace);
         let mut moved = state.clone();
         for (d, &flat) in follow.iter().zip(&pattern.unknown2flat) {

