@@ -5,7 +5,8 @@ A marker off the facets moves rigidly with its patch of surface,
     u(marker) = u(foot) + (R - I) offset,      offset = reference place - foot,
 
 where the foot is the closest point of the surface and R the best rotation of the patch's nodes (Kabsch).
-An inner target moves with the tetrahedron that holds it, linearly interpolated.
+An inner target moves with the tetrahedron that holds it. Fields are interpolated linearly between corner nodes, or
+quadratically where the mid-edge nodes of ten-node elements are given too.
 """
 
 import warnings
@@ -43,6 +44,9 @@ class MarkerObservation:
         Places of the markers beside the undeformed body, mm.
     names : sequence of str
         For messages.
+    quadratic : bool
+        Whether fields are those of ten-node elements: nodes in the middle of `mesh.edges`, in their order, follow those
+        of the mesh.
 
     Raises
     ------
@@ -57,18 +61,19 @@ class MarkerObservation:
         Distance of every marker from the surface, mm.
     """
 
-    def __init__(self, mesh: Mesh, reference: Any, names: tuple[str, ...]) -> None:
+    def __init__(self, mesh: Mesh, reference: Any, names: tuple[str, ...], *, quadratic: bool = False) -> None:
         places = float_array("reference", reference, (None, 3))
         triangles, weights, feet = _closest_triangles(mesh, places)
         self.distance: FloatArray = np.linalg.norm(places - feet, axis=1)
         _check_distance(self.distance, names, mesh.extent)
         patches = _patches(mesh, triangles)
-        self.nodes: IntArray = np.unique(np.concatenate([mesh.surface[triangles].ravel(), *patches]))
-        self._foot_nodes = np.searchsorted(self.nodes, mesh.surface[triangles])
-        self._weights = weights
+        feet_nodes, self._weights = _interpolation(mesh, mesh.surface[triangles], weights, quadratic)
+        self.nodes: IntArray = np.unique(np.concatenate([feet_nodes.ravel(), *patches]))
+        self._foot_nodes = np.searchsorted(self.nodes, feet_nodes)
         self._offset = places - feet
         self._patches = [np.searchsorted(self.nodes, patch) for patch in patches]
-        self._reference = mesh.nodes[self.nodes]
+        # Patches are of corner nodes alone.
+        self._reference = mesh.nodes[np.minimum(self.nodes, mesh.n_nodes - 1)]
 
     @classmethod
     def of(cls, mesh: Mesh, markers: Markers) -> "MarkerObservation":
@@ -100,6 +105,33 @@ class MarkerObservation:
             moved[..., marker, :] += (turned - np.eye(3)) @ self._offset[marker]
         return np.asarray(moved)
 
+    def jacobian(self, displacement: FloatArray) -> FloatArray:
+        """Return how the displacement of every marker follows that of `nodes`.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (n_needed, 3)
+            Displacement of `nodes` in mm, where the derivative is taken.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_markers, 3, n_needed, 3)
+            By central differences in the rotation of markers off the surface, exact for all others.
+        """
+        n_needed = len(self.nodes)
+        slopes = np.zeros((self.n_markers, 3, n_needed, 3))
+        for axis in range(3):
+            for corner in range(3):
+                slopes[np.arange(self.n_markers), axis, self._foot_nodes[:, corner], axis] += self._weights[:, corner]
+        for marker in np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM):
+            patch = self._patches[marker]
+            step = 1e-5 * float(np.ptp(self._reference[patch], axis=0).max())
+            nudges = step * np.eye(3 * len(patch)).reshape(-1, len(patch), 3)
+            here, rest = displacement[patch], self._reference[patch]
+            change = (_rotation(rest, here + nudges) - _rotation(rest, here - nudges)) / (2.0 * step)
+            slopes[marker][:, patch] += np.moveaxis((change @ self._offset[marker]).reshape(len(patch), 3, 3), -1, 0)
+        return slopes
+
 
 class TargetObservation:
     """Displacement of inner points, linear in the nodes of the tets that hold them.
@@ -110,6 +142,8 @@ class TargetObservation:
         Reference shape.
     targets : mapping of str to array_like of float, shape (3,)
         Points of the undeformed body, mm.
+    quadratic : bool
+        As in `MarkerObservation`.
 
     Raises
     ------
@@ -117,19 +151,36 @@ class TargetObservation:
         If a target lies outside the body by more than a tenth of its extent, or is not finite.
     """
 
-    def __init__(self, mesh: Mesh, targets: Mapping[str, Any]) -> None:
+    def __init__(self, mesh: Mesh, targets: Mapping[str, Any], *, quadratic: bool = False) -> None:
         self.names = tuple(targets)
         self.reference: FloatArray = np.array([float_array(n, p, (3,)) for n, p in targets.items()]).reshape(-1, 3)
         locator = _Locator(mesh)
         located = [locator.locate(name, point) for name, point in zip(self.names, self.reference, strict=True)]
         corners = np.array([mesh.tets[tet] for tet, _ in located], dtype=np.int64).reshape(-1, 4)
-        self._weights = np.array([weights for _, weights in located]).reshape(-1, 4)
-        self.nodes: IntArray = np.unique(corners)
-        self._corners = np.searchsorted(self.nodes, corners)
+        weights = np.array([weights for _, weights in located]).reshape(-1, 4)
+        nodes, self._weights = _interpolation(mesh, corners, weights, quadratic)
+        self.nodes: IntArray = np.unique(nodes)
+        self._corners = np.searchsorted(self.nodes, nodes)
 
     def predict(self, displacement: FloatArray) -> FloatArray:
         """Return the displacement of every target; `displacement` as in `MarkerObservation.predict`."""
         return np.asarray(np.einsum("tc,...tcx->...tx", self._weights, displacement[..., self._corners, :]))
+
+
+def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic: bool) -> tuple[IntArray, FloatArray]:
+    """Return nodes and weights of points from the corners and weights (n, 3) or (n, 4) of what holds them.
+
+    The same, or nodes and shape functions of second order: ``l_a (2 l_a - 1)`` at corners, ``4 l_a l_b`` between.
+    """
+    if not quadratic:
+        return corners, weights
+    first, second = np.triu_indices(corners.shape[1], 1)
+    a, b = corners[:, first], corners[:, second]
+    # Edges are sorted by their lower, then their upper end.
+    keys = mesh.edges[:, 0] * mesh.n_nodes + mesh.edges[:, 1]
+    middles = mesh.n_nodes + np.searchsorted(keys, np.minimum(a, b) * mesh.n_nodes + np.maximum(a, b))
+    at_corners, between = weights * (2.0 * weights - 1.0), 4.0 * weights[:, first] * weights[:, second]
+    return np.concatenate([corners, middles], axis=1), np.concatenate([at_corners, between], axis=1)
 
 
 def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:

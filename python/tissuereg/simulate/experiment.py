@@ -165,6 +165,7 @@ def solve_cases(
     cases: Sequence[Case],
     *,
     element: str = "tet4",
+    tolerance: float = 1e-9,
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, SolvedCase]:
@@ -178,6 +179,8 @@ def solve_cases(
         Some of its cases.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
+    tolerance : float
+        Norm of the residual over the norm of the load.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
     progress : callable of (int, int), optional
@@ -196,31 +199,70 @@ def solve_cases(
     in_all = sum(len(case.times) for case in cases)
     if goes_through_time(experiment):
         through = None if progress is None else (lambda n: progress(n, in_all))
-        return solve_through_time(experiment, cases, element=element, threads=threads, progress=through)
+        return solve_through_time(
+            experiment, cases, element=element, tolerance=tolerance, threads=threads, progress=through
+        )
     done, solved = 0, {}
     for case in cases:
         report = None if progress is None else (lambda n, before=done: progress(before + n, in_all))
-        solved[case.name] = _solve_elastic(experiment, case, element, threads, report)
+        solved[case.name] = _solve_elastic(experiment, case, element, tolerance, threads, report)
         done += len(case.times)
     return solved
 
 
 def _solve_elastic(
-    experiment: Experiment, case: Case, element: str, threads: int, progress: Callable[[int], None] | None
+    experiment: Experiment,
+    case: Case,
+    element: str,
+    tolerance: float,
+    threads: int,
+    progress: Callable[[int], None] | None,
 ) -> SolvedCase:
     """Return the frames of a case, each on its own and all in parallel."""
     believed = believed_case(experiment, case, element=element, threads=threads)
     simulator = believed.simulator
-    materials = [experiment.material] * len(believed.loads)
-    found = simulator.solve_many(believed.loads, materials, threads=threads, progress=progress)
-    if len(found.failed) == len(case.times):
-        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {found.failed[0][1]}"
+    firsts, state_of = distinct_loads(believed.loads)
+    loads = [believed.loads[frame] for frame in firsts]
+    report = None if progress is None else (lambda n: progress(n * len(state_of) // len(loads)))
+    materials = [experiment.material] * len(loads)
+    found = simulator.solve_many(loads, materials, tolerance=tolerance, threads=threads, progress=report)
+    why = dict(found.failed)
+    failed = [(frame, why[state]) for frame, state in enumerate(state_of) if state in why]
+    if len(failed) == len(case.times):
+        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
         raise ConvergenceError(message, where=case.name)
     forces = {
-        pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)
+        pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)[state_of]
         for pad in pads_of(experiment, case)
     }
-    return SolvedCase(found.displacement, forces, found.failed)
+    return SolvedCase(found.displacement[state_of], forces, failed, found.all_displacement[state_of])
+
+
+def distinct_loads(loads: Sequence[Load]) -> tuple[list[int], list[int]]:
+    """Return the first frame of every distinct load, and the number of its load for every frame.
+
+    Parameters
+    ----------
+    loads : sequence of Load
+        One a frame. Where nothing remembers, frames under one load are one equilibrium: a hold, or a way back.
+
+    Returns
+    -------
+    tuple of list of int
+        Frames, increasing; and one number a frame that counts through them.
+    """
+    known: dict[tuple[bytes, ...], int] = {}
+    firsts: list[int] = []
+    state_of: list[int] = []
+    for frame, load in enumerate(loads):
+        traction = () if load.traction is None else load.traction
+        parts = (load.forces, load.body_force, load.prescribed, *traction)
+        content = tuple(b"" if part is None else np.asarray(part, np.float64).tobytes() for part in parts)
+        if content not in known:
+            known[content] = len(firsts)
+            firsts.append(frame)
+        state_of.append(known[content])
+    return firsts, state_of
 
 
 def _load(

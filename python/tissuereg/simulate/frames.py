@@ -54,6 +54,8 @@ class Frames:
         Its moment about the mean place of the pad's nodes, mN mm.
     spring_forces : ndarray of float64, shape (n_frames, n_springs, 3)
         Force of every set of springs on the body, mN.
+    all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
+        The displacement with the mid-edge nodes of ten-node elements behind the mesh's nodes.
     rest_nodes : ndarray of float64, shape (n_nodes, 3)
         Nodes without load, mm; those of the mesh unless it hangs already.
     failed : list of (int, str)
@@ -70,6 +72,7 @@ class Frames:
     pad_forces: dict[str, FloatArray]
     pad_moments: dict[str, FloatArray]
     spring_forces: FloatArray
+    all_displacement: FloatArray
     rest_nodes: FloatArray
     failed: list[tuple[int, str]]
     reports: list[dict[str, Any]]
@@ -214,7 +217,7 @@ def solve_frames(
         tolerance=tolerance,
         threads=threads,
     )
-    answer = _empty(times, mesh.n_nodes, len(held), [pad.name for pad in pads], len(springs))
+    answer = _empty(times, mesh.n_nodes, spreader.body.n_nodes, len(held), [pad.name for pad in pads], len(springs))
     for frame, (time, load) in enumerate(zip(times, each, strict=True)):
         parts = spreader.load_parts(load, len(held))
         both = [force for force in (parts["body_force"], body_force) if force is not None]
@@ -260,15 +263,19 @@ def _motions(pads: Sequence[Pad], n_frames: int) -> FloatArray:
     return motions
 
 
-def _empty(times: FloatArray, n_nodes: int, n_held: int, pads: list[str], n_springs: int) -> Frames:
+def _empty(
+    times: FloatArray, n_nodes: int, n_element_nodes: int, n_held: int, pads: list[str], n_springs: int
+) -> Frames:
     n = len(times)
+    everything = np.full((n, n_element_nodes, 3), np.nan)
     return Frames(
         times,
-        np.full((n, n_nodes, 3), np.nan),
+        everything[:, :n_nodes],
         np.full((n, n_held, 3), np.nan),
         {name: np.full((n, 3), np.nan) for name in pads},
         {name: np.full((n, 3), np.nan) for name in pads},
         np.full((n, n_springs, 3), np.nan),
+        everything,
         np.empty((0, 3)),
         [],
         [],
@@ -276,7 +283,8 @@ def _empty(times: FloatArray, n_nodes: int, n_held: int, pads: list[str], n_spri
 
 
 def _keep(answer: Frames, frame: int, found: _core.RigFrame) -> None:
-    answer.displacement[frame] = found.displacement[: answer.displacement.shape[1]]
+    # The displacement of the mesh's nodes is a view of this.
+    answer.all_displacement[frame] = found.displacement
     answer.reactions[frame] = found.reactions
     answer.spring_forces[frame] = found.spring_forces
     for k, name in enumerate(answer.pad_forces):

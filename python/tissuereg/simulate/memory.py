@@ -41,11 +41,14 @@ class SolvedCase:
         Force on the body at every displacement actuator that is present, mN.
     failed : list of (int, str)
         Frames without equilibrium, with the reason.
+    all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
+        The displacement with the mid-edge nodes of ten-node elements behind the mesh's nodes.
     """
 
     displacement: FloatArray
     forces: dict[str, FloatArray]
     failed: list[tuple[int, str]]
+    all_displacement: FloatArray
 
 
 def goes_through_time(experiment: Experiment) -> bool:
@@ -74,6 +77,7 @@ def solve_through_time(
     cases: Sequence[Case],
     *,
     element: str = "tet4",
+    tolerance: float = 1e-9,
     threads: int = 0,
     progress: Callable[[int], object] | None = None,
 ) -> dict[str, SolvedCase]:
@@ -87,6 +91,8 @@ def solve_through_time(
         All that matter: with softening or set every case from the first one on.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
+    tolerance : float
+        Norm of the residual over the norm of the load.
     threads : int
         Threads to use; 0 takes all cores.
     progress : callable of int, optional
@@ -109,7 +115,7 @@ def solve_through_time(
     done = 0
     for group in groups:
         report = None if progress is None else (lambda n, before=done: progress(before + n))
-        solved.update(_solve_group(experiment, group, element, threads, report))
+        solved.update(_solve_group(experiment, group, element, tolerance, threads, report))
         done += sum(len(case.times) for case in group)
     return {case.name: solved[case.name] for case in cases}
 
@@ -118,6 +124,7 @@ def _solve_group(
     experiment: Experiment,
     group: Sequence[Case],
     element: str,
+    tolerance: float,
     threads: int,
     progress: Callable[[int], object] | None,
 ) -> dict[str, SolvedCase]:
@@ -149,6 +156,7 @@ def _solve_group(
         in_reference=hangs_already(experiment),
         element=element,
         held_nodes=_held(experiment),
+        tolerance=tolerance,
         threads=threads,
         progress=report,
     )
@@ -160,7 +168,7 @@ def _solve_group(
             message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
             raise ConvergenceError(message, where=case.name)
         forces = {pad.name: found.pad_forces[pad.name][mine] for pad in pads_of(experiment, case)}
-        answers[case.name] = SolvedCase(found.displacement[mine], forces, failed)
+        answers[case.name] = SolvedCase(found.displacement[mine], forces, failed, found.all_displacement[mine])
     return answers
 
 

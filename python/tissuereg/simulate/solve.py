@@ -65,11 +65,14 @@ class Simulations:
         Force on the body at every held node in mN.
     failed : list of (int, str)
         Members without equilibrium, each with its reason.
+    all_displacement : ndarray of float64, shape (n_members, n_element_nodes, 3)
+        The displacement with the mid-edge nodes of ten-node elements behind the mesh's nodes.
     """
 
     displacement: FloatArray
     reactions: FloatArray
     failed: list[tuple[int, str]]
+    all_displacement: FloatArray
 
     @property
     def solved(self) -> IntArray:
@@ -234,7 +237,8 @@ class Simulator:
             progress=progress,
             **settings,
         )
-        return Simulations(found.displacement[:, : self.mesh.n_nodes].copy(), found.reactions, found.failed)
+        everything = found.displacement
+        return Simulations(everything[:, : self.mesh.n_nodes].copy(), found.reactions, found.failed, everything)
 
     def moduli(self, material: Material) -> tuple[FloatArray, FloatArray]:
         """Return a material's moduli, checked against the mesh.

@@ -1,0 +1,179 @@
+"""Frames of an elastic case on a fine mesh: every state of its loads once, one after another along the ramp."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.errors import ConvergenceError
+from tissuereg.experiment import Case, Experiment
+from tissuereg.material import Material
+from tissuereg.simulate.experiment import Believed, believed_case
+from tissuereg.simulate.loading import pads_of
+from tissuereg.simulate.memory import SolvedCase
+
+#: Loads whose parts differ by less than this share of the largest are one state.
+_SAME = 1e-9
+
+#: Loads whose directions differ by less than this are along one line.
+_ALONG = 1e-6
+
+#: Solved states that a guess is drawn through at most: a parabola.
+_MOST_POINTS = 3
+
+#: Iterations with the tangent at rest; what needs more is better off with new ones.
+_MOST_ITERATIONS = 150
+
+#: Residual over load at which a frame counts as solved. It moves markers by some 1e-6 mm and forces by 1e-3 mN.
+TOLERANCE = 1e-5
+
+
+def solve_states(
+    experiment: Experiment,
+    case: Case,
+    *,
+    element: str = "tet10",
+    tolerance: float = TOLERANCE,
+    threads: int = 0,
+    progress: Callable[[int], object] | None = None,
+) -> SolvedCase:
+    """Return the equilibria of a case whose frames depend on their own load alone.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        On a fine mesh, effects worked in.
+    case : Case
+        One of its cases.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    tolerance : float
+        Norm of the residual over the norm of the load.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    progress : callable of int, optional
+        Called with frames done.
+
+    Returns
+    -------
+    SolvedCase
+        Frames of equal load have equal rows.
+
+    Raises
+    ------
+    ConvergenceError
+        If no frame finds equilibrium.
+
+    Notes
+    -----
+    The guess for a state goes through the states before it that are loaded along the same line, nothing at no load. It
+    saves the solver the steps that a pad's sudden motion would cost in the small elements at its rim.
+    """
+    believed = believed_case(experiment, case, element=element, threads=threads)
+    simulator = believed.simulator
+    states, of_frame = distinct_states(case)
+    pads = pads_of(experiment, case)
+    n_nodes = simulator.body.n_nodes
+    field = np.full((len(case.times), n_nodes, 3), np.nan)
+    forces = {pad.name: np.full((len(case.times), 3), np.nan) for pad in pads}
+    solved: list[tuple[FloatArray, FloatArray]] = []
+    nothing = np.zeros((n_nodes, 3)), np.zeros((len(simulator.held_nodes), 3))
+    if believed.loads[0].body_force is None:
+        solved.append((np.zeros(states.shape[1]), nothing[0]))
+    failed = []
+    done = 0
+    for number, state in enumerate(states):
+        frames = np.flatnonzero(of_frame == number)
+        known = bool(solved) and not state.any() and not solved[0][0].any()
+        try:
+            start = guess(state, solved)
+            settings = {"tolerance": tolerance, "threads": threads}
+            found = nothing if known else _solve(believed, int(frames[0]), experiment.material, start, settings)
+        except ConvergenceError as error:
+            failed += [(int(frame), str(error)) for frame in frames]
+        else:
+            field[frames] = found[0]
+            if not known:
+                solved.append((state, found[0]))
+            for pad in pads:
+                forces[pad.name][frames] = found[1][np.isin(simulator.held_nodes, pad.nodes)].sum(axis=0)
+        done += len(frames)
+        if progress is not None:
+            progress(done)
+    if len(failed) == len(case.times):
+        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
+        raise ConvergenceError(message, where=case.name)
+    return SolvedCase(field[:, : simulator.mesh.n_nodes], forces, sorted(failed), field)
+
+
+def distinct_states(case: Case) -> tuple[FloatArray, IntArray]:
+    """Return the different loads of a case in the order in which they first appear, and that of every frame.
+
+    Parameters
+    ----------
+    case : Case
+        With what is given to its actuators.
+
+    Returns
+    -------
+    tuple of ndarray of float64 (n_states, n_parts) and ndarray of int64 (n_frames,)
+        Motions in mm and forces in mN side by side, every part over the largest of its actuator.
+    """
+    given = [np.asarray(v) for v in (*case.displacements.values(), *case.applied_forces.values())]
+    parts = [values / max(float(np.abs(values).max()), np.finfo(float).tiny) for values in given]
+    table = np.concatenate([np.zeros((len(case.times), 1)), *parts], axis=1)
+    _, first, inverse = np.unique(np.round(table / _SAME), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return table[first[order]], rank[inverse.ravel()]
+
+
+def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
+    """Return a first guess of the field of a state from states solved before it.
+
+    Parameters
+    ----------
+    state : ndarray of float64, shape (n_parts,)
+        Loads.
+    solved : list of tuple of ndarray
+        Loads and field (n_nodes, 3) of each.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_nodes, 3), or None
+        Through the three states nearest along the same line of loads; that of the nearest state where no line goes
+        through two; None where nothing is known.
+    """
+    size = float(np.linalg.norm(state))
+    if not solved or size == 0.0:
+        return solved[0][1] if solved and not solved[0][0].any() else None
+    line = state / size
+    on_line = [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= _ALONG * size]
+    on_line = sorted(on_line, key=lambda point: abs(point[0] - size))[:_MOST_POINTS]
+    if len(on_line) < 2:
+        nearest = min(solved, key=lambda one: float(np.linalg.norm(one[0] - state)))
+        # Unloaded nodes are no guess, a body that sags under its weight is one.
+        return nearest[1] if nearest[1].any() and np.linalg.norm(nearest[0] - state) <= size else None
+    total = np.zeros_like(on_line[0][1])
+    for i, (place, field) in enumerate(on_line):
+        others = [p for j, (p, _) in enumerate(on_line) if j != i]
+        total += np.prod([(size - p) / (place - p) for p in others]) * field
+    return total
+
+
+def _solve(
+    believed: Believed, frame: int, material: Material, start: FloatArray | None, settings: dict[str, Any]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the field of all nodes and the reactions in a frame."""
+    simulator, load = believed.simulator, believed.loads[frame]
+    # The tangent at rest serves as long as it can: a new one costs as much as fifty iterations.
+    for attempt in ({"method": "quasi-newton", "max_iterations": _MOST_ITERATIONS, "start": start}, {"start": start}):
+        try:
+            found = simulator.solve(load, material, **attempt, **settings)
+        except ConvergenceError:
+            continue
+        return found.all_displacement, found.reactions
+    found = simulator.solve(load, material, **settings)
+    return found.all_displacement, found.reactions

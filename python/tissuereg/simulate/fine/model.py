@@ -1,0 +1,296 @@
+"""What a fine model says in the markers, forces and targets of the experiment that it was made from."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from tissuereg.effects import (
+    ActuatorOffset,
+    Detachment,
+    Effect,
+    Gravity,
+    Reference,
+    Sliding,
+    check_effects,
+    extended,
+    seen_markers,
+)
+from tissuereg.effects.base import Vector
+from tissuereg.effects.history import Memory
+from tissuereg.experiment import Actuator, Case, Experiment
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.experiment import CaseSimulation
+from tissuereg.simulate.fine.elastic import solve_states
+from tissuereg.simulate.fine.meshing import FineMeshing, fine_experiment, rim_of
+from tissuereg.simulate.fine.reading import Reader, Reading, corrected
+from tissuereg.simulate.fine.rims import INSIDE, Rim
+from tissuereg.simulate.memory import SolvedCase, goes_through_time, is_carried, solve_through_time
+
+#: Poisson's ratio above which four-node tets move too little.
+_LOCKS_ABOVE = 0.475
+
+#: Elastic answers kept for the next call: rough and fine of ten cases.
+_MOST_KEPT = 20
+
+
+class FineModel:
+    """An experiment on a mesh with pads cut out and small elements round them, in ten-node elements.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is believed.
+    meshing : FineMeshing, optional
+        How fine.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        As given.
+    fine : Experiment
+        The same on the fine mesh.
+
+    Raises
+    ------
+    MeshError
+        If refinement does not end.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> from tissuereg.effects import Stiffness
+    >>> rig = tr.read_experiment("rig")  # doctest: +SKIP
+    >>> model = FineModel(rig)  # doctest: +SKIP
+    >>> model.simulate([Stiffness(young_kpa=8.4)], cases=["push_x"])["push_x"].forces["push_x"]  # doctest: +SKIP
+    """
+
+    def __init__(self, experiment: Experiment, meshing: FineMeshing | None = None) -> None:
+        self.experiment = experiment
+        self.meshing = meshing or FineMeshing()
+        self.fine = fine_experiment(experiment, self.meshing)
+        self._own: tuple[tuple[Rim | None, ...], Experiment] | None = None
+        # Elastic answers that corrections are drawn from, newest last.
+        self._elastic: dict[tuple[Any, ...], Reading] = {}
+
+    def __repr__(self) -> str:
+        return f"FineModel('{self.experiment.name}', {self.experiment.mesh.n_nodes} > {self.mesh.n_nodes} nodes)"
+
+    @property
+    def mesh(self) -> Mesh:
+        """The fine mesh. Its first nodes are those of the given mesh, some moved onto a rim."""
+        return self.fine.mesh
+
+    def simulate(
+        self,
+        effects: Sequence[Effect] | None = None,
+        cases: Sequence[str] | None = None,
+        *,
+        through_time: str = "corrected",
+        threads: int = 0,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> dict[str, CaseSimulation]:
+        """Return what the model says of cases.
+
+        Parameters
+        ----------
+        effects : sequence of Effect, optional
+            Instead of those of the experiment.
+        cases : sequence of str, optional
+            Names; all where absent.
+        through_time : {"corrected", "solved"}
+            What becomes of frames that depend on those before (memory, sliding, a mesh that hangs in gravity already).
+            `corrected`: four-node elements on the fine mesh, plus what ten-node elements change of the elastic answer,
+            which is kept for the next call. `solved`: ten-node elements in every frame, minutes a case on 4,000 nodes.
+        threads : int
+            Threads to use; 0 takes all cores. The result does not depend on it.
+        progress : callable of (int, int), optional
+            Called with frames done and frames in all.
+
+        Returns
+        -------
+        dict of str to CaseSimulation
+            One a case, in the experiment's order: its frames, its markers, its targets. Displacements are those of the
+            nodes of `mesh`; where an effect shifts a pad or frees a ball, of a mesh of its own.
+
+        Raises
+        ------
+        ConvergenceError
+            If no frame of a case finds equilibrium, or a mesh that hangs in gravity already has no unloaded shape.
+        ExperimentError
+            If a case is unknown or an effect does not fit the experiment.
+
+        Notes
+        -----
+        Elastic frames of equal load are solved once. Cases run in parallel, each on one thread.
+        """
+        fine = self._with_effects(self.experiment.effects if effects is None else tuple(effects))
+        wanted = [case for name, case in fine.cases.items() if cases is None or name in cases]
+        for name in cases or ():
+            fine.case(name)
+        threads = threads or os.cpu_count() or 1
+        if goes_through_time(extended(fine, "tet10")):
+            readings = self._through_time(fine, wanted, through_time == "solved", threads, progress)
+        else:
+            report = Progress(progress, sum(len(case.times) for case in wanted))
+            readings = _elastic(fine, wanted, "tet10", threads, report, "frames")
+        answers = {}
+        for case in wanted:
+            said = readings[case.name]
+            answers[case.name] = CaseSimulation(
+                case.times,
+                said.displacement,
+                seen_markers(fine, said.markers, case.times),
+                said.forces,
+                {target: said.targets[:, i] for i, target in enumerate(fine.targets)},
+                said.failed,
+            )
+        return answers
+
+    def _through_time(
+        self,
+        fine: Experiment,
+        cases: Sequence[Case],
+        fully: bool,
+        threads: int,
+        progress: Callable[[int, int], None] | None,
+    ) -> dict[str, Reading]:
+        """Return cases that go through time, in ten-node elements or corrected by their elastic answers."""
+        through = list(cases)
+        if is_carried(extended(fine, "tet10")):
+            last = max(float(case.times[0]) for case in cases)
+            through = [case for case in fine.cases.values() if case.times[0] <= last]
+        n_frames = sum(len(case.times) for case in cases)
+        report = Progress(progress, sum(len(case.times) for case in through) + (0 if fully else 2 * n_frames))
+        # Four-node elements lock where ten-node ones do not; there their averaged kin stand in.
+        locks = float(extended(fine, "tet4").material.poisson_array.max()) > _LOCKS_ABOVE
+        rough = "tet4-averaged" if locks else "tet4"
+        element = "tet10" if fully else rough
+        solved = _remembering(extended(fine, element), through, element, threads, report)
+        reader = Reader(fine, quadratic=fully)
+        readings = {case.name: reader.read(solved[case.name]) for case in cases}
+        if fully:
+            return readings
+        twin = _without_time(fine)
+        of_rough = self._kept(twin, cases, rough, threads, report, "rough elastic frames")
+        of_fine = self._kept(twin, cases, "tet10", threads, report, "fine elastic frames")
+        return {name: corrected(said, of_rough[name], of_fine[name]) for name, said in readings.items()}
+
+    def _kept(
+        self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "Progress", part: str
+    ) -> dict[str, Reading]:
+        """Return elastic cases, those of before as they were."""
+        keys = {case.name: (case.name, element, twin.mesh, twin.gravity is None, twin.effects) for case in cases}
+        missing = [case for case in cases if keys[case.name] not in self._elastic]
+        for case in cases:
+            if case not in missing and (told := report.of(f"{part} of {case.name}")) is not None:
+                told(len(case.times))
+        fresh = _elastic(twin, missing, element, threads, report, part) if missing else {}
+        found = {name: fresh[name] if name in fresh else self._elastic.pop(key) for name, key in keys.items()}
+        self._elastic |= {keys[name]: said for name, said in found.items()}
+        while len(self._elastic) > _MOST_KEPT:
+            del self._elastic[next(iter(self._elastic))]
+        return found
+
+    def _with_effects(self, effects: Sequence[Effect]) -> Experiment:
+        """Return the fine experiment with effects, on a mesh of its own where they say where its surface is cut.
+
+        A pad in a ball that is shifted is cut out where it then sits, a part of a boundary that has come off within a
+        ball is cut out too. The mesh of the last such effects is kept.
+        """
+        check_effects(replace(self.experiment, effects=tuple(effects)))
+        pads = {pad.name: pad for pad in self.experiment.actuators if rim_of(pad) is not None}
+        loose: list[Rim] = []
+        rest = []
+        for effect in effects:
+            if isinstance(effect, ActuatorOffset) and effect.shift_mm is not None and effect.actuator in pads:
+                pads[effect.actuator] = _shifted(pads[effect.actuator], effect.shift_mm)
+                continue
+            rest.append(effect)
+            if isinstance(effect, Detachment) and effect.centre_mm is not None and effect.radius_mm is not None:
+                # Nodes on this rim are not in the ball: they hold.
+                loose.append(Rim(effect.centre_mm, effect.radius_mm * (1.0 + 2.0 * INSIDE)))
+        key = (*(rim_of(pad) for pad in pads.values()), *loose)
+        if key == tuple(rim_of(pad) for pad in self.experiment.actuators if pad.name in pads):
+            return replace(self.fine, effects=tuple(rest))
+        if self._own is None or self._own[0] != key:
+            actuators = tuple(pads.get(pad.name, pad) for pad in self.experiment.actuators)
+            moved = replace(self.experiment, actuators=actuators)
+            self._own = (key, fine_experiment(moved, self.meshing, further=loose))
+        return replace(self._own[1], effects=tuple(rest))
+
+
+def _shifted(pad: Actuator, shift: Vector) -> Actuator:
+    rule: Any = pad.rule
+    return replace(pad, rule={**rule, "centre_mm": (np.asarray(rule["centre_mm"]) + shift).tolist()})
+
+
+def _without_time(experiment: Experiment) -> Experiment:
+    """Return an experiment whose frames depend on their own load alone: no memory, nothing slides, no weight acts."""
+    gravity = extended(experiment, "tet10").gravity
+    weightless = gravity is not None and gravity.in_reference
+    left_out = (Memory, Sliding, Gravity, Reference) if weightless else (Memory, Sliding)
+    rest = tuple(effect for effect in experiment.effects if not isinstance(effect, left_out))
+    return replace(experiment, effects=rest, gravity=None if weightless else experiment.gravity)
+
+
+def _elastic(
+    fine: Experiment, cases: Sequence[Case], element: str, threads: int, report: "Progress", part: str
+) -> dict[str, Reading]:
+    """Return elastic cases, solved in parallel."""
+    ready = extended(fine, element)
+    reader = Reader(fine, quadratic=element == "tet10")
+    share = max(1, threads // max(len(cases), 1))
+
+    def read(case: Case) -> Reading:
+        told = report.of(f"{part} of {case.name}")
+        # Effects on actuators are worked into the cases.
+        moved = ready.cases[case.name]
+        return reader.read(solve_states(ready, moved, element=element, threads=share, progress=told))
+
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        return dict(zip([case.name for case in cases], pool.map(read, cases), strict=True))
+
+
+def _remembering(
+    ready: Experiment, cases: Sequence[Case], element: str, threads: int, report: "Progress"
+) -> dict[str, SolvedCase]:
+    """Return cases solved frame after frame, those that do not depend on each other in parallel."""
+    cases = [ready.cases[case.name] for case in cases]
+    if is_carried(ready):
+        return solve_through_time(ready, cases, element=element, threads=threads, progress=report.of("history"))
+    share = max(1, threads // max(len(cases), 1))
+
+    def solve(case: Case) -> SolvedCase:
+        told = report.of(f"history of {case.name}")
+        return solve_through_time(ready, [case], element=element, threads=share, progress=told)[case.name]
+
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        return dict(zip([case.name for case in cases], pool.map(solve, cases), strict=True))
+
+
+class Progress:
+    """Frames done, summed over cases that run in parallel."""
+
+    def __init__(self, told: Callable[[int, int], None] | None, in_all: int) -> None:
+        self.in_all = in_all
+        self._told = told
+        self._done: dict[str, int] = {}
+        self._lock = Lock()
+
+    def of(self, part: str) -> Callable[[int], None] | None:
+        """Return what one part of the work calls with its number of frames done."""
+        if self._told is None:
+            return None
+        told = self._told
+
+        def report(done: int) -> None:
+            with self._lock:
+                self._done[part] = done
+                told(sum(self._done.values()), self.in_all)
+
+        return report

@@ -1,0 +1,102 @@
+"""What is read off the solved frames of a case, and how frames with memory borrow the elastic ones' correction."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.experiment import Experiment
+from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.simulate.memory import SolvedCase
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Frames of one case in the terms of the experiment.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
+        Of the mesh's nodes, mm; NaN in frames without equilibrium.
+    markers : ndarray of float64, shape (n_frames, n_markers, 3)
+        Where the markers are, mm, before any error of their tracker.
+    targets : ndarray of float64, shape (n_frames, n_targets, 3)
+        Where the targets are, mm.
+    forces : dict of str to ndarray of float64, shape (n_frames, 3)
+        Force on the body at every displacement actuator that is present, mN.
+    failed : list of (int, str)
+        Frames without equilibrium, with the reason.
+    """
+
+    displacement: FloatArray
+    markers: FloatArray
+    targets: FloatArray
+    forces: dict[str, FloatArray]
+    failed: list[tuple[int, str]]
+
+
+class Reader:
+    """Reads markers and targets off the fields of one mesh.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With the mesh.
+    quadratic : bool
+        Whether fields are those of ten-node elements.
+    """
+
+    def __init__(self, experiment: Experiment, *, quadratic: bool) -> None:
+        self._markers = MarkerObservation(
+            experiment.mesh, experiment.marker_reference, experiment.marker_names, quadratic=quadratic
+        )
+        self._marker_reference = experiment.marker_reference
+        self._targets = TargetObservation(experiment.mesh, experiment.targets, quadratic=quadratic)
+
+    def read(self, solved: SolvedCase) -> Reading:
+        """Return what the frames of a case say."""
+        field = solved.all_displacement
+        return Reading(
+            solved.displacement,
+            self._marker_reference + self._markers.predict(field[:, self._markers.nodes]),
+            self._targets.reference + self._targets.predict(field[:, self._targets.nodes]),
+            solved.forces,
+            solved.failed,
+        )
+
+
+def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> Reading:
+    """Return what finer elements would say of frames with memory.
+
+    Parameters
+    ----------
+    rough : Reading
+        With memory, by elements of first order.
+    rough_elastic : Reading
+        The same case without memory, by the same elements.
+    fine_elastic : Reading
+        Without memory, by finer elements on the same mesh.
+
+    Returns
+    -------
+    Reading
+        Places get the difference of the two elastic answers. Forces get that of the most loaded frame, times the share
+        of its rough elastic force that the rough force with memory has along it: where the stress has relaxed by half,
+        so has its error.
+    """
+    forces = {}
+    for name, force in rough.forces.items():
+        loaded = int(np.nanargmax(np.linalg.norm(rough_elastic.forces[name], axis=1)))
+        largest = rough_elastic.forces[name][loaded]
+        missing = fine_elastic.forces[name][loaded] - largest
+        size = float(largest @ largest)
+        share = force @ largest / size if size > 0.0 else np.zeros(len(force))
+        forces[name] = force + share[:, None] * missing
+    lost = dict(rough_elastic.failed) | dict(fine_elastic.failed) | dict(rough.failed)
+    return Reading(
+        rough.displacement + (fine_elastic.displacement - rough_elastic.displacement),
+        rough.markers + (fine_elastic.markers - rough_elastic.markers),
+        rough.targets + (fine_elastic.targets - rough_elastic.targets),
+        forces,
+        sorted(lost.items()),
+    )
