@@ -1,0 +1,114 @@
+"""What a believed law gets wrong in material tests: found, named, proved on held-out data, and put right.
+
+`diagnose_material` is the whole path: `noise` (what curves do by themselves), `hypothesis` (causes fitted, evidence),
+`nulls` (what chance does), `search` (race, proof, groups), `verdict`, `answer`, `extend`. One file a cause family in
+`causes`; the stress of a model along a curve is `history.stress_of`.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tissuereg.diagnose.material.answer import EXTENDED_FILE, answer_of
+from tissuereg.diagnose.material.extend import extended, predicted_stresses
+from tissuereg.diagnose.material.verdict import Outcome, find_out
+from tissuereg.io.json import write_json
+from tissuereg.io.material_experiments import write_material_experiment
+from tissuereg.material_experiment import MaterialExperiment
+
+__all__ = ["MaterialDiagnosis", "diagnose_material", "predicted_stresses"]
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialDiagnosis:
+    """What was found out about a material test.
+
+    Attributes
+    ----------
+    answer : dict
+        Schema ``tissuereg.diagnosis/1``, of JSON's types.
+    extended : MaterialExperiment or None
+        With the causes found as effects; None where none was named.
+    outcome : Outcome
+        All figures, for further work in Python.
+    """
+
+    answer: dict[str, Any]
+    extended: MaterialExperiment | None
+    outcome: Outcome
+
+    @property
+    def verdict(self) -> str:
+        """``named``, ``group``, ``consistent`` or ``unexplained``."""
+        return str(self.answer["verdict"])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the answer as JSON's types."""
+        return self.answer
+
+    def write(self, folder: str | os.PathLike[str]) -> None:
+        """Write ``diagnosis.json`` and, where a cause was named, ``experiment.extended.toml``.
+
+        Parameters
+        ----------
+        folder : path-like
+            Made where it is absent.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written there.
+        """
+        place = Path(folder)
+        place.mkdir(parents=True, exist_ok=True)
+        write_json(place / "diagnosis.json", self.answer)
+        if self.extended is not None:
+            write_material_experiment(self.extended, place / EXTENDED_FILE)
+
+
+def diagnose_material(
+    experiment: MaterialExperiment, *, seed: int = 0, progress: Callable[[str], None] | None = None
+) -> MaterialDiagnosis:
+    """Find out what the believed law of a material test gets wrong.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        From `tissuereg.io.material_experiments.read_material_experiment`, or made in Python.
+    seed : int
+        Of the simulated nulls; the answer is the same at each call.
+    progress : callable, optional
+        Told in a few words what is being done.
+
+    Returns
+    -------
+    MaterialDiagnosis
+        Answer and extended model.
+
+    Notes
+    -----
+    Seconds for a few curves; up to half a minute where holds at several rates make relaxation one of the candidates.
+
+    Examples
+    --------
+    Shear that grows with the cube of its amount, which no neo-Hookean solid does:
+
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import tissuereg as tr
+    >>> from tissuereg.material_experiment import Curve, MaterialExperiment
+    >>> shear, unknown = np.linspace(0.02, 1.0, 40), np.full(40, np.nan)
+    >>> curves = tuple(
+    ...     Curve(name, "simple-shear", np.nan, unknown, shear, stiff * (shear + shear**3))
+    ...     for name, stiff in (("a", 1.0), ("b", 1.05))
+    ... )
+    >>> gel = MaterialExperiment("gel", Path("."), tr.Material(3.0, 0.49), None, None, curves)
+    >>> [cause["id"] for cause in diagnose_material(gel).answer["causes"]]
+    ['stiffening']
+    """
+    outcome = find_out(experiment, seed, progress or (lambda message: None))
+    answer = answer_of(experiment, outcome, seed)
+    found = None if outcome.refined is None else extended(experiment, outcome.refined.fit)
+    return MaterialDiagnosis(answer, found, outcome)

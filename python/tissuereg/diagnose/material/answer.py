@@ -1,0 +1,236 @@
+"""The answer in words and figures: schema ``tissuereg.diagnosis/1`` with stresses in kPa in place of millimetres."""
+
+import platform
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg._version import __version__
+from tissuereg.diagnose.material.advice import best_test
+from tissuereg.diagnose.material.causes import CAUSES
+from tissuereg.diagnose.material.data import BoolArray
+from tissuereg.diagnose.material.fit import effects_of
+from tissuereg.diagnose.material.search import LEAST_SEPARABILITY, Finding
+from tissuereg.diagnose.material.verdict import MISFIT, Outcome
+from tissuereg.effects import Effect
+from tissuereg.effects.history import Relaxation
+from tissuereg.material_experiment import MaterialExperiment
+
+SCHEMA = "tissuereg.diagnosis/1"
+EXTENDED_FILE = "experiment.extended.toml"
+
+
+def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> dict[str, Any]:
+    """Return the answer as JSON's types.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Believed and measured.
+    outcome : Outcome
+        What was found out.
+    seed : int
+        Of simulated nulls.
+
+    Returns
+    -------
+    dict
+        As experiment-format says, with ``kind = "material-test"``; lengths become stresses (``rms_base_kpa``), and
+        ``held_out`` has ``unit`` and ``by_case`` beside them.
+    """
+    parameters = _parameters(outcome)
+    causes = [
+        {
+            "id": finding.id,
+            "group": list(finding.group),
+            "probability": finding.probability,
+            "log_bayes_factor": finding.log_bayes_factor,
+            "threshold": outcome.threshold,
+            "parameters": parameters[finding.id],
+            "held_out": _held_out(outcome),
+            "sentence": _sentence(outcome, finding),
+        }
+        for finding in outcome.findings
+    ]
+    return {
+        "schema": SCHEMA,
+        "kind": "material-test",
+        "verdict": outcome.verdict,
+        "causes": causes,
+        "candidates": [
+            {
+                "id": c.id,
+                "probability": c.probability,
+                "log_bayes_factor": c.log_bayes_factor,
+                "detectability": c.detectability,
+            }
+            for c in outcome.candidates
+        ],
+        "p_misfit": outcome.p_misfit,
+        "explained": outcome.explained if outcome.known.ids else None,
+        "held_out": _held_out(outcome),
+        "discrepancy": _discrepancy(outcome),
+        "noise": {
+            "std_kpa": dict(zip([c.name for c in experiment.curves], outcome.noise.std.tolist(), strict=True)),
+            "specimen_factor": outcome.noise.factor,
+            "along_curve": outcome.noise.along,
+            "repeats": outcome.noise.repeats,
+        },
+        "extended_model": EXTENDED_FILE if outcome.findings else None,
+        "next_experiment": _next(experiment, outcome),
+        "sentences": _sentences(outcome),
+        "weighting": outcome.refined.weighting if outcome.refined else None,
+        "provisional": outcome.unit == "part",
+        "seed": seed,
+        "versions": {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
+    }
+
+
+def _parameters(outcome: Outcome) -> dict[str, dict[str, list[float]]]:
+    """Return value and standard deviation of the numbers of every finding, by linear propagation."""
+    if outcome.refined is None:
+        return {}
+    fit = outcome.refined.fit
+    plain = [_numbers(effect) for effect in fit.effects]
+    columns: list[list[FloatArray]] = [[] for _ in plain]
+    for i, std in enumerate(np.sqrt(np.diag(fit.covariance))):
+        moved = fit.x.copy()
+        moved[i] += 1e-3 * std
+        for column, before, effect in zip(columns, plain, effects_of(fit.forms, moved), strict=True):
+            after = _numbers(effect)
+            column.append(np.array([(after[key] - before[key]) / (1e-3 * std) for key in before]))
+    told = {}
+    for id, before, column in zip(outcome.known.ids, plain, columns, strict=True):
+        slopes = np.stack(column, axis=1)
+        spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fit.covariance, slopes))
+        told[id] = {key: [value, float(s)] for (key, value), s in zip(before.items(), spread, strict=True)}
+    return told
+
+
+def _numbers(effect: Effect) -> dict[str, float]:
+    """Return the numbers of an effect's table; lists get numbered keys."""
+    numbers: dict[str, float] = {}
+    for key, value in effect.table().items():
+        if isinstance(value, list):
+            numbers |= {f"{key}_{i + 1}": float(v) for i, v in enumerate(value)}
+        elif isinstance(value, float):
+            numbers[key] = value
+    return numbers
+
+
+def _held_out(outcome: Outcome) -> dict[str, Any]:
+    base, named, generic = outcome.before, outcome.after, outcome.patch
+    by_case = {
+        case: {
+            "rms_base_kpa": base.rms[case],
+            "rms_named_kpa": named.rms.get(case),
+            "rms_generic_kpa": generic.rms.get(case),
+        }
+        for case in base.rms
+    }
+    noise = float(np.sqrt(np.mean(np.diag(outcome.bench.noise))))
+    return {
+        "unit": outcome.unit,
+        "cases": list(base.rms),
+        "rms_base_kpa": base.rms_all,
+        "rms_named_kpa": named.rms_all,
+        "rms_generic_kpa": generic.rms_all,
+        "noise_kpa": noise,
+        "chi_base": base.chi,
+        "chi_named": named.chi,
+        "chi_generic": generic.chi,
+        "by_case": by_case,
+    }
+
+
+def _discrepancy(outcome: Outcome) -> dict[str, Any]:
+    """Say where and when what is believed is wrong."""
+    data = outcome.bench.problem.data
+    left = data.stress - data.modelled(outcome.believed.model)
+    chi = left / np.sqrt(np.diag(outcome.bench.noise))
+    sizes = {
+        curve.name: float(np.sqrt(np.mean(chi[data.curve_of == i] ** 2)))
+        for i, curve in enumerate(data.curves)
+        if (data.curve_of == i).any()
+    }
+    worst = sorted(sizes, key=lambda name: -sizes[name])[:2]
+    modes = np.array(data.modes)
+    under = max(dict.fromkeys(modes.tolist()), key=lambda mode: float(np.mean(chi[modes == mode] ** 2)))
+    return {
+        "rms_kpa": float(np.sqrt(np.mean(left**2))),
+        "in_sigma": float(np.sqrt(np.mean(chi**2))),
+        "where": worst,
+        "when": _when(outcome, chi),
+        "under": under,
+    }
+
+
+def _when(outcome: Outcome, chi: FloatArray) -> str:
+    data = outcome.bench.problem.data
+    parts: dict[str, BoolArray] = {"at small strain": np.abs(data.strain) < 1 / 3}
+    parts["at middle strain"] = (np.abs(data.strain) >= 1 / 3) & (np.abs(data.strain) < 2 / 3)
+    parts["at large strain"] = np.abs(data.strain) >= 2 / 3
+    held, back = [], []
+    for curve, rows in zip(data.curves, data.rows, strict=True):
+        moves = np.diff(np.abs(curve.strains), prepend=0.0)
+        still = np.abs(moves) < 1e-3 * np.abs(curve.strains).max()
+        held.append(still[rows])
+        back.append((moves < 0)[rows] & ~still[rows])
+    parts["while the strain is held"], parts["while unloading"] = np.concatenate(held), np.concatenate(back)
+    seen = {name: float(np.mean(chi[rows] ** 2)) for name, rows in parts.items() if rows.sum() >= 3}
+    return max(seen, key=lambda name: seen[name])
+
+
+def _sentence(outcome: Outcome, finding: Finding) -> str:
+    assert outcome.refined is not None  # there is a finding
+    fit = outcome.refined.fit
+    effect = fit.effects[outcome.known.ids.index(finding.id)]
+    table: Mapping[str, object] = effect.table()
+    said = CAUSES[finding.id].sentence(table)
+    if isinstance(effect, Relaxation):
+        said += f" Young's modulus at once: {np.exp(fit.x[0]):.3g} kPa."
+    if len(finding.group) > 1:
+        tied = " or ".join(finding.group[1:])
+        apart = max(finding.separability.values())
+        said += f" These data cannot tell it from {tied} (separability {apart:.1f}, {LEAST_SEPARABILITY:g} are needed)."
+    return said
+
+
+def _sentences(outcome: Outcome) -> list[str]:
+    base, named = outcome.before, outcome.after
+    said = [_sentence(outcome, finding) for finding in outcome.findings]
+    if outcome.verdict == "consistent":
+        return [f"What is believed explains these curves within their noise (p = {outcome.p_misfit:.2g})."]
+    if outcome.verdict == "unexplained":
+        nearest = [c.id for c in outcome.candidates if c.id != "unknown"][:2]
+        share = f" The best of them explain {outcome.explained:.0%} of it." if outcome.known.ids else ""
+        return [
+            "What is believed does not explain these curves, and no cause of the catalogue does; "
+            f"nearest come {' and '.join(nearest) or 'none'}.{share}"
+        ]
+    what = {"part": "the last part of each curve", "mode": "a mode", "rate": "a rate", "specimen": "a specimen"}
+    fall = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
+    said.append(f"With {what[outcome.unit]} left out of the fit its error falls {fall}.")
+    if outcome.p_misfit <= MISFIT:
+        said.append(f"A remainder beyond the noise is left: {outcome.explained:.0%} of the misfit are explained.")
+    if outcome.unit == "part":
+        said.append(
+            "Nothing but the last part could be left out: provisional until another mode, rate or specimen is tested."
+        )
+    return said
+
+
+def _next(experiment: MaterialExperiment, outcome: Outcome) -> dict[str, Any] | None:
+    for finding in outcome.findings:
+        for rival in finding.group[1:]:
+            other = finding.rivals[rival].fit.model
+            advice = best_test(experiment, outcome.scene, outcome.known.fit.model, other)
+            if advice is not None:
+                return {
+                    "action": advice.action,
+                    "separates": [[finding.id, rival]],
+                    "separability": advice.separability,
+                }
+    return None

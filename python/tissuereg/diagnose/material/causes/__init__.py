@@ -1,0 +1,15 @@
+"""Causes that a material test can find, in the order of the effects' application."""
+
+from tissuereg.diagnose.material.causes.base import Cause, Form
+from tissuereg.diagnose.material.causes.fibre import FIBRE
+from tissuereg.diagnose.material.causes.laws import ASYMMETRY, MOONEY, STIFFENING
+from tissuereg.diagnose.material.causes.memory import RATE, RELAXATION, SET, SOFTENING
+from tissuereg.diagnose.material.causes.moduli import POISSON, STIFFNESS, WIDE_YOUNG
+
+#: By id.
+CAUSES: dict[str, Cause] = {
+    cause.id: cause
+    for cause in (STIFFNESS, POISSON, STIFFENING, MOONEY, ASYMMETRY, FIBRE, RELAXATION, RATE, SOFTENING, SET)
+}
+
+__all__ = ["CAUSES", "WIDE_YOUNG", "Cause", "Form"]

@@ -1,0 +1,95 @@
+"""Other elastic laws: stiffening, a share of the second invariant, pull and push that are no mirror images."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.material.causes.base import Cause, Form, exponential, form, sigmoid
+from tissuereg.diagnose.material.scene import Scene
+from tissuereg.effects.elastic import Asymmetry, Mooney, OtherLaw, Stiffening
+
+#: Spread of Ogden's exponents about 0: rubber has some -5 to 10, brain -20.
+_ALPHA = 15.0
+_LARGEST_ALPHA = 80.0
+
+
+def _ogden(kind: type[OtherLaw], x: FloatArray) -> OtherLaw:
+    alphas = [_alpha(float(value)) for value in (x[:1] if len(x) == 1 else x[:2])]
+    first = 1.0 if len(x) == 1 else sigmoid(float(x[2]))
+    return kind(law="ogden", alpha=tuple(alphas), weight=(first, 1.0 - first)[: len(alphas)])
+
+
+def _alpha(value: float) -> float:
+    """Return an exponent that is not zero, where the law is a logarithm."""
+    value = min(max(value, -_LARGEST_ALPHA), _LARGEST_ALPHA)
+    return value if abs(value) > 1e-3 else 1e-3
+
+
+def _ogden_forms(kind: type[OtherLaw]) -> list[Form]:
+    prior = [(0.0, _ALPHA)]
+    two = [(-20.0, 5.0, 0.0), (8.0, -3.0, 0.0), (-10.0, 18.0, 0.0), (1.5, 12.0, 2.0)]
+    return [
+        form("ogden", prior, [(-20.0,), (-6.0,), (6.0,), (15.0,)], lambda x: _ogden(kind, x)),
+        form("ogden-2", [*prior, *prior, (0.0, 1.5)], [(a, b, c) for a, b, c in two], lambda x: _ogden(kind, x)),
+    ]
+
+
+def _stiffening_forms(scene: Scene) -> list[Form]:
+    a = scene.invariant
+    b = [(math.log(0.5 / a), 1.5)]
+    forms = [
+        form("fung", b, [], lambda x: Stiffening(law="fung", b=exponential(float(x[0])))),
+        form("veronda-westmann", b, [], lambda x: Stiffening(law="veronda-westmann", b=exponential(float(x[0])))),
+        form(
+            "yeoh",
+            [(0.0, 3.0), (0.0, 3.0)],
+            [(0.5, 0.1), (-0.3, 1.0)],
+            lambda x: Stiffening(law="yeoh", c2_over_c1=float(x[0]) / a, c3_over_c1=float(x[1]) / a**2),
+        ),
+    ]
+    # Where pull or push alone was tested an exponent says no more than how the tangent changes.
+    return forms if scene.two_sided else [*forms, *_ogden_forms(Stiffening)]
+
+
+def _mooney_forms(scene: Scene) -> list[Form]:
+    # In simple shear both invariants are one.
+    if scene.modes == ("simple-shear",):
+        return []
+    share = [(-1.5,), (1.5,)]
+    return [
+        form("mooney-rivlin", [(0.0, 1.5)], share, lambda x: Mooney(law="mooney-rivlin", share=sigmoid(float(x[0]))))
+    ]
+
+
+def _asymmetry_forms(scene: Scene) -> list[Form]:
+    return _ogden_forms(Asymmetry) if scene.two_sided else []
+
+
+def _stiffening_sentence(table: Mapping[str, Any]) -> str:
+    law = f"a law of the kind {table['law']} ({_shape(table)})"
+    return f"The material does not keep its modulus as it deforms, but follows {law}."
+
+
+def _asymmetry_sentence(table: Mapping[str, Any]) -> str:
+    return (
+        "Pull and push are no mirror images, and stiffness changes with strain in each its own way: "
+        f"an Ogden law ({_shape(table)}) fits all modes at once."
+    )
+
+
+def _shape(table: Mapping[str, Any]) -> str:
+    def said(value: Any) -> str:
+        return f"{value:.3g}" if isinstance(value, float) else ", ".join(f"{v:.3g}" for v in value)
+
+    return "; ".join(f"{key} {said(value)}" for key, value in table.items() if key not in ("id", "law"))
+
+
+STIFFENING = Cause("stiffening", "law", _stiffening_forms, _stiffening_sentence)
+MOONEY = Cause(
+    "mooney",
+    "law",
+    _mooney_forms,
+    lambda table: f"The second invariant has a share of {table['share']:.2g} of the stiffness (Mooney-Rivlin).",
+)
+ASYMMETRY = Cause("asymmetry", "law", _asymmetry_forms, _asymmetry_sentence)

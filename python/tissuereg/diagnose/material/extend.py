@@ -1,0 +1,70 @@
+"""The extended model: the believed experiment with what was found, as an experiment that can be read and run."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.material.fit import Fit
+from tissuereg.diagnose.material.history import stress_of
+from tissuereg.diagnose.material.model import model_of
+from tissuereg.effects import Effect
+from tissuereg.effects.elastic import OtherLaw
+from tissuereg.material_experiment import MaterialExperiment
+
+
+def extended(experiment: MaterialExperiment, fit: Fit) -> MaterialExperiment:
+    """Return an experiment with the causes found as its effects.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Believed.
+    fit : Fit
+        Of the causes found.
+
+    Returns
+    -------
+    MaterialExperiment
+        Effects in place of older ones of their kind; the modulus as fitted, unless it is itself a finding.
+    """
+    found = fit.effects
+    kept = [old for old in experiment.effects if not any(_same_kind(old, new) for new in found)]
+    changed = replace(experiment, effects=(*kept, *found))
+    if any(effect.id == "stiffness" for effect in changed.effects):
+        return changed
+    young = float(np.exp(fit.x[0]))
+    std = young * float(np.sqrt(fit.covariance[0, 0]))
+    return replace(changed, material=replace(experiment.material, young=young), young_std=std)
+
+
+def predicted_stresses(experiment: MaterialExperiment) -> list[FloatArray]:
+    """Run an experiment's model along its curves.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        With its effects, those of an ``experiment.extended.toml`` say.
+
+    Returns
+    -------
+    list of ndarray of float64
+        Nominal stress of every row of every curve, kPa, compression negative; NaN where the law has none.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import tissuereg as tr
+    >>> from tissuereg.material_experiment import Curve, MaterialExperiment
+    >>> shear = Curve("a", "simple-shear", np.nan, [np.nan] * 3, [0.1, 0.2, 0.3], [0.1, 0.2, 0.3])
+    >>> gel = MaterialExperiment("gel", Path("."), tr.Material(3.0, 0.49), None, None, (shear,))
+    >>> predicted_stresses(gel)[0].round(4).tolist()
+    [0.1007, 0.2013, 0.302]
+    """
+    model = model_of(experiment)
+    return [stress_of(model, curve) for curve in experiment.curves]
+
+
+def _same_kind(one: Effect, other: Effect) -> bool:
+    return one.id == other.id or (isinstance(one, OtherLaw) and isinstance(other, OtherLaw))

@@ -1,0 +1,179 @@
+"""Hypotheses: some causes at work, each in one of its forms, with or without a generic misfit beside them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.material.causes import CAUSES, Form
+from tissuereg.diagnose.material.fit import Fit, Problem, fitted
+from tissuereg.diagnose.material.weights import SHARES, weights_of
+
+#: Prior weight of no generic misfit beside named causes; the rest is spread over its sizes.
+_NO_MISFIT = 0.5
+
+#: Log evidence that a form with more numbers must gain over one with fewer.
+_SIMPLER = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Causes at work.
+
+    Attributes
+    ----------
+    ids : tuple of str
+        Of the causes, in the order of their discovery; empty: none.
+    fit : Fit
+        Best forms, fitted.
+    evidence : float
+        Logarithm, averaged over the forms tried and over the sizes of a generic misfit.
+    forms : tuple of Fit
+        With the newest cause in each form tried, likeliest first.
+    """
+
+    ids: tuple[str, ...]
+    fit: Fit
+    evidence: float
+    forms: tuple[Fit, ...] = ()
+
+
+def nothing(problem: Problem) -> Hypothesis:
+    """Return the hypothesis that what is believed holds, the modulus within its belief."""
+    fit = fitted(problem, (), [np.array([problem.young_log])])
+    return Hypothesis((), fit, fit.evidence)
+
+
+def ordinary(problem: Problem, noise: FloatArray) -> Fit:
+    """Return what is believed fitted as a user would: every row by itself.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data and beliefs.
+    noise : ndarray of float64, shape (n, n)
+        Covariance of the rows, kPa^2; its diagonal counts.
+
+    Returns
+    -------
+    Fit
+        For comparison: its evidence is not that of a hypothesis.
+    """
+    weights = weights_of(np.diag(np.diag(noise)), np.zeros_like(noise))
+    return fitted(replace(problem, weights=weights), (), [np.array([problem.young_log])])
+
+
+def unknown(problem: Problem, known: Hypothesis) -> Hypothesis:
+    """Return the generic rival: what is known so far, and a smooth misfit that no cause explains.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data and beliefs.
+    known : Hypothesis
+        Causes found so far.
+
+    Returns
+    -------
+    Hypothesis
+        Of the likeliest size; evidence averaged over all sizes.
+    """
+    fits = [fitted(problem, known.fit.forms, [known.fit.x], share) for share in SHARES]
+    best = max(fits, key=lambda fit: fit.evidence)
+    evidence = float(np.logaddexp.reduce([fit.evidence for fit in fits])) - math.log(len(SHARES))
+    return Hypothesis((*known.ids, "unknown"), best, evidence)
+
+
+def with_cause(problem: Problem, known: Hypothesis, cause: str, forms: Sequence[Form]) -> Hypothesis:
+    """Return what is known so far with one more cause, in its best form.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data and beliefs.
+    known : Hypothesis
+        Causes found so far; their forms stay, their numbers are fitted again.
+    cause : str
+        Id of the new one.
+    forms : sequence of Form
+        Its forms, at least one.
+
+    Returns
+    -------
+    Hypothesis
+        Evidence averaged over the forms.
+    """
+    found: list[tuple[Fit, float]] = []
+    # A simpler form of the same cause shows a richer one where to begin.
+    x = known.fit.x
+    for form in forms:
+        starts = [np.concatenate([x, start]) for start in form.starts]
+        starts += [np.concatenate([x, *more]) for more in _grown(form, found)]
+        found.append(refitted(problem, (*known.fit.forms, form), starts))
+    # Of forms that do as well the one with fewest numbers says most.
+    highest = max(pair[1] for pair in found)
+    able = [pair for pair in found if pair[1] >= highest - _SIMPLER]
+    best = min(able, key=lambda pair: (len(pair[0].x), -pair[1]))
+    evidence = float(np.logaddexp.reduce([pair[1] for pair in found])) - math.log(len(forms))
+    ordered = sorted(found, key=lambda pair: -pair[1])
+    return Hypothesis((*known.ids, cause), best[0], evidence, tuple(fit for fit, _ in ordered))
+
+
+def refitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArray]) -> tuple[Fit, float]:
+    """Fit forms with and without a generic misfit beside them.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data and beliefs.
+    forms : sequence of Form
+        What acts.
+    starts : sequence of ndarray of float64
+        Numbers to begin from.
+
+    Returns
+    -------
+    fit : Fit
+        The likelier one.
+    evidence : float
+        Logarithm, prior weights of both ways included.
+    """
+    plain = fitted(problem, forms, starts)
+    share = _likeliest_share(problem, plain)
+    small = math.log((1.0 - _NO_MISFIT) / len(SHARES))
+    if share == 0.0:
+        return plain, plain.evidence + math.log(_NO_MISFIT)
+    beside = fitted(problem, forms, [plain.x], share)
+    evidence = float(np.logaddexp(plain.evidence + math.log(_NO_MISFIT), beside.evidence + small))
+    return (beside if beside.evidence + small > plain.evidence + math.log(_NO_MISFIT) else plain), evidence
+
+
+def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> list[Form]:
+    """Return the forms that a cause can take beside others; none where one of them takes its place."""
+    taken = {CAUSES[other].slot for other in known}
+    return [] if CAUSES[cause].slot in taken else forms[cause]
+
+
+def _likeliest_share(problem: Problem, fit: Fit) -> float:
+    residual = problem.data.stress - problem.data.modelled(fit.model)
+
+    def score(share: float) -> float:
+        white = problem.weights.whitened(residual, share)
+        prior = _NO_MISFIT if share == 0.0 else (1.0 - _NO_MISFIT) / len(SHARES)
+        return -0.5 * float(white @ white) - problem.weights.log_size(share) + math.log(prior)
+
+    return max((0.0, *SHARES), key=score)
+
+
+def _grown(form: Form, found: Sequence[tuple[Fit, float]]) -> list[list[FloatArray]]:
+    """Return starts of a form from the numbers of the last one, where it is the same with one term less."""
+    if not found or not form.label.startswith("prony") or not found[-1][0].forms[-1].label.startswith("prony"):
+        return []
+    last = found[-1][0]
+    n = len(form.mean) // 2
+    numbers = last.x[len(last.x) - 2 * (n - 1) :]
+    shares, times = numbers[: n - 1], numbers[n - 1 :]
+    ends = (times.min() - 1.5, times.max() + 1.5)
+    return [[np.append(shares, -1.5), np.append(times, new)] for new in ends]

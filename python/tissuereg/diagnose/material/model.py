@@ -1,0 +1,114 @@
+"""A material as its tests see it: an elastic law and what it remembers."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from tissuereg.effects import Effect
+from tissuereg.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
+from tissuereg.effects.history import Rate, Relaxation, Set, Softening
+from tissuereg.errors import ExperimentError
+from tissuereg.material import SHAPE_KEYS, Material
+from tissuereg.material import Fibre as Fibres
+from tissuereg.material_experiment import MaterialExperiment
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """What answers to a test.
+
+    Parameters
+    ----------
+    material : Material
+        Law, instantaneous moduli and fibres.
+    relaxation, rate, softening, set : effects of these names, optional
+        What is remembered.
+    """
+
+    material: Material
+    relaxation: Relaxation | None = None
+    rate: Rate | None = None
+    softening: Softening | None = None
+    set: Set | None = None
+
+    @property
+    def remembers(self) -> bool:
+        """Whether stress depends on more than the strain of the moment."""
+        return any(part is not None for part in (self.relaxation, self.rate, self.softening, self.set))
+
+    def with_material(self, **changes: Any) -> "Model":
+        """Return the model with other fields of its material.
+
+        Parameters
+        ----------
+        **changes
+            Fields of `Material`.
+
+        Returns
+        -------
+        Model
+            All else as it is.
+        """
+        return replace(self, material=replace(self.material, **changes))
+
+    def with_effect(self, effect: Effect) -> "Model":
+        """Return the model with one effect worked into it.
+
+        Parameters
+        ----------
+        effect : Effect
+            On moduli, law, fibres or memory.
+
+        Returns
+        -------
+        Model
+            All else as it is.
+
+        Raises
+        ------
+        ExperimentError
+            If a material test cannot show the effect.
+        """
+        match effect:
+            case Stiffness():
+                return self.with_material(young=effect.young_kpa)
+            case Poisson():
+                return self.with_material(poisson=effect.poisson)
+            case OtherLaw():
+                shape = {key: getattr(effect, key) for key in SHAPE_KEYS[effect.law]}
+                return self.with_material(law=effect.law, shape=shape)
+            case Fibre():
+                return self.with_material(
+                    fibre=Fibres(effect.k1_over_mu, effect.k2, effect.direction, effect.tension_only)
+                )
+            case Relaxation():
+                return replace(self, relaxation=effect)
+            case Rate():
+                return replace(self, rate=effect)
+            case Softening():
+                return replace(self, softening=effect)
+            case Set():
+                return replace(self, set=effect)
+        message = f"an effect of a material test must be one on the material, got '{effect.id}'"
+        raise ExperimentError(message, where=effect.id)
+
+
+def model_of(experiment: MaterialExperiment, effects: Iterable[Effect] | None = None) -> Model:
+    """Return what is believed, effects worked in.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Beliefs.
+    effects : iterable of Effect, optional
+        In place of the experiment's own.
+
+    Returns
+    -------
+    Model
+        For `stress_of`.
+    """
+    model = Model(experiment.material)
+    for effect in experiment.effects if effects is None else effects:
+        model = model.with_effect(effect)
+    return model

@@ -1,0 +1,120 @@
+"""What chance alone does: thresholds and p-values from simulated experiments without any effect."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.material.causes import Form
+from tissuereg.diagnose.material.fit import Fit, Problem, prior_of
+from tissuereg.diagnose.material.weights import SHARES, Weights
+from tissuereg.errors import TissueRegError
+
+#: Evidence below which nothing is named, whatever the nulls say.
+LEAST_THRESHOLD = 5.0
+#: White noise is known to this share, estimated as it is from some tens of rows.
+_NOISE_OF_NOISE = 0.15
+
+
+def threshold(
+    problem: Problem, known: Fit, forms: Mapping[str, Sequence[Form]], rng: np.random.Generator, n_nulls: int = 400
+) -> float:
+    """Return the evidence that the best of all causes exceeds in one of a hundred experiments without an effect.
+
+    Every form is linear about its starts: a column of stress, of unit prior size, beside that of the modulus.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data and beliefs.
+    known : Fit
+        Of what is believed.
+    forms : mapping of str to sequence of Form
+        By id.
+    rng : numpy.random.Generator
+        For the noise.
+    n_nulls : int
+        Experiments.
+
+    Returns
+    -------
+    float
+        Natural logarithm, `LEAST_THRESHOLD` at least.
+    """
+    draws = rng.standard_normal((len(problem.data.stress), n_nulls))
+    young = _young_column(problem, known)
+    best = np.full(n_nulls, -np.inf)
+    for kinds in forms.values():
+        for form in kinds:
+            columns = _columns(problem, known, form)
+            if columns.size:
+                scores = np.array([_evidence(draws, np.column_stack([young, c])) for c in columns.T])
+                best = np.maximum(best, np.logaddexp.reduce(scores, axis=0) - np.log(len(scores)))
+    best = best - _evidence(draws, young[:, None])
+    return max(LEAST_THRESHOLD, float(np.quantile(best, 0.99)))
+
+
+def misfit_probability(weights: Weights, residual: FloatArray, rng: np.random.Generator, n_nulls: int = 500) -> float:
+    """Return the probability that noise alone leaves so much structure in a residual.
+
+    The statistic is the largest gain of a generic misfit over none, of any size.
+
+    Parameters
+    ----------
+    weights : Weights
+        Of the rows.
+    residual : ndarray of float64, shape (n,)
+        Measured minus modelled, kPa.
+    rng : numpy.random.Generator
+        For the noise.
+    n_nulls : int
+        Residuals of pure noise, whose size is known as well as it is from the curves.
+
+    Returns
+    -------
+    float
+        From 1 / (n_nulls + 1) to 1.
+    """
+    found = _structure(weights, weights.whitened(residual)[:, None])[0]
+    scale = np.exp(_NOISE_OF_NOISE * rng.standard_normal(n_nulls))
+    nulls = _structure(weights, rng.standard_normal((len(residual), n_nulls)) * scale)
+    return float((1 + (nulls >= found).sum()) / (1 + n_nulls))
+
+
+def _structure(weights: Weights, white: FloatArray) -> FloatArray:
+    gains = []
+    for share in SHARES:
+        grown = share**2 * weights.spectrum
+        gains.append(0.5 * (white**2).T @ (grown / (1.0 + grown)) - 0.5 * np.log1p(grown).sum())
+    return np.asarray(np.max(gains, axis=0))
+
+
+def _evidence(draws: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return the linear Gaussian evidence of columns of unit prior, of every draw."""
+    inner = np.eye(columns.shape[1]) + columns.T @ columns
+    pulled = columns.T @ draws
+    gain = 0.5 * np.einsum("in,in->n", pulled, np.linalg.solve(inner, pulled))
+    return np.asarray(gain - 0.5 * np.linalg.slogdet(inner)[1])
+
+
+def _young_column(problem: Problem, known: Fit) -> FloatArray:
+    _, std = prior_of(problem, ())
+    moved = problem.model((), known.x + np.array([1e-3]))
+    change = (problem.data.modelled(moved) - problem.data.modelled(known.model)) / 1e-3
+    column: FloatArray = problem.weights.whitened(change * float(std[0]))
+    return column
+
+
+def _columns(problem: Problem, known: Fit, form: Form) -> FloatArray:
+    plain = problem.data.modelled(known.model)
+    columns = []
+    for start in (*form.starts, tuple(form.mean)):
+        if not len(start):
+            continue
+        try:
+            changed = problem.data.modelled(problem.model((form,), np.concatenate([known.x, start])))
+        except TissueRegError:
+            continue
+        if np.isfinite(changed).all():
+            columns.append(problem.weights.whitened(changed - plain))
+    return np.stack(columns, axis=1) if columns else np.zeros((len(plain), 0))

@@ -1,0 +1,125 @@
+"""Residuals in units of their noise, with or without a smooth misfit that no cause explains.
+
+The generic misfit is a Gaussian process in mode, strain, progress and rate, shared by all curves of a mode, of size
+`share` of the stress. In the eigenvectors of its covariance, whitened by the noise, every size costs one division:
+
+    C(share) = L U (1 + share^2 Lambda) U^T L^T,      L L^T = noise
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.diagnose.material.data import Data
+from tissuereg.diagnose.material.noise import ROUGH
+
+#: Sizes of a generic misfit over the stress.
+SHARES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
+#: Lengths of a generic misfit: strain over the largest, progress (long and short), decades of rate.
+_STRAIN, _ARC, _SHORT_ARC, _RATE = 0.5, 0.25, 0.06, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Whitening of some rows.
+
+    Attributes
+    ----------
+    whitener : ndarray of float64, shape (n, n)
+        ``U^T L^-1``, 1/kPa.
+    spectrum : ndarray of float64, shape (n,)
+        ``Lambda``.
+    log_det : float
+        Of the noise's covariance, halved.
+    """
+
+    whitener: FloatArray
+    spectrum: FloatArray
+    log_det: float
+
+    def whitened(self, residual: FloatArray, share: float = 0.0) -> FloatArray:
+        """Return residuals in units of their standard deviation.
+
+        Parameters
+        ----------
+        residual : ndarray of float64, shape (n,) or (n, k)
+            kPa.
+        share : float
+            Size of the generic misfit over the stress.
+
+        Returns
+        -------
+        ndarray of float64, of that shape
+            Dimensionless.
+        """
+        turned = self.whitener @ residual
+        size = np.sqrt(1.0 + share**2 * self.spectrum)
+        return np.asarray(turned / (size if turned.ndim == 1 else size[:, None]))
+
+    def log_size(self, share: float) -> float:
+        """Return half the logarithm of the determinant that a generic misfit adds."""
+        return 0.5 * float(np.log1p(share**2 * self.spectrum).sum())
+
+
+def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
+    """Return the whitening of a noise covariance and a generic one.
+
+    Parameters
+    ----------
+    noise, generic : ndarray of float64, shape (n, n)
+        kPa^2, `generic` of size 1.
+
+    Returns
+    -------
+    Weights
+        One Cholesky factor and one eigenvalue problem.
+    """
+    factor = np.linalg.cholesky(noise)
+    inverse = np.linalg.inv(factor)
+    spectrum, vectors = np.linalg.eigh(inverse @ generic @ inverse.T)
+    return Weights(vectors.T @ inverse, np.maximum(spectrum, 0.0), float(np.log(np.diag(factor)).sum()))
+
+
+def generic_covariance(data: Data) -> FloatArray:
+    """Return the covariance of a generic misfit of size 1, kPa^2, shape (n, n)."""
+
+    def near(values: FloatArray, length: float) -> FloatArray:
+        return np.asarray(np.exp(-0.5 * ((values[:, None] - values[None, :]) / length) ** 2))
+
+    modes = np.array(data.modes)
+    path = 0.7 * near(data.arc, _ARC) + 0.3 * near(data.arc, _SHORT_ARC)
+    alike = near(data.strain, _STRAIN) * path * near(data.log_rate, _RATE)
+    alike = (1.0 - ROUGH) * alike * (modes[:, None] == modes[None, :]) + ROUGH * np.eye(len(modes))
+    return np.asarray(np.outer(data.level, data.level) * alike)
+
+
+def patched(
+    noise: FloatArray, generic: FloatArray, share: float, known: IntArray, asked: IntArray, residual: FloatArray
+) -> FloatArray:
+    """Return what a generic misfit, learnt from some rows, says of others.
+
+    Parameters
+    ----------
+    noise, generic : ndarray of float64, shape (n, n)
+        Covariances, kPa^2.
+    share : float
+        Size of the misfit over the stress.
+    known, asked : ndarray of int64
+        Rows.
+    residual : ndarray of float64, shape (n_known,)
+        Measured minus modelled there, kPa.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_asked,)
+        To be added to the model, kPa.
+    """
+    own = noise[np.ix_(known, known)] + share**2 * generic[np.ix_(known, known)]
+    across = share**2 * generic[np.ix_(asked, known)]
+    return np.asarray(across @ np.linalg.solve(own, residual))
+
+
+def block(matrix: FloatArray, rows: IntArray) -> FloatArray:
+    """Return the square of a matrix that belongs to some rows."""
+    return np.asarray(matrix[np.ix_(rows, rows)])

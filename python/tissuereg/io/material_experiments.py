@@ -1,0 +1,213 @@
+"""Material-test experiments: ``experiment.toml`` with ``kind = "material-test"``, and ``test.csv``."""
+
+import math
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg.effects import Effect, effect_from_table
+from tissuereg.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
+from tissuereg.effects.history import Rate, Relaxation, Set, Softening
+from tissuereg.errors import ExperimentError, FormatError, MaterialError
+from tissuereg.io.csv import Row, read_table, write_table
+from tissuereg.io.toml import Table, read_toml
+from tissuereg.io.toml_text import write_toml
+from tissuereg.material import SHAPE_KEYS, Material
+from tissuereg.material_experiment import HELD_OUT, TEST_MODES, Curve, MaterialExperiment
+
+#: Effects that a material test can show.
+TEST_EFFECTS: tuple[type[Effect], ...] = (Stiffness, Poisson, OtherLaw, Fibre, Relaxation, Rate, Softening, Set)
+
+_COLUMNS = ("specimen", "mode", "rate_per_s", "time_s", "stretch_or_shear", "stress_kPa")
+
+
+def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment:
+    """Read a material-test experiment.
+
+    ``[material]`` is read as in a rig's file. Two tables may be left out: ``[test]`` with ``hold_out`` (``mode``,
+    ``rate`` or ``specimen``: what the proof of a finding leaves out) and ``std_kpa`` (noise of one stress), and
+    ``[[effect]]``. Rows of one specimen, mode and rate are one load history from rest; where time falls, another one
+    begins. Empty cells: rate and time where they are not known, a stress that was not measured.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder, or the experiment file in it (``experiment.toml`` unless named).
+
+    Returns
+    -------
+    MaterialExperiment
+        Beliefs and curves.
+
+    Raises
+    ------
+    ExperimentError
+        If the file is of another kind, a key or mode is unknown, a stretch is not positive, times are given in part, a
+        stress has the wrong sign, or an effect cannot be seen in a material test; the place is named.
+    FormatError
+        If a file is missing or cannot be read.
+    """
+    file = Path(path)
+    file = file / "experiment.toml" if file.is_dir() else file
+    if not file.exists():
+        message = f"an experiment must be a folder with an experiment.toml; no such file: {file}"
+        raise FormatError(message, where=str(file))
+    top = read_toml(file)
+    kind = top.text("kind", "rig")
+    if kind != "material-test":
+        top.refuse('`kind` must be "material-test"', kind)
+    folder = (file.parent / top.text("tables")) if "tables" in top else file.parent
+    name = top.text("name", file.absolute().parent.name)
+    material, young_std, poisson_std = _material(top)
+    hold_out, stress_std = _test(top)
+    effects = tuple(_effect(table) for table in top.tables("effect"))
+    _check_together(top, effects)
+    top.finish()
+    curves = _curves(folder / "test.csv")
+    return MaterialExperiment(name, folder, material, young_std, poisson_std, curves, effects, hold_out, stress_std)
+
+
+def write_material_experiment(experiment: MaterialExperiment, path: str | os.PathLike[str]) -> None:
+    """Write an experiment file that `read_material_experiment` reads back; its ``test.csv`` stays where it is.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Beliefs and effects may have been changed since it was read.
+    path : path-like
+        The file, ``experiment.extended.toml`` say.
+
+    Raises
+    ------
+    ExperimentError
+        If the material varies over a body.
+    OutputError
+        If the file cannot be written there.
+    """
+    folder = Path(path).absolute().parent
+    material = experiment.material
+    young, poisson = material.young_array, material.poisson_array
+    if young.size != 1 or poisson.size != 1:
+        message = "the material of a test must have one modulus and one Poisson's ratio, got fields over a body"
+        raise ExperimentError(message, where="material")
+    content: dict[str, Any] = {"kind": "material-test", "name": experiment.name}
+    if os.path.realpath(folder) != os.path.realpath(experiment.folder):
+        content["tables"] = Path(os.path.relpath(experiment.folder, folder)).as_posix()
+    content["material"] = {
+        "law": material.law,
+        **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
+        "volumetric": material.volumetric,
+        "young_kpa": _belief(float(young[0]), experiment.young_std),
+        "poisson": _belief(float(poisson[0]), experiment.poisson_std),
+        "density_g_per_cm3": material.density,
+    }
+    test = {"hold_out": experiment.hold_out, "std_kpa": experiment.stress_std}
+    test = {key: value for key, value in test.items() if value is not None}
+    if test:
+        content["test"] = test
+    content["effect"] = [effect.table() for effect in experiment.effects]
+    write_toml(path, {key: value for key, value in content.items() if value != []})
+
+
+def write_test_table(path: str | os.PathLike[str], curves: Iterable[Curve]) -> None:
+    """Write curves as a ``test.csv``, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to.
+    curves : iterable of Curve
+        What is not known becomes an empty cell.
+    """
+    rows = [
+        (curve.specimen, curve.mode, curve.rate, float(time), float(amount), float(stress))
+        for curve in curves
+        for time, amount, stress in zip(curve.times, curve.amounts, curve.stress, strict=True)
+    ]
+    write_table(path, _COLUMNS, rows)
+
+
+def _belief(mean: float, std: float | None) -> float | list[float]:
+    return mean if std is None else [mean, std]
+
+
+def _material(top: Table) -> tuple[Material, float | None, float | None]:
+    table = top.table("material")
+    if table is None:
+        top.refuse("a table [material] must be given")
+    law = table.text("law", "neo-hookean")
+    young, young_std = table.belief("young_kpa")
+    poisson, poisson_std = table.belief("poisson")
+    density = table.number("density_g_per_cm3", 1.0, positive=True)
+    volumetric = table.text("volumetric", "log", among=("log", "quadratic"))
+    shape = {key: table.need(key) for key in SHAPE_KEYS.get(law, ())}
+    table.finish()
+    try:
+        return Material(young, poisson, law, density, shape, volumetric), young_std, poisson_std
+    except MaterialError as error:
+        table.refuse(str(error))
+
+
+def _test(top: Table) -> tuple[str | None, float | None]:
+    table = top.table("test")
+    if table is None:
+        return None, None
+    hold_out = table.text("hold_out", among=HELD_OUT) if "hold_out" in table else None
+    stress_std = table.number("std_kpa", positive=True) if "std_kpa" in table else None
+    table.finish()
+    return hold_out, stress_std
+
+
+def _effect(table: Table) -> Effect:
+    try:
+        effect = effect_from_table(table.rest())
+    except ExperimentError as error:
+        table.refuse(str(error))
+    if not isinstance(effect, TEST_EFFECTS):
+        table.refuse("`id` must be an effect on a material, which a test of it can show", effect.id)
+    return effect
+
+
+def _check_together(top: Table, effects: tuple[Effect, ...]) -> None:
+    kinds = [OtherLaw if isinstance(effect, OtherLaw) else type(effect) for effect in effects]
+    twice = [effect.id for kind, effect in zip(kinds, effects, strict=True) if kinds.count(kind) > 1]
+    if twice:
+        top.refuse("there must be one effect of an id at most, and one other law", ", ".join(twice))
+
+
+def _curves(path: Path) -> tuple[Curve, ...]:
+    groups: dict[tuple[str, str, float | None], list[list[Row]]] = {}
+    times: dict[tuple[str, str, float | None], float] = {}
+    for row in read_table(path, _COLUMNS):
+        rate = row.number("rate_per_s", may_miss=True)
+        key = (row.text("specimen"), row.text("mode"), None if math.isnan(rate) else rate)
+        if key[1] not in TEST_MODES:
+            message = (
+                f"column 'mode' must hold one of {', '.join(TEST_MODES)}, got '{key[1]}' at {path} line {row.line}"
+            )
+            raise ExperimentError(message, where=row.where)
+        time = row.number("time_s", may_miss=True)
+        histories = groups.setdefault(key, [])
+        if not histories or time < times[key]:
+            histories.append([])
+        histories[-1].append(row)
+        times[key] = time
+    return tuple(_curve(path, *key, rows) for key, histories in groups.items() for rows in histories)
+
+
+def _curve(path: Path, specimen: str, mode: str, rate: float | None, rows: list[Row]) -> Curve:
+    try:
+        return Curve(
+            specimen,
+            mode,
+            math.nan if rate is None else rate,
+            np.array([row.number("time_s", may_miss=True) for row in rows]),
+            np.array([row.number("stretch_or_shear") for row in rows]),
+            np.array([row.number("stress_kPa", may_miss=True) for row in rows]),
+        )
+    except ExperimentError as error:
+        message = f"{error} of {path} from line {rows[0].line} on"
+        raise ExperimentError(message, where=rows[0].where) from error

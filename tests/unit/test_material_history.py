@@ -1,0 +1,120 @@
+"""Stress along a curve: against textbook formulas of another hand, and against the solver on a block."""
+
+import numpy as np
+import pytest
+
+import support.material_curves as made
+import tissuereg as tr
+from support.meshes import block
+from tissuereg import _core
+from tissuereg.diagnose.material.elastic import plane_second_pk, shear_metric
+from tissuereg.diagnose.material.history import stress_of
+from tissuereg.diagnose.material.model import Model
+from tissuereg.effects.history import Rate, Relaxation, Set, Softening
+from tissuereg.material_tests import shear_stress
+
+#: So near to no volume change that what is left is far below the tolerances.
+GEL = tr.Material(3.0 * made.MU, 0.49999)
+LAWS = [
+    ("neo-hookean", {}),
+    ("mooney-rivlin", {"share": 0.3}),
+    ("yeoh", {"c2_over_c1": 0.3, "c3_over_c1": 0.1}),
+    ("ogden", {"alpha": [-5.0, 3.0], "weight": [1.0, 2.0]}),
+    ("fung", {"b": 0.4}),
+    ("veronda-westmann", {"b": 0.4}),
+    ("st-venant-kirchhoff", {}),
+]
+
+
+def curve(mode, times, strain):
+    return made.measured("a", mode, 0.01, np.asarray(times), np.asarray(strain), np.asarray(strain))
+
+
+@pytest.mark.parametrize(("law", "shape"), LAWS)
+@pytest.mark.parametrize("fibre", [None, tr.Fibre(0.7, 0.6, (0.3, 0.8, 0.2))])
+def test_parts_of_the_shear_stress_add_up_to_the_solvers(law, shape, fibre):
+    material = tr.Material(5.0, 0.47, law, shape=shape, fibre=fibre)
+    shear = np.linspace(-1.0, 1.0, 9)
+    second = plane_second_pk(material, shear_metric(shear))
+    # Rounding of the same formula in another order.
+    assert second[:, 0, 1] + shear * second[:, 1, 1] == pytest.approx(
+        shear_stress(material, shear), rel=1e-11, abs=1e-11
+    )
+
+
+@pytest.mark.parametrize("mode", ["tension", "compression", "simple-shear"])
+@pytest.mark.parametrize(
+    ("law", "material"),
+    [
+        (("plain",), GEL),
+        (("mooney", 0.4), tr.Material(3.0 * made.MU, 0.49999, "mooney-rivlin", shape={"share": 0.4})),
+        (("fung", 1.3), tr.Material(3.0 * made.MU, 0.49999, "fung", shape={"b": 1.3})),
+        (("ogden", -7.0), tr.Material(3.0 * made.MU, 0.49999, "ogden", shape={"alpha": [-7.0], "weight": [1.0]})),
+    ],
+)
+def test_laws_agree_with_their_textbook_formulas(mode, law, material):
+    times, strain = made.ramp(made.LARGEST[mode], 0.01)
+    found = stress_of(Model(material), curve(mode, times, strain))
+    # E = 3 mu at no volume change; 0.49999 is off by some 1e-5.
+    assert found == pytest.approx(made.elastic(law, mode, strain), rel=2e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("mode", ["tension", "compression", "simple-shear"])
+def test_relaxation_is_the_hereditary_integral(mode):
+    times, strain = made.ramp_and_hold(made.LARGEST[mode], 0.02, 60.0)
+    model = Model(GEL, relaxation=Relaxation(g=(0.3, 0.2), tau_s=(2.0, 25.0)))
+    told = made.relaxed(("plain",), mode, times, strain, made.prony((0.3, 2.0), (0.2, 25.0)), n=6000)
+    # Steps of the curve against a fine grid.
+    assert stress_of(model, curve(mode, times, strain)) == pytest.approx(told, abs=2e-3 * np.abs(told).max())
+
+
+@pytest.mark.parametrize("mode", ["tension", "simple-shear"])
+def test_viscosity_softening_and_set_follow_their_formulas(mode):
+    times, strain = made.cycles(made.LARGEST[mode], 0.02, n=200)
+    path = curve(mode, times, strain)
+    flow = made.viscous(mode, times, strain, 3.0)
+    middle = (strain[1:-1] - strain[:-2]) * (strain[2:] - strain[1:-1]) > 0
+    # First order in the time step, corners of the path left out.
+    found = stress_of(Model(GEL, rate=Rate(viscosity_kpa_s=3.0)), path)
+    assert found[1:-1][middle] == pytest.approx(flow[1:-1][middle], abs=5e-3 * np.abs(flow).max())
+    soft = stress_of(Model(GEL, softening=Softening(r=2.0, m_kpa=0.1)), path)
+    assert soft == pytest.approx(made.softened(mode, strain, 2.0, 0.1), abs=1e-3 * np.abs(soft).max())
+    if mode == "tension":
+        stays = stress_of(Model(GEL, set=Set(fraction=0.1)), path)
+        assert stays == pytest.approx(made.left_strained(mode, strain, 0.1), abs=1e-3 * np.abs(stays).max())
+
+
+@pytest.mark.parametrize(("law", "shape"), [LAWS[0], LAWS[2], LAWS[3], LAWS[4]])
+@pytest.mark.parametrize(
+    ("said", "memory"),
+    [
+        ({"relaxation": ([0.3, 0.2], [1.0, 8.0], "whole")}, {"relaxation": Relaxation(g=(0.3, 0.2), tau_s=(1.0, 8.0))}),
+        ({"viscosity_kpa_s": 2.0}, {"rate": Rate(viscosity_kpa_s=2.0)}),
+        ({"softening": (2.0, 0.1, 0.2)}, {"softening": Softening(r=2.0, m_kpa=0.1, beta=0.2)}),
+        ({"set": 0.1}, {"set": Set(fraction=0.1)}),
+    ],
+)
+def test_a_sheared_block_in_the_solver_answers_alike(law, shape, said, memory):
+    material = tr.Material(5.0, 0.45, law, shape=shape)
+    times = np.array([1.0, 2.0, 3.0, 6.0, 8.0, 9.0])
+    shear = np.array([0.2, 0.4, 0.5, 0.5, 0.1, 0.3])
+    # At this rate the first row is one second from rest, as in the solver.
+    path = made.Curve("a", "simple-shear", 0.2, times, shear, shear)
+    found = stress_of(Model(material, **memory), path)
+    assert found == pytest.approx(solved(material, said, times, shear), rel=1e-6, abs=1e-6)
+
+
+def solved(material, said, times, shear):
+    """Return the nominal shear stress of a block whose surface moves as simple shear has it."""
+    mesh = block((10.0, 10.0, 10.0), (2, 2, 2))
+    held = np.flatnonzero(((mesh.nodes == 0.0) | (mesh.nodes == 10.0)).any(axis=1)).astype(np.int64)
+    fields = np.full(len(mesh.tets), material.young), np.full(len(mesh.tets), material.poisson)
+    rig = _core.Rig(mesh.nodes, mesh.tets, held, *fields, law=material.core_law(), behaviour=said)
+    stress = []
+    for time, amount in zip([0.0, *times], [0.0, *shear], strict=True):
+        moved = np.zeros((len(held), 3))
+        moved[:, 0] = amount * mesh.nodes[held, 1]
+        frame = rig.advance(time, np.zeros((0, 3)), prescribed=moved)
+        # The mean stress of a body is the sum of surface force times place over its volume.
+        stress.append(float(frame.reactions[:, 0] @ mesh.nodes[held, 1]) / 1000.0)
+    return np.array(stress[1:])
