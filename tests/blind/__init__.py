@@ -1,0 +1,1 @@
+"""Blind test bench: experiments with a hidden effect, made by another code path, and their scores."""

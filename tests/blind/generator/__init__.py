@@ -1,0 +1,1 @@
+"""Makes experiments with a hidden effect. Imports nothing from the package that is tested."""
