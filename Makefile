@@ -12,7 +12,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: help demo test test-rust test-sturdy test-python test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: blind blind-quick blind-data help demo test test-rust test-sturdy test-python test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -21,6 +21,8 @@ help:
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
+	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls; make blind: all of it -> docs/blind.md"
+	@echo "make blind-data      its data, made by a foreign solver (hours; resumable; ONE=name: one, compared)"
 	@echo "make bench           times by stage -> benchmarks/results/"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
@@ -85,6 +87,16 @@ test-training: training
 
 beam: $(VENV)/.installed-dev
 	$(BIN)/python examples/beam.py --data $(DATA)/beam
+
+# The blind test bench (tests/blind/README.md): a run that was stopped goes on.
+blind-quick blind: $(VENV)/.installed-dev
+	PYTHONPATH=tests $(BIN)/python -m blind.run --tier $(if $(filter blind,$@),all,quick)
+	PYTHONPATH=tests $(BIN)/python -m blind.score build/blind/predictions --out docs/blind.md
+
+# Foreign solves that are missing, by scikit-fem (and pypardiso, where it is there), then the cases; ONE=name: one, compared.
+blind-data: $(VENV)/.installed-dev
+	PYTHONPATH=tests OMP_NUM_THREADS=1 ONE=$(ONE) $(BIN)/python -m blind.generator
+	$(if $(ONE),,PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m blind.generator.store)
 
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/run.py

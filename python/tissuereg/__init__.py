@@ -8,11 +8,13 @@
 
 from tissuereg import effects, errors, phantom
 from tissuereg._version import __version__
+from tissuereg.diagnose import diagnose
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment import Experiment
 from tissuereg.frames import register_frame
 from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.experiments import read_experiment
+from tissuereg.io.material_experiments import read_material_experiment
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.tables import read_markers, read_targets
 from tissuereg.load import Load
@@ -36,11 +38,13 @@ __all__ = [
     "Simulator",
     "TissueRegError",
     "__version__",
+    "diagnose",
     "effects",
     "errors",
     "phantom",
     "read_experiment",
     "read_markers",
+    "read_material_experiment",
     "read_mesh",
     "read_targets",
     "register",

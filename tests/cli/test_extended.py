@@ -68,3 +68,13 @@ def test_simulated_tables_never_replace_the_measured_ones(folder, capsys):
     code, _, _ = run(capsys, "simulate", file, "--out", folder, "--quiet")
     assert code == 2
     assert (folder / "markers.csv").read_bytes() == before
+
+
+def test_a_diagnosis_without_measurements_is_bad_input(tmp_path, capsys):
+    folder = write_experiment(tmp_path / "rig", markers=None, forces=None)
+    code, said, err = run_json(capsys, "diagnose", folder, "--out", tmp_path / "out")
+    assert code == 2
+    assert said["schema"] == "tissuereg.error/1"
+    assert "markers" in said["message"]
+    assert not (tmp_path / "out").exists()
+    assert "Traceback" not in err

@@ -124,7 +124,10 @@ def table(name: str, more: str) -> dict:
 
 BAD = {
     "no TOML": ({"toml": "name = "}, "must be a TOML file"),
-    "material test": ({"toml": 'kind = "material-test"\n' + EXPERIMENT}, "reads no other `kind`, got 'material-test'"),
+    "material test": (
+        {"toml": 'kind = "material-test"\n' + EXPERIMENT},
+        "`read_material_experiment` reads material tests, got 'material-test'",
+    ),
     "unknown key at the top": ({"toml": "colour = 1\n" + EXPERIMENT}, "got 'colour' of .*toml"),
     "unknown key in a table": (changed("poisson = 0.45", "poisson = 0.45\nnu = 0.3"), r"got 'nu' in \[material\]"),
     "no mesh": (changed('[mesh]\nfile = "mesh.vtu"\n', ""), r"a table \[mesh\] must be given"),

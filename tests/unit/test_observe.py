@@ -53,3 +53,25 @@ def test_a_target_outside_is_refused_a_close_one_warned_of(block_mesh):
         TargetObservation(block_mesh, {"out": (20.0, 10.0, 60.0)})
     with pytest.warns(UserWarning, match="rides on the closest tet"):
         TargetObservation(block_mesh, {"near": (20.0, 10.0, 41.0)})
+
+
+def test_a_quadratic_field_is_followed_exactly_where_mid_edge_nodes_are_given(block_mesh):
+    def field(x):
+        return np.stack([x[..., 0] * x[..., 1], x[..., 2] ** 2 - x[..., 0], x[..., 1] * x[..., 2]], axis=-1) / 50.0
+
+    everywhere = np.concatenate([block_mesh.nodes, block_mesh.nodes[block_mesh.edges].mean(axis=1)])
+    places = np.array([[13.0, 7.0, 40.0], [0.0, 9.0, 21.0]])
+    markers = MarkerObservation(block_mesh, places, ("top", "side"), quadratic=True)
+    np.testing.assert_allclose(markers.predict(field(everywhere)[markers.nodes]), field(places), atol=1e-12)
+    inner = np.array([[11.0, 12.0, 17.0]])
+    targets = TargetObservation(block_mesh, {"deep": inner[0]}, quadratic=True)
+    np.testing.assert_allclose(targets.predict(field(everywhere)[targets.nodes]), field(inner), atol=1e-12)
+
+
+def test_a_marker_off_the_surface_turns_with_its_patch_among_mid_edge_nodes_too(block_mesh):
+    everywhere = np.concatenate([block_mesh.nodes, block_mesh.nodes[block_mesh.edges].mean(axis=1)])
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.5])
+    places = np.array([[20.0, 10.0, 45.0]])
+    observation = MarkerObservation(block_mesh, places, ("top",), quadratic=True)
+    field = turn.apply(everywhere) - everywhere
+    np.testing.assert_allclose(observation.predict(field[observation.nodes]), turn.apply(places) - places, atol=1e-12)

@@ -9,10 +9,12 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Actuator, Boundary, Experiment
-from tissuereg.io.toml_text import write_toml
+from tissuereg.io.toml_text import toml_text, write_toml
 
 
-def write_experiment(experiment: Experiment, path: str | os.PathLike[str]) -> None:
+def write_experiment(
+    experiment: Experiment, path: str | os.PathLike[str], *, seen_from: str | os.PathLike[str] | None = None
+) -> None:
     """Write an experiment file that `read_experiment` reads back, effects included.
 
     Mesh and tables stay where they are; the file refers to them from its own place.
@@ -23,6 +25,8 @@ def write_experiment(experiment: Experiment, path: str | os.PathLike[str]) -> No
         Read from files; beliefs and effects may have been changed since, cases and patches not.
     path : path-like
         The file, ``experiment.extended.toml`` say; an older one is replaced as a whole.
+    seen_from : path-like, optional
+        Folder in which the file will be read, where it is written elsewhere first; need not exist.
 
     Raises
     ------
@@ -31,7 +35,34 @@ def write_experiment(experiment: Experiment, path: str | os.PathLike[str]) -> No
     OutputError
         If the file cannot be written there.
     """
-    folder = Path(path).absolute().parent
+    write_toml(path, _content(experiment, Path(path).parent if seen_from is None else Path(seen_from)))
+
+
+def experiment_text(experiment: Experiment, folder: str | os.PathLike[str]) -> str:
+    """Return what `write_experiment` writes for a folder.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        As there.
+    folder : path-like
+        In which the file is to be read; need not exist.
+
+    Returns
+    -------
+    str
+        TOML.
+
+    Raises
+    ------
+    ExperimentError
+        As there.
+    """
+    return toml_text(_content(experiment, Path(folder)))
+
+
+def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
+    folder = folder.absolute()
     material = experiment.material
     if material.fibre is not None:
         message = "fibres of an experiment file must be an effect, got them in the material"
@@ -62,7 +93,7 @@ def write_experiment(experiment: Experiment, path: str | os.PathLike[str]) -> No
     content["actuator"] = [{**_patch(actuator), "contact": actuator.contact} for actuator in experiment.actuators]
     content["target"] = [{"name": name, "reference": place.tolist()} for name, place in experiment.targets.items()]
     content["effect"] = [effect.table() for effect in experiment.effects]
-    write_toml(path, {key: value for key, value in content.items() if value != []})
+    return {key: value for key, value in content.items() if value != []}
 
 
 def _markers(experiment: Experiment) -> dict[str, Any]:

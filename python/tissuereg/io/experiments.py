@@ -111,6 +111,24 @@ def is_experiment(path: str | os.PathLike[str]) -> bool:
     return "markers" in top or "boundary" in top or top.get("kind") == "material-test"
 
 
+def is_material_test(path: str | os.PathLike[str]) -> bool:
+    """Say whether a path means a material test: a folder or file whose ``kind`` says so.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder or file.
+
+    Returns
+    -------
+    bool
+        False where there is no such file: reading it says why.
+    """
+    place = Path(path)
+    file = place / "experiment.toml" if place.is_dir() else place
+    return file.is_file() and file.suffix.lower() == ".toml" and read_toml(file).get("kind") == "material-test"
+
+
 @dataclass(frozen=True, eq=False)
 class _Measured:
     marker_names: tuple[str, ...]
@@ -124,7 +142,9 @@ class _Measured:
 def _refuse_other_kinds(top: Table) -> None:
     kind = top.text("kind", "rig")
     if kind != "rig":
-        top.refuse("an experiment must be a rig with mesh and markers; this release reads no other `kind`", kind)
+        top.refuse(
+            "an experiment must be a rig with mesh and markers; `read_material_experiment` reads material tests", kind
+        )
 
 
 def _effect(table: Table) -> Effect:

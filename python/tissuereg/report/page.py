@@ -1,26 +1,17 @@
 """One self-contained HTML page of a registration."""
 
 import base64
-import html
 import io
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissuereg.io.atomic import atomic_file
+from tissuereg.report.markup import document, escape, table
 
 if TYPE_CHECKING:
     from tissuereg.result import Registration
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
-img { max-width: 100%; } h2 { margin-top: 2rem; } table { border-collapse: collapse; margin: .5rem 0 1rem; }
-td, th { padding: .25rem .8rem; border-bottom: 1px solid #d7dbe0; text-align: right; }
-td:first-child, th:first-child { text-align: left; }
-.yes { color: #176f2c; } .no { color: #a3180d; }
-"""
 
 
 def write_page(result: "Registration", path: Path) -> Path:
@@ -51,10 +42,7 @@ def write_page(result: "Registration", path: Path) -> Path:
         _model(result),
         _times(result),
     ]
-    text = (
-        "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'><title>Registration</title>"
-        f"<style>{_STYLE}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"
-    )
+    text = document("Registration", parts)
     with atomic_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
     return path
@@ -63,7 +51,7 @@ def write_page(result: "Registration", path: Path) -> Path:
 def _summary(result: "Registration") -> str:
     trust, fit = result.trust, result.markers
     verdict = "<b class='yes'>Nothing speaks against this result.</b>" if trust.ok else "<b class='no'>Be careful.</b>"
-    reasons = "".join(f"<li>{html.escape(reason)}</li>" for reason in trust.reasons)
+    reasons = "".join(f"<li>{escape(reason)}</li>" for reason in trust.reasons)
     return (
         f"<h1>Registration</h1><p>{verdict} {len(fit.used)} markers lie {fit.after_rms_mm:.2f} mm (rms) from the "
         f"registered body, {fit.before_rms_mm:.2f} mm before. Misfit {trust.chi_square:.1f} for {trust.n_obs} measured "
@@ -83,7 +71,7 @@ def _picture(result: "Registration") -> str:
 def _targets(result: "Registration") -> str:
     rows = [
         (
-            name,
+            escape(name),
             _triple(t.reference),
             _triple(t.mean),
             _triple(t.region(0.90).radii),
@@ -94,32 +82,26 @@ def _targets(result: "Registration") -> str:
     if not rows:
         return ""
     head = ("target", "undeformed, mm", "registered, mm", "90 % region, half-axes, mm", "moved, mm")
-    return "<h2>Targets</h2>" + _table(head, rows)
+    return "<h2>Targets</h2>" + table(head, rows)
 
 
 def _markers(result: "Registration") -> str:
-    rows = [(name, _triple(row), _norm(row)) for name, row in result.markers.residual_mm.items()]
-    rows += [(name, html.escape(reason), "") for name, reason in result.markers.dropped]
-    return "<h2>Markers</h2>" + _table(("marker", "measured - registered, mm", "length, mm"), rows)
+    rows = [(escape(name), _triple(row), _norm(row)) for name, row in result.markers.residual_mm.items()]
+    rows += [(escape(name), escape(reason), "") for name, reason in result.markers.dropped]
+    return "<h2>Markers</h2>" + table(("marker", "measured - registered, mm", "length, mm"), rows)
 
 
 def _model(result: "Registration") -> str:
     rows = [
-        (key.replace("_", " "), html.escape(f"{v:.3g}" if isinstance(v, float) else str(v)))
+        (key.replace("_", " "), escape(f"{v:.3g}" if isinstance(v, float) else str(v)))
         for key, v in result.model.items()
     ]
-    return "<h2>Model</h2>" + _table(("", ""), [*rows, ("seed", str(result.seed))])
+    return "<h2>Model</h2>" + table(("", ""), [*rows, ("seed", str(result.seed))])
 
 
 def _times(result: "Registration") -> str:
     rows = [(stage, f"{1000 * seconds:.0f}") for stage, seconds in result.seconds.items()]
-    return "<h2>Time</h2>" + _table(("stage", "ms"), rows)
-
-
-def _table(head: tuple[str, ...], rows: "Sequence[tuple[str, ...]]") -> str:
-    top = "".join(f"<th>{cell}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{top}</tr>{body}</table>"
+    return "<h2>Time</h2>" + table(("stage", "ms"), rows)
 
 
 def _triple(vector: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> str:

@@ -1,0 +1,91 @@
+"""``tissuereg diagnose``: what the simulation of an experiment gets wrong, and why."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
+from tissuereg.cli.options import add_common, command_parser
+
+_DETAILS = (
+    "EXPERIMENT is a folder (or its .toml). OUT gets diagnosis.json, experiment.extended.toml (the believed experiment "
+    "with the findings as effects; simulate, register and diagnose read it) and report.html."
+)
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command's parser.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers action
+        Where to.
+    """
+    purpose = "find out what the simulation gets wrong"
+    parser = command_parser(commands, "diagnose", purpose, _DETAILS, "tissuereg diagnose my-rig --out diagnosed")
+    parser.add_argument("experiment", metavar="EXPERIMENT", help="experiment folder or file")
+    parser.add_argument("--out", metavar="OUT", help="folder for the results")
+    parser.add_argument("--no-cache", action="store_true", help="make the bank of causes anew, keep nothing")
+    add_common(parser, seed="seed of all chance (default: 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Diagnose and write.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    Outcome
+        Schema ``tissuereg.diagnosis/1``.
+    """
+    from tissuereg.diagnose import diagnose
+    from tissuereg.io.atomic import check_folder_target
+    from tissuereg.io.experiments import is_material_test, read_experiment
+    from tissuereg.io.material_experiments import read_material_experiment
+
+    if args.out is not None:
+        check_folder_target(args.out)
+    clock = Stopwatch()
+
+    def told(stage: str) -> None:
+        if not args.quiet:
+            print(f"diagnose: {stage}", file=sys.stderr, flush=True)
+
+    if is_material_test(args.experiment):
+        test = read_material_experiment(args.experiment)
+        clock.lap("read")
+        of_test = diagnose(test, seed=args.seed or 0, progress=told)
+        clock.lap("diagnose")
+        if args.out is not None:
+            of_test.write(args.out)
+            clock.lap("write")
+        return _outcome(of_test.to_json(), clock, args)
+    experiment = read_experiment(args.experiment)
+    clock.lap("read")
+    found = diagnose(experiment, seed=args.seed or 0, threads=args.threads, keep=not args.no_cache, progress=told)
+    clock.lap("diagnose")
+    if args.out is not None:
+        from tissuereg.diagnose.files import write_diagnosis
+
+        write_diagnosis(found, Path(args.out))
+        clock.lap("write")
+    return _outcome(found.to_json(), clock, args)
+
+
+def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace) -> Outcome:
+    lines = [f"{answer['verdict']} (p_misfit {answer['p_misfit']:.2g})"]
+    for cause in answer["causes"]:
+        tied = f" (or {', '.join(cause['group'][1:])})" if len(cause["group"]) > 1 else ""
+        lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}: {cause['sentence']}")
+    if answer.get("next_experiment"):
+        lines.append(f"  next: {answer['next_experiment']['action']}")
+    lines.append(seconds_line(clock.seconds))
+    if args.out is not None:
+        lines.append(f"written: {args.out}")
+    return Outcome({**answer, "seconds": clock.seconds}, "\n".join(lines), args.threads)

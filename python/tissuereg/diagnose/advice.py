@@ -1,0 +1,120 @@
+"""What to measure next: the action that would tell tied causes apart."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.answer import Finding
+from tissuereg.diagnose.fit import Fit, Target
+from tissuereg.diagnose.predictor import Predictor
+from tissuereg.diagnose.search import Step
+from tissuereg.diagnose.signals import Layout
+from tissuereg.errors import TissueRegError
+from tissuereg.experiment import Actuator, Case, Experiment
+
+#: Seconds of a stock case: up, hold, down; and of a long hold.
+UP, HOLD, LONG = 2.0, 6.0, 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Action:
+    """A case that could be measured next."""
+
+    words: str
+    case: Case
+    force: bool
+
+
+def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
+    """Return the stock action that best separates tied causes.
+
+    Parameters
+    ----------
+    target : Target
+        The experiment as it was fitted.
+    steps : sequence of Step
+        Of the search.
+    findings : sequence of Finding
+        Accepted causes with their groups.
+
+    Returns
+    -------
+    dict or None
+        ``action`` in words, ``separates`` pairs of ids, ``separability`` the least one of them: the length of what the
+        two fitted explanations differ by there, in units of noise. None where nothing is tied.
+    """
+    fits: dict[str, Fit] = {}
+    pairs = []
+    for finding in findings:
+        step = next((s for s in steps if s.found is not None and s.found.id == finding.id), None)
+        if step is None or len(finding.group) < 2:
+            continue
+        fits |= {candidate.id: candidate.fit for candidate in step.candidates if candidate.id in finding.group}
+        pairs += [[finding.id, other] for other in finding.group[1:]]
+    if not pairs:
+        return None
+    best: dict[str, Any] | None = None
+    for action in _actions(target.bench.experiment):
+        try:
+            told = {name: _said(target, fits[name], action) for name in {name for pair in pairs for name in pair}}
+        except TissueRegError:  # an action without equilibrium is no advice
+            continue
+        least = min(_apart(told[one], told[other]) for one, other in pairs)
+        if best is None or least > best["separability"]:
+            best = {"action": action.words, "separates": pairs, "separability": least}
+    return best
+
+
+def _actions(experiment: Experiment) -> list[_Action]:
+    """Return pushes and pulls of every pad along the three axes, and a long hold of its own motion."""
+    actions = []
+    for pad in experiment.actuators:
+        given = [case.displacements[pad.name] for case in experiment.cases.values() if pad.name in case.displacements]
+        if pad.kind != "displacement" or not given:
+            continue
+        stroke = float(np.linalg.norm(np.concatenate(given), axis=1).max())
+        own = max((motion for motion in given), key=lambda motion: float(np.linalg.norm(motion, axis=1).max()))
+        along = own[int(np.argmax(np.linalg.norm(own, axis=1)))]
+        for axis, name in enumerate("xyz"):
+            for sign in (-1.0, 1.0):
+                motion = sign * stroke * np.eye(3)[axis]
+                words = f"move {pad.name} by {sign * stroke:+.3g} mm along {name}, hold {HOLD:.0f} s"
+                actions.append(_Action(words, _case(experiment, pad, motion, HOLD), bool(experiment.force_std)))
+        words = f"move {pad.name} as before, hold {LONG:.0f} s"
+        actions.append(_Action(words, _case(experiment, pad, along, LONG), bool(experiment.force_std)))
+        if experiment.force_std is None:
+            words = f"measure the force at {pad.name} to 5 mN, hold {HOLD:.0f} s"
+            actions.append(_Action(words, _case(experiment, pad, along, HOLD), True))
+    return actions
+
+
+def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float) -> Case:
+    begin = max(float(case.times[-1]) for case in experiment.cases.values()) + 10.0
+    shares = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])
+    times = begin + np.array(
+        [0.0, UP / 2, UP, *(UP + hold * np.array([0.25, 0.5, 0.75, 1.0])), UP + hold + UP / 2, 2 * UP + hold]
+    )
+    markers = np.broadcast_to(experiment.marker_reference, (len(times), *experiment.marker_reference.shape))
+    given = {pad.name: shares[:, None] * motion}
+    return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))})
+
+
+def _said(target: Target, fit: Fit, action: _Action) -> FloatArray:
+    """Return what a fitted explanation says of an action, over the noise, the modulus' own direction last."""
+    case = action.case if action.force else replace(action.case, forces={})
+    experiment = replace(target.bench.experiment, cases={"next": case}, rest_case=None)
+    layout = Layout(experiment)
+    predictor = Predictor(experiment, layout, element=target.bench.predictor.element)
+    factor = float(np.exp(fit.x[0]))
+    found = predictor.predict(fit.effects(target.bench.young), young=factor)
+    noise = float(target.noise.marker_std.mean())
+    force_std = target.noise.force_std if target.bench.experiment.force_std is not None else 5.0
+    return np.asarray(found / np.where(layout.of_markers(), noise, force_std))
+
+
+def _apart(one: FloatArray, other: FloatArray) -> float:
+    """Return the length of a difference, in noise deviations."""
+    return float(np.linalg.norm(one - other))

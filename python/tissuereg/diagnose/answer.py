@@ -1,0 +1,188 @@
+"""What a diagnosis answers: verdict, findings, discrepancy, extended model; as a record and as JSON."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tissuereg.diagnose.causes import Values
+from tissuereg.experiment import Experiment
+
+SCHEMA = "tissuereg.diagnosis/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """One accepted cause.
+
+    Attributes
+    ----------
+    id : str
+        The likeliest.
+    group : tuple of str
+        All ids that the data cannot tell from it, itself first; three at most.
+    probability : float
+        Of the id, among all that were tried, none and the generic rival.
+    log_bayes_factor : float
+        Against the model without it.
+    threshold : float
+        That it had to pass.
+    parameters : dict
+        Keys of its ``[[effect]]`` table.
+    deviations : dict
+        Their standard deviations, where they are numbers.
+    held_out : dict
+        What was proved on data that were not fitted.
+    sentence : str
+        In plain words.
+    """
+
+    id: str
+    group: tuple[str, ...]
+    probability: float
+    log_bayes_factor: float
+    threshold: float
+    parameters: Values
+    deviations: Values
+    held_out: Mapping[str, Any]
+    sentence: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the entry of the answer; numbers with a deviation as pairs, lists of them key by key."""
+        return {
+            "id": self.id,
+            "group": list(self.group),
+            "probability": self.probability,
+            "log_bayes_factor": self.log_bayes_factor,
+            "threshold": self.threshold,
+            "parameters": _pairs(self.parameters, self.deviations),
+            "held_out": dict(self.held_out),
+            "sentence": self.sentence,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The answer to "what does the simulation get wrong?".
+
+    Attributes
+    ----------
+    verdict : str
+        ``named``, ``group``, ``consistent`` or ``unexplained``.
+    findings : tuple of Finding
+        Accepted causes.
+    candidates : tuple of dict
+        Every id that was tried: ``id``, ``probability``, ``log_bayes_factor``, ``detectability``.
+    p_misfit : float
+        Probability that data without further effects misfit as much, after the findings.
+    discrepancy : dict
+        Where, when and under which load the believed model is wrong.
+    extended : Experiment
+        The believed experiment with the findings as effects.
+    next_experiment : dict or None
+        What would tell tied causes apart.
+    seed : int
+        Of all chance.
+    versions : dict of str to str
+        Of the package and what it computes with.
+    details : dict
+        What the report draws from: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``threshold``.
+    """
+
+    verdict: str
+    findings: tuple[Finding, ...]
+    candidates: tuple[dict[str, Any], ...]
+    p_misfit: float
+    discrepancy: dict[str, Any]
+    extended: Experiment
+    next_experiment: dict[str, Any] | None
+    seed: int
+    versions: dict[str, str]
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        said = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
+        return f"Diagnosis({self.verdict}: {said}; p_misfit {self.p_misfit:.2g})"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the answer in the schema ``tissuereg.diagnosis/1``."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "causes": [finding.to_json() for finding in self.findings],
+            "candidates": list(self.candidates),
+            "p_misfit": self.p_misfit,
+            "discrepancy": self.discrepancy,
+            "extended_model": "experiment.extended.toml",
+            "next_experiment": self.next_experiment,
+            "seed": self.seed,
+            "versions": self.versions,
+        }
+
+    def report(self, path: str | os.PathLike[str]) -> Path:
+        """Write one self-contained HTML page: verdict, body with residuals, ranking, proof, what was assumed.
+
+        Parameters
+        ----------
+        path : path-like
+            File to write, whole or not at all.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        from tissuereg.diagnose.report.page import write_report
+
+        return write_report(self, Path(path))
+
+    def save(self, folder: str | os.PathLike[str]) -> Path:
+        """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``.
+
+        Parameters
+        ----------
+        folder : path-like
+            Files of these names in it are replaced, others stay.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        ExperimentError
+            If the extended model cannot stand in a file.
+        OutputError
+            If the folder cannot be written.
+        """
+        from tissuereg.diagnose.files import write_diagnosis
+
+        return write_diagnosis(self, Path(folder))
+
+
+def _pairs(values: Values, deviations: Values) -> dict[str, Any]:
+    """Return numbers with their deviations as [value, deviation]; lists of numbers as lists of such pairs."""
+    said: dict[str, Any] = {}
+    for key, value in values.items():
+        spread = deviations.get(key)
+        if spread is None:
+            said[key] = value
+        elif isinstance(value, list) and isinstance(spread, list):
+            said[key] = [list(pair) for pair in zip(value, spread, strict=True)]
+            if key in ("centre_mm", "direction") and len(value) == 3:
+                # Also by component, as the format's example has it.
+                stem, _, unit = key.partition("_")
+                for axis, pair in zip("xyz", said[key], strict=True):
+                    said[f"{axis}_{unit}" if unit else f"{stem}_{axis}"] = pair
+        else:
+            said[key] = [value, spread]
+    if "semi_axes_mm" in values:
+        said["radius_mm"] = said["semi_axes_mm"][0]
+    return said

@@ -1,0 +1,50 @@
+"""Fluid leaves the body under load."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.diagnose.causes.relaxation import times_of
+from tissuereg.effects import Drainage
+
+#: Share of the volumetric stress where secants are taken.
+SHARE = 0.5
+
+
+class DrainageCause(Cause):
+    """A share of the volumetric stress that fades with one time."""
+
+    id: ClassVar[str] = "drainage"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return secants for several times."""
+        if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
+            return
+        times = times_of(bench)[1::2]
+        changes = bench.changes([[Drainage(share=SHARE, tau_s=float(tau))] for tau in times])
+        for tau, changed in zip(times, changes, strict=True):
+            if changed is not None:
+                yield Variant(f"{tau:.2g} s", changed[None], {"tau": tau}, positive=True)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logit of the share and the logarithm of the time."""
+        tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench)).mean())
+        return knobs(
+            [
+                (logit(SHARE * float(amplitudes[0])), 0.0, 1.2, 0.1),
+                (float(np.log(tau)), middle, 1.5, 0.1),
+            ],
+            lambda x, young: (Drainage(share=logistic(x[0]), tau_s=float(np.exp(x[1]))),),
+            lambda x, young: {"share": logistic(x[0]), "tau_s": float(np.exp(x[1]))},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        share = values["share"]
+        return (
+            f"The body loses volume under load: {100 * share:.0f} % of its pressure fades with {values['tau_s']:.2g} s."
+        )

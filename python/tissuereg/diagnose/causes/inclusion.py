@@ -1,0 +1,109 @@
+"""A ball somewhere in the body is stiffer or softer."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import KDTree
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.effects import Inclusion
+from tissuereg.mesh import Mesh
+
+#: Radii that are tried, over the extent of the body.
+RADII = (0.045, 0.075, 0.115)
+
+#: Distance between places, over the radius.
+SPACING = 1.3
+
+#: Prior deviation of contrast - 1 in the linear range; contrast saturates beyond.
+SPREAD = 1.5
+
+
+class InclusionCause(Cause):
+    """A ball of another modulus, at any place."""
+
+    id: ClassVar[str] = "inclusion"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one a place of a grid and a radius."""
+        if not bench.is_elastic:
+            return
+        balls = _places(bench)
+        for (radius, centre), column in zip(balls, bench.by_fields(_shares(bench.experiment.mesh, balls)), strict=True):
+            name = " ".join(f"{x:.0f}" for x in centre)
+            settings = {"centre": centre, "radius": radius}
+            yield Variant(f"at {name} radius {radius:.1f}", SPREAD * column[None], settings)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the place, and the logarithms of radius and contrast."""
+        centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
+        middle = bench.experiment.mesh.nodes.mean(axis=0)
+        wide, extent = 0.25 * bench.extent, bench.extent
+        # A stiff ball in a soft body saturates: its effect is (c - 1) / (1 + 0.4 (c - 1)) for small strain.
+        linear = float(np.clip(SPREAD * amplitudes[0], -0.85, 1.8))
+        contrast = 1.0 + linear / max(1.0 - 0.4 * linear, 0.2)
+
+        def effect(x: FloatArray, young: float) -> tuple[Inclusion]:
+            size = float(np.exp(x[3]))
+            place = (float(x[0]), float(x[1]), float(x[2]))
+            return (Inclusion(centre_mm=place, semi_axes_mm=(size, size, size), contrast=float(np.exp(x[4]))),)
+
+        def values(x: FloatArray, young: float) -> Values:
+            size = float(np.exp(x[3]))
+            return {"centre_mm": x[:3].tolist(), "semi_axes_mm": [size] * 3, "contrast": float(np.exp(x[4]))}
+
+        return knobs(
+            [
+                *((float(centre[i]), float(middle[i]), wide, 0.01 * extent) for i in range(3)),
+                (float(np.log(radius)), float(np.log(0.065 * extent)), 0.4, 0.05),
+                (float(np.log(contrast)), 0.0, 1.0, 0.05),
+            ],
+            effect,
+            values,
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        centre, axes, contrast = values["centre_mm"], values["semi_axes_mm"], values["contrast"]
+        kind = "stiff" if contrast > 1 else "soft"
+        place = ", ".join(f"{x:.1f}" for x in centre)
+        return (
+            f"A {kind} inclusion of {axes[0]:.1f} mm radius lies at ({place}) mm, "
+            f"{contrast:.2g} times as stiff as what surrounds it."
+        )
+
+
+def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -> "sparse.csr_array":
+    """Return the share of every tet inside every ball, shape (n_tets, n_balls), its edge as wide as a tet."""
+    centres = mesh.nodes[mesh.tets].mean(axis=1)
+    width = np.cbrt(6.0 * mesh.volumes)
+    reach = float(width.max())
+    tree = KDTree(centres)
+    rows, columns, shares = [], [], []
+    for number, (radius, centre) in enumerate(balls):
+        near = np.array(tree.query_ball_point(centre, radius + 0.5 * reach), np.int64)
+        depth = radius - np.linalg.norm(centres[near] - centre, axis=1)
+        rows.append(near)
+        columns.append(np.full(len(near), number))
+        shares.append(np.clip(0.5 + depth / width[near], 0.0, 1.0))
+    entries = (np.concatenate(shares), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.csr_array(entries, shape=(mesh.n_tets, len(balls)))
+
+
+def _places(bench: Bench) -> list[tuple[float, tuple[float, float, float]]]:
+    """Return radii and centres: grids inside the body, coarser for larger balls."""
+    mesh = bench.experiment.mesh
+    tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
+    found = []
+    for share in RADII:
+        radius = share * bench.extent
+        low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+        axes = [np.arange(a + 0.5 * radius, b, SPACING * radius) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        inside = grid[tree.query(grid)[0] <= reach]
+        found += [(radius, (float(x), float(y), float(z))) for x, y, z in inside]
+    return found

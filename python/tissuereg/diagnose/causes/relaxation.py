@@ -1,0 +1,63 @@
+"""Stress relaxes in time."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.effects import Relaxation
+
+#: Share that relaxes where secants are taken.
+SHARE = 0.25
+
+#: Number of times that are tried, from one frame to twice a case.
+TIMES = 6
+
+
+def times_of(bench: Bench) -> FloatArray:
+    """Return the times in s of memory that an experiment may show."""
+    return np.geomspace(max(bench.frame_step, 1e-3), max(2.0 * bench.longest_case, 2e-3), TIMES)
+
+
+class RelaxationCause(Cause):
+    """A share of the stress that fades with one time; of the whole stress, or of its isochoric part."""
+
+    id: ClassVar[str] = "relaxation"
+    discrete: ClassVar[tuple[str, ...]] = ("part",)
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return secants for several times and both parts."""
+        if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
+            return
+        # Which part relaxes shows little; every second time does for the isochoric one.
+        tried = [("whole", float(tau)) for tau in times_of(bench)]
+        tried += [("isochoric", float(tau)) for tau in times_of(bench)[1::2]]
+        changes = bench.changes([[Relaxation(g=(SHARE,), tau_s=(tau,), part=part)] for part, tau in tried])
+        for (part, tau), changed in zip(tried, changes, strict=True):
+            if changed is not None:
+                yield Variant(f"{part} {tau:.2g} s", changed[None], {"tau": tau, "part": part}, positive=True)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logit of the share and the logarithm of the time."""
+        part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
+        middle = float(np.log(times_of(bench)).mean())
+
+        def effect(x: FloatArray, young: float) -> tuple[Relaxation]:
+            return (Relaxation(g=(logistic(x[0]),), tau_s=(float(np.exp(x[1])),), part=part),)
+
+        return knobs(
+            [
+                (logit(SHARE * min(float(amplitudes[0]), 3.5)), logit(0.2), 1.2, 0.1),
+                (float(np.log(tau)), middle, 1.5, 0.1),
+            ],
+            effect,
+            lambda x, young: {"g": [logistic(x[0])], "tau_s": [float(np.exp(x[1]))], "part": part},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        share, tau = values["g"], values["tau_s"]
+        return f"Stress relaxes: {100.0 * share[0]:.0f} % of it fades with a time of {tau[0]:.2g} s."

@@ -1,0 +1,56 @@
+"""The body grows or shrinks while it is measured."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.effects import Effect, Swelling
+
+#: Strain where secants are taken, also the prior deviation.
+SIZE = 0.01
+
+
+class SwellingCause(Cause):
+    """Growth of all lengths, even in time, over the whole session or a half of it."""
+
+    id: ClassVar[str] = "swelling"
+    discrete: ClassVar[tuple[str, ...]] = ("window",)
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return secants for three windows of time."""
+        if any(effect.id == self.id for effect in bench.experiment.effects):
+            return
+        begin, end = bench.first_time, bench.last_time
+        if end <= begin:
+            return
+        middle = 0.5 * (begin + end)
+        windows = ((begin, end), (begin, middle), (middle, end))
+        changes = bench.changes([[_effect(SIZE, window)] for window in windows])
+        for window, changed in zip(windows, changes, strict=True):
+            if changed is not None:
+                yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window})
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the strain in units of the secant's."""
+        window = variant.settings["window"]
+        return knobs(
+            [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
+            lambda x, young: (_effect(SIZE * float(x[0]), window),),
+            lambda x, young: {
+                "linear_strain": SIZE * float(x[0]),
+                "from_time_s": float(window[0]),
+                "to_time_s": float(window[1]),
+            },
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        strain = values["linear_strain"]
+        verb = "swells" if strain > 0 else "shrinks"
+        return f"The body {verb} by {abs(100 * strain):.2g} % of its lengths while it is measured."
+
+
+def _effect(strain: float, window: tuple[float, float]) -> Effect:
+    return Swelling(linear_strain=strain, from_time_s=window[0], to_time_s=window[1])

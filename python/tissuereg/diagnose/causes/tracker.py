@@ -1,0 +1,230 @@
+"""Errors of the marker tracker: its frame, its scale, its delay, markers that slip or are exchanged.
+
+All of them change places in closed form; nothing is solved.
+"""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.effects import Effect, Frame, Latency, MarkerSlip, MarkerSwap, Scale, seen_markers
+
+#: Prior deviations: of shifts in mm and turns in degrees of the frame, of the scale, of the delay in frames, of slips
+#: in mm.
+SHIFT, TURN, SCALE, DELAY, SLIP = 0.5, 0.5, 0.01, 0.5, 1.0
+
+#: Pairs of markers that are tried as exchanged ones.
+LIKELY_PAIRS = 15
+
+#: Times from which a marker may have slipped: begins of cases, and this many in each.
+ONSETS_A_CASE = 4
+
+
+class FrameCause(Cause):
+    """The tracker's frame is shifted and turned, more than its prior as a nuisance allows."""
+
+    id: ClassVar[str] = "frame"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one, with three shifts and three turns about the body's middle."""
+        shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
+        scale = np.array([SHIFT] * 3 + [TURN] * 3)
+        return [Variant("frame", scale[:, None] * np.array(shifts))]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return shifts in mm and turns in degrees about the body's middle."""
+        scale = np.array([SHIFT] * 3 + [TURN] * 3)
+        return knobs(
+            [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
+            lambda x, young: (_frame(bench, x),),
+            lambda x, young: {k: v for k, v in _frame(bench, x).table().items() if k != "id"},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
+        return f"The tracker's frame is not the mesh's: it is turned by {turn:.2f} degrees and shifted."
+
+
+class ScaleCause(Cause):
+    """The tracker's lengths are off, about any origin."""
+
+    id: ClassVar[str] = "scale"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one, with the scale about the body's middle and three shifts."""
+        middle = _middle(bench)
+        scale = changed_by(bench, Scale(scale=1.01, origin_mm=_three(middle))) * 100.0 * SCALE
+        shifts = [SHIFT * changed_by(bench, Frame(shift_mm=_three(axis))) for axis in np.eye(3)]
+        return [Variant("scale", np.array([scale, *shifts]))]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the scale less one about the body's middle, and three shifts in mm."""
+        spread = np.array([SCALE, SHIFT, SHIFT, SHIFT])
+
+        def effect(x: FloatArray) -> Scale:
+            # A shift d beside a scale s about the middle m is a scale about m - d / s.
+            stretch = float(x[0]) if abs(x[0]) > 1e-6 else 1e-6
+            return Scale(scale=1.0 + stretch, origin_mm=_three(_middle(bench) - x[1:] / stretch))
+
+        return knobs(
+            [(float(s * a), 0.0, float(s), 0.1 * float(s)) for s, a in zip(spread, amplitudes, strict=True)],
+            lambda x, young: (effect(x),),
+            lambda x, young: {k: v for k, v in effect(x).table().items() if k != "id"},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        scale = values["scale"]
+        return f"The tracker's lengths are off by {100 * (scale - 1):+.2f} %."
+
+
+class LatencyCause(Cause):
+    """Markers are late."""
+
+    id: ClassVar[str] = "latency"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one: a delay of a part of a frame."""
+        delay = DELAY * bench.frame_step
+        if delay == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
+            return []
+        return [Variant("delay", changed_by(bench, Latency(latency_s=delay))[None])]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the delay in units of the variant's."""
+        unit = DELAY * bench.frame_step
+        return knobs(
+            [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
+            lambda x, young: (Latency(latency_s=unit * float(x[0])),),
+            lambda x, young: {"latency_s": unit * float(x[0])},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        delay = values["latency_s"]
+        return f"Markers are {1000 * delay:.0f} ms late against the actuators' clock."
+
+
+class SlipCause(Cause):
+    """One marker sits off its place from some time on."""
+
+    id: ClassVar[str] = "marker_slip"
+    discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one a marker and onset, with three amplitudes."""
+        times = bench.layout.times()
+        for onset in _onsets(bench):
+            later = times >= onset
+            for number, marker in enumerate(bench.layout.marker_names):
+                columns = np.zeros((3, bench.layout.size))
+                for part in bench.layout.parts:
+                    for axis in range(3):
+                        part.markers(columns)[axis, :, number, axis] = part.markers(later)[:, number, axis]
+                yield Variant(f"{marker} from {onset:.4g} s", SLIP * columns, {"marker": marker, "onset": onset})
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the offset in mm."""
+        marker, onset = str(variant.settings["marker"]), float(variant.settings["onset"])
+        return knobs(
+            [(SLIP * float(a), 0.0, SLIP, 0.1) for a in amplitudes],
+            lambda x, young: (MarkerSlip(marker=marker, offset_mm=_three(x), from_time_s=onset),),
+            lambda x, young: {"marker": marker, "offset_mm": x.tolist(), "from_time_s": onset},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
+        return f"Marker '{values['marker']}' has slipped by {size:.2f} mm, from {values['from_time_s']:.4g} s on."
+
+
+class SwapCause(Cause):
+    """Two markers are taken for each other from some time on."""
+
+    id: ClassVar[str] = "marker_swap"
+    discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one a frame for the pairs that look most like exchanged ones."""
+        for onset in sorted({float(time) for part in bench.layout.parts for time in part.times}):
+            for pair in _likely_pairs(bench):
+                changed = changed_by(bench, MarkerSwap(markers=pair, from_time_s=onset))
+                yield Variant(
+                    f"{pair[0]} and {pair[1]} from {onset:.4g} s",
+                    changed[None],
+                    {"pair": pair, "onset": onset},
+                    fixed=True,
+                )
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return none: there is nothing to turn."""
+        pair, onset, none = tuple(variant.settings["pair"]), float(variant.settings["onset"]), np.empty(0)
+        return Knobs(
+            none, none, none,
+            lambda x, young: (MarkerSwap(markers=pair, from_time_s=onset),),
+            lambda x, young: {"markers": list(pair), "from_time_s": onset},
+            none,
+        )  # fmt: skip
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in plain words."""
+        one, other = values["markers"]
+        return f"Markers '{one}' and '{other}' are exchanged from {values['from_time_s']:.4g} s on."
+
+
+def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
+    """Return the pairs of markers whose measured places lie nearest to each other's predicted ones, over their own."""
+    names = bench.layout.marker_names
+    own, other = np.zeros(len(names)), np.zeros((len(names), len(names)))
+    for part in bench.layout.parts:
+        predicted = bench.layout.reference + part.markers(bench.base)
+        measured = np.nan_to_num(bench.layout.reference + part.markers(bench.layout.measured), nan=np.inf)
+        apart = np.linalg.norm(measured[:, :, None] - predicted[:, None], axis=3)
+        apart = np.where(np.isfinite(apart), apart, 0.0)
+        own += np.einsum("fii->i", apart)
+        other += apart.sum(axis=0)
+    ratio = (own[:, None] + own) / np.maximum(other + other.T, 1e-9)
+    pairs = sorted(itertools.combinations(range(len(names)), 2), key=lambda pair: -ratio[pair])
+    return [(names[i], names[j]) for i, j in pairs[:LIKELY_PAIRS]]
+
+
+def changed_by(bench: Bench, effect: Effect) -> FloatArray:
+    """Return what an effect of the tracker changes of the believed prediction, shape (size,)."""
+    tracker = replace(bench.experiment, effects=(effect,))
+    changed = np.zeros(bench.layout.size)
+    for part in bench.layout.parts:
+        places = bench.layout.reference + part.markers(bench.base)
+        part.markers(changed)[:] = seen_markers(tracker, places, part.times) - places
+    return changed
+
+
+def _frame(bench: Bench, x: FloatArray) -> Frame:
+    """Return the frame that is shifted by x[:3] mm and turned by x[3:] degrees about the body's middle."""
+    from tissuereg.effects.base import rotation_from_vector
+
+    turn, middle = rotation_from_vector(_three(x[3:])), _middle(bench)
+    return Frame(rotation_deg=_three(x[3:]), shift_mm=_three(x[:3] + middle - turn @ middle))
+
+
+def _middle(bench: Bench) -> FloatArray:
+    return np.asarray(bench.layout.reference.mean(axis=0))
+
+
+def _onsets(bench: Bench) -> list[float]:
+    found = []
+    for part in bench.layout.parts:
+        rows = np.unique(np.linspace(0, part.n_frames - 1, ONSETS_A_CASE + 1).astype(int)[:-1])
+        found += [float(t) for t in part.times[rows]]
+    return sorted(set(found))
+
+
+def _three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in vector)
+    return x, y, z

@@ -1,0 +1,129 @@
+"""Exact evidence where everything is linear and Gaussian: what is expected without a cause, and with one.
+
+With whitened residual r, nuisances N and a cause's columns A (all scaled by their prior deviations),
+
+    r ~ N(0, C0),  C0 = I + N N^T          without the cause,
+    r ~ N(0, C0 + A A^T)                   with it,
+
+and the log Bayes factor is 1/2 b^T M^-1 b - 1/2 log det M with b = A^T C0^-1 r and M = I + A^T C0^-1 A.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import norm
+
+from tissuereg._arrays import FloatArray
+
+
+class Null:
+    """What whitened data are expected to be without a cause.
+
+    Parameters
+    ----------
+    nuisances : ndarray of float64, shape (n_nuisances, size)
+        Whitened columns times their prior deviations.
+    """
+
+    def __init__(self, nuisances: FloatArray) -> None:
+        self.nuisances = nuisances
+        if len(nuisances):
+            _, spread, self._modes = np.linalg.svd(nuisances, full_matrices=False)
+            self._shrink = 1.0 - 1.0 / np.sqrt(1.0 + spread**2)
+        else:
+            self._modes, self._shrink = np.zeros((0, nuisances.shape[1])), np.zeros(0)
+
+    def reduced(self, white: FloatArray) -> FloatArray:
+        """Return C0^-1/2 times whitened vectors (..., size)."""
+        return np.asarray(white - ((white @ self._modes.T) * self._shrink) @ self._modes)
+
+    def fitted(self, white: FloatArray) -> FloatArray:
+        """Return the amplitudes of the nuisances that a residual (size,) asks for, in prior deviations."""
+        inner = np.eye(len(self.nuisances)) + self.nuisances @ self.nuisances.T
+        return np.asarray(np.linalg.solve(inner, self.nuisances @ white))
+
+
+@dataclass(frozen=True, eq=False)
+class Amplitudes:
+    """A cause fitted by its linear amplitudes.
+
+    Attributes
+    ----------
+    log_bayes_factor : float
+        Against the null.
+    mean : ndarray of float64, shape (p,)
+        In prior deviations.
+    covariance : ndarray of float64, shape (p, p)
+        The same squared.
+    """
+
+    log_bayes_factor: float
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def fit_amplitudes(residual: FloatArray, columns: FloatArray, *, positive: bool = False) -> Amplitudes:
+    """Return a cause's evidence and amplitudes.
+
+    Parameters
+    ----------
+    residual : ndarray of float64, shape (size,)
+        Reduced (`Null.reduced`).
+    columns : ndarray of float64, shape (p, size)
+        Reduced, times prior deviations.
+    positive : bool
+        Whether the one amplitude cannot be negative: its prior is a half of the normal one.
+
+    Returns
+    -------
+    Amplitudes
+        Mean and covariance are those of the whole normal prior.
+    """
+    inner = np.eye(len(columns)) + columns @ columns.T
+    factor = cho_factor(inner, lower=True)
+    along = columns @ residual
+    mean = cho_solve(factor, along)
+    log_factor = float(0.5 * along @ mean - np.log(np.diag(factor[0])).sum())
+    covariance = cho_solve(factor, np.eye(len(columns)))
+    if positive:
+        log_factor += float(np.log(2.0) + norm.logcdf(mean[0] / np.sqrt(covariance[0, 0])))
+    return Amplitudes(log_factor, mean, covariance)
+
+
+class Blocks:
+    """Many hypotheses of one shape, prepared for any number of residuals.
+
+    Parameters
+    ----------
+    columns : ndarray of float32, shape (n_blocks, p, size)
+        Reduced, times prior deviations.
+    positive : bool
+        As in `fit_amplitudes`; p = 1.
+    """
+
+    def __init__(self, columns: FloatArray, *, positive: bool = False) -> None:
+        self.columns = columns
+        self.positive = positive
+        n_blocks, p, _ = columns.shape
+        inner = np.array([block @ block.T for block in columns], np.float64).reshape(n_blocks, p, p) + np.eye(p)
+        lower = np.linalg.cholesky(inner)
+        self._logdet = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        self._inverse = np.linalg.inv(lower)
+
+    def log_bayes_factors(self, residuals: FloatArray) -> FloatArray:
+        """Return log Bayes factors against the null, (n, n_blocks), for reduced residuals (n, size)."""
+        n_blocks, p, size = self.columns.shape
+        along = residuals.astype(np.float32) @ self.columns.reshape(-1, size).T
+        along = along.astype(np.float64).reshape(-1, n_blocks, p)
+        half = np.einsum("kij,nkj->nki", self._inverse, along, optimize=True)
+        log_factor = 0.5 * (half**2).sum(axis=-1) - self._logdet
+        if self.positive:
+            log_factor += np.log(2.0) + norm.logcdf(half[..., 0])
+        return np.asarray(log_factor)
+
+
+def log_mean_exp(values: FloatArray, axis: int = -1) -> FloatArray:
+    """Return the logarithm of the mean of exponentials."""
+    top = values.max(axis=axis, keepdims=True)
+    return np.asarray(np.squeeze(top, axis) + np.log(np.exp(values - top).mean(axis=axis)))

@@ -1,0 +1,42 @@
+"""The folder of a diagnosis: answer, extended model, report; whole or not at all."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissuereg.diagnose.report.page import write_report
+from tissuereg.io.atomic import atomic_folder
+from tissuereg.io.experiment_out import write_experiment
+from tissuereg.io.json import write_json
+
+if TYPE_CHECKING:
+    from tissuereg.diagnose.answer import Diagnosis
+
+
+def write_diagnosis(found: "Diagnosis", out: Path) -> Path:
+    """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        The answer.
+    out : Path
+        Folder; files of these names in it are replaced, others stay.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ExperimentError
+        If the extended model cannot stand in a file (`tissuereg.io.experiment_out.write_experiment`).
+    OutputError
+        If the folder cannot be written.
+    """
+    with atomic_folder(out) as folder:
+        write_json(folder / "diagnosis.json", found.to_json())
+        # Paths in the model lead from the folder's final place.
+        write_experiment(found.extended, folder / "experiment.extended.toml", seen_from=out)
+        write_report(found, folder / "report.html", seen_from=out)
+    return out

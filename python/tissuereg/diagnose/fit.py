@@ -1,0 +1,313 @@
+"""The nonlinear fit of a model with causes: Gauss-Newton on their knobs, evidence by Laplace's approximation.
+
+    minimise 1/2 |C0^-1/2 L^-1 (y - f(x))|^2 + 1/2 |(x - mean) / deviation|^2
+
+over the logarithm of the modulus and the knobs of all causes; the other nuisances are integrated out in C0.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes import CAUSES, Knobs, Values, Variant
+from tissuereg.diagnose.correction import Correction
+from tissuereg.diagnose.evidence import Null
+from tissuereg.diagnose.noise import Noise
+from tissuereg.effects import Effect
+from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
+
+#: Iterations at most, and the decrease of the objective below which the fit stands still.
+MOST_ITERATIONS = 6
+LEAST_GAIN = 0.2
+
+#: Shares of a step that are tried.
+SHARES = (1.0, 0.4, 0.15, 0.05)
+
+#: A step moves no knob by more than this many prior deviations.
+LONGEST = 1.5
+
+#: Effects whose answer is no multiple of the modulus.
+_ABSOLUTE = ("gravity", "reference", "stiffness")
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What is fitted.
+
+    Attributes
+    ----------
+    bench : Bench
+        The believed model.
+    noise : Noise
+        Of the measurement.
+    correction : Correction
+        Of the mesh's error.
+    null : Null
+        Nuisances but the modulus.
+    young_spread : float
+        Prior deviation of the modulus over its mean.
+    """
+
+    bench: Bench
+    noise: Noise
+    correction: Correction
+    null: Null
+    young_spread: float
+
+    def white(self, flat: FloatArray) -> FloatArray:
+        """Return flat differences (..., size) whitened."""
+        return self.noise.whitened(flat, self.bench.layout)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One cause in a fit."""
+
+    id: str
+    variant: Variant
+    knobs: Knobs
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+        Its causes; empty for the believed model.
+    x : ndarray of float64, shape (k,)
+        Logarithm of the factor on the modulus, then the knobs of all parts.
+    mean, deviation : ndarray of float64, shape (k,)
+        Their prior.
+    prediction : ndarray of float64, shape (size,)
+        Corrected, mm and mN.
+    jacobian : ndarray of float64, shape (k, size)
+        Of the corrected prediction.
+    residual : ndarray of float64, shape (size,)
+        Measured less predicted, whitened.
+    objective : float
+        As minimised.
+    log_evidence : float
+        Up to a constant that is the same for all fits to the same data.
+    covariance : ndarray of float64, shape (k, k)
+        Of the coordinates.
+    """
+
+    parts: tuple[Part, ...]
+    x: FloatArray
+    mean: FloatArray
+    deviation: FloatArray
+    prediction: FloatArray
+    jacobian: FloatArray
+    residual: FloatArray
+    objective: float
+    log_evidence: float
+    covariance: FloatArray
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids of its causes."""
+        return tuple(part.id for part in self.parts)
+
+    def slices(self) -> list[slice]:
+        """Return where the knobs of every part lie in `x`."""
+        found, at = [], 1
+        for part in self.parts:
+            found.append(slice(at, at + len(part.knobs.start)))
+            at += len(part.knobs.start)
+        return found
+
+    def young(self, believed: float) -> float:
+        """Return the fitted modulus in kPa."""
+        return believed * float(np.exp(self.x[0]))
+
+    def effects(self, believed: float) -> tuple[Effect, ...]:
+        """Return the effects of all parts."""
+        young = self.young(believed)
+        return tuple(
+            effect
+            for part, mine in zip(self.parts, self.slices(), strict=True)
+            for effect in part.knobs.effects(self.x[mine], young)
+        )
+
+    def values(self, number: int, believed: float) -> tuple[Values, Values]:
+        """Return the parameters of one part and their standard deviations, by linear propagation."""
+        part, mine = self.parts[number], self.slices()[number]
+        young = self.young(believed)
+        centre = part.knobs.values(self.x[mine], young)
+        moved = [part.knobs.values(self.x[mine] + 1e-4 * axis, young) for axis in np.eye(len(part.knobs.start))]
+        spread: Values = {}
+        covariance = self.covariance[mine, mine]
+        for key, value in centre.items():
+            if _is_text(value):
+                continue
+            slopes = np.array([(np.asarray(m[key], float) - np.asarray(value, float)) / 1e-4 for m in moved])
+            deviation = (
+                np.sqrt(np.maximum(np.einsum("i...,ij,j...->...", slopes, covariance, slopes), 0.0))
+                if len(moved)
+                else 0.0 * np.asarray(value, float)
+            )
+            spread[key] = deviation.tolist() if np.ndim(value) else float(deviation)
+        return centre, spread
+
+
+def fit(target: Target, parts: Sequence[Part], *, start: FloatArray | None = None, choices: int = 1) -> Fit | None:
+    """Return the fit of a model with causes.
+
+    Parameters
+    ----------
+    target : Target
+        What is fitted.
+    parts : sequence of Part
+        Causes with their knobs; empty for the believed model.
+    start : ndarray of float64, shape (k,), optional
+        Where to begin; the knobs' own starts where absent.
+    choices : int
+        Number of discrete hypotheses among which these were chosen: the price is its logarithm.
+
+    Returns
+    -------
+    Fit or None
+        None where the start finds no equilibrium.
+    """
+    solver = _Solver(target, tuple(parts))
+    x = solver.start if start is None else start.copy()
+    prediction = solver.predict(x)
+    if prediction is None and start is None:
+        # Half-way to the prior mean is milder.
+        x = 0.5 * (x + solver.mean)
+        prediction = solver.predict(x)
+    if prediction is None:
+        return None
+    objective, reduced = solver.objective(x, prediction)
+    jacobian, slopes = solver.jacobian(x, prediction)
+    for _ in range(MOST_ITERATIONS):
+        if not len(x):
+            break
+        step = solver.step(x, slopes, reduced)
+        step *= min(1.0, LONGEST / max(float(np.abs(step / solver.deviation).max()), 1e-12))
+        gained = 0.0
+        for share in SHARES:
+            trial = solver.predict(x + share * step)
+            if trial is None:
+                continue
+            value, rest = solver.objective(x + share * step, trial)
+            if value < objective:
+                gained = objective - value
+                x, prediction, objective, reduced = x + share * step, trial, value, rest
+                break
+        if gained > 0.0:
+            jacobian, slopes = solver.jacobian(x, prediction)
+        if gained < LEAST_GAIN:
+            break
+    information = slopes @ slopes.T + np.diag(1.0 / solver.deviation**2)
+    covariance = np.linalg.inv(information)
+    inner = information * solver.deviation[:, None] * solver.deviation
+    log_evidence = -objective - 0.5 * float(np.linalg.slogdet(inner)[1]) - float(np.log(choices))
+    residual = target.white(np.where(target.bench.layout.seen, target.bench.layout.measured - prediction, 0.0))
+    return Fit(
+        solver.parts,
+        x,
+        solver.mean,
+        solver.deviation,
+        prediction,
+        jacobian,
+        residual,
+        objective,
+        log_evidence,
+        covariance,
+    )
+
+
+def choices_of(cause: str, variants: Sequence[Variant]) -> int:
+    """Return the number of discrete hypotheses of a cause that its knobs cannot pass between."""
+    keys = CAUSES[cause].discrete
+    return max(1, len({tuple(str(v.settings.get(key)) for key in keys) for v in variants}))
+
+
+class _Solver:
+    """Objective, derivative and step of one fit."""
+
+    def __init__(self, target: Target, parts: tuple[Part, ...]) -> None:
+        self.target = target
+        self.parts = parts
+        # The prior of the modulus is normal in the modulus; in its logarithm about the same for moderate spreads.
+        self.start = np.concatenate([[0.0], *(part.knobs.start for part in parts)])
+        self.mean = np.concatenate([[0.0], *(part.knobs.mean for part in parts)])
+        self.deviation = np.concatenate([[target.young_spread], *(part.knobs.deviation for part in parts)])
+        self.steps = np.concatenate([[0.02], *(part.knobs.step for part in parts)])
+        self.scales = target.bench.scales_forces and not any(part.id in _ABSOLUTE for part in parts)
+        layout = target.bench.layout
+        self.measured = np.where(layout.seen, layout.measured, 0.0)
+        self.seen = layout.seen
+        self.force = ~layout.of_markers()
+
+    def predict(self, x: FloatArray) -> FloatArray | None:
+        bench = self.target.bench
+        factor = float(np.exp(np.clip(x[0], -3.0, 3.0)))
+        unit = bench.young if self.scales else bench.young * factor
+        effects: list[Effect] = []
+        at = 1
+        try:
+            for part in self.parts:
+                count = len(part.knobs.start)
+                effects += part.knobs.effects(x[at : at + count], unit)
+                at += count
+            if not effects and (self.scales or factor == 1.0):
+                found = bench.base
+            else:
+                found = bench.predictor.predict(effects, young=None if self.scales else factor, threads=1)
+        except (ConvergenceError, ExperimentError, MaterialError, SupportError):
+            return None
+        if self.scales:
+            found = np.where(self.force, factor * found, found)
+        return self.target.correction.corrected(found)
+
+    def objective(self, x: FloatArray, prediction: FloatArray) -> tuple[float, FloatArray]:
+        white = self.target.white(np.where(self.seen, self.measured - prediction, 0.0))
+        reduced = self.target.null.reduced(white)
+        prior = (x - self.mean) / self.deviation
+        return float(0.5 * reduced @ reduced + 0.5 * prior @ prior), reduced
+
+    def jacobian(self, x: FloatArray, prediction: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivative of the corrected prediction (k, size), and the same whitened and reduced."""
+        rows = np.zeros((len(x), len(prediction)))
+        first = 1 if self.scales else 0
+        if self.scales:
+            rows[0] = np.where(self.force, prediction, 0.0)
+
+        def moved(i: int) -> FloatArray:
+            for side in (1.0, -1.0):
+                nudged = x.copy()
+                nudged[i] += side * self.steps[i]
+                trial = self.predict(nudged)
+                if trial is not None:
+                    return np.asarray((trial - prediction) / (side * self.steps[i]))
+            return np.zeros(len(prediction))
+
+        numbers = range(first, len(x))
+        workers = self.target.bench.predictor.threads or os.cpu_count() or 1
+        if workers > 1 and len(numbers) > 1:
+            with ThreadPoolExecutor(workers) as pool:
+                rows[first:] = list(pool.map(moved, numbers))
+        else:
+            for i in numbers:
+                rows[i] = moved(i)
+        return rows, self.target.null.reduced(self.target.white(rows))
+
+    def step(self, x: FloatArray, slopes: FloatArray, reduced: FloatArray) -> FloatArray:
+        information = slopes @ slopes.T + np.diag(1.0 / self.deviation**2)
+        gradient = slopes @ reduced - (x - self.mean) / self.deviation**2
+        return np.asarray(np.linalg.solve(information, gradient))
+
+
+def _is_text(value: object) -> bool:
+    if isinstance(value, list):
+        return bool(value) and isinstance(value[0], str)
+    return isinstance(value, str | bool)

@@ -1,0 +1,81 @@
+"""The generic rival: any smooth change over the body, the load and time, without a physical cause.
+
+A Gaussian process in a few hundred columns. Over the markers it is smooth; in time it follows what the actuators do,
+its square, its memory, and the clock, in every case on its own; single frames may be off as if a step had jammed; and
+forces have columns of their own. Its size is unknown: a mixture over sizes.
+"""
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.patterns import load_history, smooth_patterns
+from tissuereg.diagnose.signals import CasePart
+
+#: Sizes that are tried: of marker patterns in noise deviations, of forces as a share of the largest.
+SIZES = ((0.7, 0.003), (2.0, 0.01), (6.0, 0.03), (20.0, 0.15))
+
+#: Prior deviation of a single frame's jam, as a share of the motion since the frame before.
+JAM = 0.5
+
+
+def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
+    """Return the rival's columns for every size.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    marker_std : float
+        Typical noise of a coordinate, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_sizes, p, size)
+        Over one prior deviation, mm and mN.
+    """
+    layout = bench.layout
+    patterns = smooth_patterns(layout.reference, bench.extent)
+    base = bench.base
+    markers, forces, jams = [], [], []
+    for part in layout.parts:
+        for history in _histories(part, base):
+            for pattern in patterns:
+                for axis in range(3):
+                    column = np.zeros(layout.size)
+                    part.markers(column)[..., axis] = history[:, None] * pattern
+                    markers.append(column)
+            for i in range(len(part.pads)):
+                largest = np.abs(part.forces(base)[:, i]).max()
+                for axis in range(3):
+                    column = np.zeros(layout.size)
+                    part.forces(column)[:, i, axis] = history * largest
+                    forces.append(column)
+        change = np.diff(part.markers(base), axis=0)
+        for frame in range(1, part.n_frames):
+            if np.abs(change[frame - 1]).max() > 3.0 * marker_std:
+                column = np.zeros(layout.size)
+                part.markers(column)[frame] = JAM * change[frame - 1]
+                if part.pads:
+                    part.forces(column)[frame] = JAM * np.diff(part.forces(base), axis=0)[frame - 1]
+                jams.append(column)
+    smooth = np.array(markers).reshape(-1, layout.size)
+    strong = np.array(forces).reshape(-1, layout.size)
+    steps = np.array(jams).reshape(-1, layout.size)
+    return np.array(
+        [np.concatenate([size * marker_std * smooth, share * strong, steps]) for size, share in SIZES], np.float32
+    ).astype(np.float64)
+
+
+def _histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
+    """Return how a generic change may go through a case: with the load, its square, its memory, the clock."""
+    load = load_history(part, base)
+    span = float(part.times[-1] - part.times[0]) if part.n_frames > 1 else 1.0
+    clock = (part.times - part.times[0]) / max(span, 1e-9)
+    if not load.any():
+        return [np.ones(part.n_frames), clock - 0.5]
+    memory = np.zeros(part.n_frames)
+    for frame in range(1, part.n_frames):
+        fade = np.exp(-(part.times[frame] - part.times[frame - 1]) / max(0.25 * span, 1e-9))
+        memory[frame] = fade * memory[frame - 1] + (1.0 - fade) * load[frame]
+    return [load, load**2 - load, memory, clock, np.ones(part.n_frames)]

@@ -1,0 +1,195 @@
+"""What is always fitted beside the causes and never named: modulus, frame, drift, error of the mesh."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.patterns import load_history, smooth_patterns
+from tissuereg.diagnose.signals import CasePart
+from tissuereg.effects import ActuatorGain
+from tissuereg.effects.base import rotation_from_vector
+
+#: Prior deviations of the tracker's frame: shifts in mm, turns in degrees.
+FRAME_SHIFT, FRAME_TURN = 0.02, 0.02
+
+#: Prior deviation of the drift of the camera over the whole session, mm.
+DRIFT = 0.02
+
+#: Share of the difference between two fine meshes that is taken for the error of the one that corrects.
+MESH_SHARE = 0.7
+
+#: Error of the forces that is expected at least, as a share of them.
+FORCE_LEFT = 0.002
+
+#: Error of a marker at the rim of the pad at work, over the pad's motion, and how far from the pad's nodes it fades,
+#: over their extent: stress is singular at a rim, and no mesh resolves it.
+RIM_ERROR, RIM_REACH = 0.02, 0.4
+
+#: Prior deviation of the gain of every actuator.
+GAIN = 0.003
+
+#: Error of a found cause's form and of its mesh, as a share of what it changes.
+EFFECT_ERROR = 0.07
+
+#: Where the file states no deviation of the modulus.
+YOUNG_SPREAD = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisances:
+    """Columns of what is fitted beside the causes.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One a column.
+    columns : ndarray of float64, shape (n, size)
+        Over one prior deviation, mm and mN.
+    """
+
+    names: tuple[str, ...]
+    columns: FloatArray
+
+
+def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
+    """Return the nuisances of an experiment.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    mesh_errors : ndarray of float64, shape (n_meshes, size)
+        Other fine meshes less the one that corrects, mm and mN.
+
+    Returns
+    -------
+    Nuisances
+        Modulus, six of the frame, three of the drift, gains of the actuators. Of the mesh's error, which grows with the
+        load, smooth patterns over the markers and the three components of every force, in each case, as large as meshes
+        differ, and markers near the pad at work each on their own.
+    """
+    layout, experiment = bench.layout, bench.experiment
+    young = float(experiment.material.young_array.mean())
+    spread = (experiment.young_std or YOUNG_SPREAD * young) / young
+    names, columns = ["stiffness"], [spread * bench.by_young[0]]
+    middle = layout.reference.mean(axis=0)
+    clock = layout.times()
+    span = max(float(np.ptp(clock)), 1e-9)
+    for axis in range(3):
+        shift, turn, drift = (np.zeros(layout.size) for _ in range(3))
+        rotation = rotation_from_vector(tuple(FRAME_TURN * np.eye(3)[axis])) - np.eye(3)
+        for part in layout.parts:
+            part.markers(shift)[..., axis] = FRAME_SHIFT
+            places = layout.reference + part.markers(bench.base)
+            part.markers(turn)[:] = (places - middle) @ rotation.T
+            part.markers(drift)[..., axis] = DRIFT * (part.times[:, None] - clock.min()) / span
+        names += [f"frame shift {axis}", f"frame turn {axis}", f"drift {axis}"]
+        columns += [shift, turn, drift]
+    patterns = smooth_patterns(layout.reference, bench.extent)
+    for part in layout.parts:
+        load = load_history(part, bench.base)
+        if not load.any():
+            continue
+        top = load > 0.5
+        # Near a rim the error has its own columns, and says little of the rest.
+        far = _rim_sizes(bench, part) == 0.0
+        for axis in range(3):
+            errors = part.markers(mesh_errors)[:, top][:, :, far, axis]
+            size = MESH_SHARE * float(np.sqrt((errors**2).mean())) if errors.size else 0.0
+            for number, pattern in enumerate(patterns):
+                column = np.zeros(layout.size)
+                part.markers(column)[..., axis] = size * load[:, None] * pattern
+                names.append(f"mesh {part.name} {axis} {number}")
+                columns.append(column)
+        for i, pad in enumerate(part.pads):
+            force = part.forces(bench.base)[:, i]
+            strength = np.linalg.norm(force, axis=1)
+            errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
+            for axis in range(3):
+                size = MESH_SHARE * float(np.sqrt((errors[..., axis] ** 2).mean())) if errors.size else 0.0
+                column = np.zeros(layout.size)
+                part.forces(column)[:, i, axis] = max(size, FORCE_LEFT) * strength
+                names.append(f"mesh {part.name} {pad} {axis}")
+                columns.append(column)
+    for name, column in (*_at_rims(bench, mesh_errors), *_gains(bench)):
+        names.append(name)
+        columns.append(column)
+    kept = [i for i, column in enumerate(columns) if column.any()]
+    return Nuisances(tuple(names[i] for i in kept), np.array([columns[i] for i in kept]))
+
+
+def _rim_sizes(bench: Bench, part: CasePart) -> FloatArray:
+    """Return how large the error of every marker is for a pad at work near it, in mm at full load; 0 for those far."""
+    experiment = bench.experiment
+    sizes = np.zeros(part.n_markers)
+    for pad, motion in experiment.cases[part.name].displacements.items():
+        nodes = experiment.mesh.nodes[experiment.actuator(pad).nodes]
+        reach = RIM_REACH * max(float(np.linalg.norm(np.ptp(nodes, axis=0))), 1e-9)
+        away = np.linalg.norm(bench.layout.reference[:, None] - nodes[None], axis=2).min(axis=1)
+        stroke = float(np.linalg.norm(motion, axis=1).max())
+        sizes += np.where(away < 2.0 * reach, RIM_ERROR * stroke * np.exp(-away / reach), 0.0)
+    return sizes
+
+
+def _at_rims(bench: Bench, mesh_errors: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the errors of markers near the rim of a pad at work, as large as meshes differ there at least."""
+    layout = bench.layout
+    for part in layout.parts:
+        load, sizes = load_history(part, bench.base), _rim_sizes(bench, part)
+        for marker in np.flatnonzero(sizes):
+            errors = part.markers(mesh_errors)[:, load > 0.5, marker]
+            differ = MESH_SHARE * float(np.sqrt((errors**2).mean())) if errors.size else 0.0
+            for axis in range(3):
+                column = np.zeros(layout.size)
+                part.markers(column)[:, marker, axis] = max(float(sizes[marker]), differ) * load
+                yield f"rim {part.name} {layout.marker_names[marker]} {axis}", column
+
+
+def _gains(bench: Bench) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what small errors of the actuators' gains change."""
+    moved = {pad for case in bench.experiment.cases.values() for pad in case.displacements}
+    for pad in sorted(moved):
+        changed = bench.change(ActuatorGain(actuator=pad, gain=1.0 + GAIN))
+        if changed is not None:
+            yield f"gain {pad}", changed
+
+
+def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
+    """Return nuisances for the error of what a found cause changes: its law is hardly the body's own.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    change : ndarray of float64, shape (size,)
+        What the causes found so far change, mm and mN.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, size)
+        In every case, the change itself, smooth patterns over the markers and the components of every force, over one
+        prior deviation.
+    """
+    layout = bench.layout
+    patterns = smooth_patterns(layout.reference, bench.extent)
+    columns = []
+    for part in layout.parts:
+        mine = np.zeros(layout.size)
+        part.markers(mine)[:] = EFFECT_ERROR * part.markers(change)
+        columns.append(mine)
+        history = EFFECT_ERROR * np.sqrt((part.markers(change) ** 2).mean(axis=(1, 2)))
+        for axis in range(3):
+            for pattern in patterns:
+                column = np.zeros(layout.size)
+                part.markers(column)[..., axis] = history[:, None] * pattern
+                columns.append(column)
+        for i in range(len(part.pads)):
+            strength = EFFECT_ERROR * np.linalg.norm(part.forces(change)[:, i], axis=1)
+            for axis in range(3):
+                column = np.zeros(layout.size)
+                part.forces(column)[:, i, axis] = strength
+                columns.append(column)
+    return np.array([column for column in columns if column.any()]).reshape(-1, layout.size)

@@ -1,0 +1,39 @@
+"""Smooth patterns over the markers, and how a case goes through its load."""
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.signals import CasePart
+
+#: How many patterns.
+MODES = 10
+
+#: Length over which markers move alike, over the extent of the body.
+LENGTH = 0.35
+
+
+def smooth_patterns(places: FloatArray, extent: float) -> FloatArray:
+    """Return the first patterns of a Gaussian process over places.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (n, 3)
+        mm.
+    extent : float
+        Of the body, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_patterns, n)
+        With unit variance together, nearly.
+    """
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (LENGTH * extent)) ** 2))
+    chosen = np.argsort(values)[::-1][:MODES]
+    return np.asarray((np.sqrt(np.maximum(values[chosen], 0.0)) * vectors[:, chosen]).T)
+
+
+def load_history(part: CasePart, base: FloatArray) -> FloatArray:
+    """Return how far the believed model moves the markers in every frame of a case, from 0 to 1; 0 in a rest case."""
+    moved = np.sqrt((part.markers(base) ** 2).sum(axis=(1, 2)))
+    return np.asarray(moved / moved.max()) if moved.max() > 1e-6 else np.zeros(part.n_frames)

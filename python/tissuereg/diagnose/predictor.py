@@ -1,0 +1,90 @@
+"""What a model with any effects says of all that was measured."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.signals import Layout
+from tissuereg.effects import Effect, extended, seen_markers
+from tissuereg.errors import ConvergenceError
+from tissuereg.experiment import Experiment
+from tissuereg.observe import MarkerObservation
+from tissuereg.simulate.experiment import solve_cases
+
+#: Residual over load. It leaves some 1e-6 mm, far below any noise.
+TOLERANCE = 1e-6
+
+
+class Predictor:
+    """The believed model of an experiment, asked again and again with other effects.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is believed, its own effects included.
+    layout : Layout
+        Order of the answer.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Attributes
+    ----------
+    solved : int
+        Frames solved so far: the work done.
+    """
+
+    def __init__(self, experiment: Experiment, layout: Layout, *, element: str = "tet4", threads: int = 0) -> None:
+        self.experiment = experiment
+        self.layout = layout
+        self.element = element
+        self.threads = threads
+        self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
+        self.solved = 0
+
+    def predict(
+        self, effects: Sequence[Effect] = (), *, young: float | None = None, threads: int | None = None
+    ) -> FloatArray:
+        """Return what is predicted with further effects.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            Beside those of the experiment.
+        young : float, optional
+            Factor on the believed modulus.
+        threads : int, optional
+            Threads to use; the predictor's own number where absent.
+
+        Returns
+        -------
+        ndarray of float64, shape (size,)
+            As `Layout.measured`, everywhere finite.
+
+        Raises
+        ------
+        ConvergenceError
+            If a frame finds no equilibrium.
+        ExperimentError
+            If an effect does not fit.
+        """
+        believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
+        if young is not None:
+            believed = replace(believed, material=believed.material.scaled(young))
+        worked = extended(believed, self.element)
+        cases = list(worked.cases.values())
+        threads = self.threads if threads is None else threads
+        solved = solve_cases(worked, cases, element=self.element, tolerance=TOLERANCE, threads=threads)
+        places, forces = {}, {}
+        for case in cases:
+            found = solved[case.name]
+            self.solved += len(case.times)
+            if found.failed:
+                frame, why = found.failed[0]
+                message = f"every frame must find equilibrium; frame {frame} of case '{case.name}' does not: {why}"
+                raise ConvergenceError(message, where=case.name)
+            moved = self.observation.predict(found.displacement[:, self.observation.nodes])
+            places[case.name] = seen_markers(believed, worked.marker_reference + moved, case.times)
+            forces[case.name] = found.forces
+        return self.layout.flatten(places, forces)

@@ -1,0 +1,143 @@
+"""Held-out proof: what a model, fitted without a block of the data, says of that block.
+
+Models are linear at their fit (`Fit.jacobian`), so leaving a block out is exact linear algebra: the posterior of knobs
+and nuisances given all other data, and the predictive density of the block. A cause must beat the believed model and
+the generic rival there: a patch interpolates, a cause extrapolates (Brynjarsdottir and O'Hagan 2014).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import BoolArray, FloatArray
+from tissuereg.diagnose.fit import Fit, Target
+from tissuereg.diagnose.signals import Layout
+
+#: A cause is proved on a block only where the others tell its knobs: to this share of their prior deviation.
+TOLD = 0.5
+
+#: Blocks in time, where one case alone shows a cause.
+TIME_BLOCKS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A model, linear in its coordinates: measured = columns . x + what is left.
+
+    Attributes
+    ----------
+    residual : ndarray of float64, shape (size,)
+        Measured less predicted at x = 0, whitened.
+    columns : ndarray of float64, shape (p, size)
+        Whitened, over prior deviations.
+    """
+
+    residual: FloatArray
+    columns: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """How models predict blocks that they were not fitted to.
+
+    Attributes
+    ----------
+    blocks : tuple of str
+        Names of the blocks.
+    log_density : ndarray of float64, shape (n_models, n_blocks)
+        Of every block given all others.
+    left : ndarray of float64, shape (n_models, size)
+        Whitened residuals of the predictions, NaN outside all blocks.
+    """
+
+    blocks: tuple[str, ...]
+    log_density: FloatArray
+    left: FloatArray
+
+
+def linear_model(target: Target, fit: Fit, extra: FloatArray | None = None) -> Linear:
+    """Return a fit as a linear model, nuisances and further whitened columns (p, size) beside its own."""
+    slopes = target.white(fit.jacobian) * fit.deviation[:, None]
+    # At the fit the coordinates are not those of the prior's mean.
+    residual = fit.residual + slopes.T @ ((fit.x - fit.mean) / fit.deviation)
+    parts = [target.null.nuisances, slopes] + ([] if extra is None else [extra])
+    return Linear(residual, np.concatenate(parts))
+
+
+def held_out(models: list[Linear], blocks: dict[str, BoolArray]) -> HeldOut:
+    """Return how models predict blocks.
+
+    Parameters
+    ----------
+    models : list of Linear
+        To be compared.
+    blocks : dict of str to ndarray of bool, shape (size,)
+        Entries to be held out together.
+
+    Returns
+    -------
+    HeldOut
+        Densities without the constant that all models share.
+    """
+    size = len(models[0].residual)
+    density = np.zeros((len(models), len(blocks)))
+    left = np.full((len(models), size), np.nan)
+    for m, model in enumerate(models):
+        whole = model.columns @ model.columns.T
+        along = model.columns @ model.residual
+        for b, mask in enumerate(blocks.values()):
+            mine = model.columns[:, mask]
+            inner = np.eye(len(whole)) + whole - mine @ mine.T
+            mean = np.linalg.solve(inner, along - mine @ model.residual[mask])
+            rest = model.residual[mask] - mean @ mine
+            left[m, mask] = rest
+            # The block's covariance is I + A^T inner^-1 A; Woodbury keeps it small.
+            full = inner + mine @ mine.T
+            half = mine @ rest
+            power = rest @ rest - half @ np.linalg.solve(full, half)
+            logdet = np.linalg.slogdet(full)[1] - np.linalg.slogdet(inner)[1]
+            density[m, b] = -0.5 * power - 0.5 * logdet
+    return HeldOut(tuple(blocks), density, left)
+
+
+def blocks_for(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
+    """Return the blocks on which a cause can be proved.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the data.
+    slopes : ndarray of float64, shape (k, size)
+        The cause's whitened columns, over prior deviations.
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (size,)
+        Load cases, where the others tell the cause; blocks of frames of the case that shows it, where one alone does.
+    """
+    cases = {}
+    information = slopes @ slopes.T
+    shown = {}
+    for part in layout.parts:
+        mask = layout.of_case(part.name)
+        mine = slopes[:, mask] @ slopes[:, mask].T
+        shown[part.name] = float(np.trace(mine))
+        if shown[part.name] <= 1.0:
+            continue
+        rest = information - mine
+        spread = np.linalg.inv(np.eye(len(rest)) + rest)
+        if np.trace(spread) / len(rest) <= TOLD:
+            cases[part.name] = mask
+    if cases:
+        return cases
+    top = layout[max(shown, key=lambda name: shown[name])]
+    blocks = {}
+    # Every block holds frames from all through the case.
+    for number in range(min(TIME_BLOCKS, top.n_frames)):
+        mask = np.zeros(layout.size, bool)
+        part_mask = np.zeros(top.n_frames, bool)
+        part_mask[number::TIME_BLOCKS] = True
+        top.markers(mask)[part_mask] = True
+        top.forces(mask)[part_mask] = True
+        blocks[f"{top.name}, every {TIME_BLOCKS}th frame from {number}"] = mask
+    return blocks

@@ -1,0 +1,106 @@
+"""What the believed model says on finer meshes: one that corrects the user's, and others that tell how good it is."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.signals import Layout
+from tissuereg.errors import ConvergenceError
+from tissuereg.experiment import Experiment
+from tissuereg.io.atomic import atomic_file
+from tissuereg.simulate.experiment import CaseSimulation
+from tissuereg.simulate.fine import FineModel, third_meshes
+
+
+def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
+    """Return simulated cases as a flat vector.
+
+    Parameters
+    ----------
+    layout : Layout
+        Its order.
+    answers : dict of str to CaseSimulation
+        All cases.
+
+    Returns
+    -------
+    ndarray of float64, shape (size,)
+        mm and mN.
+
+    Raises
+    ------
+    ConvergenceError
+        If a frame found no equilibrium.
+    """
+    for name, answer in answers.items():
+        if answer.failed:
+            frame, why = answer.failed[0]
+            message = f"every frame must find equilibrium on the fine mesh; frame {frame} of '{name}' does not: {why}"
+            raise ConvergenceError(message, where=name)
+    return layout.flatten(
+        {name: answer.markers for name, answer in answers.items()},
+        {name: answer.forces for name, answer in answers.items()},
+    )
+
+
+#: Finer meshes beside the one that corrects.
+THIRDS = 3
+
+
+def refined_predictions(
+    bench: Bench, path: Path | None, *, thirds: int = THIRDS, progress: Callable[[str], None] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the believed model says on the fine mesh, and on others of another error.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    path : Path, optional
+        File that keeps them between calls.
+    thirds : int
+        Number of other meshes.
+    progress : callable of str, optional
+        Called with what is at work.
+
+    Returns
+    -------
+    tuple of ndarray of float64, shapes (size,) and (thirds, size)
+        mm and mN.
+
+    Raises
+    ------
+    ConvergenceError
+        If a frame finds no equilibrium.
+    """
+    kept = None if path is None else _read(path)
+    if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
+        return kept[0], kept[1:]
+    found = []
+    for number, model in enumerate(_models(bench.experiment, thirds)):
+        if progress is not None:
+            progress("fine mesh" if number == 0 else f"other mesh {number}")
+        found.append(flat_of(bench.layout, model.simulate(threads=bench.predictor.threads)))
+    made = np.array(found)
+    if path is not None:
+        with contextlib.suppress(OSError):  # a cache that cannot be written is no error
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_file(path) as handle:
+                np.save(handle, made)
+    return made[0], made[1:]
+
+
+def _models(experiment: Experiment, thirds: int) -> Iterator[FineModel]:
+    yield FineModel(experiment)
+    yield from third_meshes(experiment, thirds, seed=0)
+
+
+def _read(path: Path) -> FloatArray | None:
+    try:
+        return np.asarray(np.load(path, allow_pickle=False))
+    except (OSError, ValueError):
+        return None

@@ -1,0 +1,198 @@
+"""What a diagnosis says in plain sentences: verdict, findings, ties, what was assumed."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissuereg.diagnose.report.proved import gain_words
+from tissuereg.diagnose.report.ranking import chance, gloss, plain_name
+from tissuereg.diagnose.search import SEPARABLE
+from tissuereg.report.markup import escape, table
+
+if TYPE_CHECKING:
+    from tissuereg.diagnose.answer import Diagnosis, Finding
+    from tissuereg.diagnose.noise import Noise
+
+#: What is left after the findings counts as unexplained below this probability.
+LEFT = 0.01
+
+
+def verdict_sentence(found: "Diagnosis") -> str:
+    """Return the verdict in one sentence, plain text."""
+    if found.verdict == "consistent":
+        return "The measurements are consistent with the simulation: noise and what is always fitted explain them."
+    if found.verdict == "unexplained":
+        return "The simulation does not explain the measurements, and no cause in the catalogue accounts for it."
+    names = [_either([plain_name(name) for name in finding.group]) for finding in found.findings]
+    if found.verdict == "group":
+        return (
+            "The simulation does not explain the measurements; what it lacks is found up to causes that these data "
+            f"cannot tell apart: {_listed(names)}."
+        )
+    what = "one cause" if len(names) == 1 else f"{len(names)} causes together"
+    return f"The simulation does not explain the measurements; {what} does: {_listed(names)}.".replace(
+        "together does", "together do"
+    )
+
+
+def summary(found: "Diagnosis") -> str:
+    """Return the top of the page, HTML."""
+    good = found.verdict == "consistent"
+    tone = "yes" if good else "no"
+    parts = [
+        f"<h1>What the simulation of {escape(found.extended.name)} gets wrong</h1>",
+        f"<p class='verdict'><b class='{tone}'>{escape(verdict_sentence(found))}</b></p>",
+        f"<p>{escape(_discrepancy(found))} {escape(_left(found))}</p>",
+    ]
+    return "\n".join(parts)
+
+
+def findings(found: "Diagnosis") -> str:
+    """Return every finding with its figures, HTML."""
+    if not found.findings:
+        return "<p>No cause was accepted.</p>"
+    return "\n".join(_finding(finding) for finding in found.findings)
+
+
+def ties(found: "Diagnosis") -> str:
+    """Return what cannot be told apart and what would, HTML."""
+    groups = [finding for finding in found.findings if len(finding.group) > 1]
+    if not groups:
+        said = (
+            "These data tell every finding from all other causes that were tried."
+            if found.findings
+            else "Nothing is tied."
+        )
+        return f"<p>{said}</p>"
+    parts = []
+    for finding in groups:
+        meant = "".join(f"<li><b>{escape(plain_name(name))}</b>: {escape(gloss(name))}</li>" for name in finding.group)
+        parts.append(
+            "<p>These explain the data about equally well; the likeliest stands first, and the extended model has it "
+            f"alone.</p><ul>{meant}</ul>"
+        )
+    advice = found.next_experiment
+    if advice is None:
+        parts.append("<p>No further push, hold or force of the present rig was found that would tell them apart.</p>")
+    else:
+        pairs = "; ".join(" from ".join(plain_name(name) for name in pair) for pair in advice["separates"])
+        parts.append(
+            f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(pairs)}: what the "
+            f"explanations predict there differs by {advice['separability']:.1f} noise deviations at least "
+            f"({SEPARABLE:.0f} are enough to tell).</p>"
+        )
+    return "\n".join(parts)
+
+
+def assumed(found: "Diagnosis") -> str:
+    """Return noise model, nuisances, believed model, seed and versions, HTML."""
+    items = []
+    noise = found.details.get("noise")
+    if noise is not None:
+        items += _noise(noise, found)
+    items += _nuisances(found)
+    search, target = found.details.get("search"), found.details.get("target")
+    if search is not None and target is not None:
+        young = target.bench.young
+        spread = young * float(np.sqrt(search.final.covariance[0, 0])) * float(np.exp(search.final.x[0]))
+        items.append(
+            f"Young's modulus was believed {young:.4g} \u00b1 {target.young_spread * young:.2g} kPa and fitted with "
+            f"the causes: {search.final.young(young):.4g} \u00b1 {spread:.2g} kPa."
+        )
+    items += [
+        "Probabilities hold among the causes of the catalogue, none, and a generic rival, all equally likely before.",
+        f"Seed of all chance: {found.seed}.",
+        "Versions: " + ", ".join(f"{name} {version}" for name, version in found.versions.items()) + ".",
+    ]
+    return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
+
+
+def _discrepancy(found: "Diagnosis") -> str:
+    said = found.discrepancy
+    if not said:
+        return ""
+    text = (
+        f"The believed model, its modulus fitted, misses the markers by {said['rms_mm']:.3f} mm in a coordinate (rms), "
+        f"{said['in_sigma']:.1f} times the noise"
+    )
+    where = said.get("where") or []
+    if where:
+        text += f"; worst at {_listed([str(name) for name in where])}"
+    text += f"; under case {said['under']} more than under others, {said['when']}."
+    after = said.get("after")
+    if after and found.findings:
+        text += f" With the findings {after['rms_mm']:.3f} mm are left, {after['in_sigma']:.1f} times the noise."
+    return text
+
+
+def _left(found: "Diagnosis") -> str:
+    given = "With the findings in the model, data" if found.findings else "Data"
+    text = f"{given} without further effects would misfit as much with probability {chance(found.p_misfit)}."
+    if found.findings and found.p_misfit < LEFT:
+        text += " So something is left that the findings do not explain."
+    return text
+
+
+def _finding(finding: "Finding") -> str:
+    rows = [(escape(key), _pair(value, finding.deviations.get(key))) for key, value in finding.parameters.items()]
+    tied = ""
+    if len(finding.group) > 1:
+        others = _listed([plain_name(name) for name in finding.group[1:]], "or")
+        tied = f"<p>These data cannot tell it from: {escape(others)}.</p>"
+    figures = (
+        f"Probability {chance(finding.probability)}; log Bayes factor {finding.log_bayes_factor:.1f}, where "
+        f"{finding.threshold:.1f} was asked for."
+    )
+    return (
+        f"<section class='finding'><h3>{escape(plain_name(finding.id))} <code>{escape(finding.id)}</code></h3>"
+        f"<p>{escape(finding.sentence)}</p><p>{figures}</p>{tied}"
+        + table(("parameter", "value \u00b1 standard deviation"), rows)
+        + f"<p>{escape(gain_words(finding))}</p></section>"
+    )
+
+
+def _pair(value: Any, spread: Any) -> str:
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        spreads = spread if isinstance(spread, Sequence) else [None] * len(value)
+        return "<br>".join(_pair(v, s) for v, s in zip(value, spreads, strict=True))
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return escape(value)
+    return f"{value:.4g}" if spread is None else f"{value:.4g} \u00b1 {float(spread):.2g}"
+
+
+def _noise(noise: "Noise", found: "Diagnosis") -> list[str]:
+    source = "Rest frames were compared with the stated noise" if noise.from_rest else "The stated noise was taken"
+    low, high = float(noise.marker_std.min()), float(noise.marker_std.max())
+    size = f"{low:.3g}" if high - low < 1e-9 else f"{low:.3g} to {high:.3g}"
+    shared = f"; a motion that all markers share, {noise.common_std:.3g} mm" if noise.common_std > 0 else ""
+    memory = max(noise.memory, noise.common_memory)
+    fades = (
+        f"; what is left of it after {noise.step_s:.3g} s: {100 * memory:.0f} %" if memory > 0 else "; white in time"
+    )
+    items = [f"{source}: {size} mm for a coordinate of a marker{shared}{fades}."]
+    if found.extended.force_std is not None:
+        items.append(f"Noise of a force component: {noise.force_std:.3g} mN, white.")
+    return items
+
+
+def _nuisances(found: "Diagnosis") -> list[str]:
+    nuisances = found.details.get("nuisances")
+    names = ["stiffness"] if nuisances is None else list(nuisances.names)
+    kinds = {
+        "stiffness": "Young's modulus within its belief",
+        "frame shift": "a shift of the tracker's frame",
+        "frame turn": "a turn of it",
+        "drift": "a drift of the camera",
+        "mesh": "the error of the mesh, which grows with the load",
+    }
+    said = [words for key, words in kinds.items() if any(name.startswith(key) for name in names)]
+    return [f"Always fitted beside the causes and never named: {_listed(said)}."]
+
+
+def _either(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"either {_listed(names, 'or')}"
+
+
+def _listed(names: list[str], last: str = "and") -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}" if names else "nothing"

@@ -1,0 +1,239 @@
+"""What the simulation of a body gets wrong, step by step."""
+
+import platform
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg._version import __version__
+from tissuereg.diagnose.advice import advise
+from tissuereg.diagnose.answer import Diagnosis, Finding
+from tissuereg.diagnose.bank import fingerprint, make_bank
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.correction import make_correction
+from tissuereg.diagnose.discrepancy import describe
+from tissuereg.diagnose.evidence import Null
+from tissuereg.diagnose.fit import Target
+from tissuereg.diagnose.generic import generic_columns
+from tissuereg.diagnose.misfit import p_misfit
+from tissuereg.diagnose.noise import estimate_noise
+from tissuereg.diagnose.nuisances import YOUNG_SPREAD, make_nuisances
+from tissuereg.diagnose.nulls import draw_nulls
+from tissuereg.diagnose.refined import refined_predictions
+from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
+from tissuereg.diagnose.search import SEPARABLE, Search, Step, search
+from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnose.targets import target_rms
+from tissuereg.effects import Effect, Stiffness
+from tissuereg.experiment import Experiment
+from tissuereg.latent.cache import cache_folder
+
+#: Misfit less likely than this is one.
+MISFIT = 0.01
+
+#: The modulus is a finding beyond this many prior deviations.
+STIFFNESS = 3.0
+
+#: Ids in one group at most.
+MOST_IN_GROUP = 3
+
+#: Log Bayes factors are divided by this before they become probabilities: the models of mesh error and noise are not
+#: exact.
+TEMPER = 2.0
+
+
+def diagnose_body(
+    experiment: Experiment,
+    *,
+    seed: int,
+    threads: int,
+    keep: bool,
+    progress: Callable[[str], None] | None,
+) -> Diagnosis:
+    """Return what the simulation of a body gets wrong; see `tissuereg.diagnose.diagnose`."""
+    layout = Layout(experiment)
+    noise = estimate_noise(experiment, layout)
+    bench = Bench(experiment, layout, threads=threads)
+    bank = make_bank(bench, keep=keep, progress=progress)
+    path = cache_folder() / f"fine_{fingerprint(experiment, 'tet10')}.npy" if keep else None
+    fine, others = refined_predictions(bench, path, progress=progress)
+    correction = make_correction(layout, bench.base, fine)
+    nuisances = make_nuisances(bench, others - fine)
+    white = noise.whitened(correction.of_columns(nuisances.columns), layout)
+    null, rest = Null(white), Null(white[1:])
+    generic = generic_columns(bench, float(noise.marker_std.mean()))
+    if progress is not None:
+        progress("screening")
+    screen = Screen(bank, generic, noise, layout, correction, null)
+    nulls = draw_nulls(screen, null, noise, layout, list(others - fine), seed)
+    spread = (experiment.young_std or YOUNG_SPREAD * bench.young) / bench.young
+    target = Target(bench, noise, correction, rest, spread)
+    found = search(target, screen, nulls.threshold, progress=progress)
+    misfit = p_misfit(found.reduced, nulls.residuals, layout)
+    findings = _findings(target, found, nulls.threshold)
+    verdict = _verdict(findings, found, misfit)
+    effects: tuple[Effect, ...] = found.final.effects(bench.young)
+    if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * spread) ** 2:
+        young = found.final.young(bench.young)
+        if not any(isinstance(effect, Stiffness) for effect in effects):
+            effects = (Stiffness(young_kpa=young), *effects)
+    extended = replace(experiment, effects=(*experiment.effects, *effects))
+    findings = _with_targets(findings, experiment, extended, threads)
+    return Diagnosis(
+        verdict=verdict,
+        findings=tuple(findings),
+        candidates=_candidates(screen, found.steps, found),
+        p_misfit=misfit,
+        discrepancy=describe(layout, noise, found.base, found.final),
+        extended=extended,
+        next_experiment=advise(target, found.steps, findings),
+        seed=seed,
+        versions={"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
+        details={
+            "search": found,
+            "layout": layout,
+            "noise": noise,
+            "target": target,
+            "nuisances": nuisances,
+            "threshold": nulls.threshold,
+        },
+    )
+
+
+def _with_targets(findings: list[Finding], experiment: Experiment, extended: Experiment, threads: int) -> list[Finding]:
+    """Return findings with what they gain, all together, at inner targets; as they are where there are none."""
+    if not findings or not experiment.targets:
+        return findings
+    gains = {
+        "target_rms_base_mm": target_rms(experiment, threads),
+        "target_rms_named_mm": target_rms(extended, threads),
+    }
+    return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
+
+
+def _verdict(findings: list[Finding], found: Search, misfit: float) -> str:
+    if not findings:
+        return "consistent" if misfit > MISFIT else "unexplained"
+    return "group" if any(len(finding.group) > 1 for finding in findings) else "named"
+
+
+def _findings(target: Target, found: Search, threshold: float) -> list[Finding]:
+    findings = []
+    young = target.bench.young
+    for number, step in enumerate(found.steps):
+        if step.found is None:
+            continue
+        top = step.found
+        # Parameters are those of the model with all causes found.
+        values, deviations = found.final.values(number, young)
+        close = [
+            other.id
+            for other in step.candidates
+            if other.id != top.id and top.gain - other.gain < 0.5 * SEPARABLE**2 and other.gain > threshold
+        ]
+        chances = _chances(step)
+        findings.append(
+            Finding(
+                id=top.id,
+                group=(top.id, *close)[:MOST_IN_GROUP],
+                probability=chances.get(top.id, 0.0),
+                log_bayes_factor=top.gain,
+                threshold=threshold,
+                parameters=values,
+                deviations=deviations,
+                held_out=_held_out(target, found, number),
+                sentence=CAUSES[top.id].sentence(values),
+            )
+        )
+    stiff = _stiffness(target, found)
+    return ([stiff] if stiff is not None else []) + findings
+
+
+def _chances(step: Step) -> dict[str, float]:
+    """Return the probabilities of all causes in a step: the fitted ones by their fits, others by the screen."""
+    gains = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
+    gains |= {candidate.id: candidate.gain for candidate in step.candidates}
+    if step.found is not None:
+        # A proof on held-out data has told cause and patch apart.
+        gains[UNKNOWN] = min(gains[UNKNOWN], step.found.gain - float(_margin(step)))
+    return probabilities(gains, TEMPER)
+
+
+def _margin(step: Step) -> float:
+    assert step.proof is not None  # found causes were proved
+    density = step.proof.log_density.sum(axis=1)
+    return float(density[1] - density[2])
+
+
+def _stiffness(target: Target, found: Search) -> Finding | None:
+    """Return the modulus as a finding where it lies beyond its prior and the data tell it."""
+    final, believed = found.final, target.bench.young
+    excess = float(np.expm1(final.x[0])) / target.young_spread
+    spread = float(np.sqrt(final.covariance[0, 0])) / target.young_spread
+    if abs(excess) < STIFFNESS or spread > 0.3 or "stiffness" in final.ids:
+        return None
+    young = final.young(believed)
+    values = {"young_kpa": young}
+    gain = 0.5 * (excess**2 - STIFFNESS**2)
+    return Finding(
+        id="stiffness",
+        group=("stiffness",),
+        probability=float(1.0 / (1.0 + np.exp(-gain / TEMPER))),
+        log_bayes_factor=0.5 * excess**2,
+        threshold=0.5 * STIFFNESS**2,
+        parameters=values,
+        deviations={"young_kpa": young * float(np.sqrt(final.covariance[0, 0]))},
+        held_out={},
+        sentence=CAUSES["stiffness"].sentence(values),
+    )
+
+
+def _held_out(target: Target, found: Search, number: int) -> dict[str, object]:
+    """Return the figures of a finding's proof: residuals in mm, and over their noise with forces."""
+    step = found.steps[number]
+    assert step.proof is not None  # found causes were proved
+    layout, noise = target.bench.layout, target.noise
+    markers = layout.of_markers() & layout.seen
+    chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in step.proof.left]
+    typical = float(noise.marker_std.mean())
+    rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in step.proof.left]
+    return {
+        "rms_base_mm": rms[0],
+        "rms_named_mm": rms[1],
+        "rms_generic_mm": rms[2],
+        "noise_mm": typical,
+        "chi_base": chi[0],
+        "chi_named": chi[1],
+        "chi_generic": chi[2],
+        "log_density_gain": float(step.proof.log_density[1].sum() - step.proof.log_density[0].sum()),
+        "cases": list(step.proof.blocks),
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def _candidates(screen: Screen, steps: list[Step], found: Search) -> tuple[dict[str, Any], ...]:
+    first = steps[0]
+    chances = _chances(first)
+    gains = {name: screened.log_bayes_factor for name, screened in first.screened.items()}
+    gains |= {candidate.id: candidate.gain for candidate in first.candidates}
+    rows: list[dict[str, Any]] = []
+    for name in [*CAUSES, UNKNOWN]:
+        if name in gains:
+            best = first.screened[name].best
+            seen = screen.detectability(name, best, first.screened[name].amplitudes) if best is not None else 0.0
+            rows.append(
+                {
+                    "id": name,
+                    "probability": chances.get(name, 0.0),
+                    "log_bayes_factor": gains[name],
+                    "detectability": seen,
+                }
+            )
+    return tuple(sorted(rows, key=lambda row: -float(row["log_bayes_factor"])))

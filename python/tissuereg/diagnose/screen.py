@@ -1,0 +1,146 @@
+"""Screening: the exact linear evidence of every hypothesis in the bank, and of the generic rival."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bank import Bank
+from tissuereg.diagnose.causes import Variant
+from tissuereg.diagnose.correction import Correction
+from tissuereg.diagnose.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
+from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.signals import Layout
+
+#: Id of the generic rival.
+UNKNOWN = "unknown"
+
+#: Columns that are reduced at a time, to bound memory.
+_AT_A_TIME = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """What the linear evidence says of one cause.
+
+    Attributes
+    ----------
+    log_bayes_factor : float
+        Of the cause against none, averaged over its hypotheses: that is the price of looking in many places.
+    best : Variant or None
+        The likeliest hypothesis; None for the generic rival.
+    amplitudes : ndarray of float64, shape (p,)
+        Of its columns, in prior deviations.
+    """
+
+    log_bayes_factor: float
+    best: Variant | None
+    amplitudes: FloatArray
+
+
+class Screen:
+    """All hypotheses, whitened and reduced once for any number of residuals.
+
+    Parameters
+    ----------
+    bank : Bank
+        Hypotheses in mm and mN.
+    generic : ndarray of float64, shape (n_sizes, p, size)
+        Columns of the generic rival.
+    noise : Noise
+        Of the measurement.
+    layout : Layout
+        Order of all columns.
+    correction : Correction
+        Of the mesh's error.
+    null : Null
+        What is expected without a cause.
+
+    Attributes
+    ----------
+    generic_white : ndarray of float64, shape (n_sizes, p, size)
+        The rival's columns, whitened and not reduced.
+    """
+
+    def __init__(
+        self, bank: Bank, generic: FloatArray, noise: Noise, layout: Layout, correction: Correction, null: Null
+    ) -> None:
+        self.bank = bank
+        self.null = null
+        self.generic_white: FloatArray = np.stack(
+            [noise.whitened(correction.of_columns(block), layout) for block in generic]
+        )
+
+        def reduced(columns: FloatArray) -> FloatArray:
+            flat = columns.reshape(-1, columns.shape[-1])
+            parts = [
+                null.reduced(noise.whitened(correction.of_columns(flat[i : i + _AT_A_TIME].astype(np.float64)), layout))
+                for i in range(0, len(flat), _AT_A_TIME)
+            ]
+            return np.concatenate(parts).astype(np.float32).reshape(columns.shape)  # type: ignore[return-value]
+
+        self.blocks = {
+            name: Blocks(reduced(np.stack([v.columns for v in variants])), positive=variants[0].positive)
+            for name, variants in bank.variants.items()
+        }
+        self.generic = [Blocks(null.reduced(columns)[None].astype(np.float32)) for columns in self.generic_white]
+
+    def of(self, residual: FloatArray, *, unknown: bool = True) -> dict[str, Screened]:
+        """Return the evidence of every cause for one reduced residual (size,)."""
+        found: dict[str, Screened] = {}
+        for name, blocks in self.blocks.items():
+            variants = self.bank.variants[name]
+            each = self._each(name, residual[None])[0]
+            top = int(np.argmax(each))
+            if variants[top].fixed:
+                amplitudes = np.ones(1)
+            else:
+                amplitudes = fit_amplitudes(residual, blocks.columns[top].astype(np.float64)).mean
+            found[name] = Screened(float(log_mean_exp(each)), variants[top], amplitudes)
+        if unknown:
+            each = np.array([block.log_bayes_factors(residual[None])[0, 0] for block in self.generic])
+            found[UNKNOWN] = Screened(float(log_mean_exp(each)), None, np.empty(0))
+        return found
+
+    def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
+        """Return the length of what a hypothesis of a cause changes, in noise deviations, nuisances taken out."""
+        number = next(i for i, other in enumerate(self.bank.variants[name]) if other is variant)
+        return float(np.linalg.norm(amplitudes @ self.blocks[name].columns[number].astype(np.float64)))
+
+    def many(self, residuals: FloatArray) -> dict[str, FloatArray]:
+        """Return log Bayes factors of every cause for many reduced residuals (n, size), generic rival included."""
+        found = {name: log_mean_exp(self._each(name, residuals)) for name in self.blocks}
+        each = [block.log_bayes_factors(residuals)[:, 0] for block in self.generic]
+        found[UNKNOWN] = log_mean_exp(np.stack(each, axis=-1))
+        return found
+
+    def _each(self, name: str, residuals: FloatArray) -> FloatArray:
+        """Return log Bayes factors of all hypotheses of a cause, shape (n, n_variants)."""
+        blocks = self.blocks[name]
+        if self.bank.variants[name][0].fixed:
+            shift = blocks.columns[:, 0]
+            power = np.einsum("vs,vs->v", shift, shift, dtype=np.float64)
+            return np.asarray(residuals.astype(np.float32) @ shift.T - 0.5 * power, np.float64)
+        return blocks.log_bayes_factors(residuals)
+
+
+def probabilities(log_bayes_factors: Mapping[str, float], temper: float = 1.0) -> dict[str, float]:
+    """Return the probability of every cause, "none" among them under an empty name, all equally likely before.
+
+    Parameters
+    ----------
+    log_bayes_factors : mapping of str to float
+        Against none.
+    temper : float
+        Factors are divided by it: at 1 they are believed as they are.
+
+    Returns
+    -------
+    dict of str to float
+        Of sum 1.
+    """
+    names = ["", *log_bayes_factors]
+    logs = np.array([0.0, *log_bayes_factors.values()]) / temper
+    weights = np.exp(logs - logs.max())
+    return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))

@@ -1,0 +1,227 @@
+"""The search for causes: one after another, each proved, each weighed against what else could explain the data."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.evidence import Null, fit_amplitudes
+from tissuereg.diagnose.fit import Fit, Part, Target, choices_of, fit
+from tissuereg.diagnose.nuisances import effect_nuisances
+from tissuereg.diagnose.proof import HeldOut, blocks_for, held_out, linear_model
+from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
+
+#: Causes in one answer at most.
+MOST_CAUSES = 3
+
+#: Candidates that are fitted: this many, and all within so many nats of the best.
+REFITTED = 4
+WITHIN = 10.0
+
+#: Two causes are told apart where their separability passes this; the evidence then differs by half its square.
+SEPARABLE = 4.0
+
+#: A further cause must pass this many times the threshold: what was found before has an error of a form unknown.
+FURTHER = 1.5
+
+#: Gain in log predictive density that a proof asks for.
+PROVED = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A cause that was fitted beside those found before.
+
+    Attributes
+    ----------
+    id : str
+        Of the cause.
+    fit : Fit
+        With the causes found before.
+    gain : float
+        Log Bayes factor against the model before.
+    """
+
+    id: str
+    fit: Fit
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One round of the search.
+
+    Attributes
+    ----------
+    screened : dict of str to Screened
+        Linear evidence of all causes.
+    candidates : list of Candidate
+        Those fitted, likeliest first.
+    found : Candidate or None
+        The one that was proved.
+    proof : HeldOut or None
+        Models: before, with the likeliest candidate or the one found, with the generic rival.
+    generic_gain : float
+        Log Bayes factor of the generic rival against the model before.
+    """
+
+    screened: dict[str, Screened]
+    candidates: list[Candidate]
+    found: Candidate | None
+    proof: HeldOut | None
+    generic_gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """All rounds.
+
+    Attributes
+    ----------
+    base : Fit
+        The believed model.
+    final : Fit
+        With all causes found.
+    steps : list of Step
+        In order; the last one found nothing, unless there are `MOST_CAUSES`.
+    reduced : ndarray of float64, shape (size,)
+        What the final model leaves, whitened and reduced by all nuisances and its own knobs.
+    """
+
+    base: Fit
+    final: Fit
+    steps: list[Step] = field(default_factory=list)
+    reduced: FloatArray = field(default_factory=lambda: np.empty(0))
+
+
+def search(
+    target: Target, screen: Screen, threshold: float, *, progress: Callable[[str], None] | None = None
+) -> Search:
+    """Return the causes that data show.
+
+    Parameters
+    ----------
+    target : Target
+        What is fitted.
+    screen : Screen
+        All hypotheses of the bank.
+    threshold : float
+        Log Bayes factor that a cause must pass.
+    progress : callable of str, optional
+        Called with what is at work.
+
+    Returns
+    -------
+    Search
+        Nothing found is an answer too.
+    """
+    base = fit(target, [])
+    assert base is not None  # the bench has solved the believed model
+    current, steps, plain = base, [], target
+    while True:
+        null = _null_after(target, current)
+        reduced = null.reduced(current.residual)
+        screened = screen.of(_as_screened(screen, target, current), unknown=True)
+        generic_gain = screened[UNKNOWN].log_bayes_factor
+        if len(current.parts) >= MOST_CAUSES:
+            break
+        candidates = _refit(target, screen, screened, current, threshold, progress)
+        found, proof = None, None
+        for candidate in candidates:
+            if candidate.gain < threshold * (FURTHER if current.parts else 1.0):
+                break
+            tried = _prove(target, screen, current, candidate)
+            proof = proof or tried
+            density = tried.log_density.sum(axis=1)
+            if density[1] > density[0] + PROVED and density[1] > density[2]:
+                found, proof = candidate, tried
+                break
+        steps.append(Step(screened, candidates, found, proof, generic_gain))
+        if found is None:
+            break
+        # What was found has an error of its own, beside which further causes must stand.
+        change = effect_nuisances(target.bench, found.fit.prediction - base.prediction)
+        target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, plain.white(change)])))
+        again = fit(target, found.fit.parts, start=found.fit.x)
+        current = again or found.fit
+    return Search(base, current, steps, reduced)
+
+
+def _refit(
+    target: Target,
+    screen: Screen,
+    screened: dict[str, Screened],
+    current: Fit,
+    threshold: float,
+    progress: Callable[[str], None] | None,
+) -> list[Candidate]:
+    """Return the likeliest causes, fitted, likeliest first."""
+    taken = set(current.ids)
+    order = sorted(
+        (name for name in screened if name != UNKNOWN and (name not in taken or _repeats(name))),
+        key=lambda name: -screened[name].log_bayes_factor,
+    )
+    best = screened[order[0]].log_bayes_factor if order else -np.inf
+    chosen = [
+        name
+        for rank, name in enumerate(order)
+        if screened[name].log_bayes_factor > 0.3 * threshold
+        and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
+    ]
+    found = []
+    for name in chosen:
+        if progress is not None:
+            progress(f"fit {' + '.join([*current.ids, name])}")
+        variant = screened[name].best
+        assert variant is not None  # only the generic rival has none
+        knobs = CAUSES[name].knobs(target.bench, variant, screened[name].amplitudes)
+        part = Part(name, variant, knobs)
+        start = np.concatenate([current.x, knobs.start])
+        fitted = fit(target, [*current.parts, part], start=start, choices=choices_of(name, screen.bank.variants[name]))
+        if fitted is not None:
+            found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence))
+    return sorted(found, key=lambda candidate: -candidate.gain)
+
+
+def _prove(target: Target, screen: Screen, current: Fit, candidate: Candidate) -> HeldOut:
+    """Return how the model before, the candidate and the generic rival predict what they were not fitted to."""
+    mine = candidate.fit.slices()[-1]
+    slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
+    if not len(slopes):
+        slopes = target.white(candidate.fit.prediction - current.prediction)[None]
+    blocks = blocks_for(target.bench.layout, slopes)
+    before = linear_model(target, current)
+    with_it = linear_model(target, candidate.fit)
+    rival = linear_model(target, current, _rival(screen, target, current))
+    return held_out([before, with_it, rival], blocks)
+
+
+def _rival(screen: Screen, target: Target, current: Fit) -> FloatArray:
+    """Return the generic rival's columns, whitened, of the size that the data favour."""
+    reduced = target.null.reduced(current.residual)
+    gains = [fit_amplitudes(reduced, target.null.reduced(columns)).log_bayes_factor for columns in screen.generic_white]
+    return np.asarray(screen.generic_white[int(np.argmax(gains))])
+
+
+def _null_after(target: Target, current: Fit) -> Null:
+    """Return what is expected once causes were found: their knobs are nuisances too."""
+    slopes = target.white(current.jacobian) * current.deviation[:, None]
+    return Null(np.concatenate([target.null.nuisances, slopes]))
+
+
+def _as_screened(screen: Screen, target: Target, current: Fit) -> FloatArray:
+    """Return the residual of a model, reduced by the screen's own null and cleared of the model's knobs."""
+    residual = screen.null.reduced(current.residual)
+    if not current.parts:
+        return residual
+    slopes = screen.null.reduced(target.white(current.jacobian[1:]))
+    modes = np.linalg.svd(slopes, full_matrices=False)[2]
+    return np.asarray(residual - (residual @ modes.T) @ modes)
+
+
+def _repeats(name: str) -> bool:
+    from tissuereg.effects import EFFECTS
+
+    return EFFECTS[name].repeatable

@@ -1,0 +1,199 @@
+"""Derivatives of everything measured, by the tangents of the equilibria that the believed model finds.
+
+Frames under one load are one equilibrium. Its tangent is factored once; causes cost one solution each, and an inclusion
+at any place is a weighted sum of the adjoints of the measured numbers. For elastic models; what remembers is simulated
+(`bank`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.diagnose.predictor import Predictor
+from tissuereg.diagnose.signals import CasePart
+from tissuereg.effects import ChainEffect, extended, seen_markers
+from tissuereg.experiment import Case, Experiment
+from tissuereg.load import Load
+from tissuereg.simulate.experiment import believed_case, distinct_loads
+from tissuereg.simulate.loading import pads_of
+from tissuereg.simulate.sensitivity import Cause, Linearised, Observation
+from tissuereg.simulate.solve import Simulator
+
+#: Tangents of bodies up to this many nodes are kept; a larger body's are factored anew for each question.
+KEPT_UP_TO_NODES = 8000
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """An equilibrium of one case.
+
+    Attributes
+    ----------
+    case : Case
+        To which it belongs.
+    frames : ndarray of int64, shape (n,)
+        Frames of the case that are in it.
+    simulator : Simulator
+        Which holds boundaries and pads.
+    load : Load
+        What acts.
+    pad_rows : dict of str to ndarray of int64
+        Rows of the held nodes that belong to each pad.
+    """
+
+    case: Case
+    frames: IntArray
+    simulator: Simulator
+    load: Load
+    pad_rows: dict[str, IntArray]
+
+    def moved(self, pad: str, motion: FloatArray) -> FloatArray:
+        """Return the prescribed displacements (n_held, 3) that move one pad by `motion` (3,) or (n_pad, 3)."""
+        prescribed = np.zeros((len(self.simulator.held_nodes), 3))
+        prescribed[self.pad_rows[pad]] = motion
+        return prescribed
+
+    @property
+    def frame(self) -> int:
+        """The first of its frames."""
+        return int(self.frames[0])
+
+
+class Tangents:
+    """All equilibria of an elastic model with their tangents.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        Of a model without memory, sliding supports, or a mesh that hangs in gravity already.
+
+    Raises
+    ------
+    ConvergenceError
+        If a state has no equilibrium.
+    """
+
+    def __init__(self, predictor: Predictor) -> None:
+        self.predictor = predictor
+        self.layout = predictor.layout
+        self.worked: Experiment = extended(predictor.experiment, predictor.element)
+        self.states = [state for case in self.worked.cases.values() for state in self._of_case(case)]
+        self._kept: list[tuple[Linearised, FloatArray, FloatArray] | None] = [None] * len(self.states)
+
+    def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
+        """Return how everything measured follows directions.
+
+        Parameters
+        ----------
+        direction : callable of State
+            Gives what is moved in a state, `count` causes.
+        count : int
+            Number of directions.
+
+        Returns
+        -------
+        ndarray of float64, shape (count, size)
+            Over the unit of each cause, mm and mN.
+        """
+        flat = np.zeros((count, self.layout.size))
+        for number, state in enumerate(self.states):
+            tangent, _, slopes = self._at(number)
+            found = tangent.derivatives(direction(state))
+            nodes = self.predictor.observation.nodes
+            markers = np.einsum("mxny,cny->cmx", slopes, found.displacement[:, nodes])
+            part = self.layout[state.case.name]
+            part.markers(flat)[:, state.frames] = markers[:, None]
+            for i, pad in enumerate(part.pads):
+                force = found.reactions[:, state.pad_rows[pad]].sum(axis=1)
+                part.forces(flat)[:, state.frames, i] = force[:, None]
+        return self._seen(flat)
+
+    def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
+        """Return how everything measured follows relative changes of the modulus in parts of the body.
+
+        Parameters
+        ----------
+        shares : sparse array of float64, shape (n_tets, n_fields)
+            Share of every tet that changes.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_fields, size)
+            For a modulus raised by its own amount where a share is 1, mm and mN.
+        """
+        flat = np.zeros((shares.shape[1], self.layout.size))
+        young = np.broadcast_to(_per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
+        for number, state in enumerate(self.states):
+            tangent, _, slopes = self._at(number)
+            part = self.layout[state.case.name]
+            by_young = tangent.adjoints(self._observations(state, part, slopes)).young.mean(axis=2)
+            by_young = by_young * (young * tangent.simulator.n_points)
+            rates = (shares.T @ by_young.T).reshape(shares.shape[1], -1, 3)
+            n_markers = len(self.layout.marker_names)
+            part.markers(flat)[:, state.frames] = rates[:, None, :n_markers]
+            part.forces(flat)[:, state.frames] = rates[:, None, n_markers:]
+        return self._seen(flat)
+
+    def _of_case(self, case: Case) -> list[State]:
+        believed = believed_case(self.worked, case, element=self.predictor.element, threads=self.predictor.threads)
+        held = believed.simulator.held_nodes
+        rows = {pad.name: np.flatnonzero(np.isin(held, pad.nodes)) for pad in pads_of(self.worked, case)}
+        firsts, state_of = distinct_loads(believed.loads)
+        return [
+            State(case, np.flatnonzero(np.array(state_of) == i), believed.simulator, believed.loads[frame], rows)
+            for i, frame in enumerate(firsts)
+        ]
+
+    def _at(self, number: int) -> tuple[Linearised, FloatArray, FloatArray]:
+        """Return tangent, displacement and slopes of the observation in a state."""
+        kept = self._kept[number]
+        if kept is not None:
+            return kept
+        state = self.states[number]
+        material, threads = self.worked.material, self.predictor.threads
+        found = state.simulator.solve(state.load, material, threads=threads)
+        tangent = Linearised(state.simulator, state.load, material, found.all_displacement, threads=threads)
+        slopes = self.predictor.observation.jacobian(found.displacement[self.predictor.observation.nodes])
+        made = (tangent, found.displacement, slopes)
+        if self.worked.mesh.n_nodes <= KEPT_UP_TO_NODES:
+            self._kept[number] = made
+        return made
+
+    def _observations(self, state: State, part: CasePart, slopes: FloatArray) -> list[Observation]:
+        nodes = self.predictor.observation.nodes
+        asked = []
+        for weights in slopes.reshape(-1, len(nodes), 3):
+            used = np.flatnonzero(weights.any(axis=1))
+            asked.append(Observation(nodes[used], weights[used]))
+        for pad in part.pads:
+            held = state.simulator.held_nodes[state.pad_rows[pad]]
+            asked += [
+                Observation(held_nodes=held, held_weights=np.tile(np.eye(3)[x], (len(held), 1))) for x in range(3)
+            ]
+        return asked
+
+    def _seen(self, flat: FloatArray) -> FloatArray:
+        """Return columns as the believed tracker sees them: it changes places affinely."""
+        chain = tuple(effect for effect in self.predictor.experiment.effects if isinstance(effect, ChainEffect))
+        if not chain:
+            return flat
+        tracker = replace(self.predictor.experiment, effects=chain)
+        for part in self.layout.parts:
+            places = self.layout.reference + part.markers(self._base)
+            here = seen_markers(tracker, places, part.times)
+            for row in range(len(flat)):
+                markers = part.markers(flat)
+                markers[row] = seen_markers(tracker, places + markers[row], part.times) - here
+        return flat
+
+    @property
+    def _base(self) -> FloatArray:
+        """Places do not matter to an affine map's derivative; rest is as good as any."""
+        return np.zeros(self.layout.size)
+
+
+def _per_tet(young: FloatArray) -> FloatArray:
+    return young.mean(axis=1) if young.ndim == 2 else young

@@ -1,0 +1,81 @@
+"""HTML that reports share: style, tables, text with nothing left to interpret."""
+
+import html
+from collections.abc import Sequence
+
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
+img { max-width: 100%; } h2 { margin-top: 2rem; } table { border-collapse: collapse; margin: .5rem 0 1rem; }
+td, th { padding: .25rem .8rem; border-bottom: 1px solid #d7dbe0; text-align: right; }
+td:first-child, th:first-child { text-align: left; }
+.yes { color: #176f2c; } .no { color: #a3180d; }
+"""
+
+
+def escape(text: object) -> str:
+    """Return text as HTML shows it, quotes included.
+
+    Parameters
+    ----------
+    text : object
+        Its ``str`` is taken.
+
+    Returns
+    -------
+    str
+        Fit for an element or an attribute.
+
+    Examples
+    --------
+    >>> escape("a < b & 'c'")
+    'a &lt; b &amp; &#x27;c&#x27;'
+    """
+    return html.escape(str(text), quote=True)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table.
+
+    Parameters
+    ----------
+    head : sequence of str
+        HTML of the top cells.
+    rows : sequence of sequence of str
+        HTML of the others.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    Examples
+    --------
+    >>> table(["a"], [["1"]])
+    '<table><tr><th>a</th></tr><tr><td>1</td></tr></table>'
+    """
+    top = "".join(f"<th>{cell}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table><tr>{top}</tr>{body}</table>"
+
+
+def document(title: str, parts: Sequence[str], style: str = "") -> str:
+    """Return a whole page.
+
+    Parameters
+    ----------
+    title : str
+        Plain text.
+    parts : sequence of str
+        HTML of the body.
+    style : str
+        CSS beside `STYLE`.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    return (
+        f"<!doctype html>\n<html lang='en'><head><meta charset='utf-8'><title>{escape(title)}</title>"
+        f"<style>{STYLE}{style}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"
+    )

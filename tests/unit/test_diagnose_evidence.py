@@ -1,0 +1,83 @@
+"""The linear algebra of evidence and proof, against dense Gaussian densities."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+from tissuereg.diagnose.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
+from tissuereg.diagnose.proof import Linear, held_out
+from tissuereg.diagnose.screen import probabilities
+
+SIZE = 30
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+def density(x, covariance):
+    return multivariate_normal(np.zeros(len(x)), covariance).logpdf(x)
+
+
+def test_reducing_is_the_inverse_root_of_the_null_covariance(rng):
+    nuisances = rng.standard_normal((4, SIZE))
+    null, x, y = Null(nuisances), rng.standard_normal(SIZE), rng.standard_normal(SIZE)
+    covariance = np.eye(SIZE) + nuisances.T @ nuisances
+    assert null.reduced(x) @ null.reduced(y) == pytest.approx(x @ np.linalg.solve(covariance, y), rel=1e-10)
+
+
+def test_no_nuisance_changes_nothing(rng):
+    x = rng.standard_normal((2, SIZE))
+    assert np.array_equal(Null(np.zeros((0, SIZE))).reduced(x), x)
+
+
+def test_the_log_bayes_factor_is_the_difference_of_two_log_densities(rng):
+    nuisances, columns = rng.standard_normal((3, SIZE)), rng.standard_normal((2, SIZE))
+    null, x = Null(nuisances), 2.0 * rng.standard_normal(SIZE)
+    c0 = np.eye(SIZE) + nuisances.T @ nuisances
+    found = fit_amplitudes(null.reduced(x), null.reduced(columns))
+    assert found.log_bayes_factor == pytest.approx(density(x, c0 + columns.T @ columns) - density(x, c0), rel=1e-9)
+
+
+def test_a_positive_amplitude_has_half_the_prior(rng):
+    column, x = rng.standard_normal((1, SIZE)), rng.standard_normal(SIZE)
+    amplitudes = np.linspace(0.0, 8.0, 20_001)
+    likelihood = np.array([norm.logpdf(x - a * column[0]).sum() for a in amplitudes])
+    logs = likelihood + norm.logpdf(amplitudes) + np.log(2.0)
+    integral = np.log(np.trapezoid(np.exp(logs - logs.max()), amplitudes)) + logs.max()
+    found = fit_amplitudes(x, column, positive=True)
+    assert found.log_bayes_factor == pytest.approx(integral - norm.logpdf(x).sum(), abs=1e-6)
+
+
+@pytest.mark.parametrize(("p", "positive"), [(1, False), (1, True), (3, False)])
+def test_many_hypotheses_at_once_are_what_each_is_alone(rng, p, positive):
+    columns, residuals = rng.standard_normal((5, p, SIZE)), rng.standard_normal((4, SIZE))
+    together = Blocks(columns, positive=positive).log_bayes_factors(residuals)
+    alone = [[fit_amplitudes(r, c, positive=positive).log_bayes_factor for c in columns] for r in residuals]
+    assert np.allclose(together, alone, atol=1e-4)  # the many are kept in single precision
+
+
+def test_log_mean_exp_survives_large_numbers():
+    assert log_mean_exp(np.array([1000.0, 1000.0 + np.log(3.0)])) == pytest.approx(1000.0 + np.log(2.0))
+
+
+def test_probabilities_hold_none_and_sum_to_one():
+    found = probabilities({"a": 3.0, "b": -800.0})
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert found["a"] / found[""] == pytest.approx(np.exp(3.0))
+
+
+def test_a_held_out_block_is_predicted_by_the_conditional_gaussian(rng):
+    columns, x = rng.standard_normal((4, SIZE)), 2.0 * rng.standard_normal(SIZE)
+    mask = np.zeros(SIZE, bool)
+    mask[10:18] = True
+    covariance = np.eye(SIZE) + columns.T @ columns
+    gain = covariance[np.ix_(mask, ~mask)] @ np.linalg.inv(covariance[np.ix_(~mask, ~mask)])
+    mean = gain @ x[~mask]
+    inner = covariance[np.ix_(mask, mask)] - gain @ covariance[np.ix_(~mask, mask)]
+    found = held_out([Linear(x, columns)], {"block": mask})
+    assert np.allclose(found.left[0, mask], x[mask] - mean)
+    assert np.isnan(found.left[0, ~mask]).all()
+    constant = 0.5 * mask.sum() * np.log(2.0 * np.pi)
+    assert found.log_density[0, 0] == pytest.approx(density(x[mask] - mean, inner) + constant, rel=1e-9)

@@ -1,0 +1,401 @@
+"""The page of a diagnosis, from made-up answers: does it hold what was found, and nothing that reaches out?"""
+
+import json
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.files import EXPERIMENT, TABLES, write_experiment
+from tissuereg.diagnose.answer import Diagnosis, Finding
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.correction import Correction
+from tissuereg.diagnose.evidence import Null
+from tissuereg.diagnose.fit import Fit, Part, Target
+from tissuereg.diagnose.noise import estimate_noise
+from tissuereg.diagnose.proof import HeldOut
+from tissuereg.diagnose.report.history import curves
+from tissuereg.diagnose.report.proved import blocks_words
+from tissuereg.diagnose.report.ranking import ranking
+from tissuereg.diagnose.report.scene import scene, script_text
+from tissuereg.diagnose.report.surface import drawn_surface
+from tissuereg.diagnose.screen import Screened
+from tissuereg.diagnose.search import Candidate, Search, Step
+from tissuereg.diagnose.signals import Layout
+from tissuereg.effects import Inclusion, MarkerSlip
+
+NASTY = "<b>&'\"P</b></script>"
+BALL = Inclusion(centre_mm=(15.0, 10.0, 20.0), semi_axes_mm=(4.0, 4.0, 4.0), contrast=6.0)
+VOID = {"br", "input", "meta"}
+
+
+def finding(**changes):
+    made = Finding(
+        id="inclusion",
+        group=("inclusion", "layer"),
+        probability=0.87,
+        log_bayes_factor=123.4,
+        threshold=6.5,
+        parameters={"centre_mm": [15.0, 10.0, 20.0], "contrast": 6.0, "law": "yeoh"},
+        deviations={"centre_mm": [0.31, 0.32, 0.33], "contrast": 1.25},
+        held_out={
+            "rms_base_mm": 0.523,
+            "rms_named_mm": 0.061,
+            "rms_generic_mm": 0.187,
+            "noise_mm": 0.052,
+            "chi_base": 9.87,
+            "chi_named": 1.13,
+            "chi_generic": 3.21,
+            "log_density_gain": 77.7,
+            "cases": ["lean", "rest"],
+        },
+        sentence="A stiff inclusion lies < 5 mm deep & hides.",
+    )
+    return replace(made, **changes)
+
+
+def fitted(layout, noise, parts, left):
+    """Return a fit that misses what was measured by `left` mm and mN."""
+    prediction = np.where(layout.seen, layout.measured - left, 0.0)
+    residual = noise.whitened(np.where(layout.seen, left, 0.0), layout)
+    one = np.ones(1)
+    return Fit(
+        parts,
+        0.1 * one,
+        0.0 * one,
+        0.3 * one,
+        prediction,
+        np.zeros((1, layout.size)),
+        residual,
+        0.0,
+        0.0,
+        0.01 * np.eye(1),
+    )
+
+
+def made_up(believed, findings=(), effects=(), **changes):
+    """Return a diagnosis of an experiment; nothing is solved."""
+    layout = Layout(believed)
+    noise = estimate_noise(believed, layout)
+    bench = Bench(believed, layout)
+    target = Target(
+        bench, noise, Correction(np.ones(layout.size), np.zeros(layout.size)), Null(np.zeros((0, layout.size))), 0.3
+    )
+    generator = np.random.default_rng(3)
+    errors = generator.normal(size=(2, layout.size)) * np.array([[0.5], [0.05]])
+    base = fitted(layout, noise, (), errors[0])
+    final, steps = base, []
+    screened = {"inclusion": Screened(123.4, None, np.ones(1)), "unknown": Screened(12.5, None, np.empty(0))}
+    for number, one in enumerate(findings):
+        part = Part(one.id, None, None)
+        final = fitted(layout, noise, (*final.parts, part), errors[1] / (number + 1))
+        found = Candidate(one.id, final, one.log_bayes_factor)
+        screened = {"unknown": screened["unknown"], one.id: Screened(9.0, None, np.ones(1))}
+        proof = HeldOut(("lean",), np.zeros((3, 1)), np.array([[3.0], [1.0], [2.0]]) * np.ones((3, layout.size)))
+        steps.append(Step(screened, [found], found, proof, 12.5))
+    steps.append(Step(screened, [], None, None, 12.5))
+    answer = Diagnosis(
+        verdict="named" if findings else "consistent",
+        findings=tuple(findings),
+        candidates=(
+            {"id": "inclusion", "probability": 0.87, "log_bayes_factor": 123.4, "detectability": 17.9},
+            {"id": "unknown", "probability": 0.1, "log_bayes_factor": 12.5, "detectability": 0.0},
+            {"id": "layer", "probability": 0.0, "log_bayes_factor": -2.25, "detectability": 0.4},
+        ),
+        p_misfit=0.43,
+        discrepancy={
+            "rms_mm": 0.512,
+            "in_sigma": 9.9,
+            "where": list(believed.marker_names[:1]),
+            "when": "most at 11 s",
+            "under": layout.parts[-1].name,
+            "after": {"rms_mm": 0.049, "in_sigma": 1.02},
+        },
+        extended=replace(believed, effects=(*believed.effects, *effects)),
+        next_experiment=None,
+        seed=4711,
+        versions={"tissuereg": "9.8.7"},
+        details={
+            "search": Search(base, final, steps, final.residual),
+            "layout": layout,
+            "noise": noise,
+            "target": target,
+            "threshold": 6.5,
+        },
+    )
+    return replace(answer, **changes)
+
+
+class Balance(HTMLParser):
+    """Notes elements that are not closed in the order in which they were opened, ids, and what is reached for."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.wrong, self.reaches = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        said = dict(attrs)
+        self.ids += [said["id"]] if "id" in said else []
+        self.reaches += [said[key] for key in ("src", "href", "action") if key in said]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        pass
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.wrong.append((tag, self.getpos()))
+
+
+def read_page(answer, path):
+    text = answer.report(path).read_text(encoding="utf-8")
+    reader = Balance()
+    reader.feed(text)
+    assert (reader.wrong, reader.open) == ([], [])
+    assert len(set(reader.ids)) == len(reader.ids)
+    assert reader.reaches == ["experiment.extended.toml"]
+    assert "http" not in text
+    assert "@import" not in text
+    assert "nan" not in re.findall(r"[\d.]+|nan", re.sub(r"<script.*", "", text, flags=re.DOTALL))
+    assert len(text) < 2_000_000
+    return text
+
+
+@pytest.fixture
+def rig(tmp_path):
+    return tr.read_experiment(write_experiment(tmp_path / "rig"))
+
+
+def scene_of(text):
+    return json.loads(re.search(r"id='scene'>(.*?)</script>", text, re.DOTALL)[1])
+
+
+def test_a_page_holds_every_finding_with_its_figures(rig, tmp_path):
+    slip = finding(id="marker_slip", group=("marker_slip",), sentence="P1 slipped.", log_bayes_factor=44.4)
+    answer = made_up(
+        rig, [finding(), slip], [BALL, MarkerSlip(marker="P1", offset_mm=(1.0, 0.0, 0.0), from_time_s=10.5)]
+    )
+    text = read_page(answer, tmp_path / "report.html")
+    for said in (
+        "A stiff inclusion lies &lt; 5 mm deep &amp; hides.",
+        "P1 slipped.",
+        "Probability 0.87; log Bayes factor 123.4, where 6.5 was asked for.",
+        "log Bayes factor 44.4",
+        "15 \u00b1 0.31<br>10 \u00b1 0.32<br>20 \u00b1 0.33",
+        "6 \u00b1 1.2",
+        "yeoh",
+        "from 0.523 to 0.061 mm (rms), where noise alone is 0.052 mm",
+        "leaves 0.187 mm",
+        "1.13 against 3.21 noise deviations",
+        "e<sup>77.7</sup>",
+        "threshold 6.5",
+        "cannot tell it from: layer",
+        "Seed of all chance: 4711.",
+        "tissuereg 9.8.7",
+        "contrast = 6.0",
+    ):
+        assert said in text, said
+    drawn = scene_of(text)
+    assert drawn["inclusions"] == [
+        {"centre": [15000, 10000, 20000], "axes": [4000, 4000, 4000], "contrast": 6.0, "found": True}
+    ]
+    assert drawn["named"] == ["P1"]
+
+
+def test_what_was_believed_before_is_not_drawn_as_found(rig):
+    answer = made_up(replace(rig, effects=(BALL,)))
+    assert [one["found"] for one in scene(answer)["inclusions"]] == [False]
+
+
+def test_the_scene_holds_measured_less_predicted(rig):
+    answer = made_up(rig, [finding()], [BALL])
+    drawn, layout, search = scene(answer), answer.details["layout"], answer.details["search"]
+    case = next(one for one in drawn["cases"] if one["name"] == "lean")
+    for when, fit in (("before", search.base), ("after", search.final)):
+        left = layout["lean"].markers(layout.measured - fit.prediction)
+        got = np.array([math.nan if x is None else x / 1000 for x in case[when]]).reshape(left.shape)
+        assert np.array_equal(np.isnan(got), np.isnan(left))
+        assert np.nanmax(np.abs(got - left)) <= 0.00051
+        forces = layout["lean"].forces(layout.measured - fit.prediction).ravel()
+        assert [x is None for x in case[f"forces_{when}"]] == np.isnan(forces).tolist()
+    number, row = drawn["start"]
+    sizes = [
+        np.nansum(layout[one["name"]].markers(layout.measured - search.base.prediction) ** 2, axis=(1, 2))
+        for one in drawn["cases"]
+    ]
+    assert sizes[number][row] == max(size.max() for size in sizes)
+
+
+def test_curves_are_root_mean_squares_of_what_was_seen(rig):
+    answer = made_up(rig, [finding()], [BALL])
+    layout, search = answer.details["layout"], answer.details["search"]
+    markers, force = curves(answer)["lean"]
+    white = layout["lean"].markers(search.base.residual)
+    assert markers.before[1] == pytest.approx(np.sqrt((white[1, 0] ** 2).mean()))  # P2 was not seen
+    assert markers.before[2] == pytest.approx(np.sqrt((white[2] ** 2).mean()))
+    assert force.title == "force at push"
+    assert np.isnan(force.before).tolist() == [True, True, False]
+    assert (markers.low < 1).all()
+    assert (markers.high > 1).all()
+    assert markers.high[1] > markers.high[2]
+    few = markers.worst(2)
+    assert few.times.tolist() == [markers.times[int(np.argmax(markers.before[:2]))], markers.times[2]]
+    assert few.after[1] == markers.after[2]
+
+
+def test_names_are_text_and_nothing_else(tmp_path):
+    toml = EXPERIMENT.replace('"push"', "'''<i>&push</i></script>'''").replace('"leaning block"', "'''a<b>&c'''")
+    toml = toml.replace("\nP1 =", '\n"<b>&\'\\"P</b></script>" =')
+    held = {
+        name.removesuffix(".csv"): text.replace("P1", '"' + NASTY.replace('"', '""') + '"')
+        for name, text in TABLES.items()
+    }
+    held = {
+        name: text.replace("push", "<i>&push</i></script>").replace("lean", "<u>lean&") for name, text in held.items()
+    }
+    believed = tr.read_experiment(write_experiment(tmp_path / "rig", toml=toml, **held))
+    assert NASTY in believed.marker_names
+    advice = {"action": "move <i>&push</i>", "separates": [["inclusion", "layer"]], "separability": 5.5}
+    text = read_page(
+        made_up(believed, [finding()], [BALL], next_experiment=advice, verdict="group"), tmp_path / "r.html"
+    )
+    for tag in ("<b>&", "<i>", "<u>", "a<b>"):
+        assert tag not in text
+    assert "move &lt;i&gt;&amp;push&lt;/i&gt;" in text
+    assert "tell apart: either inclusion or layer." in text
+    assert "5.5 noise deviations at least" in text
+    assert "<li><b>layer</b>: A layer of even thickness below the free surface.</li>" in text
+    assert scene_of(text)["markers"]["names"][0] == NASTY
+
+
+@pytest.mark.parametrize("verdict", ["consistent", "unexplained"])
+def test_no_findings(rig, tmp_path, verdict):
+    text = read_page(made_up(rig, verdict=verdict), tmp_path / "report.html")
+    assert "No cause was accepted." in text
+    assert "both show the same" in text
+    assert ("consistent with the simulation" in text) == (verdict == "consistent")
+
+
+def test_no_forces_and_one_case(tmp_path):
+    toml = EXPERIMENT.replace('rest_case = "rest"\n', "").replace("[forces]\nstd_mN = 5.0\n", "")
+    markers = "\n".join(row for row in TABLES["markers.csv"].splitlines() if not row.startswith("rest")) + "\n"
+    believed = tr.read_experiment(write_experiment(tmp_path / "rig", toml=toml, markers=markers, forces=None))
+    text = read_page(made_up(believed, [finding()], [BALL]), tmp_path / "report.html")
+    assert "force at" not in text
+    assert "Noise of a force component" not in text
+    assert len(scene_of(text)["cases"]) == 1
+
+
+def test_a_finding_without_proof_and_an_answer_without_details(rig, tmp_path):
+    stiff = finding(id="stiffness", group=("stiffness",), held_out={}, sentence="Stiffer.")
+    answer = made_up(rig, [stiff, finding()], [BALL])
+    search = answer.details["search"]
+    answer.details["search"] = replace(search, steps=search.steps[1:])
+    text = read_page(answer, tmp_path / "report.html")
+    assert "Stiffer." in text
+    assert text.count("e<sup>") == 1
+    bare = read_page(made_up(rig, [finding()], [BALL], details={}), tmp_path / "bare.html")
+    assert "log Bayes factor 123.4" in bare
+    assert "<canvas" not in bare
+
+
+def test_every_round_marks_what_it_found(rig, tmp_path):
+    layer = finding(id="layer", group=("layer",))
+    text = read_page(made_up(rig, [finding(group=("inclusion",)), layer], [BALL]), tmp_path / "report.html")
+    rounds = re.findall(r"<svg[^>]*aria-label='((?:First r|R)ound[^']*)'.*?</svg>", text)
+    assert rounds == [
+        "First round",
+        "Round 2: what else, once inclusion is in the model",
+        "Round 3: what else, once inclusion, layer is in the model",
+    ]
+    bold = [re.findall(r"font-weight='700'>([a-z ]+)<", chart) for chart in re.findall(r"<svg.*?</svg>", text)]
+    assert [one for one in bold if one] == [["inclusion"], ["layer"]]
+
+
+def test_bars_stand_on_the_right_side_of_the_threshold():
+    rows = [{"id": "inclusion", "log_bayes_factor": 7.0}, {"id": "layer", "log_bayes_factor": 6.0}]
+    text = ranking(rows, 6.5, {"inclusion"}, "made up")
+    bars = [float(x) + float(w) for x, w in re.findall(r"<rect x='([\d.]+)' y='[\d.]+' width='([\d.]+)'", text)]
+    line = float(re.search(r"<line x1='([\d.]+)'[^>]*#a3180d", text)[1])
+    assert bars[0] > line > bars[1]
+
+
+def test_large_bodies_are_drawn_with_fewer_triangles(tmp_path):
+    wide = EXPERIMENT.replace("radius_mm = 8.0", "radius_mm = 14.0")
+    rig = tr.read_experiment(write_experiment(tmp_path / "rig", toml=wide))
+    whole = drawn_surface(rig)
+    assert len(whole.triangles) == len(rig.mesh.surface)
+    assert set(whole.patch.tolist()) == {0, 1, 2}
+    few = drawn_surface(rig, most=60)
+    assert 8 < len(few.triangles) <= 60
+    assert np.ptp(few.nodes, axis=0) == pytest.approx(np.ptp(rig.mesh.nodes, axis=0), rel=0.5)
+
+
+def test_blocks_of_frames_are_said_in_one_go():
+    blocks = [f"a, b, every 4th frame from {number}" for number in range(4)]
+    assert blocks_words(["c", *blocks]) == "c, a, b, every 4th frame in turn"
+
+
+def test_long_histories_are_thinned(rig):
+    answer = made_up(rig)
+    assert [len(one["times"]) for one in scene(answer)["cases"]] == [2, 3]
+    assert [len(one["times"]) for one in scene(answer, most=10)["cases"]] == [1, 2]
+
+
+def test_text_cannot_end_its_script():
+    assert "<" not in script_text({"name": NASTY})
+    assert json.loads(script_text({"name": NASTY}))["name"] == NASTY
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no node here")
+def test_the_viewer_draws_arrows_inclusion_and_figures(rig, tmp_path):
+    answer = made_up(rig, [finding()], [BALL])
+    read_page(answer, tmp_path / "report.html")
+    host = Path(__file__).resolve().parents[1] / "support" / "viewer_host.js"
+    done = subprocess.run(
+        ["node", str(host), str(tmp_path / "report.html")], capture_output=True, text=True, check=True
+    )
+    seen = json.loads(done.stdout)
+    layout, search = answer.details["layout"], answer.details["search"]
+    drawn = scene(answer)
+    number, row = drawn["start"]
+    part = layout.parts[number]
+    left = [part.markers(layout.measured - fit.prediction)[row] for fit in (search.base, search.final)]
+    arrows = int(np.isfinite(left[0]).all(axis=1).sum())
+    assert (seen["before"]["stroke #c2571a"], seen["after"]["stroke #1f5fa8"]) == (arrows, arrows)
+    assert "stroke #1f5fa8" not in seen["before"]
+    assert seen["before"]["stroke rgba(176,20,60,0.85)"] == 11  # six rings through the poles, five around
+    assert seen["before"]["text push"] == 1
+    rms = [float(x) for x in re.search(r"before ([\d.]+) mm, after ([\d.]+) mm", seen["figures"]).groups()]
+    assert rms == pytest.approx([np.sqrt(np.nanmean(one**2)) for one in left], abs=0.0015)  # whole micrometres
+    assert seen["moment"] == f"{part.times[row]:.2f} s"
+    assert seen["cases"] == ["rest", "lean"]
+    said = {tip.split("\n")[0]: tip.split("\n")[1] for tip in seen["tips"]}
+    assert said.keys() == {"P1", "P2"}
+    for name, length in zip(layout.marker_names, np.linalg.norm(left[0], axis=1), strict=True):
+        if np.isfinite(length):
+            assert float(said[name].split()[1]) == pytest.approx(length, abs=0.0015)
+        else:
+            assert said[name] == "before: not seen"
+
+
+@pytest.mark.parametrize("place", ["out", "new/deep/out", "rig"])
+def test_the_extended_model_is_read_back_from_its_final_folder(rig, tmp_path, monkeypatch, place):
+    monkeypatch.chdir(tmp_path)
+    made_up(rig, [finding()], [BALL]).save(Path(place))
+    assert {"diagnosis.json", "experiment.extended.toml", "report.html"} <= {p.name for p in Path(place).iterdir()}
+    back = tr.read_experiment(Path(place) / "experiment.extended.toml")
+    assert back.effects == (BALL,)
+    assert back.mesh.digest() == rig.mesh.digest()
+    assert list(back.cases) == list(rig.cases)
+    said = (Path(place) / "experiment.extended.toml").read_text(encoding="utf-8")
+    page = (Path(place) / "report.html").read_text(encoding="utf-8")
+    assert said.replace('"', "&quot;") in page

@@ -1,0 +1,211 @@
+"""Flat vectors, noise and derivatives of what an experiment measures."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from support.meshes import block
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.causes.tracker import changed_by
+from tissuereg.diagnose.correction import make_correction
+from tissuereg.diagnose.noise import Noise, estimate_noise
+from tissuereg.diagnose.signals import Layout
+from tissuereg.effects import ActuatorDirection, ActuatorGain, ActuatorOffset, Gravity, Latency, Poisson
+from tissuereg.effects.regions import Ellipsoid, share_inside
+from tissuereg.errors import ExperimentError, NoiseError
+from tissuereg.experiment import Actuator, Boundary, Case, Experiment
+from tissuereg.material import GRAVITY_MM_PER_S2, Material
+from tissuereg.simulate.sensitivity import Parameter
+
+STROKE = np.array([0.0, 0.5, 1.0, 1.0, 0.0])
+
+
+def rig(*, gravity=None) -> Experiment:
+    """A block with two pads, a rest case and two pushes; markers on and off its surface."""
+    mesh = block()
+    size = mesh.nodes.max(axis=0)
+    top = np.flatnonzero(mesh.nodes[:, 2] == size[2])
+    side = np.flatnonzero((mesh.nodes[:, 0] == size[0]) & (mesh.nodes[:, 2] > 0.4 * size[2]))
+    one, two = top[mesh.nodes[top, 0] < 0.4 * size[0]], side[mesh.nodes[side, 2] < 0.9 * size[2]]
+    reference = np.array(
+        [
+            [3.0, 0.0, 20.0],
+            [12.0, 0.0, 33.0],
+            [0.0, 7.0, 25.0],
+            [28.0, 12.0, 40.0],
+            [15.0, 20.0, 30.0],
+            [22.0, 22.0, 36.0],
+        ]
+    )
+    rng = np.random.default_rng(0)
+    mesh = mesh.with_node_set("top", one).with_node_set("side", two)
+    cases = {}
+    for begin, (name, pad, motion) in zip(
+        (0.0, 10.0, 20.0),
+        (("rest", None, None), ("down", "top", (0, 0, -3.0)), ("in", "side", (-2.5, 0.5, 0))),
+        strict=True,
+    ):
+        times = begin + np.arange(8.0 if pad is None else len(STROKE))
+        markers = reference + 0.05 * rng.standard_normal((len(times), len(reference), 3))
+        given = {} if pad is None else {pad: STROKE[:, None] * np.array(motion)}
+        forces = {} if pad is None else {pad: rng.standard_normal((len(times), 3))}
+        cases[name] = Case(name, times, markers, given, forces=forces)
+    return Experiment(
+        "rig", Path(), Path("mesh.vtu"), mesh, Material(young=10.0, poisson=0.4), 3.0, None, gravity,
+        (Boundary("base", mesh.fixed_nodes),),
+        (Actuator("top", one, "displacement"), Actuator("side", two, "displacement")),
+        tuple(f"P{i}" for i in range(len(reference))), reference, 0.05, {}, cases, force_std=2.0, rest_case="rest",
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    experiment = rig()
+    return Bench(experiment, Layout(experiment))
+
+
+def central(bench, effect, step):
+    ahead, back = (bench.predictor.predict([effect(side * step)]) for side in (1.0, -1.0))
+    return (ahead - back) / (2.0 * step)
+
+
+def assert_alike(found, expected, rel=2e-3):
+    assert np.abs(expected).max() > 0.0
+    assert np.abs(found - expected).max() < rel * np.abs(expected).max()
+
+
+def test_what_goes_in_comes_out_of_the_flat_vector():
+    experiment = rig()
+    layout = Layout(experiment)
+    case = experiment.cases["in"]
+    assert np.allclose(layout["in"].markers(layout.measured), case.markers - experiment.marker_reference)
+    assert np.array_equal(layout["in"].forces(layout.measured)[:, 0], case.forces["side"])
+    assert layout.of_markers().sum() == 3 * 6 * (8 + 5 + 5)
+    assert layout.size == 3 * 6 * 18 + 2 * 3 * 5
+    assert np.array_equal(layout["in"].forces(layout.times())[:, 0, 0], case.times)
+
+
+def test_an_experiment_without_measurements_is_refused():
+    experiment = rig()
+    blind = {n: replace(c, markers=np.full_like(c.markers, np.nan), forces={}) for n, c in experiment.cases.items()}
+    with pytest.raises(ExperimentError, match="must have measured"):
+        Layout(replace(experiment, cases=blind))
+
+
+def test_forces_without_a_stated_noise_are_refused():
+    experiment = replace(rig(), force_std=None)
+    with pytest.raises(NoiseError, match="std_mN"):
+        estimate_noise(experiment, Layout(experiment))
+
+
+@pytest.mark.parametrize(("common", "memory"), [(0.0, 0.0), (0.08, 0.0), (0.0, 0.6), (0.05, 0.5)])
+def test_whitened_noise_is_white(common, memory):
+    experiment = rig()
+    layout = Layout(experiment)
+    noise = Noise(np.linspace(0.03, 0.06, 6), common, memory, memory, 1.0, 2.0, True)
+    rng = np.random.default_rng(1)
+    draws = 4000
+    flat = np.zeros((draws, layout.size))
+
+    def faded(shape):
+        values = rng.standard_normal(shape)
+        for frame in range(1, shape[1]):
+            values[:, frame] = memory * values[:, frame - 1] + np.sqrt(1.0 - memory**2) * values[:, frame]
+        return values
+
+    for part in layout.parts:
+        own = noise.marker_std[:, None] * faded((draws, part.n_frames, 6, 3))
+        part.markers(flat)[:] = own + common * faded((draws, part.n_frames, 1, 3))
+        part.forces(flat)[:] = 2.0 * rng.standard_normal((draws, part.n_frames, len(part.pads), 3))
+    white = noise.whitened(flat, layout)[:, layout.size // 2 :]
+    covariance = white.T @ white / draws
+    assert np.abs(covariance - np.eye(len(covariance))).max() < 0.12
+
+
+def test_rest_frames_tell_noise_that_is_not_as_stated():
+    experiment = rig()
+    rng = np.random.default_rng(2)
+    cases = {}
+    for name, case in experiment.cases.items():
+        times = np.arange(60.0) - 60.0 if name == "rest" else case.times
+        own, common = rng.standard_normal((len(times), 6, 3)), rng.standard_normal((len(times), 1, 3))
+        cases[name] = replace(case, times=times, markers=experiment.marker_reference + 0.2 * own + 0.3 * common)
+    changed = replace(experiment, cases=cases)
+    noise = estimate_noise(changed, Layout(changed))
+    assert noise.marker_std == pytest.approx(np.full(6, 0.2), rel=0.1)
+    assert noise.common_std == pytest.approx(0.3, rel=0.25)
+    plain = estimate_noise(experiment, Layout(experiment))
+    assert np.array_equal(plain.marker_std, np.full(6, 0.05))
+    assert plain.common_std == plain.memory == 0.0
+
+
+def test_derivatives_are_those_of_the_simulation(bench):
+    by_ratio = bench.by(lambda state: [Parameter("poisson")], 1)[0]
+    assert_alike(by_ratio, central(bench, lambda h: Poisson(poisson=0.4 + h), 1e-3))
+    assert_alike(bench.by_young[0], (bench.predictor.predict(young=1.01) - bench.predictor.predict(young=0.99)) / 0.02)
+
+
+def test_actuators_change_what_their_columns_say(bench):
+    gain = next(v for v in CAUSES["actuator_gain"].variants(bench) if v.label == "side")
+    assert_alike(gain.columns[0], 0.08 * central(bench, lambda h: ActuatorGain(actuator="side", gain=1.0 + h), 1e-3))
+    turn = next(v for v in CAUSES["actuator_direction"].variants(bench) if v.label == "top")
+    axis = turn.settings["across"][0]
+    expected = 3.0 * central(bench, lambda h: ActuatorDirection(actuator="top", rotation_deg=tuple(h * axis)), 1e-2)
+    assert_alike(turn.columns[0], expected)
+    offset = next(v for v in CAUSES["actuator_offset"].variants(bench) if v.label == "top motion")
+    expected = 0.7 * central(bench, lambda h: ActuatorOffset(actuator="top", offset_mm=(h, 0.0, 0.0)), 1e-3)
+    assert_alike(offset.columns[0], expected)
+
+
+def test_weight_acts_on_the_body_before_its_pads_are_bonded(bench):
+    column = next(iter(CAUSES["gravity"].variants(bench))).columns[2]
+
+    def weight(h):
+        return Gravity(direction=(0.0, 0.0, 1.0 if h > 0 else -1.0), g_mm_per_s2=abs(h) * GRAVITY_MM_PER_S2)
+
+    assert_alike(column, 0.6 * central(bench, weight, 1e-2))
+
+
+def test_an_inclusion_is_a_sum_of_adjoints(bench):
+    ball, mesh = Ellipsoid((14.0, 9.0, 26.0), (8.0, 8.0, 8.0)), bench.experiment.mesh
+    share = share_inside(ball, mesh)
+    found = bench.by_fields(sparse.csr_array(share[:, None]))[0]
+    material, h = bench.experiment.material, 1e-3
+    ends = []
+    for side in (1.0, -1.0):
+        harder = replace(bench.experiment, material=material.scaled(1.0 + side * h * share))
+        ends.append(Bench(harder, bench.layout).base)
+    assert_alike(found, (ends[0] - ends[1]) / (2.0 * h))
+
+
+def test_the_tracker_changes_places_and_nothing_else(bench):
+    changed = changed_by(bench, Latency(latency_s=0.25))
+    expected = bench.predictor.predict([Latency(latency_s=0.25)]) - bench.base
+    assert np.allclose(changed, expected, atol=1e-9)
+
+
+def test_a_correction_makes_the_coarse_prediction_the_fine_one(bench):
+    rng = np.random.default_rng(5)
+    fine = bench.base * (1.0 + 0.1 * rng.random(bench.layout.size)) + 0.01
+    correction = make_correction(bench.layout, bench.base, fine)
+    assert np.allclose(correction.corrected(bench.base), fine)
+    forces = ~bench.layout.of_markers()
+    doubled = np.where(forces, 2.0 * bench.base, bench.base)
+    assert np.allclose(correction.corrected(doubled)[forces] - fine[forces], (correction.factor * bench.base)[forces])
+
+
+def test_every_cause_that_fits_has_columns_of_its_own(bench):
+    for name in ("stiffness", "poisson", "layer", "sliding", "frame", "scale", "latency"):
+        variants = list(CAUSES[name].variants(bench))
+        assert variants, name
+        for variant in variants:
+            assert variant.columns.shape[1] == bench.layout.size
+            assert np.isfinite(variant.columns).all()
+            knobs = CAUSES[name].knobs(bench, variant, np.full(len(variant.columns), 0.5))
+            assert knobs.effects(knobs.start, bench.young)
+            assert CAUSES[name].sentence(knobs.values(knobs.start, bench.young)).endswith(".")
+    assert not list(CAUSES["reference"].variants(bench))  # no gravity is believed
