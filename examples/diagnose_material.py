@@ -79,7 +79,7 @@ def diagnosed(name: str, curves: Sequence[Curve], out: Path) -> MaterialDiagnosi
     believed = MaterialExperiment(name, folder, material, 0.5 * float(material.young), None, tuple(curves))
     write_material_experiment(believed, folder / "experiment.toml")
     diagnosis = diagnose_material(read_material_experiment(folder))
-    diagnosis.write(folder)
+    diagnosis.save(folder)
     return diagnosis
 
 

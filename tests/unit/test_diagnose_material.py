@@ -134,7 +134,7 @@ def test_the_answer_is_json_and_the_extended_model_is_read_and_run(tmp_path):
     write_test_table(tmp_path / "test.csv", curves)
     write_material_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
     diagnosis = diagnose_material(read_material_experiment(tmp_path))
-    diagnosis.write(tmp_path / "out")
+    diagnosis.save(tmp_path / "out")
     told = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert told["schema"] == "tissuereg.diagnosis/1"
     assert {"verdict", "causes", "candidates", "p_misfit", "discrepancy", "next_experiment", "seed", "versions"} <= set(

@@ -86,7 +86,7 @@ def made_up(believed, findings=(), effects=(), **changes):
     noise = estimate_noise(believed, layout)
     bench = Bench(believed, layout)
     target = Target(
-        bench, noise, Correction(np.ones(layout.size), np.zeros(layout.size)), Null(np.zeros((0, layout.size))), 0.3
+        bench, noise, Correction(np.ones(layout.size), np.zeros(layout.size)), Null(np.zeros((0, layout.size)))
     )
     generator = np.random.default_rng(3)
     errors = generator.normal(size=(2, layout.size)) * np.array([[0.5], [0.05]])
@@ -99,8 +99,8 @@ def made_up(believed, findings=(), effects=(), **changes):
         found = Candidate(one.id, final, one.log_bayes_factor)
         screened = {"unknown": screened["unknown"], one.id: Screened(9.0, None, np.ones(1))}
         proof = HeldOut(("lean",), np.zeros((3, 1)), np.array([[3.0], [1.0], [2.0]]) * np.ones((3, layout.size)))
-        steps.append(Step(screened, [found], found, proof, 12.5))
-    steps.append(Step(screened, [], None, None, 12.5))
+        steps.append(Step(screened, [found], found, proof))
+    steps.append(Step(screened, [], None, None))
     answer = Diagnosis(
         verdict="named" if findings else "consistent",
         findings=tuple(findings),

@@ -25,7 +25,8 @@ from tissuereg.experiment import Case
 from tissuereg.simulate.experiment import simulate_experiment
 from tissuereg.simulate.fine import FineMeshing, FineModel
 from tissuereg.simulate.fine import model as model_module
-from tissuereg.simulate.fine.elastic import distinct_states, guess
+from tissuereg.simulate.fine.elastic import guess
+from tissuereg.simulate.loading import distinct_states
 
 #: Coarse at the rim: these tests ask whether things are the same, not whether they are right.
 COARSE = FineMeshing(rim_edge=1.0)

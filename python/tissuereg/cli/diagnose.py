@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from pathlib import Path
 from typing import Any
 
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
@@ -57,23 +56,14 @@ def run(args: argparse.Namespace) -> Outcome:
         if not args.quiet:
             print(f"diagnose: {stage}", file=sys.stderr, flush=True)
 
-    if is_material_test(args.experiment):
-        test = read_material_experiment(args.experiment)
-        clock.lap("read")
-        of_test = diagnose(test, seed=args.seed or 0, progress=told)
-        clock.lap("diagnose")
-        if args.out is not None:
-            of_test.write(args.out)
-            clock.lap("write")
-        return _outcome(of_test.to_json(), clock, args)
-    experiment = read_experiment(args.experiment)
+    settings: dict[str, Any] = {"seed": args.seed or 0, "threads": args.threads, "keep": not args.no_cache}
+    read = read_material_experiment if is_material_test(args.experiment) else read_experiment
+    experiment = read(args.experiment)
     clock.lap("read")
-    found = diagnose(experiment, seed=args.seed or 0, threads=args.threads, keep=not args.no_cache, progress=told)
+    found = diagnose(experiment, progress=told, **settings)
     clock.lap("diagnose")
     if args.out is not None:
-        from tissuereg.diagnose.files import write_diagnosis
-
-        write_diagnosis(found, Path(args.out))
+        found.save(args.out)
         clock.lap("write")
     return _outcome(found.to_json(), clock, args)
 

@@ -1,15 +1,15 @@
 """The bank: all hypotheses of all causes with their columns, kept between calls by content.
 
 What a bank depends on is what is believed and what the rig does, not what was measured: the next experiment on the same
-mesh and rig finds it made. Banks lie in the cache folder of the package (`tissuereg.latent.cache`).
+mesh and rig finds it made. Banks lie in the cache folder of the package (`tissuereg.io.cache`).
 """
 
 import hashlib
 import json
 import zipfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,8 @@ from tissuereg._version import __version__
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES, Variant
 from tissuereg.experiment import Experiment
-from tissuereg.io.atomic import atomic_file
+from tissuereg.io.cache import cache_folder, keep_in_cache
 from tissuereg.io.json import dumps
-from tissuereg.latent.cache import cache_folder
 
 #: Raised when columns change their meaning: banks of other releases are not read.
 SCHEMA = 1
@@ -28,41 +27,21 @@ SCHEMA = 1
 #: Causes whose columns are closed forms: made anew each time, never kept.
 CLOSED_FORM = ("frame", "scale", "latency", "marker_slip", "marker_swap")
 
-#: Oldest banks go when there are more than this.
+#: Oldest banks, and answers of fine meshes, go when there are more than this.
 MOST_FILES = 24
 
 
-@dataclass(frozen=True, eq=False)
-class Bank:
-    """Hypotheses by cause.
-
-    Attributes
-    ----------
-    base : ndarray of float64, shape (size,)
-        What the believed model says.
-    variants : dict of str to list of Variant
-        By id of the cause; those that an experiment has no place for are left out.
-    """
-
-    base: FloatArray
-    variants: dict[str, list[Variant]]
+#: Hypotheses by id of the cause; causes that an experiment has no place for are left out.
+Bank = dict[str, list[Variant]]
 
 
-def make_bank(
-    bench: Bench,
-    *,
-    causes: Sequence[str] | None = None,
-    keep: bool = True,
-    progress: Callable[[str], None] | None = None,
-) -> Bank:
+def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None] | None = None) -> Bank:
     """Return the bank of a believed model, from the cache where it was made before.
 
     Parameters
     ----------
     bench : Bench
-        The believed model.
-    causes : sequence of str, optional
-        Ids; all where absent.
+        The believed model; what it says is taken from the cache too.
     keep : bool
         Whether to read and write the cache.
     progress : callable of str, optional
@@ -78,23 +57,20 @@ def make_bank(
     ConvergenceError
         If the believed model itself finds no equilibrium.
     """
-    wanted = [name for name in CAUSES if causes is None or name in causes]
     path = cache_folder() / f"bank_{fingerprint(bench.experiment, bench.predictor.element)}.npz"
-    kept = _read(path) if keep else {}
-    if "" in kept:
-        bench.__dict__["base"] = kept.pop("")[0].columns[0].astype(np.float64)
-    made, new = {}, False
-    for name in wanted:
-        if name not in kept:
+    base, bank = _read(path) if keep else (None, {})
+    if base is not None:
+        bench.base = base
+    new = False
+    for name, cause in CAUSES.items():
+        if name not in bank:
             if progress is not None:
                 progress(name)
-            kept[name] = [_single(variant) for variant in CAUSES[name].variants(bench)]
+            bank[name] = [_single(variant) for variant in cause.variants(bench)]
             new = new or name not in CLOSED_FORM
-        if kept[name]:
-            made[name] = kept[name]
     if keep and new:
-        _write(path, bench.base, kept)
-    return Bank(bench.base, made)
+        _write(path, bench.base, bank)
+    return {name: bank[name] for name in CAUSES if bank[name]}
 
 
 def fingerprint(experiment: Experiment, element: str) -> str:
@@ -135,10 +111,10 @@ def _single(variant: Variant) -> Variant:
     )
 
 
-def _write(path: Path, base: FloatArray, variants: dict[str, list[Variant]]) -> None:
-    arrays: dict[str, FloatArray] = {"base": base}
+def _write(path: Path, base: FloatArray, bank: Bank) -> None:
+    arrays: dict[str, Any] = {"base": base}
     card: dict[str, list[dict[str, object]]] = {}
-    for name, several in variants.items():
+    for name, several in bank.items():
         if name in CLOSED_FORM:
             continue
         card[name] = [
@@ -146,29 +122,22 @@ def _write(path: Path, base: FloatArray, variants: dict[str, list[Variant]]) -> 
         ]
         if several:
             arrays[f"columns_{name}"] = np.stack([v.columns for v in several])
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as handle:
-            np.savez(handle, allow_pickle=False, card=np.array(dumps(card)), **arrays)
-        old = sorted(path.parent.glob("bank_*.npz"), key=lambda p: p.stat().st_mtime)
-        for spare in old[:-MOST_FILES]:
-            spare.unlink(missing_ok=True)
-    except OSError:  # a cache that cannot be written is no error
-        return
+    arrays["card"] = np.array(dumps(card))
+    keep_in_cache(path, lambda stream: np.savez(stream, allow_pickle=False, **arrays), MOST_FILES)
 
 
-def _read(path: Path) -> dict[str, list[Variant]]:
-    """Return what is kept, the base under an empty name; nothing where the file is absent or damaged."""
+def _read(path: Path) -> tuple[FloatArray | None, Bank]:
+    """Return what the believed model says and the hypotheses that are kept; none where the file is damaged."""
     try:
         with np.load(path, allow_pickle=False) as kept:
             card = json.loads(str(kept["card"]))
-            found = {"": [Variant("base", kept["base"][None])]}
+            bank: Bank = {}
             for name, rows in card.items():
                 columns = kept[f"columns_{name}"] if rows else []
-                found[name] = [
+                bank[name] = [
                     Variant(row["label"], column, row["settings"], row["positive"], row["fixed"])
                     for row, column in zip(rows, columns, strict=True)
                 ]
-            return found
+            return kept["base"], bank
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        return {}
+        return None, {}

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -18,8 +19,14 @@ from tissuereg.experiment import Experiment
 from tissuereg.simulate.memory import goes_through_time
 from tissuereg.simulate.sensitivity import Cause, Field
 
+#: Deviation of the modulus over its mean, where the file states none.
+YOUNG_SPREAD = 0.3
+
 #: Effects with stresses in their tables, which do not grow with the modulus.
 _ABSOLUTE = ("stiffness", "rate", "softening", "sliding", "gravity", "reference")
+
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
 
 
 class Bench:
@@ -42,6 +49,7 @@ class Bench:
         self.layout = layout
         self.predictor = Predictor(experiment, layout, element=element, threads=threads)
         self.young = float(experiment.material.young_array.mean())
+        self.young_spread = (experiment.young_std or YOUNG_SPREAD * self.young) / self.young
         self.extent = experiment.mesh.extent
 
     @cached_property
@@ -104,11 +112,15 @@ class Bench:
             except (ConvergenceError, ExperimentError, SupportError):
                 return None
 
+        return self.side_by_side(one, tried)
+
+    def side_by_side(self, work: Callable[[_In], _Out], tried: Sequence[_In]) -> list[_Out]:
+        """Return what pieces of work, each for one thread, give, in their order."""
         workers = self.predictor.threads or os.cpu_count() or 1
         if workers == 1 or len(tried) == 1:
-            return [one(effects) for effects in tried]
+            return [work(one) for one in tried]
         with ThreadPoolExecutor(workers) as pool:
-            return list(pool.map(one, tried))
+            return list(pool.map(work, tried))
 
     @property
     def first_time(self) -> float:

@@ -5,9 +5,7 @@
 over the logarithm of the modulus and the knobs of all causes; the other nuisances are integrated out in C0.
 """
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,15 +47,12 @@ class Target:
         Of the mesh's error.
     null : Null
         Nuisances but the modulus.
-    young_spread : float
-        Prior deviation of the modulus over its mean.
     """
 
     bench: Bench
     noise: Noise
     correction: Correction
     null: Null
-    young_spread: float
 
     def white(self, flat: FloatArray) -> FloatArray:
         """Return flat differences (..., size) whitened."""
@@ -240,7 +235,7 @@ class _Solver:
         # The prior of the modulus is normal in the modulus; in its logarithm about the same for moderate spreads.
         self.start = np.concatenate([[0.0], *(part.knobs.start for part in parts)])
         self.mean = np.concatenate([[0.0], *(part.knobs.mean for part in parts)])
-        self.deviation = np.concatenate([[target.young_spread], *(part.knobs.deviation for part in parts)])
+        self.deviation = np.concatenate([[target.bench.young_spread], *(part.knobs.deviation for part in parts)])
         self.steps = np.concatenate([[0.02], *(part.knobs.step for part in parts)])
         self.scales = target.bench.scales_forces and not any(part.id in _ABSOLUTE for part in parts)
         layout = target.bench.layout
@@ -291,14 +286,8 @@ class _Solver:
                     return np.asarray((trial - prediction) / (side * self.steps[i]))
             return np.zeros(len(prediction))
 
-        numbers = range(first, len(x))
-        workers = self.target.bench.predictor.threads or os.cpu_count() or 1
-        if workers > 1 and len(numbers) > 1:
-            with ThreadPoolExecutor(workers) as pool:
-                rows[first:] = list(pool.map(moved, numbers))
-        else:
-            for i in numbers:
-                rows[i] = moved(i)
+        if first < len(x):
+            rows[first:] = self.target.bench.side_by_side(moved, range(first, len(x)))
         return rows, self.target.null.reduced(self.target.white(rows))
 
     def step(self, x: FloatArray, slopes: FloatArray, reduced: FloatArray) -> FloatArray:

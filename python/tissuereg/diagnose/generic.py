@@ -9,7 +9,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.patterns import load_history, smooth_patterns
+from tissuereg.diagnose.patterns import force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.diagnose.signals import CasePart
 
 #: Sizes that are tried: of marker patterns in noise deviations, of forces as a share of the largest.
@@ -37,20 +37,15 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent)
     base = bench.base
-    markers, forces, jams = [], [], []
+    markers: list[FloatArray] = []
+    forces: list[FloatArray] = []
+    jams: list[FloatArray] = []
     for part in layout.parts:
         for history in _histories(part, base):
-            for pattern in patterns:
-                for axis in range(3):
-                    column = np.zeros(layout.size)
-                    part.markers(column)[..., axis] = history[:, None] * pattern
-                    markers.append(column)
+            markers += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
             for i in range(len(part.pads)):
                 largest = np.abs(part.forces(base)[:, i]).max()
-                for axis in range(3):
-                    column = np.zeros(layout.size)
-                    part.forces(column)[:, i, axis] = history * largest
-                    forces.append(column)
+                forces += list(force_columns(layout, part, i, history * largest))
         change = np.diff(part.markers(base), axis=0)
         for frame in range(1, part.n_frames):
             if np.abs(change[frame - 1]).max() > 3.0 * marker_std:

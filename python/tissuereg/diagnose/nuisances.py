@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.patterns import load_history, smooth_patterns
+from tissuereg.diagnose.patterns import force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.diagnose.signals import CasePart
 from tissuereg.effects import ActuatorGain
 from tissuereg.effects.base import rotation_from_vector
@@ -34,9 +34,6 @@ GAIN = 0.003
 #: Error of a found cause's form and of its mesh, as a share of what it changes.
 EFFECT_ERROR = 0.07
 
-#: Where the file states no deviation of the modulus.
-YOUNG_SPREAD = 0.3
-
 
 @dataclass(frozen=True, eq=False)
 class Nuisances:
@@ -52,6 +49,10 @@ class Nuisances:
 
     names: tuple[str, ...]
     columns: FloatArray
+
+    def but(self, name: str) -> BoolArray:
+        """Return which columns have another name, shape (n,)."""
+        return np.array([other != name for other in self.names], bool)
 
 
 def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
@@ -71,10 +72,8 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
         load, smooth patterns over the markers and the three components of every force, in each case, as large as meshes
         differ, and markers near the pad at work each on their own.
     """
-    layout, experiment = bench.layout, bench.experiment
-    young = float(experiment.material.young_array.mean())
-    spread = (experiment.young_std or YOUNG_SPREAD * young) / young
-    names, columns = ["stiffness"], [spread * bench.by_young[0]]
+    layout = bench.layout
+    names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
     middle = layout.reference.mean(axis=0)
     clock = layout.times()
     span = max(float(np.ptp(clock)), 1e-9)
@@ -96,29 +95,26 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
         top = load > 0.5
         # Near a rim the error has its own columns, and says little of the rest.
         far = _rim_sizes(bench, part) == 0.0
-        for axis in range(3):
-            errors = part.markers(mesh_errors)[:, top][:, :, far, axis]
-            size = MESH_SHARE * float(np.sqrt((errors**2).mean())) if errors.size else 0.0
-            for number, pattern in enumerate(patterns):
-                column = np.zeros(layout.size)
-                part.markers(column)[..., axis] = size * load[:, None] * pattern
-                names.append(f"mesh {part.name} {axis} {number}")
-                columns.append(column)
+        for axis, smooth in enumerate(marker_columns(layout, part, load, patterns)):
+            size = _differ(part.markers(mesh_errors)[:, top][:, :, far, axis])
+            names += [f"mesh {part.name} {axis} {number}" for number in range(len(patterns))]
+            columns += list(size * smooth)
         for i, pad in enumerate(part.pads):
-            force = part.forces(bench.base)[:, i]
-            strength = np.linalg.norm(force, axis=1)
+            strength = np.linalg.norm(part.forces(bench.base)[:, i], axis=1)
             errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
-            for axis in range(3):
-                size = MESH_SHARE * float(np.sqrt((errors[..., axis] ** 2).mean())) if errors.size else 0.0
-                column = np.zeros(layout.size)
-                part.forces(column)[:, i, axis] = max(size, FORCE_LEFT) * strength
+            for axis, column in enumerate(force_columns(layout, part, i, strength)):
                 names.append(f"mesh {part.name} {pad} {axis}")
-                columns.append(column)
+                columns.append(max(_differ(errors[..., axis]), FORCE_LEFT) * column)
     for name, column in (*_at_rims(bench, mesh_errors), *_gains(bench)):
         names.append(name)
         columns.append(column)
     kept = [i for i, column in enumerate(columns) if column.any()]
     return Nuisances(tuple(names[i] for i in kept), np.array([columns[i] for i in kept]))
+
+
+def _differ(errors: FloatArray) -> float:
+    """Return the size of the error that differences between meshes stand for; 0 where there are none."""
+    return MESH_SHARE * float(np.sqrt((errors**2).mean())) if errors.size else 0.0
 
 
 def _rim_sizes(bench: Bench, part: CasePart) -> FloatArray:
@@ -140,11 +136,9 @@ def _at_rims(bench: Bench, mesh_errors: FloatArray) -> Iterator[tuple[str, Float
     for part in layout.parts:
         load, sizes = load_history(part, bench.base), _rim_sizes(bench, part)
         for marker in np.flatnonzero(sizes):
-            errors = part.markers(mesh_errors)[:, load > 0.5, marker]
-            differ = MESH_SHARE * float(np.sqrt((errors**2).mean())) if errors.size else 0.0
-            for axis in range(3):
-                column = np.zeros(layout.size)
-                part.markers(column)[:, marker, axis] = max(float(sizes[marker]), differ) * load
+            size = max(float(sizes[marker]), _differ(part.markers(mesh_errors)[:, load > 0.5, marker]))
+            alone = np.eye(part.n_markers)[[marker]]
+            for axis, column in enumerate(marker_columns(layout, part, size * load, alone)[:, 0]):
                 yield f"rim {part.name} {layout.marker_names[marker]} {axis}", column
 
 
@@ -181,15 +175,8 @@ def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
         part.markers(mine)[:] = EFFECT_ERROR * part.markers(change)
         columns.append(mine)
         history = EFFECT_ERROR * np.sqrt((part.markers(change) ** 2).mean(axis=(1, 2)))
-        for axis in range(3):
-            for pattern in patterns:
-                column = np.zeros(layout.size)
-                part.markers(column)[..., axis] = history[:, None] * pattern
-                columns.append(column)
+        columns += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
         for i in range(len(part.pads)):
             strength = EFFECT_ERROR * np.linalg.norm(part.forces(change)[:, i], axis=1)
-            for axis in range(3):
-                column = np.zeros(layout.size)
-                part.forces(column)[:, i, axis] = strength
-                columns.append(column)
+            columns += list(force_columns(layout, part, i, strength))
     return np.array([column for column in columns if column.any()]).reshape(-1, layout.size)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tissuereg._arrays import FloatArray
-from tissuereg.diagnose.signals import CasePart
+from tissuereg.diagnose.signals import CasePart, Layout
 
 #: How many patterns.
 MODES = 10
@@ -37,3 +37,53 @@ def load_history(part: CasePart, base: FloatArray) -> FloatArray:
     """Return how far the believed model moves the markers in every frame of a case, from 0 to 1; 0 in a rest case."""
     moved = np.sqrt((part.markers(base) ** 2).sum(axis=(1, 2)))
     return np.asarray(moved / moved.max()) if moved.max() > 1e-6 else np.zeros(part.n_frames)
+
+
+def marker_columns(layout: Layout, part: CasePart, history: FloatArray, patterns: FloatArray) -> FloatArray:
+    """Return columns in which markers move along one axis, in one pattern and through one history.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the columns.
+    part : CasePart
+        The case that moves.
+    history : ndarray of float64, shape (n_frames,)
+        mm.
+    patterns : ndarray of float64, shape (n_patterns, n_markers)
+        Over the markers.
+
+    Returns
+    -------
+    ndarray of float64, shape (3, n_patterns, size)
+        Axes first.
+    """
+    columns = np.zeros((3, len(patterns), layout.size))
+    for axis in range(3):
+        part.markers(columns)[axis, ..., axis] = history[:, None] * patterns[:, None, :]
+    return columns
+
+
+def force_columns(layout: Layout, part: CasePart, pad: int, history: FloatArray) -> FloatArray:
+    """Return columns in which one component of a pad's force goes through a history.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the columns.
+    part : CasePart
+        The case that has the force.
+    pad : int
+        Its number in `CasePart.pads`.
+    history : ndarray of float64, shape (n_frames,)
+        mN.
+
+    Returns
+    -------
+    ndarray of float64, shape (3, size)
+        One a component.
+    """
+    columns = np.zeros((3, layout.size))
+    for axis in range(3):
+        part.forces(columns)[axis, :, pad, axis] = history
+    return columns

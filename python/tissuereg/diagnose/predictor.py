@@ -28,11 +28,6 @@ class Predictor:
         Elements to use.
     threads : int
         Threads to use; 0 takes all cores.
-
-    Attributes
-    ----------
-    solved : int
-        Frames solved so far: the work done.
     """
 
     def __init__(self, experiment: Experiment, layout: Layout, *, element: str = "tet4", threads: int = 0) -> None:
@@ -41,7 +36,6 @@ class Predictor:
         self.element = element
         self.threads = threads
         self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
-        self.solved = 0
 
     def predict(
         self, effects: Sequence[Effect] = (), *, young: float | None = None, threads: int | None = None
@@ -79,12 +73,29 @@ class Predictor:
         places, forces = {}, {}
         for case in cases:
             found = solved[case.name]
-            self.solved += len(case.times)
-            if found.failed:
-                frame, why = found.failed[0]
-                message = f"every frame must find equilibrium; frame {frame} of case '{case.name}' does not: {why}"
-                raise ConvergenceError(message, where=case.name)
+            refuse_failures(case.name, found.failed)
             moved = self.observation.predict(found.displacement[:, self.observation.nodes])
             places[case.name] = seen_markers(believed, worked.marker_reference + moved, case.times)
             forces[case.name] = found.forces
         return self.layout.flatten(places, forces)
+
+
+def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
+    """Refuse a case with a frame that found no equilibrium.
+
+    Parameters
+    ----------
+    case : str
+        Its name.
+    failed : sequence of (int, str)
+        Frames without equilibrium, with the reason.
+
+    Raises
+    ------
+    ConvergenceError
+        It names the first one.
+    """
+    if failed:
+        frame, why = failed[0]
+        message = f"every frame must find equilibrium; frame {frame} of case '{case}' does not: {why}"
+        raise ConvergenceError(message, where=case)

@@ -1,19 +1,22 @@
 """What the believed model says on finer meshes: one that corrects the user's, and others that tell how good it is."""
 
-import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bank import MOST_FILES
 from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.predictor import refuse_failures
 from tissuereg.diagnose.signals import Layout
-from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Experiment
-from tissuereg.io.atomic import atomic_file
+from tissuereg.io.cache import keep_in_cache
 from tissuereg.simulate.experiment import CaseSimulation
 from tissuereg.simulate.fine import FineModel, third_meshes
+
+#: Finer meshes beside the one that corrects.
+THIRDS = 3
 
 
 def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
@@ -37,18 +40,11 @@ def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
         If a frame found no equilibrium.
     """
     for name, answer in answers.items():
-        if answer.failed:
-            frame, why = answer.failed[0]
-            message = f"every frame must find equilibrium on the fine mesh; frame {frame} of '{name}' does not: {why}"
-            raise ConvergenceError(message, where=name)
+        refuse_failures(name, answer.failed)
     return layout.flatten(
         {name: answer.markers for name, answer in answers.items()},
         {name: answer.forces for name, answer in answers.items()},
     )
-
-
-#: Finer meshes beside the one that corrects.
-THIRDS = 3
 
 
 def refined_predictions(
@@ -87,10 +83,7 @@ def refined_predictions(
         found.append(flat_of(bench.layout, model.simulate(threads=bench.predictor.threads)))
     made = np.array(found)
     if path is not None:
-        with contextlib.suppress(OSError):  # a cache that cannot be written is no error
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_file(path) as handle:
-                np.save(handle, made)
+        keep_in_cache(path, lambda stream: np.save(stream, made), MOST_FILES)
     return made[0], made[1:]
 
 

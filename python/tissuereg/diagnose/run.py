@@ -21,7 +21,7 @@ from tissuereg.diagnose.fit import Target
 from tissuereg.diagnose.generic import generic_columns
 from tissuereg.diagnose.misfit import p_misfit
 from tissuereg.diagnose.noise import estimate_noise
-from tissuereg.diagnose.nuisances import YOUNG_SPREAD, make_nuisances
+from tissuereg.diagnose.nuisances import make_nuisances
 from tissuereg.diagnose.nulls import draw_nulls
 from tissuereg.diagnose.refined import refined_predictions
 from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
@@ -30,7 +30,7 @@ from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.targets import target_rms
 from tissuereg.effects import Effect, Stiffness
 from tissuereg.experiment import Experiment
-from tissuereg.latent.cache import cache_folder
+from tissuereg.io.cache import cache_folder
 
 #: Misfit less likely than this is one.
 MISFIT = 0.01
@@ -64,20 +64,19 @@ def diagnose_body(
     correction = make_correction(layout, bench.base, fine)
     nuisances = make_nuisances(bench, others - fine)
     white = noise.whitened(correction.of_columns(nuisances.columns), layout)
-    null, rest = Null(white), Null(white[1:])
+    null, rest = Null(white), Null(white[nuisances.but("stiffness")])
     generic = generic_columns(bench, float(noise.marker_std.mean()))
     if progress is not None:
         progress("screening")
     screen = Screen(bank, generic, noise, layout, correction, null)
     nulls = draw_nulls(screen, null, noise, layout, list(others - fine), seed)
-    spread = (experiment.young_std or YOUNG_SPREAD * bench.young) / bench.young
-    target = Target(bench, noise, correction, rest, spread)
+    target = Target(bench, noise, correction, rest)
     found = search(target, screen, nulls.threshold, progress=progress)
     misfit = p_misfit(found.reduced, nulls.residuals, layout)
     findings = _findings(target, found, nulls.threshold)
     verdict = _verdict(findings, found, misfit)
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
-    if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * spread) ** 2:
+    if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
         if not any(isinstance(effect, Stiffness) for effect in effects):
             effects = (Stiffness(young_kpa=young), *effects)
@@ -86,7 +85,7 @@ def diagnose_body(
     return Diagnosis(
         verdict=verdict,
         findings=tuple(findings),
-        candidates=_candidates(screen, found.steps, found),
+        candidates=_candidates(screen, found.steps[0]),
         p_misfit=misfit,
         discrepancy=describe(layout, noise, found.base, found.final),
         extended=extended,
@@ -153,10 +152,15 @@ def _findings(target: Target, found: Search, threshold: float) -> list[Finding]:
     return ([stiff] if stiff is not None else []) + findings
 
 
+def _gains(step: Step) -> dict[str, float]:
+    """Return log Bayes factors of all causes in a step: of the fitted ones by their fits, of others by the screen."""
+    screened = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
+    return screened | {candidate.id: candidate.gain for candidate in step.candidates}
+
+
 def _chances(step: Step) -> dict[str, float]:
-    """Return the probabilities of all causes in a step: the fitted ones by their fits, others by the screen."""
-    gains = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
-    gains |= {candidate.id: candidate.gain for candidate in step.candidates}
+    """Return the probabilities of all causes in a step."""
+    gains = _gains(step)
     if step.found is not None:
         # A proof on held-out data has told cause and patch apart.
         gains[UNKNOWN] = min(gains[UNKNOWN], step.found.gain - float(_margin(step)))
@@ -172,8 +176,8 @@ def _margin(step: Step) -> float:
 def _stiffness(target: Target, found: Search) -> Finding | None:
     """Return the modulus as a finding where it lies beyond its prior and the data tell it."""
     final, believed = found.final, target.bench.young
-    excess = float(np.expm1(final.x[0])) / target.young_spread
-    spread = float(np.sqrt(final.covariance[0, 0])) / target.young_spread
+    excess = float(np.expm1(final.x[0])) / target.bench.young_spread
+    spread = float(np.sqrt(final.covariance[0, 0])) / target.bench.young_spread
     if abs(excess) < STIFFNESS or spread > 0.3 or "stiffness" in final.ids:
         return None
     young = final.young(believed)
@@ -218,11 +222,9 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-def _candidates(screen: Screen, steps: list[Step], found: Search) -> tuple[dict[str, Any], ...]:
-    first = steps[0]
-    chances = _chances(first)
-    gains = {name: screened.log_bayes_factor for name, screened in first.screened.items()}
-    gains |= {candidate.id: candidate.gain for candidate in first.candidates}
+def _candidates(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
+    """Return every id that was tried in the first step, likeliest first."""
+    chances, gains = _chances(first), _gains(first)
     rows: list[dict[str, Any]] = []
     for name in [*CAUSES, UNKNOWN]:
         if name in gains:

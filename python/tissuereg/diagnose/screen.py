@@ -82,15 +82,15 @@ class Screen:
 
         self.blocks = {
             name: Blocks(reduced(np.stack([v.columns for v in variants])), positive=variants[0].positive)
-            for name, variants in bank.variants.items()
+            for name, variants in bank.items()
         }
         self.generic = [Blocks(null.reduced(columns)[None].astype(np.float32)) for columns in self.generic_white]
 
-    def of(self, residual: FloatArray, *, unknown: bool = True) -> dict[str, Screened]:
+    def of(self, residual: FloatArray) -> dict[str, Screened]:
         """Return the evidence of every cause for one reduced residual (size,)."""
         found: dict[str, Screened] = {}
         for name, blocks in self.blocks.items():
-            variants = self.bank.variants[name]
+            variants = self.bank[name]
             each = self._each(name, residual[None])[0]
             top = int(np.argmax(each))
             if variants[top].fixed:
@@ -98,14 +98,13 @@ class Screen:
             else:
                 amplitudes = fit_amplitudes(residual, blocks.columns[top].astype(np.float64)).mean
             found[name] = Screened(float(log_mean_exp(each)), variants[top], amplitudes)
-        if unknown:
-            each = np.array([block.log_bayes_factors(residual[None])[0, 0] for block in self.generic])
-            found[UNKNOWN] = Screened(float(log_mean_exp(each)), None, np.empty(0))
+        each = np.array([block.log_bayes_factors(residual[None])[0, 0] for block in self.generic])
+        found[UNKNOWN] = Screened(float(log_mean_exp(each)), None, np.empty(0))
         return found
 
     def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
         """Return the length of what a hypothesis of a cause changes, in noise deviations, nuisances taken out."""
-        number = next(i for i, other in enumerate(self.bank.variants[name]) if other is variant)
+        number = next(i for i, other in enumerate(self.bank[name]) if other is variant)
         return float(np.linalg.norm(amplitudes @ self.blocks[name].columns[number].astype(np.float64)))
 
     def many(self, residuals: FloatArray) -> dict[str, FloatArray]:
@@ -118,7 +117,7 @@ class Screen:
     def _each(self, name: str, residuals: FloatArray) -> FloatArray:
         """Return log Bayes factors of all hypotheses of a cause, shape (n, n_variants)."""
         blocks = self.blocks[name]
-        if self.bank.variants[name][0].fixed:
+        if self.bank[name][0].fixed:
             shift = blocks.columns[:, 0]
             power = np.einsum("vs,vs->v", shift, shift, dtype=np.float64)
             return np.asarray(residuals.astype(np.float32) @ shift.T - 0.5 * power, np.float64)

@@ -63,15 +63,12 @@ class Step:
         The one that was proved.
     proof : HeldOut or None
         Models: before, with the likeliest candidate or the one found, with the generic rival.
-    generic_gain : float
-        Log Bayes factor of the generic rival against the model before.
     """
 
     screened: dict[str, Screened]
     candidates: list[Candidate]
     found: Candidate | None
     proof: HeldOut | None
-    generic_gain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,13 +117,8 @@ def search(
     base = fit(target, [])
     assert base is not None  # the bench has solved the believed model
     current, steps, plain = base, [], target
-    while True:
-        null = _null_after(target, current)
-        reduced = null.reduced(current.residual)
-        screened = screen.of(_as_screened(screen, target, current), unknown=True)
-        generic_gain = screened[UNKNOWN].log_bayes_factor
-        if len(current.parts) >= MOST_CAUSES:
-            break
+    while len(current.parts) < MOST_CAUSES:
+        screened = screen.of(_as_screened(screen, target, current))
         candidates = _refit(target, screen, screened, current, threshold, progress)
         found, proof = None, None
         for candidate in candidates:
@@ -138,7 +130,7 @@ def search(
             if density[1] > density[0] + PROVED and density[1] > density[2]:
                 found, proof = candidate, tried
                 break
-        steps.append(Step(screened, candidates, found, proof, generic_gain))
+        steps.append(Step(screened, candidates, found, proof))
         if found is None:
             break
         # What was found has an error of its own, beside which further causes must stand.
@@ -146,7 +138,7 @@ def search(
         target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, plain.white(change)])))
         again = fit(target, found.fit.parts, start=found.fit.x)
         current = again or found.fit
-    return Search(base, current, steps, reduced)
+    return Search(base, current, steps, _null_after(target, current).reduced(current.residual))
 
 
 def _refit(
@@ -179,7 +171,7 @@ def _refit(
         knobs = CAUSES[name].knobs(target.bench, variant, screened[name].amplitudes)
         part = Part(name, variant, knobs)
         start = np.concatenate([current.x, knobs.start])
-        fitted = fit(target, [*current.parts, part], start=start, choices=choices_of(name, screen.bank.variants[name]))
+        fitted = fit(target, [*current.parts, part], start=start, choices=choices_of(name, screen.bank[name]))
         if fitted is not None:
             found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence))
     return sorted(found, key=lambda candidate: -candidate.gain)

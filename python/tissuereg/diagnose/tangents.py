@@ -17,8 +17,8 @@ from tissuereg.diagnose.signals import CasePart
 from tissuereg.effects import ChainEffect, extended, seen_markers
 from tissuereg.experiment import Case, Experiment
 from tissuereg.load import Load
-from tissuereg.simulate.experiment import believed_case, distinct_loads
-from tissuereg.simulate.loading import pads_of
+from tissuereg.simulate.experiment import believed_case
+from tissuereg.simulate.loading import distinct_states, pads_of
 from tissuereg.simulate.sensitivity import Cause, Linearised, Observation
 from tissuereg.simulate.solve import Simulator
 
@@ -81,7 +81,7 @@ class Tangents:
         self.layout = predictor.layout
         self.worked: Experiment = extended(predictor.experiment, predictor.element)
         self.states = [state for case in self.worked.cases.values() for state in self._of_case(case)]
-        self._kept: list[tuple[Linearised, FloatArray, FloatArray] | None] = [None] * len(self.states)
+        self._kept: list[tuple[Linearised, FloatArray] | None] = [None] * len(self.states)
 
     def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
         """Return how everything measured follows directions.
@@ -100,7 +100,7 @@ class Tangents:
         """
         flat = np.zeros((count, self.layout.size))
         for number, state in enumerate(self.states):
-            tangent, _, slopes = self._at(number)
+            tangent, slopes = self._at(number)
             found = tangent.derivatives(direction(state))
             nodes = self.predictor.observation.nodes
             markers = np.einsum("mxny,cny->cmx", slopes, found.displacement[:, nodes])
@@ -127,7 +127,7 @@ class Tangents:
         flat = np.zeros((shares.shape[1], self.layout.size))
         young = np.broadcast_to(_per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
         for number, state in enumerate(self.states):
-            tangent, _, slopes = self._at(number)
+            tangent, slopes = self._at(number)
             part = self.layout[state.case.name]
             by_young = tangent.adjoints(self._observations(state, part, slopes)).young.mean(axis=2)
             by_young = by_young * (young * tangent.simulator.n_points)
@@ -141,14 +141,12 @@ class Tangents:
         believed = believed_case(self.worked, case, element=self.predictor.element, threads=self.predictor.threads)
         held = believed.simulator.held_nodes
         rows = {pad.name: np.flatnonzero(np.isin(held, pad.nodes)) for pad in pads_of(self.worked, case)}
-        firsts, state_of = distinct_loads(believed.loads)
-        return [
-            State(case, np.flatnonzero(np.array(state_of) == i), believed.simulator, believed.loads[frame], rows)
-            for i, frame in enumerate(firsts)
-        ]
+        states, state_of = distinct_states(case)
+        frames = [np.flatnonzero(state_of == number) for number in range(len(states))]
+        return [State(case, mine, believed.simulator, believed.loads[mine[0]], rows) for mine in frames]
 
-    def _at(self, number: int) -> tuple[Linearised, FloatArray, FloatArray]:
-        """Return tangent, displacement and slopes of the observation in a state."""
+    def _at(self, number: int) -> tuple[Linearised, FloatArray]:
+        """Return tangent and slopes of the observation in a state."""
         kept = self._kept[number]
         if kept is not None:
             return kept
@@ -157,7 +155,7 @@ class Tangents:
         found = state.simulator.solve(state.load, material, threads=threads)
         tangent = Linearised(state.simulator, state.load, material, found.all_displacement, threads=threads)
         slopes = self.predictor.observation.jacobian(found.displacement[self.predictor.observation.nodes])
-        made = (tangent, found.displacement, slopes)
+        made = (tangent, slopes)
         if self.worked.mesh.n_nodes <= KEPT_UP_TO_NODES:
             self._kept[number] = made
         return made
@@ -182,17 +180,13 @@ class Tangents:
             return flat
         tracker = replace(self.predictor.experiment, effects=chain)
         for part in self.layout.parts:
-            places = self.layout.reference + part.markers(self._base)
+            # Where markers are does not matter to an affine map's derivative.
+            markers = part.markers(flat)
+            places = np.broadcast_to(self.layout.reference, markers.shape[1:])
             here = seen_markers(tracker, places, part.times)
-            for row in range(len(flat)):
-                markers = part.markers(flat)
-                markers[row] = seen_markers(tracker, places + markers[row], part.times) - here
+            for row in markers:
+                row[:] = seen_markers(tracker, places + row, part.times) - here
         return flat
-
-    @property
-    def _base(self) -> FloatArray:
-        """Places do not matter to an affine map's derivative; rest is as good as any."""
-        return np.zeros(self.layout.size)
 
 
 def _per_tet(young: FloatArray) -> FloatArray:

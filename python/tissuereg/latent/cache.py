@@ -1,29 +1,15 @@
-"""Fitted priors kept between calls, by the content of everything they depend on.
-
-They lie in ``$TISSUEREG_CACHE``, or the user's cache folder; deleting it costs time only. A file that cannot be
-read is treated as absent.
-"""
+"""Fitted priors kept between calls, by the content of everything they depend on."""
 
 import json
-import os
 import zipfile
-from pathlib import Path
 
 import numpy as np
 
-from tissuereg.io.atomic import atomic_file
+from tissuereg.io.cache import cache_folder, keep_in_cache
 from tissuereg.latent.pca import PcaModel
 
 #: Oldest files go when there are more than this.
 MOST_FILES = 40
-
-
-def cache_folder() -> Path:
-    """Return the folder of cached priors; it may not exist yet."""
-    chosen = os.environ.get("TISSUEREG_CACHE")
-    if chosen:
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tissuereg"
 
 
 def load_cached(key: str) -> PcaModel | None:
@@ -58,19 +44,13 @@ def store_cached(key: str, model: PcaModel) -> None:
     model : PcaModel
         What to keep.
     """
-    folder = cache_folder()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with atomic_file(folder / f"prior_{key}.npz") as path, path.open("wb") as stream:
-            np.savez(
-                stream,
-                centre=model.centre,
-                components=model.components,
-                error_fields=model.error_fields,
-                error_sizes=model.error_sizes,
-                card=np.array(json.dumps(model.card)),
-            )
-        for old in sorted(folder.glob("prior_*.npz"), key=lambda p: p.stat().st_mtime)[:-MOST_FILES]:
-            old.unlink(missing_ok=True)
-    except OSError:
-        return
+    arrays = {
+        "centre": model.centre,
+        "components": model.components,
+        "error_fields": model.error_fields,
+        "error_sizes": model.error_sizes,
+        "card": np.array(json.dumps(model.card)),
+    }
+    keep_in_cache(
+        cache_folder() / f"prior_{key}.npz", lambda stream: np.savez(stream, allow_pickle=False, **arrays), MOST_FILES
+    )

@@ -15,7 +15,7 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.load import Load
 from tissuereg.observe import MarkerObservation, TargetObservation
-from tissuereg.simulate.loading import hangs_already, pads_of, traction_of, weight_of
+from tissuereg.simulate.loading import distinct_states, hangs_already, pads_of, traction_of, weight_of
 from tissuereg.simulate.memory import SolvedCase, goes_through_time, solve_through_time
 from tissuereg.simulate.solve import Simulator
 
@@ -221,8 +221,8 @@ def _solve_elastic(
     """Return the frames of a case, each on its own and all in parallel."""
     believed = believed_case(experiment, case, element=element, threads=threads)
     simulator = believed.simulator
-    firsts, state_of = distinct_loads(believed.loads)
-    loads = [believed.loads[frame] for frame in firsts]
+    _, state_of = distinct_states(case)
+    loads = [believed.loads[frame] for frame in np.unique(state_of, return_index=True)[1]]
     report = None if progress is None else (lambda n: progress(n * len(state_of) // len(loads)))
     materials = [experiment.material] * len(loads)
     found = simulator.solve_many(loads, materials, tolerance=tolerance, threads=threads, progress=report)
@@ -236,33 +236,6 @@ def _solve_elastic(
         for pad in pads_of(experiment, case)
     }
     return SolvedCase(found.displacement[state_of], forces, failed, found.all_displacement[state_of])
-
-
-def distinct_loads(loads: Sequence[Load]) -> tuple[list[int], list[int]]:
-    """Return the first frame of every distinct load, and the number of its load for every frame.
-
-    Parameters
-    ----------
-    loads : sequence of Load
-        One a frame. Where nothing remembers, frames under one load are one equilibrium: a hold, or a way back.
-
-    Returns
-    -------
-    tuple of list of int
-        Frames, increasing; and one number a frame that counts through them.
-    """
-    known: dict[tuple[bytes, ...], int] = {}
-    firsts: list[int] = []
-    state_of: list[int] = []
-    for frame, load in enumerate(loads):
-        traction = () if load.traction is None else load.traction
-        parts = (load.forces, load.body_force, load.prescribed, *traction)
-        content = tuple(b"" if part is None else np.asarray(part, np.float64).tobytes() for part in parts)
-        if content not in known:
-            known[content] = len(firsts)
-            firsts.append(frame)
-        state_of.append(known[content])
-    return firsts, state_of
 
 
 def _load(

@@ -5,6 +5,9 @@ import numpy as np
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.experiment import Actuator, Case, Experiment
 
+#: Loads whose parts differ by less than this share of the largest are one state.
+_SAME = 1e-9
+
 
 def pads_of(experiment: Experiment, case: Case) -> list[Actuator]:
     """Return the displacement actuators that are present in a case."""
@@ -46,6 +49,29 @@ def traction_of(experiment: Experiment, case: Case, frame: int) -> tuple[IntArra
             triangles.append(patch)
             tractions.append(np.broadcast_to(case.applied_forces[pad.name][frame] / area, (len(patch), 3)))
     return (np.concatenate(triangles), np.concatenate(tractions)) if triangles else None
+
+
+def distinct_states(case: Case) -> tuple[FloatArray, IntArray]:
+    """Return the different loads of a case in the order in which they first appear, and that of every frame.
+
+    Parameters
+    ----------
+    case : Case
+        With what is given to its actuators.
+
+    Returns
+    -------
+    tuple of ndarray of float64 (n_states, n_parts) and ndarray of int64 (n_frames,)
+        Motions in mm and forces in mN side by side, every part over the largest of its actuator.
+    """
+    given = [np.asarray(v) for v in (*case.displacements.values(), *case.applied_forces.values())]
+    parts = [values / max(float(np.abs(values).max()), np.finfo(float).tiny) for values in given]
+    table = np.concatenate([np.zeros((len(case.times), 1)), *parts], axis=1)
+    _, first, inverse = np.unique(np.round(table / _SAME), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return table[first[order]], rank[inverse.ravel()]
 
 
 def _patch(experiment: Experiment, pad: Actuator) -> tuple[IntArray, float]:

@@ -30,7 +30,7 @@ pub use neo_hookean::NeoHookean;
 pub(crate) use stiffness::Layout;
 pub use stiffness::{Directions, Fibres, Stiffness};
 pub use tensor::det_f_minus_one;
-pub(crate) use tensor::{cofactor, phi1, phi2, x_minus_log};
+pub(crate) use tensor::{cofactor, phi1, phi2, product, square, x_minus_log};
 
 /// A matrix of three rows, `[i][j]`.
 pub type Matrix3 = [[f64; 3]; 3];

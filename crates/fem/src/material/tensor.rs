@@ -36,7 +36,7 @@ pub(super) fn matrix(entry: impl Fn(usize, usize) -> f64) -> Matrix3 {
     std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))
 }
 
-pub(super) fn product(a: &Matrix3, b: &Matrix3) -> Matrix3 {
+pub(crate) fn product(a: &Matrix3, b: &Matrix3) -> Matrix3 {
     matrix(|i, j| (0..3).map(|k| a[i][k] * b[k][j]).sum())
 }
 
@@ -45,7 +45,7 @@ pub(super) fn trace(m: &Matrix3) -> f64 {
 }
 
 /// Sum of the squares of all entries.
-pub(super) fn square(m: &Matrix3) -> f64 {
+pub(crate) fn square(m: &Matrix3) -> f64 {
     m.iter().flatten().map(|v| v * v).sum()
 }
 

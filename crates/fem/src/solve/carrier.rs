@@ -24,7 +24,7 @@
 //! iterations and 74 evaluations of the forces a load without this, 22 and 29 with it.
 
 use crate::assembly::NodalGradients;
-use crate::material::{Matrix3, cofactor};
+use crate::material::{Matrix3, cofactor, product, square};
 
 /// Smallest determinant of a map; closer to inversion it is left out.
 const LEAST_DETERMINANT: f64 = 0.1;
@@ -59,9 +59,8 @@ impl Carrier {
             }
         }
         for map in &mut self.maps {
-            let square: f64 = map.as_flattened().iter().map(|v| v * v).sum();
             // Also where it is NaN.
-            if !(determinant(map) > LEAST_DETERMINANT && square < LARGEST_SQUARE) {
+            if !(determinant(map) > LEAST_DETERMINANT && square(map) < LARGEST_SQUARE) {
                 *map = IDENTITY;
             }
         }
@@ -141,10 +140,6 @@ fn for_each_node(
 fn determinant(m: &Matrix3) -> f64 {
     let c = cofactor(m);
     m[0][0] * c[0][0] + m[0][1] * c[0][1] + m[0][2] * c[0][2]
-}
-
-fn product(a: &Matrix3, b: &Matrix3) -> Matrix3 {
-    std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
 }
 
 #[cfg(test)]

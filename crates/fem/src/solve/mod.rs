@@ -3,7 +3,8 @@
 //! Sought is the displacement `u (3 n_nodes)` with prescribed values at held nodes that minimises
 //! the potential energy `Π(u) = W(u) − fᵀu`; its residual `r = f_int(u) − f` vanishes on the free
 //! unknowns. Modules, from the inside out: `problem` evaluates a state, `metric` holds factors
-//! and `carrier` carries them along, `lbfgs` and `line_search` make a step, `minimise` repeats it, `load_steps` leads to the load.
+//! and `carrier` carries them along, `lbfgs` and `line_search` make a step, `minimise` repeats it,
+//! `load_steps` leads to the load.
 
 mod carrier;
 mod inspect;

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, three
 from tissuereg.diagnose.tangents import State
 from tissuereg.effects import ActuatorDirection, ActuatorGain, ActuatorOffset
 from tissuereg.experiment import Actuator
@@ -65,7 +65,7 @@ class DirectionCause(Cause):
                 columns = bench.by(partial(_turns, pad, across), 2)
             else:
                 changes = [
-                    bench.change(ActuatorDirection(actuator=pad.name, rotation_deg=_three(axis))) for axis in across
+                    bench.change(ActuatorDirection(actuator=pad.name, rotation_deg=three(axis))) for axis in across
                 ]
                 if any(change is None for change in changes):
                     continue
@@ -77,7 +77,7 @@ class DirectionCause(Cause):
         name, across = str(variant.settings["actuator"]), np.asarray(variant.settings["across"])
         return knobs(
             [(ANGLE * float(a), 0.0, ANGLE, 0.5) for a in amplitudes],
-            lambda x, young: (ActuatorDirection(actuator=name, rotation_deg=_three(x @ across)),),
+            lambda x, young: (ActuatorDirection(actuator=name, rotation_deg=three(x @ across)),),
             lambda x, young: {"actuator": name, "rotation_deg": (x @ across).tolist()},
         )
 
@@ -101,7 +101,7 @@ class OffsetCause(Cause):
                 yield Variant(f"{pad.name} motion", OFFSET * columns, {"actuator": pad.name, "kind": "motion"})
             tangents = _along_surface(bench, pad)
             ends = [side * SHIFT * axis for axis in tangents for side in (-1.0, 1.0)]
-            changes = bench.changes([[ActuatorOffset(actuator=pad.name, shift_mm=_three(end))] for end in ends])
+            changes = bench.changes([[ActuatorOffset(actuator=pad.name, shift_mm=three(end))] for end in ends])
             known = [change for change in changes if change is not None]
             if len(known) == len(ends):
                 columns = np.array([0.5 * (known[1] - known[0]), 0.5 * (known[3] - known[2]), 0.0 * known[0]])
@@ -114,13 +114,13 @@ class OffsetCause(Cause):
         if variant.settings["kind"] == "motion":
             return knobs(
                 [(OFFSET * float(a), 0.0, OFFSET, 0.05) for a in amplitudes],
-                lambda x, young: (ActuatorOffset(actuator=name, offset_mm=_three(x)),),
+                lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),),
                 lambda x, young: {"actuator": name, "offset_mm": x.tolist()},
             )
         along = np.asarray(variant.settings["along"])
         return knobs(
             [(SHIFT * float(a), 0.0, SHIFT, 0.5 * SHIFT) for a in amplitudes[:2]],
-            lambda x, young: (ActuatorOffset(actuator=name, shift_mm=_three(x @ along)),),
+            lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
             lambda x, young: {"actuator": name, "shift_mm": (x @ along).tolist()},
         )
 
@@ -176,8 +176,3 @@ def _along_surface(bench: Bench, pad: Actuator) -> FloatArray:
     """Return two directions (2, 3) along the surface at a patch."""
     places = bench.experiment.mesh.nodes[pad.nodes]
     return np.asarray(np.linalg.svd(places - places.mean(axis=0), full_matrices=True)[2][:2])
-
-
-def _three(vector: FloatArray) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in vector)
-    return x, y, z

@@ -1,7 +1,7 @@
 """What a cause is: hypotheses with their columns, knobs for the nonlinear fit, a sentence."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -120,6 +120,12 @@ def knobs(
     """Return knobs from rows of start, prior mean, prior deviation and step."""
     start, mean, deviation, step = np.array(list(coordinates), np.float64).T
     return Knobs(start, mean, deviation, effects, values, step)
+
+
+def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:
+    """Return a vector as the tables of effects hold it."""
+    x, y, z = (float(v) for v in vector)
+    return x, y, z
 
 
 def logistic(x: float) -> float:

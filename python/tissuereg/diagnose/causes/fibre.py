@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, three
 from tissuereg.effects import Effect, Fibre
 
 #: Stiffness over the shear modulus at which secants are taken.
@@ -55,8 +55,7 @@ class FibreCause(Cause):
 
 
 def _effect(size: float, direction: FloatArray) -> Effect:
-    x, y, z = (float(v) for v in direction)
-    return Fibre(k1_over_mu=size, k2=1.0, direction=(x, y, z))
+    return Fibre(k1_over_mu=size, k2=1.0, direction=three(direction))
 
 
 def _lines() -> list[FloatArray]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, three
 from tissuereg.diagnose.tangents import State
 from tissuereg.effects import Effect, Gravity
 from tissuereg.load import Load
@@ -97,5 +97,5 @@ def _believed(bench: Bench) -> FloatArray:
 
 def _effect(over_standard: FloatArray) -> Effect:
     size = max(float(np.linalg.norm(over_standard)), 1e-6)
-    x, y, z = (float(v) for v in (over_standard / size if np.any(over_standard) else np.array([0.0, 0.0, -1.0])))
-    return Gravity(direction=(x, y, z), g_mm_per_s2=size * GRAVITY_MM_PER_S2)
+    towards = over_standard / size if np.any(over_standard) else np.array([0.0, 0.0, -1.0])
+    return Gravity(direction=three(towards), g_mm_per_s2=size * GRAVITY_MM_PER_S2)

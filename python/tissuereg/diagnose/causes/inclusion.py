@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, three
 from tissuereg.effects import Inclusion
 from tissuereg.mesh import Mesh
 
@@ -49,8 +49,7 @@ class InclusionCause(Cause):
 
         def effect(x: FloatArray, young: float) -> tuple[Inclusion]:
             size = float(np.exp(x[3]))
-            place = (float(x[0]), float(x[1]), float(x[2]))
-            return (Inclusion(centre_mm=place, semi_axes_mm=(size, size, size), contrast=float(np.exp(x[4]))),)
+            return (Inclusion(centre_mm=three(x[:3]), semi_axes_mm=(size, size, size), contrast=float(np.exp(x[4]))),)
 
         def values(x: FloatArray, young: float) -> Values:
             size = float(np.exp(x[3]))

@@ -4,7 +4,7 @@ All of them change places in closed form; nothing is solved.
 """
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import ClassVar
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, three
 from tissuereg.effects import Effect, Frame, Latency, MarkerSlip, MarkerSwap, Scale, seen_markers
 
 #: Prior deviations: of shifts in mm and turns in degrees of the frame, of the scale, of the delay in frames, of slips
@@ -60,8 +60,8 @@ class ScaleCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one, with the scale about the body's middle and three shifts."""
         middle = _middle(bench)
-        scale = changed_by(bench, Scale(scale=1.01, origin_mm=_three(middle))) * 100.0 * SCALE
-        shifts = [SHIFT * changed_by(bench, Frame(shift_mm=_three(axis))) for axis in np.eye(3)]
+        scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * SCALE
+        shifts = [SHIFT * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
@@ -71,7 +71,7 @@ class ScaleCause(Cause):
         def effect(x: FloatArray) -> Scale:
             # A shift d beside a scale s about the middle m is a scale about m - d / s.
             stretch = float(x[0]) if abs(x[0]) > 1e-6 else 1e-6
-            return Scale(scale=1.0 + stretch, origin_mm=_three(_middle(bench) - x[1:] / stretch))
+            return Scale(scale=1.0 + stretch, origin_mm=three(_middle(bench) - x[1:] / stretch))
 
         return knobs(
             [(float(s * a), 0.0, float(s), 0.1 * float(s)) for s, a in zip(spread, amplitudes, strict=True)],
@@ -135,7 +135,7 @@ class SlipCause(Cause):
         marker, onset = str(variant.settings["marker"]), float(variant.settings["onset"])
         return knobs(
             [(SLIP * float(a), 0.0, SLIP, 0.1) for a in amplitudes],
-            lambda x, young: (MarkerSlip(marker=marker, offset_mm=_three(x), from_time_s=onset),),
+            lambda x, young: (MarkerSlip(marker=marker, offset_mm=three(x), from_time_s=onset),),
             lambda x, young: {"marker": marker, "offset_mm": x.tolist(), "from_time_s": onset},
         )
 
@@ -209,8 +209,8 @@ def _frame(bench: Bench, x: FloatArray) -> Frame:
     """Return the frame that is shifted by x[:3] mm and turned by x[3:] degrees about the body's middle."""
     from tissuereg.effects.base import rotation_from_vector
 
-    turn, middle = rotation_from_vector(_three(x[3:])), _middle(bench)
-    return Frame(rotation_deg=_three(x[3:]), shift_mm=_three(x[:3] + middle - turn @ middle))
+    turn, middle = rotation_from_vector(three(x[3:])), _middle(bench)
+    return Frame(rotation_deg=three(x[3:]), shift_mm=three(x[:3] + middle - turn @ middle))
 
 
 def _middle(bench: Bench) -> FloatArray:
@@ -223,8 +223,3 @@ def _onsets(bench: Bench) -> list[float]:
         rows = np.unique(np.linspace(0, part.n_frames - 1, ONSETS_A_CASE + 1).astype(int)[:-1])
         found += [float(t) for t in part.times[rows]]
     return sorted(set(found))
-
-
-def _three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in vector)
-    return x, y, z

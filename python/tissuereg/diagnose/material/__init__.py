@@ -48,13 +48,18 @@ class MaterialDiagnosis:
         """Return the answer as JSON's types."""
         return self.answer
 
-    def write(self, folder: str | os.PathLike[str]) -> None:
+    def save(self, folder: str | os.PathLike[str]) -> Path:
         """Write ``diagnosis.json`` and, where a cause was named, ``experiment.extended.toml``.
 
         Parameters
         ----------
         folder : path-like
             Made where it is absent.
+
+        Returns
+        -------
+        Path
+            The folder.
 
         Raises
         ------
@@ -66,6 +71,7 @@ class MaterialDiagnosis:
         write_json(place / "diagnosis.json", self.answer)
         if self.extended is not None:
             write_material_experiment(self.extended, place / EXTENDED_FILE)
+        return place
 
 
 def diagnose_material(

@@ -96,8 +96,9 @@ def assumed(found: "Diagnosis") -> str:
     if search is not None and target is not None:
         young = target.bench.young
         spread = young * float(np.sqrt(search.final.covariance[0, 0])) * float(np.exp(search.final.x[0]))
+        believed = target.bench.young_spread * young
         items.append(
-            f"Young's modulus was believed {young:.4g} \u00b1 {target.young_spread * young:.2g} kPa and fitted with "
+            f"Young's modulus was believed {young:.4g} \u00b1 {believed:.2g} kPa and fitted with "
             f"the causes: {search.final.young(young):.4g} \u00b1 {spread:.2g} kPa."
         )
     items += [

@@ -5,16 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._arrays import FloatArray
 from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Case, Experiment
 from tissuereg.material import Material
 from tissuereg.simulate.experiment import Believed, believed_case
-from tissuereg.simulate.loading import pads_of
+from tissuereg.simulate.loading import distinct_states, pads_of
 from tissuereg.simulate.memory import SolvedCase
-
-#: Loads whose parts differ by less than this share of the largest are one state.
-_SAME = 1e-9
 
 #: Loads whose directions differ by less than this are along one line.
 _ALONG = 1e-6
@@ -105,29 +102,6 @@ def solve_states(
         message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
         raise ConvergenceError(message, where=case.name)
     return SolvedCase(field[:, : simulator.mesh.n_nodes], forces, sorted(failed), field)
-
-
-def distinct_states(case: Case) -> tuple[FloatArray, IntArray]:
-    """Return the different loads of a case in the order in which they first appear, and that of every frame.
-
-    Parameters
-    ----------
-    case : Case
-        With what is given to its actuators.
-
-    Returns
-    -------
-    tuple of ndarray of float64 (n_states, n_parts) and ndarray of int64 (n_frames,)
-        Motions in mm and forces in mN side by side, every part over the largest of its actuator.
-    """
-    given = [np.asarray(v) for v in (*case.displacements.values(), *case.applied_forces.values())]
-    parts = [values / max(float(np.abs(values).max()), np.finfo(float).tiny) for values in given]
-    table = np.concatenate([np.zeros((len(case.times), 1)), *parts], axis=1)
-    _, first, inverse = np.unique(np.round(table / _SAME), axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return table[first[order]], rank[inverse.ravel()]
 
 
 def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
