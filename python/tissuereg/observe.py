@@ -74,6 +74,8 @@ class MarkerObservation:
         self._patches = [np.searchsorted(self.nodes, patch) for patch in patches]
         # Patches are of corner nodes alone.
         self._reference = mesh.nodes[np.minimum(self.nodes, mesh.n_nodes - 1)]
+        self._turned = np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM)
+        self._members, self._arms = _padded([self._patches[marker] for marker in self._turned], self._reference)
 
     @classmethod
     def of(cls, mesh: Mesh, markers: Markers) -> "MarkerObservation":
@@ -99,10 +101,9 @@ class MarkerObservation:
             mm.
         """
         moved = np.einsum("mc,...mcx->...mx", self._weights, displacement[..., self._foot_nodes, :])
-        for marker in np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM):
-            patch = self._patches[marker]
-            turned = _rotation(self._reference[patch], displacement[..., patch, :])
-            moved[..., marker, :] += (turned - np.eye(3)) @ self._offset[marker]
+        if len(self._turned):
+            turned = _rotations(self._arms, displacement[..., self._members, :])
+            moved[..., self._turned, :] += np.einsum("...mxy,my->...mx", turned - np.eye(3), self._offset[self._turned])
         return np.asarray(moved)
 
     def jacobian(self, displacement: FloatArray) -> FloatArray:
@@ -123,12 +124,14 @@ class MarkerObservation:
         for axis in range(3):
             for corner in range(3):
                 slopes[np.arange(self.n_markers), axis, self._foot_nodes[:, corner], axis] += self._weights[:, corner]
-        for marker in np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM):
+        for marker in self._turned:
             patch = self._patches[marker]
             step = 1e-5 * float(np.ptp(self._reference[patch], axis=0).max())
             nudges = step * np.eye(3 * len(patch)).reshape(-1, len(patch), 3)
             here, rest = displacement[patch], self._reference[patch]
-            change = (_rotation(rest, here + nudges) - _rotation(rest, here - nudges)) / (2.0 * step)
+            arms = rest - rest.mean(axis=0)
+            nudged = _rotations(arms[None], np.stack([here + nudges, here - nudges])[:, :, None])[:, :, 0]
+            change = (nudged[0] - nudged[1]) / (2.0 * step)
             slopes[marker][:, patch] += np.moveaxis((change @ self._offset[marker]).reshape(len(patch), 3, 3), -1, 0)
         return slopes
 
@@ -205,11 +208,21 @@ def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:
     return patches
 
 
-def _rotation(reference: FloatArray, displacement: FloatArray) -> FloatArray:
-    """Return the rotation (..., 3, 3) that best carries a patch (n, 3) into its displaced shape (..., n, 3)."""
-    arms = reference - reference.mean(axis=0)
-    moved = arms + displacement - displacement.mean(axis=-2, keepdims=True)
-    correlation = np.einsum("...ni,nj->...ij", moved, arms)
+def _padded(patches: list[IntArray], places: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return members (m, p) and arms from their middle (m, p, 3) of patches; short ones repeat a node with no arm."""
+    longest = max((len(patch) for patch in patches), default=0)
+    members = np.zeros((len(patches), longest), np.int64)
+    arms = np.zeros((len(patches), longest, 3))
+    for row, patch in enumerate(patches):
+        members[row] = np.resize(patch, longest)
+        arms[row, : len(patch)] = places[patch] - places[patch].mean(axis=0)
+    return members, arms
+
+
+def _rotations(arms: FloatArray, displacement: FloatArray) -> FloatArray:
+    """Return the rotations (..., m, 3, 3) that best carry patches of arms (m, p, 3) into displaced ones."""
+    # Arms have no mean, and so that of the displacement says nothing.
+    correlation = np.einsum("...mpi,mpj->...mij", arms + displacement, arms)
     # A failed member is rejected later; here it must not spoil the others' factorisation.
     bad = ~np.isfinite(correlation).all(axis=(-1, -2))
     u, _, vt = np.linalg.svd(np.where(bad[..., None, None], np.eye(3), correlation))

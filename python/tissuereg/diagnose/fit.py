@@ -2,7 +2,8 @@
 
     minimise 1/2 |C0^-1/2 L^-1 (y - f(x))|^2 + 1/2 |(x - mean) / deviation|^2
 
-over the logarithm of the modulus and the knobs of all causes; the other nuisances are integrated out in C0.
+over the logarithm of the modulus and the knobs of all causes; the other nuisances are integrated out in C0. The
+derivative is carried from step to step by Broyden's update, and taken anew where it leads no further.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from tissuereg.effects import Effect
 from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
 
 #: Iterations at most, and the decrease of the objective below which the fit stands still.
-MOST_ITERATIONS = 6
+MOST_ITERATIONS = 12
 LEAST_GAIN = 0.2
 
 #: Shares of a step that are tried.
@@ -152,7 +153,14 @@ class Fit:
         return centre, spread
 
 
-def fit(target: Target, parts: Sequence[Part], *, start: FloatArray | None = None, choices: int = 1) -> Fit | None:
+def fit(
+    target: Target,
+    parts: Sequence[Part],
+    *,
+    start: FloatArray | None = None,
+    choices: int = 1,
+    hopeless: float = np.inf,
+) -> Fit | None:
     """Return the fit of a model with causes.
 
     Parameters
@@ -165,6 +173,8 @@ def fit(target: Target, parts: Sequence[Part], *, start: FloatArray | None = Non
         Where to begin; the knobs' own starts where absent.
     choices : int
         Number of discrete hypotheses among which these were chosen: the price is its logarithm.
+    hopeless : float
+        Objective above which the derivative need not be exact in the end.
 
     Returns
     -------
@@ -181,10 +191,9 @@ def fit(target: Target, parts: Sequence[Part], *, start: FloatArray | None = Non
     if prediction is None:
         return None
     objective, reduced = solver.objective(x, prediction)
-    jacobian, slopes = solver.jacobian(x, prediction)
+    jacobian, exact = solver.jacobian(x, prediction), True
+    slopes = solver.reduced(jacobian)
     for _ in range(MOST_ITERATIONS):
-        if not len(x):
-            break
         step = solver.step(x, slopes, reduced)
         step *= min(1.0, LONGEST / max(float(np.abs(step / solver.deviation).max()), 1e-12))
         gained = 0.0
@@ -195,12 +204,15 @@ def fit(target: Target, parts: Sequence[Part], *, start: FloatArray | None = Non
             value, rest = solver.objective(x + share * step, trial)
             if value < objective:
                 gained = objective - value
+                jacobian = solver.carried(jacobian, share * step, trial - prediction)
+                exact = False
                 x, prediction, objective, reduced = x + share * step, trial, value, rest
                 break
-        if gained > 0.0:
-            jacobian, slopes = solver.jacobian(x, prediction)
         if gained < LEAST_GAIN:
-            break
+            if exact or objective > hopeless:
+                break
+            jacobian, exact = solver.jacobian(x, prediction), True
+        slopes = solver.reduced(jacobian)
     information = slopes @ slopes.T + np.diag(1.0 / solver.deviation**2)
     covariance = np.linalg.inv(information)
     inner = information * solver.deviation[:, None] * solver.deviation
@@ -248,18 +260,23 @@ class _Solver:
         factor = float(np.exp(np.clip(x[0], -3.0, 3.0)))
         unit = bench.young if self.scales else bench.young * factor
         effects: list[Effect] = []
+        linear = np.zeros(len(self.measured))
         at = 1
         try:
             for part in self.parts:
-                count = len(part.knobs.start)
-                effects += part.knobs.effects(x[at : at + count], unit)
-                at += count
+                mine = x[at : at + len(part.knobs.start)]
+                at += len(mine)
+                if part.knobs.columns is not None:
+                    linear += mine @ part.knobs.columns
+                else:
+                    effects += part.knobs.effects(mine, unit)
             if not effects and (self.scales or factor == 1.0):
                 found = bench.base
             else:
                 found = bench.predictor.predict(effects, young=None if self.scales else factor, threads=1)
         except (ConvergenceError, ExperimentError, MaterialError, SupportError):
             return None
+        found = found + linear
         if self.scales:
             found = np.where(self.force, factor * found, found)
         return self.target.correction.corrected(found)
@@ -270,8 +287,8 @@ class _Solver:
         prior = (x - self.mean) / self.deviation
         return float(0.5 * reduced @ reduced + 0.5 * prior @ prior), reduced
 
-    def jacobian(self, x: FloatArray, prediction: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivative of the corrected prediction (k, size), and the same whitened and reduced."""
+    def jacobian(self, x: FloatArray, prediction: FloatArray) -> FloatArray:
+        """Return the derivative of the corrected prediction, shape (k, size)."""
         rows = np.zeros((len(x), len(prediction)))
         first = 1 if self.scales else 0
         if self.scales:
@@ -288,7 +305,18 @@ class _Solver:
 
         if first < len(x):
             rows[first:] = self.target.bench.side_by_side(moved, range(first, len(x)))
-        return rows, self.target.null.reduced(self.target.white(rows))
+        return rows
+
+    def carried(self, jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
+        """Return a derivative that agrees with a step and what it changed: Broyden's, over prior deviations."""
+        along = step / self.deviation
+        unsaid = change - step @ jacobian
+        update = np.outer(along / (self.deviation * float(along @ along)), unsaid)
+        return np.asarray(jacobian + update)
+
+    def reduced(self, rows: FloatArray) -> FloatArray:
+        """Return derivatives whitened and reduced."""
+        return self.target.null.reduced(self.target.white(rows))
 
     def step(self, x: FloatArray, slopes: FloatArray, reduced: FloatArray) -> FloatArray:
         information = slopes @ slopes.T + np.diag(1.0 / self.deviation**2)

@@ -1,18 +1,32 @@
 """What a model with any effects says of all that was measured."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import Effect, extended, seen_markers
+from tissuereg.effects import ChainEffect, Effect, extended, seen_markers
 from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Experiment
 from tissuereg.observe import MarkerObservation
-from tissuereg.simulate.experiment import solve_cases
+from tissuereg.simulate.experiment import Simulators, solve_cases
 
 #: Residual over load. It leaves some 1e-6 mm, far below any noise.
 TOLERANCE = 1e-6
+
+#: Solved models that are kept for others that differ in the tracker alone.
+MOST_SOLVED = 4
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """What a model says of its body, before the tracker sees it."""
+
+    effects: tuple[Effect, ...]
+    young: float | None
+    places: dict[str, FloatArray]
+    forces: dict[str, dict[str, FloatArray]]
+    times: dict[str, FloatArray]
 
 
 class Predictor:
@@ -36,6 +50,8 @@ class Predictor:
         self.element = element
         self.threads = threads
         self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
+        self._simulators: Simulators = {}
+        self._solved: list[_Solved] = []
 
     def predict(
         self, effects: Sequence[Effect] = (), *, young: float | None = None, threads: int | None = None
@@ -64,20 +80,33 @@ class Predictor:
             If an effect does not fit.
         """
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
+        # The body does not feel its tracker: what differs in that alone is solved once.
+        bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
+        for solved in reversed(self._solved):
+            if solved.young == young and solved.effects == bodily:
+                break
+        else:
+            solved = self._solve(bodily, young, self.threads if threads is None else threads)
+            self._solved = [*self._solved, solved][-MOST_SOLVED:]
+        seen = {name: seen_markers(believed, places, solved.times[name]) for name, places in solved.places.items()}
+        return self.layout.flatten(seen, solved.forces)
+
+    def _solve(self, effects: tuple[Effect, ...], young: float | None, threads: int) -> "_Solved":
+        believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
         if young is not None:
             believed = replace(believed, material=believed.material.scaled(young))
         worked = extended(believed, self.element)
         cases = list(worked.cases.values())
-        threads = self.threads if threads is None else threads
-        solved = solve_cases(worked, cases, element=self.element, tolerance=TOLERANCE, threads=threads)
+        kept = self._simulators if worked.mesh is self.experiment.mesh else None
+        solved = solve_cases(worked, cases, element=self.element, tolerance=TOLERANCE, threads=threads, simulators=kept)
         places, forces = {}, {}
         for case in cases:
             found = solved[case.name]
             refuse_failures(case.name, found.failed)
             moved = self.observation.predict(found.displacement[:, self.observation.nodes])
-            places[case.name] = seen_markers(believed, worked.marker_reference + moved, case.times)
+            places[case.name] = worked.marker_reference + moved
             forces[case.name] = found.forces
-        return self.layout.flatten(places, forces)
+        return _Solved(effects, young, places, forces, {case.name: case.times for case in cases})
 
 
 def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:

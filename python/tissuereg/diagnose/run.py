@@ -123,17 +123,12 @@ def _verdict(findings: list[Finding], found: Search, misfit: float) -> str:
 def _findings(target: Target, found: Search, threshold: float) -> list[Finding]:
     findings = []
     young = target.bench.young
-    for number, step in enumerate(found.steps):
-        if step.found is None:
-            continue
+    for part, step in enumerate(step for step in found.steps if step.found is not None):
         top = step.found
+        assert top is not None  # of those steps
         # Parameters are those of the model with all causes found.
-        values, deviations = found.final.values(number, young)
-        close = [
-            other.id
-            for other in step.candidates
-            if other.id != top.id and top.gain - other.gain < 0.5 * SEPARABLE**2 and other.gain > threshold
-        ]
+        values, deviations = found.final.values(part, young)
+        close = [other.id for other in step.close(0.5 * SEPARABLE**2) if other.gain > threshold]
         chances = _chances(step)
         findings.append(
             Finding(
@@ -144,7 +139,7 @@ def _findings(target: Target, found: Search, threshold: float) -> list[Finding]:
                 threshold=threshold,
                 parameters=values,
                 deviations=deviations,
-                held_out=_held_out(target, found, number),
+                held_out=_held_out(target, step),
                 sentence=CAUSES[top.id].sentence(values),
             )
         )
@@ -196,9 +191,8 @@ def _stiffness(target: Target, found: Search) -> Finding | None:
     )
 
 
-def _held_out(target: Target, found: Search, number: int) -> dict[str, object]:
+def _held_out(target: Target, step: Step) -> dict[str, object]:
     """Return the figures of a finding's proof: residuals in mm, and over their noise with forces."""
-    step = found.steps[number]
     assert step.proof is not None  # found causes were proved
     layout, noise = target.bench.layout, target.noise
     markers = layout.of_markers() & layout.seen

@@ -11,6 +11,7 @@ from tissuereg.diagnose.evidence import Null, fit_amplitudes
 from tissuereg.diagnose.fit import Fit, Part, Target, choices_of, fit
 from tissuereg.diagnose.nuisances import effect_nuisances
 from tissuereg.diagnose.proof import HeldOut, blocks_for, held_out, linear_model
+from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
 
 #: Causes in one answer at most.
@@ -28,6 +29,12 @@ FURTHER = 1.5
 
 #: Gain in log predictive density that a proof asks for.
 PROVED = 4.0
+
+#: Nats by which a fit may stand behind the best one and still be worth an exact derivative.
+HOPELESS = 30.0
+
+#: Mates that are tried in the place of one of several causes: so many, and within so many nats of it.
+MOST_MATES, MATES_WITHIN = 2, 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +54,10 @@ class Candidate:
     id: str
     fit: Fit
     gain: float
+
+    def as_mate(self) -> tuple[Part, FloatArray]:
+        """Return the cause, fitted last, with its knobs."""
+        return self.fit.parts[-1], self.fit.x[self.fit.slices()[-1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +80,13 @@ class Step:
     candidates: list[Candidate]
     found: Candidate | None
     proof: HeldOut | None
+
+    def close(self, nats: float) -> list[Candidate]:
+        """Return the candidates within so many nats of the one found, itself left out, likeliest first."""
+        if self.found is None:
+            return []
+        own = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
+        return [c for c in self.candidates if c.id != self.found.id and c.gain > own - nats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +145,8 @@ def search(
             tried = _prove(target, screen, current, candidate)
             proof = proof or tried
             density = tried.log_density.sum(axis=1)
-            if density[1] > density[0] + PROVED and density[1] > density[2]:
+            proved = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
+            if density[1] > density[0] + proved and density[1] > density[2]:
                 found, proof = candidate, tried
                 break
         steps.append(Step(screened, candidates, found, proof))
@@ -138,7 +157,32 @@ def search(
         target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, plain.white(change)])))
         again = fit(target, found.fit.parts, start=found.fit.x)
         current = again or found.fit
+    if len(current.parts) > 1:
+        if progress is not None:
+            progress("second thoughts")
+        current, steps = _revised(target, screen, current, steps, threshold)
     return Search(base, current, steps, _null_after(target, current).reduced(current.residual))
+
+
+def _revised(
+    target: Target, screen: Screen, current: Fit, steps: list[Step], threshold: float
+) -> tuple[Fit, list[Step]]:
+    """Return what is left of several causes once each was taken out again and exchanged for its mates."""
+    found = [number for number, step in enumerate(steps) if step.found is not None]
+    current, left = needed(target, current, threshold)
+    found = [found[part] for part in left]
+    steps = [step if number in found else replace(step, found=None) for number, step in enumerate(steps)]
+    for part, number in enumerate(found):
+        mates = [c.as_mate() for c in steps[number].close(MATES_WITHIN) if c.id not in current.ids]
+        current = exchanged(target, current, part, mates[:MOST_MATES])
+    for part, number in enumerate(found):
+        # What a finding gains is what its removal costs.
+        before = without(target, current, part)
+        if before is not None:
+            top = Candidate(current.parts[part].id, current, current.log_evidence - before.log_evidence)
+            proof = _prove(target, screen, before, top, part)
+            steps[number] = replace(steps[number], found=top, proof=proof)
+    return current, steps
 
 
 def _refit(
@@ -162,7 +206,7 @@ def _refit(
         if screened[name].log_bayes_factor > 0.3 * threshold
         and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
     ]
-    found = []
+    found: list[Candidate] = []
     for name in chosen:
         if progress is not None:
             progress(f"fit {' + '.join([*current.ids, name])}")
@@ -171,15 +215,17 @@ def _refit(
         knobs = CAUSES[name].knobs(target.bench, variant, screened[name].amplitudes)
         part = Part(name, variant, knobs)
         start = np.concatenate([current.x, knobs.start])
-        fitted = fit(target, [*current.parts, part], start=start, choices=choices_of(name, screen.bank[name]))
+        choices = choices_of(name, screen.bank[name])
+        hopeless = HOPELESS - max((c.fit.log_evidence for c in found), default=-np.inf)
+        fitted = fit(target, [*current.parts, part], start=start, choices=choices, hopeless=hopeless)
         if fitted is not None:
             found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence))
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
-def _prove(target: Target, screen: Screen, current: Fit, candidate: Candidate) -> HeldOut:
+def _prove(target: Target, screen: Screen, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
     """Return how the model before, the candidate and the generic rival predict what they were not fitted to."""
-    mine = candidate.fit.slices()[-1]
+    mine = candidate.fit.slices()[part]
     slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
     if not len(slopes):
         slopes = target.white(candidate.fit.prediction - current.prediction)[None]

@@ -64,7 +64,18 @@ class CaseSimulation:
     failed: list[tuple[int, str]]
 
 
-def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", threads: int = 0) -> Believed:
+#: Bodies of one mesh by elements and held nodes: what asks for many solutions keeps them.
+Simulators = dict[tuple[str, bytes], Simulator]
+
+
+def believed_case(
+    experiment: Experiment,
+    case: Case,
+    *,
+    element: str = "tet4",
+    threads: int = 0,
+    simulators: Simulators | None = None,
+) -> Believed:
     """Return the solver's view of a case: who is held, what acts in every frame.
 
     Parameters
@@ -77,6 +88,8 @@ def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", 
         Elements to use.
     threads : int
         Threads to use; 0 takes all cores.
+    simulators : dict, optional
+        Those made before for the same mesh; new ones are added.
 
     Returns
     -------
@@ -102,8 +115,13 @@ def believed_case(experiment: Experiment, case: Case, *, element: str = "tet4", 
             .solve(Load(body_force=weight), experiment.material, threads=threads)
             .displacement
         )
-    simulator = Simulator(mesh, element=element, held_nodes=held)
-    return Believed(simulator, [_load(experiment, case, pads, held, sag, weight, i) for i in range(len(case.times))])
+    key = (element, held.tobytes())
+    simulator = None if simulators is None else simulators.get(key)
+    if simulator is None or simulator.mesh is not mesh:
+        simulator = Simulator(mesh, element=element, held_nodes=held)
+        if simulators is not None:
+            simulators[key] = simulator
+    return Believed(simulator, _loads(experiment, case, pads, held, sag, weight))
 
 
 def simulate_experiment(
@@ -167,6 +185,7 @@ def solve_cases(
     element: str = "tet4",
     tolerance: float = 1e-9,
     threads: int = 0,
+    simulators: Simulators | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, SolvedCase]:
     """Return the equilibria of cases: elastic frames in parallel, those that remember one after another.
@@ -183,6 +202,8 @@ def solve_cases(
         Norm of the residual over the norm of the load.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
+    simulators : dict, optional
+        As in `believed_case`, of elastic models.
     progress : callable of (int, int), optional
         Called with frames done and frames in all.
 
@@ -205,7 +226,8 @@ def solve_cases(
     done, solved = 0, {}
     for case in cases:
         report = None if progress is None else (lambda n, before=done: progress(before + n, in_all))
-        solved[case.name] = _solve_elastic(experiment, case, element, tolerance, threads, report)
+        believed = believed_case(experiment, case, element=element, threads=threads, simulators=simulators)
+        solved[case.name] = _solve_elastic(experiment, case, believed, tolerance, threads, report)
         done += len(case.times)
     return solved
 
@@ -213,13 +235,12 @@ def solve_cases(
 def _solve_elastic(
     experiment: Experiment,
     case: Case,
-    element: str,
+    believed: Believed,
     tolerance: float,
     threads: int,
     progress: Callable[[int], None] | None,
 ) -> SolvedCase:
     """Return the frames of a case, each on its own and all in parallel."""
-    believed = believed_case(experiment, case, element=element, threads=threads)
     simulator = believed.simulator
     _, state_of = distinct_states(case)
     loads = [believed.loads[frame] for frame in np.unique(state_of, return_index=True)[1]]
@@ -238,18 +259,22 @@ def _solve_elastic(
     return SolvedCase(found.displacement[state_of], forces, failed, found.all_displacement[state_of])
 
 
-def _load(
+def _loads(
     experiment: Experiment,
     case: Case,
     pads: list[Actuator],
     held: IntArray,
     sag: FloatArray,
     weight: FloatArray | None,
-    frame: int,
-) -> Load:
-    prescribed = np.zeros((len(held), 3))
-    for pad in pads:
-        rows = np.flatnonzero(np.isin(held, pad.nodes))
-        prescribed[rows] = sag[held[rows]] + case.displacements[pad.name][frame]
-    prescribed[np.isin(held, experiment.mesh.fixed_nodes)] = 0.0
-    return Load(body_force=weight, prescribed=prescribed, traction=traction_of(experiment, case, frame))
+) -> list[Load]:
+    """Return what acts in every frame."""
+    rows = [np.flatnonzero(np.isin(held, pad.nodes)) for pad in pads]
+    fixed = np.isin(held, experiment.mesh.fixed_nodes)
+    loads = []
+    for frame in range(len(case.times)):
+        prescribed = np.zeros((len(held), 3))
+        for pad, mine in zip(pads, rows, strict=True):
+            prescribed[mine] = sag[held[mine]] + case.displacements[pad.name][frame]
+        prescribed[fixed] = 0.0
+        loads.append(Load(body_force=weight, prescribed=prescribed, traction=traction_of(experiment, case, frame)))
+    return loads

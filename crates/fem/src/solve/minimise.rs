@@ -189,7 +189,7 @@ impl Minimiser {
         // A light metric falls short sooner than one of its own tangent.
         let lightness = metric.lightness(problem);
         let wait = (0.5 * cost / lightness.powi(2)).clamp(8.0, 18.0);
-        let window = (0.7 * wait).round() as usize;
+        let window = (0.4 * wait).round() as usize;
         let n = self.history.len();
         if n <= wait as usize {
             return false;

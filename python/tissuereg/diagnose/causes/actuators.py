@@ -1,6 +1,7 @@
 """Actuators that give another motion, or sit elsewhere, than is believed."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
@@ -118,11 +119,13 @@ class OffsetCause(Cause):
                 lambda x, young: {"actuator": name, "offset_mm": x.tolist()},
             )
         along = np.asarray(variant.settings["along"])
-        return knobs(
+        moved = knobs(
             [(SHIFT * float(a), 0.0, SHIFT, 0.5 * SHIFT) for a in amplitudes[:2]],
             lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
             lambda x, young: {"actuator": name, "shift_mm": (x @ along).tolist()},
         )
+        # The user's mesh shifts a patch by whole nodes.
+        return replace(moved, columns=variant.columns[:2] / SHIFT)
 
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""

@@ -54,6 +54,9 @@ class Knobs:
         Gives the parameters of the answer, in the same way.
     step : ndarray of float64, shape (k,)
         For difference quotients.
+    columns : ndarray of float64, shape (k, size), optional
+        What a unit of every coordinate changes, mm and mN, where the fit takes that for the effects: a mesh may answer
+        them in jumps.
     """
 
     start: FloatArray
@@ -62,6 +65,7 @@ class Knobs:
     effects: Callable[[FloatArray, float], tuple[Effect, ...]]
     values: Callable[[FloatArray, float], Values]
     step: FloatArray
+    columns: FloatArray | None = None
 
 
 class Cause(ABC):
@@ -72,6 +76,9 @@ class Cause(ABC):
 
     #: Settings of a variant that no knob passes between.
     discrete: ClassVar[tuple[str, ...]] = ()
+
+    #: Whether the nuisances hold it too, as small as it always is: what is held out then tells no difference.
+    always_fitted: ClassVar[bool] = False
 
     @abstractmethod
     def variants(self, bench: Bench) -> Iterable[Variant]:

@@ -30,6 +30,7 @@ class FrameCause(Cause):
     """The tracker's frame is shifted and turned, more than its prior as a nuisance allows."""
 
     id: ClassVar[str] = "frame"
+    always_fitted: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one, with three shifts and three turns about the body's middle."""
