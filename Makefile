@@ -12,7 +12,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: blind blind-quick blind-data help demo test test-rust test-sturdy test-python test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: blind blind-quick blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-data help demo test test-rust test-sturdy test-python test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -22,6 +22,8 @@ help:
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
 	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls; make blind: all of it -> docs/blind.md"
+	@echo "make blind-beside    fits that are told, rivals and ablations on the same cases (each alone: blind-oracle,"
+	@echo "                     blind-without, blind-rivals, blind-ablations; JOBS=2 side by side, TIER=quick fewer cases)"
 	@echo "make blind-data      its data, made by a foreign solver (hours; resumable; ONE=name: one, compared)"
 	@echo "make bench           times by stage -> benchmarks/results/"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
@@ -89,9 +91,21 @@ beam: $(VENV)/.installed-dev
 	$(BIN)/python examples/beam.py --data $(DATA)/beam
 
 # The blind test bench (tests/blind/README.md): a run that was stopped goes on.
+JOBS ?= 1
+TIER ?= all
+BLIND := PYTHONPATH=tests $(BIN)/python -m blind
+BLIND_OUT := build/blind
+
 blind-quick blind: $(VENV)/.installed-dev
-	PYTHONPATH=tests $(BIN)/python -m blind.run --tier $(if $(filter blind,$@),all,quick)
-	PYTHONPATH=tests $(BIN)/python -m blind.score build/blind/predictions --out docs/blind.md
+	$(BLIND).run --tier $(if $(filter blind,$@),all,quick) --jobs $(JOBS)
+	$(BLIND).score $(BLIND_OUT)/predictions --out docs/blind.md
+
+# Beside it, after it: what a fit is told comes from the answers of cases that it has answered.
+blind-oracle blind-without blind-rivals blind-ablations blind-beside: $(VENV)/.installed-dev
+	$(BLIND).score $(BLIND_OUT)/predictions --list-oracle $(BLIND_OUT)/oracle.txt --list-without $(BLIND_OUT)/without.txt
+	$(BLIND).run --tier $(TIER) --jobs $(JOBS) \
+		--methods $(if $(filter %beside,$@),oracle without rivals ablations,$(@:blind-%=%))
+	$(BLIND).score $(BLIND_OUT)/predictions --out docs/blind.md
 
 # Foreign solves that are missing, by scikit-fem (and pypardiso, where it is there), then the cases; ONE=name: one, compared.
 blind-data: $(VENV)/.installed-dev

@@ -1,27 +1,81 @@
-"""Runs a diagnoser over stored cases: one JSON a case, kept, so that a run that was stopped goes on.
+"""Runs diagnosers over stored cases: one JSON a case, kept, so that a run that was stopped goes on.
 
-Opens no answers. A diagnoser is a command (``{folder}``, ``{out}`` and ``{json}`` are filled in) or
-``module:function``, which gets the folder and returns the dictionary.
+Opens no answers. A diagnoser is a command (``{folder}``, ``{out}``, ``{json}`` and ``{threads}`` are filled in) or
+``module:function``, which gets the folder, the ids that it is told (none, or those of a list that the scorer wrote),
+and ``threads``, and returns the dictionary. Functions run in the worker itself, which imports the package once.
+
+A case is one worker's work with all methods that are asked, so that they share what the cache keeps of it.
 """
 
 import argparse
+import functools
 import importlib
 import json
+import multiprocessing
 import os
 import shlex
+import shutil
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from datetime import datetime, timezone
 from pathlib import Path
 
 from blind.materialise import DATA, case_names, materialise
 
 TIERS = DATA / "tiers.json"
-COMMAND = f"{shlex.quote(sys.executable)} -m tissuereg diagnose {{folder}} --out {{out}} --json {{json}}"
 BUILD = Path("build") / "blind"
+
+#: The diagnoser under test.
+OURS = "blind.variants:ours"
+
+#: What stands beside it, by the folder of its predictions; the first part of a name means all that begin with it.
+METHODS = {
+    "oracle": "blind.variants:oracle",
+    "without": "blind.variants:without",
+    "rivals/sparse-regression": "blind.rivals:sparse_regression",
+    "rivals/sparse-regression-on-fine-mesh": "blind.rivals:sparse_regression_on_fine_mesh",
+    "rivals/error-ranking": "blind.rivals:error_ranking",
+    "rivals/gaussian-process": "blind.rivals:gaussian_process",
+    "ablations/no-mesh-correction": "blind.variants:no_mesh_correction",
+    "ablations/no-third-mesh": "blind.variants:no_third_mesh",
+    "ablations/no-forces": "blind.variants:no_forces",
+    "ablations/no-proof": "blind.variants:no_proof",
+    "ablations/no-mesh-nuisances": "blind.variants:no_mesh_nuisances",
+}
+
+#: Methods that are told ids: their lists, ``CASE ID,ID`` a line, lie in the work folder.
+LISTS = {"oracle": "oracle.txt", "without": "without.txt"}
 
 #: Seconds after which a case counts as not answered.
 LIMIT = 600.0
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of a diagnoser about one case.
+
+    Attributes
+    ----------
+    case : str
+        Its name.
+    diagnoser : str
+        Command, or ``module:function``.
+    kept : Path
+        File of the answer.
+    told : tuple of str
+        Ids that a function is told.
+    """
+
+    case: str
+    diagnoser: str
+    kept: Path
+    told: tuple[str, ...] = ()
 
 
 def tier_cases(tier: str) -> list[str]:
@@ -35,39 +89,134 @@ def tier_cases(tier: str) -> list[str]:
     return [n for n in tiers[tier] if n in names]
 
 
-def diagnose(case: str, diagnoser: str, predictions: Path, work: Path) -> dict:
-    """Return what a diagnoser says about a case; asks it once and keeps the answer."""
-    kept = predictions / f"{case}.json"
+def diagnose(question: Question, work: Path, threads: int = 0) -> dict:
+    """Return what a diagnoser says about a case; asks it once and keeps the answer, whole or not at all."""
+    kept = question.kept
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
-    folder = work / "cases" / case
-    if not (folder / "mesh.vtu").exists():
-        materialise(case, folder)
+    folder = work / "cases" / question.case
+    if not folder.exists():
+        partial = folder.with_suffix(".part")
+        shutil.rmtree(partial, ignore_errors=True)
+        materialise(question.case, partial)
+        partial.rename(folder)
     begun = time.perf_counter()
     try:
-        answer = _asked(diagnoser, folder, work / "out" / case)
-    except (subprocess.SubprocessError, json.JSONDecodeError, FileNotFoundError) as error:
-        answer = {"verdict": "failed", "causes": [], "error": str(error)[-2000:]}
+        answer = _asked(question, folder, work / "out" / question.case, threads)
+    except Exception as error:
+        # Whatever a diagnoser raises is its answer.
+        answer = {"verdict": "failed", "causes": [], "error": f"{type(error).__name__}: {error}"[-2000:]}
     answer["seconds"] = time.perf_counter() - begun
-    predictions.mkdir(parents=True, exist_ok=True)
+    answer["commit"] = _commit()
+    answer["date"] = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    kept.parent.mkdir(parents=True, exist_ok=True)
     partial = kept.with_suffix(".part")
     partial.write_text(json.dumps(answer), encoding="utf-8")
     partial.rename(kept)
     return answer
 
 
-def _asked(diagnoser: str, folder: Path, out: Path) -> dict:
-    if "{" not in diagnoser and ":" in diagnoser:
-        module, name = diagnoser.split(":")
-        return getattr(importlib.import_module(module), name)(folder)
+def _asked(question: Question, folder: Path, out: Path, threads: int) -> dict:
+    function = function_of(question.diagnoser)
+    if function is not None:
+        signal.signal(signal.SIGALRM, _too_long)
+        signal.setitimer(signal.ITIMER_REAL, LIMIT)
+        try:
+            return function(folder, question.told, threads=threads)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
     out.mkdir(parents=True, exist_ok=True)
     file = out / "diagnosis.json"
-    words = shlex.split(diagnoser.format(folder=folder, out=out, json=file))
-    environment = {"OMP_NUM_THREADS": "1", **os.environ}
-    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT, env=environment, check=False)
+    file.unlink(missing_ok=True)
+    words = shlex.split(question.diagnoser.format(folder=folder, out=out, json=file, threads=threads))
+    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT, check=False)
     if done.returncode:
         raise subprocess.SubprocessError(done.stderr or f"exit status {done.returncode}")
     return json.loads(file.read_text(encoding="utf-8"))
+
+
+def _too_long(*_: object) -> None:
+    message = f"no answer in {LIMIT:g} s"
+    raise TimeoutError(message)
+
+
+def function_of(diagnoser: str):
+    """Return the function that ``module:function`` names; None for a command."""
+    if "{" in diagnoser or ":" not in diagnoser:
+        return None
+    module, name = diagnoser.split(":")
+    return getattr(importlib.import_module(module), name)
+
+
+@functools.cache
+def _commit() -> str:
+    """Return the commit that answers, with a mark where files differ from it."""
+    words = ["git", "-C", str(DATA), "describe", "--always", "--dirty", "--exclude=*"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return done.stdout.strip() or "unknown"
+
+
+def questions_of(cases: list[str], methods: list[str], diagnoser: str, predictions: Path, work: Path) -> list[Question]:
+    """Return what is to be asked; methods that are told ids are asked about the cases of their lists alone.
+
+    Parameters
+    ----------
+    cases : list of str
+        Names, in the order of the questions.
+    methods : list of str
+        Names of `METHODS` or first parts of them; none asks the diagnoser itself.
+    diagnoser : str
+        Command, or ``module:function``.
+    predictions, work : Path
+        Folders of the answers, and of the lists.
+
+    Raises
+    ------
+    ValueError
+        If a method is not known.
+    FileNotFoundError
+        If the list of a method is not written.
+    """
+    if not methods:
+        return [Question(case, diagnoser, predictions / f"{case}.json") for case in cases]
+    chosen = [name for name in METHODS if name in methods or name.partition("/")[0] in methods]
+    if unknown := [m for m in methods if not any(m in (name, name.partition("/")[0]) for name in METHODS)]:
+        message = f"methods must be among {', '.join(METHODS)} or their first parts; got {', '.join(unknown)}"
+        raise ValueError(message)
+    lists = {name: _told(work / LISTS[name]) for name in chosen if name in LISTS}
+    return [
+        Question(case, METHODS[name], predictions / name / f"{case}.json", lists.get(name, {}).get(case, ()))
+        for case in cases
+        for name in chosen
+        if name not in lists or case in lists[name]
+    ]
+
+
+def _told(path: Path) -> dict[str, tuple[str, ...]]:
+    rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+    return {case: tuple(ids.split(",")) for case, ids in rows}
+
+
+def answer_all(questions: list[Question], work: Path, jobs: int) -> Iterator[tuple[Question, dict]]:
+    """Yield every question with its answer, asked by workers side by side, as they come.
+
+    With several workers each has one thread.
+    """
+    by_case: dict[str, list[Question]] = {}
+    for question in questions:
+        by_case.setdefault(question.case, []).append(question)
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, context, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL))
+    try:
+        told = [pool.submit(_diagnose_case, some, work, 0 if jobs == 1 else 1) for some in by_case.values()]
+        for done in as_completed(told):
+            yield from done.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _diagnose_case(questions: list[Question], work: Path, threads: int) -> list[tuple[Question, dict]]:
+    return [(question, diagnose(question, work, threads)) for question in questions]
 
 
 def main() -> None:
@@ -75,15 +224,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m blind.run", description=__doc__)
     parser.add_argument("--tier", choices=("quick", "full", "fine", "all"), default="quick")
     parser.add_argument("--cases", help="file with names of cases, one a line, in place of a tier")
-    parser.add_argument("--diagnoser", default=COMMAND)
+    parser.add_argument("--diagnoser", default=OURS)
+    parser.add_argument("--methods", nargs="+", default=[], help=f"in place of the diagnoser: {', '.join(METHODS)}")
+    parser.add_argument("--jobs", type=int, default=1, help="cases side by side; more than one: one thread each")
     parser.add_argument("--predictions", type=Path, default=BUILD / "predictions")
     parser.add_argument("--work", type=Path, default=BUILD)
     options = parser.parse_args()
     cases = Path(options.cases).read_text(encoding="utf-8").split() if options.cases else tier_cases(options.tier)
-    for number, case in enumerate(cases, start=1):
-        answer = diagnose(case, options.diagnoser, options.predictions, options.work)
-        named = ", ".join(c["id"] for c in answer["causes"])
-        print(f"{number}/{len(cases)} {case}: {answer['verdict']} {named} ({answer['seconds']:.1f} s)", flush=True)
+    questions = questions_of(cases, options.methods, options.diagnoser, options.predictions, options.work)
+    for diagnoser in {question.diagnoser for question in questions}:
+        function_of(diagnoser)  # a name that is not there shows before anything is asked
+    # Workers import numpy anew: BLAS reads these at its start.
+    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
+    os.environ.setdefault("TISSUEREG_CACHE", str((options.work / "cache").resolve()))
+    try:
+        for number, (question, answer) in enumerate(answer_all(questions, options.work, options.jobs), start=1):
+            named = ", ".join(c["id"] for c in answer["causes"])
+            where = question.kept.relative_to(options.predictions).with_suffix("")
+            print(
+                f"{number}/{len(questions)} {where}: {answer['verdict']} {named} ({answer['seconds']:.1f} s)",
+                flush=True,
+            )
+    except (KeyboardInterrupt, BrokenProcessPool):
+        sys.exit("stopped; what was answered is kept, and the same command goes on from there")
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ def test_the_generator_imports_nothing_from_the_package(path):
     assert "tissuereg" not in path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", ["run.py", "materialise.py"])
+@pytest.mark.parametrize("name", ["run.py", "materialise.py", "variants.py", "rivals.py", "heldout.py"])
 def test_what_writes_cases_and_predictions_knows_no_answers(name):
     text = (HERE / name).read_text(encoding="utf-8")
     assert "answers.json" not in text

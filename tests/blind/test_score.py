@@ -2,11 +2,13 @@
 
 import json
 
+import numpy as np
 import pytest
 
-from blind import run
+from blind.compare import comparison, made, read_methods
 from blind.materialise import case_names
-from blind.score import Scored, calibration_error, confusion, gains, power, report, rows, wilson
+from blind.score import calibration_error, confusion, power, report, rows
+from blind.scored import Scored, gains, held_out_chi, wilson
 
 
 def truth(kind="single", cause=("layer",), **rest):
@@ -92,13 +94,42 @@ def test_a_cause_taken_out_is_misnamed_only_outside_its_group():
     assert counted([], "a cause taken out: silently misnamed", without=without) == (1, 2)
 
 
-def test_gain_is_relative_to_the_fit_that_was_told():
-    case = Scored("b1", truth(), named("layer", chi_base=3.0, chi_named=1.2, chi_generic=2.0))
-    told = {"b1": named("layer", chi_named=1.0)}
-    assert gains([case], told) == ([pytest.approx(0.9)], 0)
-    assert counted([case], "named cause beats the generic patch") == (1, 1)
-    tiny = Scored("b2", truth(), named("layer", chi_base=1.001, chi_named=1.0))
+def predicting(said, base, final, n=1000, blocks=("push_x",)):
+    """Return an answer whose models have these errors on held-out blocks, on the first of which it was proved."""
+    causes = [cause | {"held_out": cause["held_out"] | {"cases": list(blocks[:1])}} for cause in said["causes"]]
+    return said | {"causes": causes, "by_block": {block: [n, base, final] for block in blocks}}
+
+
+def test_gain_is_relative_to_the_fit_that_was_told_on_its_blocks():
+    told = {"b1": predicting(named("layer"), 3.0, 1.0)}
+
+    def gained(said, oracle=told):
+        return gains([Scored("b1", truth(), said)], oracle)
+
+    assert gained(predicting(named("layer"), 3.0, 1.2)) == ([pytest.approx(0.9)], 0)
+    # Who names nothing, or has another base, is held against the same; who has no such block, or other data, is not.
+    assert gained(predicting(CONSISTENT, 3.0, 3.0)) == ([0.0], 0)
+    assert gained(predicting(UNEXPLAINED, 9.0, 2.5)) == ([pytest.approx(0.25)], 0)
+    assert gained(predicting(named("layer"), 3.0, 1.2, blocks=("push_y",))) == ([], 0)
+    assert gained(predicting(named("layer"), 3.0, 1.2, n=999)) == ([], 0)
+    assert gained(named("layer")) == ([], 0)
+
+
+def test_gain_without_a_told_fit_is_relative_to_noise():
+    case = Scored("b1", truth(), predicting(named("layer"), 3.0, 1.2))
+    assert gains([case], {}) == ([pytest.approx(0.9)], 0)
+    tiny = Scored("b2", truth(), predicting(named("layer"), 1.001, 1.0))
     assert gains([tiny], {}) == ([], 1)
+
+
+def test_errors_on_several_blocks_are_pooled_by_their_numbers():
+    said = {"by_block": {"push_x": [300, 1.0, 2.0], "push_y": [100, 3.0, 2.0], "push_z": [9, 9.0, 9.0]}}
+    assert held_out_chi(said, ["push_x", "push_y"]) == (400.0, pytest.approx(np.sqrt(3.0)), pytest.approx(2.0))
+
+
+def test_the_generic_patch_is_beaten_on_what_was_held_out():
+    case = Scored("b1", truth(), named("layer", chi_base=3.0, chi_named=1.2, chi_generic=2.0))
+    assert counted([case], "named cause beats the generic patch") == (1, 1)
 
 
 def test_pairs_count_when_both_are_named_and_nothing_else():
@@ -140,7 +171,7 @@ def test_power_and_confusion_count_by_cause():
     cases = [Scored("b1", truth(), named("layer")), Scored("b2", truth(), CONSISTENT)]
     assert power(cases) == {"layer": {13.0: (1, 2)}}
     assert dict(confusion(cases)["layer"]) == {"layer": 1, "consistent": 1}
-    assert "| layer | 1/2 |" in report(cases, {}, {})
+    assert "| layer | 1/2 |" in report(cases, {}, {}, {})
 
 
 def test_wilson_interval_of_a_known_share():
@@ -148,18 +179,70 @@ def test_wilson_interval_of_a_known_share():
     assert wilson(15, 148) == (pytest.approx(0.0624, abs=1e-4), pytest.approx(0.1605, abs=1e-4))
 
 
-def test_a_run_that_was_stopped_goes_on_and_asks_nobody_twice(tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(run, "_asked", lambda diagnoser, folder, out: asked.append(folder.name) or dict(CONSISTENT))
+def table(ours, methods, oracle=None):
+    lines = comparison(ours, methods, oracle or {})
+    head = [cell.strip() for cell in lines[0].split("|")[1:-1]]
+    return [dict(zip(head, [cell.strip() for cell in line.split("|")[1:-1]], strict=True)) for line in lines[2:]]
+
+
+def test_a_rival_stands_beside_the_diagnoser_on_the_cases_that_both_answered():
+    null, outside = truth("null", (), group_ok=[]), truth("outside", (), outside=["?"], group_ok=[])
+    ours = [
+        Scored("b1", null, CONSISTENT),
+        Scored("b2", truth(near=("poisson",)), named("layer")),
+        Scored("b3", outside, UNEXPLAINED),
+        Scored("b4", null, named("fibre")),
+    ]
+    rival = [
+        Scored("b1", null, named("layer")),
+        Scored("b2", truth(near=("poisson",)), named("poisson")),
+        Scored("b3", outside, named("layer")),
+    ]
+    mine, other = table(ours, {"rival: any": rival})
+    assert (mine["method"], other["method"]) == ("tissuereg", "rival: any")
+    assert (mine["cases"], other["cases"]) == ("3", "3")
+    assert (mine["false alarms on nulls"], other["false alarms on nulls"]) == ("0 of 1", "1 of 1")
+    assert (mine["nulls consistent"], other["nulls consistent"]) == ("1 of 1", "0 of 1")
+    assert (mine["right group, d >= 8"], other["right group, d >= 8"]) == ("1 of 1", "1 of 1")
+    assert (mine["exact, d >= 8"], other["exact, d >= 8"]) == ("1 of 1", "0 of 1")
+    assert (mine["outside misnamed"], other["outside misnamed"]) == ("0 of 1", "1 of 1")
+    assert "## Rivals and ablations" in report(ours, {}, {}, {"rival: any": rival})
+
+
+def test_methods_that_answered_other_cases_have_a_row_of_the_diagnoser_of_their_own():
+    ours = [Scored("b1", truth(), named("layer")), Scored("b2", truth(), named("fibre"))]
+    few, all_of_them = [Scored("b2", truth(), CONSISTENT)], [Scored(name, truth(), CONSISTENT) for name in ("b1", "b2")]
+    rows_of = table(ours, {"rival: a": all_of_them, "rival: b": all_of_them, "ablation: c": few})
+    assert [row["method"] for row in rows_of] == ["tissuereg", "rival: a", "rival: b", "tissuereg", "ablation: c"]
+    assert [row["wrong group, all singles"] for row in rows_of] == ["1 of 2", "0 of 2", "0 of 2", "1 of 1", "0 of 1"]
+
+
+def test_the_table_has_the_median_gain_where_a_fit_was_told():
+    told = {name: predicting(named("layer"), 3.0, 1.0) for name in ("b1", "b2")}
+    ours = [Scored(name, truth(), predicting(named("layer"), 3.0, 1.0)) for name in ("b1", "b2", "b3")]
+    rival = [
+        Scored("b1", truth(), predicting(CONSISTENT, 5.0, 4.0)),
+        Scored("b2", truth(), predicting(named("layer"), 5.0, 2.0)),
+        Scored("b3", truth(), CONSISTENT),
+    ]
+    assert [row["held-out gain"] for row in table(ours, {"rival: any": rival}, told)] == ["1.00 (2)", "0.00 (2)"]
+    assert [row["held-out gain"] for row in table(ours, {"rival: any": rival})] == ["-", "-"]
+
+
+def test_the_table_says_by_what_and_when_answers_were_made():
+    stamps = [{"commit": "abc", "date": f"2026-01-0{day}T00:00:00+00:00", "seconds": float(day)} for day in (1, 3)]
+    cases = [Scored(f"b{k}", truth(), CONSISTENT | stamp) for k, stamp in enumerate(stamps)]
+    assert made(cases) == "commit abc; 2026-01-01 to 2026-01-03; median 2.0 s, largest 3.0 s; 0 failed"
+    assert made(cases) in report(cases, {}, {}, {})
+
+
+def test_answers_of_methods_are_read_by_folder(tmp_path):
     case = case_names()[0]
-    for _ in range(2):
-        answer = run.diagnose(case, "any", tmp_path / "predictions", tmp_path)
-    assert asked == [case]
-    assert answer["verdict"] == "consistent"
-    assert json.loads((tmp_path / "predictions" / f"{case}.json").read_text(encoding="utf-8")) == answer
-
-
-def test_a_diagnoser_that_fails_is_an_answer_too(tmp_path):
-    answer = run.diagnose(case_names()[0], "false {folder}", tmp_path / "predictions", tmp_path)
-    assert answer["verdict"] == "failed"
-    assert "exit status 1" in answer["error"]
+    for name in ("rivals/a", "ablations/b", "ablations/empty", "oracle"):
+        (tmp_path / name).mkdir(parents=True)
+    for name in ("rivals/a", "ablations/b", "oracle"):
+        (tmp_path / name / f"{case}.json").write_text(json.dumps(CONSISTENT), encoding="utf-8")
+    assert {name: [c.case for c in cases] for name, cases in read_methods(tmp_path).items()} == {
+        "rival: a": [case],
+        "ablation: b": [case],
+    }

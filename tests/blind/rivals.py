@@ -1,0 +1,247 @@
+"""Rivals of the diagnoser on the same bench: the same bank of columns and noise, none of its model of mesh error.
+
+One alone gets the correction by the fine mesh: what is left of the mesh's error is no part of it either.
+
+All are linear. Modulus and frame are free within their priors (30 %, 0.02 mm, 0.02 degrees), so that either can still
+be a finding. What a cause changes is a least-squares fit of its bank columns, without a prior.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from blind.heldout import by_block
+from tissuereg.diagnose.bank import fingerprint, make_bank
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.correction import Correction, make_correction
+from tissuereg.diagnose.evidence import Null, fit_amplitudes
+from tissuereg.diagnose.generic import generic_columns
+from tissuereg.diagnose.noise import Noise, estimate_noise
+from tissuereg.diagnose.nuisances import make_nuisances
+from tissuereg.diagnose.proof import Linear
+from tissuereg.diagnose.refined import refined_predictions
+from tissuereg.diagnose.run import MOST_IN_GROUP
+from tissuereg.diagnose.search import MOST_CAUSES, SEPARABLE
+from tissuereg.diagnose.signals import Layout
+from tissuereg.effects import EFFECTS
+from tissuereg.io.cache import cache_folder
+from tissuereg.io.experiments import read_experiment
+
+#: Error ranking names the best cause where the error falls by this share.
+FALL = 0.05
+
+#: The chi-square test of the Gaussian process.
+LEVEL = 0.01
+
+#: For held-out data amplitudes have priors, so many times as wide as the bank's, or what nothing tells would run away.
+WIDE = 10.0
+
+#: Directions of a hypothesis that carry less than this share of its largest are none.
+RANK = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """An experiment as regression sees it.
+
+    Attributes
+    ----------
+    layout : Layout
+        Order of all vectors.
+    bench : Bench
+        The believed model.
+    noise : Noise
+        Of the measurement.
+    correction : Correction
+        Of the mesh's error.
+    residual : ndarray of float64, shape (size,)
+        Measured less believed, whitened.
+    null : Null
+        Modulus and frame.
+    """
+
+    layout: Layout
+    bench: Bench
+    noise: Noise
+    correction: Correction
+    residual: np.ndarray
+    null: Null
+
+    @property
+    def n(self) -> int:
+        """How many numbers were measured."""
+        return int(self.layout.seen.sum())
+
+    def white(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (..., size) corrected and whitened."""
+        return self.noise.whitened(self.correction.of_columns(columns.astype(np.float64)), self.layout)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """All hypotheses of one cause.
+
+    Attributes
+    ----------
+    id : str
+        The cause.
+    white : ndarray of float64, shape (n, p, size)
+        Whitened.
+    left : ndarray of float64, shape (n, p, size)
+        Cleared of modulus and frame, and of what was chosen before.
+    """
+
+    id: str
+    white: np.ndarray
+    left: np.ndarray
+
+    @property
+    def n_columns(self) -> int:
+        """Columns of each."""
+        return self.white.shape[1]
+
+    def cleared_of(self, modes: np.ndarray) -> "Hypotheses":
+        """Return the same, cleared of orthonormal directions (k, size)."""
+        return Hypotheses(self.id, self.white, self.left - (self.left @ modes.T) @ modes)
+
+    def best(self, residual: np.ndarray) -> tuple[int, float]:
+        """Return the hypothesis that takes most off the sum of squares of a residual (size,), and how much."""
+        along = self.left @ residual
+        inner = np.linalg.pinv(self.left @ self.left.transpose(0, 2, 1), rcond=RANK, hermitian=True)
+        taken = np.einsum("np,npq,nq->n", along, inner, along)
+        top = int(np.argmax(taken))
+        return top, float(taken[top])
+
+
+def sparse_regression(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return what greedy sparse regression says; see `greedy`."""
+    return greedy(look_at(folder, threads))
+
+
+def sparse_regression_on_fine_mesh(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return what it says when predictions are corrected by the fine mesh, as the diagnoser's are."""
+    return greedy(look_at(folder, threads, fine=True))
+
+
+def greedy(scene: Scene) -> dict:
+    """Return what greedy sparse regression says.
+
+    Group-wise orthogonal matching pursuit: the hypothesis is added that lowers BIC = n log(RSS / n) + k log n most,
+    as long as one does, three at most. The variance of the noise is free in it, which spares it some of the mesh's
+    error. Probabilities are exp(-BIC / 2), normalised over all causes and none; a group are causes within 8 nats
+    (the diagnoser's own limit). It is never surprised: no answer is "unexplained".
+    """
+    causes, n = list(hypotheses(scene)), scene.n
+    residual, chosen, found = scene.null.reduced(scene.residual), [], []
+    power = residual @ residual
+    while len(found) < MOST_CAUSES:
+        now = n * np.log(power / n)
+        taken = {cause["id"] for cause in found}
+        tried = {}
+        for cause in causes:
+            if cause.id not in taken or EFFECTS[cause.id].repeatable:
+                top, fall = cause.best(residual)
+                price = cause.n_columns * np.log(n)
+                tried[cause.id] = (n * np.log(max(power - fall, 1e-9) / n) + price, cause, top)
+        lowest, cause, top = min(tried.values(), key=lambda one: one[0])
+        if lowest >= now:
+            break
+        bics = {name: one[0] for name, one in tried.items()}
+        chosen.append(cause.white[top])
+        modes = _directions(cause.left[top])
+        residual = residual - (residual @ modes.T) @ modes
+        power = residual @ residual
+        causes = [other.cleared_of(modes) for other in causes]
+        close = [name for name, bic in sorted(bics.items(), key=lambda one: one[1]) if _as_good(bic, lowest, now)]
+        weights = np.exp(-0.5 * (np.array([now, *bics.values()]) - lowest))
+        found.append({"id": cause.id, "group": close[:MOST_IN_GROUP], "probability": float(1.0 / weights.sum())})
+    return _answer(scene, found, chosen)
+
+
+def error_ranking(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the single cause whose fit has the least error, named where the error falls by `FALL`.
+
+    The error is the root mean square of all that was measured, in units of noise. It knows no doubt: its probability
+    is one, its group the cause alone, and it is never surprised.
+    """
+    scene = look_at(folder, threads)
+    residual = scene.null.reduced(scene.residual)
+    power = residual @ residual
+    best = {cause.id: (*cause.best(residual), cause) for cause in hypotheses(scene)}
+    top, fall, cause = max(best.values(), key=lambda one: one[1])
+    if np.sqrt(max(power - fall, 0.0) / power) > 1.0 - FALL:
+        return _answer(scene, [], [])
+    found = {"id": cause.id, "group": [cause.id], "probability": 1.0}
+    return _answer(scene, [found], [cause.white[top]])
+
+
+def gaussian_process(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return whether the believed model fits, by a chi-square test, and what a smooth patch predicts.
+
+    It never names a cause. The patch is the diagnoser's generic rival, of the size that the data favour, as a prior
+    (a fit without one would predict nothing).
+    """
+    scene = look_at(folder, threads)
+    reduced = scene.null.reduced(scene.residual)
+    p = float(chi2.sf(reduced @ reduced, scene.n))
+    sizes = scene.white(generic_columns(scene.bench, float(scene.noise.marker_std.mean())))
+    gains = [fit_amplitudes(reduced, scene.null.reduced(columns)).log_bayes_factor for columns in sizes]
+    patch = sizes[int(np.argmax(gains))]
+    return {
+        "verdict": "consistent" if p > LEVEL else "unexplained",
+        "causes": [],
+        "p_misfit": p,
+        "by_block": _by_block(scene, patch),
+    }
+
+
+def look_at(folder: Path, threads: int, *, fine: bool = False) -> Scene:
+    """Return an experiment with the free columns of all regressions; predictions corrected by the fine mesh or not."""
+    experiment = read_experiment(folder)
+    layout = Layout(experiment)
+    noise = estimate_noise(experiment, layout)
+    bench = Bench(experiment, layout, threads=threads)
+    correction = Correction(np.ones(layout.size), np.zeros(layout.size))
+    if fine:
+        path = cache_folder() / f"fine_{fingerprint(experiment, 'tet10')}.npy"
+        correction = make_correction(layout, bench.base, refined_predictions(bench, path)[0])
+    nuisances = make_nuisances(bench, np.zeros((1, layout.size)))
+    free = [i for i, name in enumerate(nuisances.names) if name == "stiffness" or name.startswith("frame ")]
+    null = Null(noise.whitened(correction.of_columns(nuisances.columns[free]), layout))
+    residual = np.where(layout.seen, layout.measured - correction.corrected(bench.base), 0.0)
+    return Scene(layout, bench, noise, correction, noise.whitened(residual, layout), null)
+
+
+def hypotheses(scene: Scene) -> Iterator[Hypotheses]:
+    """Yield all causes of the bank, from the cache where they were made before."""
+    for name, variants in make_bank(scene.bench).items():
+        white = scene.white(np.stack([variant.columns for variant in variants]))
+        yield Hypotheses(name, white, scene.null.reduced(white))
+
+
+def _as_good(bic: float, lowest: float, now: float) -> bool:
+    """Return whether a cause is better than none, and within the diagnoser's own limit of the best."""
+    return bic < now and bic - lowest < SEPARABLE**2
+
+
+def _directions(columns: np.ndarray) -> np.ndarray:
+    """Return orthonormal directions of columns (p, size), those of no length left out."""
+    _, spread, modes = np.linalg.svd(columns, full_matrices=False)
+    return modes[spread**2 > RANK * spread[0] ** 2]
+
+
+def _answer(scene: Scene, found: list[dict], chosen: list[np.ndarray]) -> dict:
+    """Return the answer, with what all that was chosen predicts of held-out blocks."""
+    columns = WIDE * np.concatenate([np.zeros((0, scene.layout.size)), *chosen])
+    tied = any(len(cause["group"]) > 1 for cause in found)
+    verdict = "group" if tied else "named" if found else "consistent"
+    return {"verdict": verdict, "causes": found, "by_block": _by_block(scene, columns)}
+
+
+def _by_block(scene: Scene, columns: np.ndarray) -> dict[str, list[float]]:
+    free = scene.null.nuisances
+    base, final = Linear(scene.residual, free), Linear(scene.residual, np.concatenate([free, columns]))
+    return by_block(base, final, scene.layout)

@@ -1,0 +1,147 @@
+"""Predictions beside the sealed answers. The answers are opened here and nowhere else.
+
+They are opened for cases whose prediction is written, and each is checked against its seal. Right group: the id or
+group of every finding meets the ids that the answer accepts. Wrong group: a finding that meets none of them.
+"""
+
+import csv
+import gzip
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from blind.materialise import DATA
+
+#: Fall of the sum of squares on what was held out, below which there is nothing to gain.
+LEAST_TO_GAIN = 9.0
+
+NAMED = ("named", "group")
+
+
+@dataclass
+class Scored:
+    """A case with what is true and what was said."""
+
+    case: str
+    truth: dict
+    said: dict
+    ids: list = field(default_factory=list)
+    groups: list = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        causes = self.said.get("causes", []) if self.said["verdict"] in NAMED else []
+        self.ids = [c["id"] for c in causes]
+        self.groups = [set(c.get("group", [])) | {c["id"]} for c in causes]
+
+    @property
+    def wrong(self) -> bool:
+        """Whether a finding's group misses all that the answer accepts."""
+        return any(not group & set(self.truth["group_ok"]) for group in self.groups)
+
+    @property
+    def right(self) -> bool:
+        """Whether something is named, and nothing that the answer does not accept."""
+        return bool(self.groups) and not self.wrong
+
+    @property
+    def exact(self) -> bool:
+        """Whether the hidden ids, and nothing else, are named first."""
+        return sorted(self.ids) == sorted(self.truth["cause"])
+
+
+def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
+    """Return the Wilson interval of a share.
+
+    Source: E. B. Wilson, Journal of the American Statistical Association 22, 1927.
+    """
+    if n == 0:
+        return 0.0, 1.0
+    p = hits / n
+    middle, spread = p + z * z / (2 * n), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    low, high = (middle - spread) / (1 + z * z / n), (middle + spread) / (1 + z * z / n)
+    return max(0.0, float(low)), min(1.0, float(high))
+
+
+def open_answers(names: set[str]) -> dict[str, dict]:
+    """Return the answers of cases, each checked against its seal.
+
+    Raises ValueError where an answer is not the sealed one.
+    """
+    with (DATA / "seals.csv").open(encoding="utf-8") as file:
+        seals = {row["case"]: row["sha256"] for row in csv.DictReader(file)}
+    told = json.loads(gzip.decompress((DATA / "answers.json.gz").read_bytes()))
+    found = {}
+    for name in names & set(told["answers"]):
+        text = json.dumps(told["answers"][name], sort_keys=True)
+        if hashlib.sha256(f"{told['salt']}/{name}/{text}".encode()).hexdigest() != seals[name]:
+            message = f"the answer of {name} must be the sealed one; its hash is another"
+            raise ValueError(message)
+        found[name] = told["answers"][name]
+    return found
+
+
+def read_predictions(folder: Path) -> dict[str, dict]:
+    """Return what was said, by case."""
+    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("b*.json"))}
+
+
+def scored(predictions: dict[str, dict]) -> list[Scored]:
+    """Return the cases that have a prediction, with their answers."""
+    answers = open_answers(set(predictions))
+    return [Scored(name, answers[name], predictions[name]) for name in sorted(answers)]
+
+
+def of_kind(cases: list[Scored], *kinds: str) -> list[Scored]:
+    """Return the cases of some kinds."""
+    return [c for c in cases if c.truth["kind"] in kinds]
+
+
+def singles(cases: list[Scored]) -> list[Scored]:
+    """Return the cases with one effect of the catalogue."""
+    return of_kind(cases, "single", "fine")
+
+
+def clear_singles(cases: list[Scored]) -> list[Scored]:
+    """Return those of them that are to be named: large enough, and separable."""
+    return [c for c in singles(cases) if c.truth["detectability"] >= 7.8 and c.truth["separable"]]
+
+
+def held_out(case: Scored) -> dict:
+    """Return the held-out figures of the last finding, which carries what all findings together reach."""
+    causes = case.said.get("causes", [])
+    return causes[-1].get("held_out", {}) if causes and case.ids else {}
+
+
+def held_out_chi(said: dict, blocks: list[str]) -> tuple[float, float, float] | None:
+    """Return the number of values in blocks, and the errors there of base and final model; None where not known."""
+    table = said.get("by_block", {})
+    if not blocks or not set(blocks) <= set(table):
+        return None
+    n, base, final = np.array([table[block] for block in blocks]).T
+    return float(n.sum()), float(np.sqrt(n @ base**2 / n.sum())), float(np.sqrt(n @ final**2 / n.sum()))
+
+
+def gains(cases: list[Scored], oracle: dict[str, dict]) -> tuple[list[float], int]:
+    """Return (base - reached) / (base - told) in chi on what was held out, and how many cases had too little to gain.
+
+    Blocks, base and told are those of the fit that was told the causes. Where there is none, the case's own blocks and
+    base stand in, and a chi of 1. Cases of which other data were seen are left out.
+    """
+    found, small = [], 0
+    for case in cases:
+        reference = oracle.get(case.case, case.said)
+        causes = reference.get("causes", [])
+        blocks = causes[-1].get("held_out", {}).get("cases", []) if causes else []
+        told, mine = held_out_chi(reference, blocks), held_out_chi(case.said, blocks)
+        if told is None or mine is None or told[0] != mine[0]:
+            continue
+        n, base, best = told if case.case in oracle else (told[0], told[1], 1.0)
+        # Where too little of the effect is held out, a share of it means nothing.
+        if n * (base**2 - best**2) < LEAST_TO_GAIN:
+            small += 1
+            continue
+        found.append((base - mine[2]) / (base - best))
+    return found, small
