@@ -225,6 +225,8 @@ class Experiment:
         Case without load, for the noise model.
     effects : tuple of Effect
         ``[[effect]]`` tables in file order (`tissuereg.effects`): what is believed besides, and simulated with it.
+    trial_share : float
+        Standard deviation of what two trials of one case differ by, smooth over the markers, over the markers' motion.
     """
 
     name: str
@@ -245,6 +247,7 @@ class Experiment:
     force_std: float | None = None
     rest_case: str | None = None
     effects: "tuple[Effect, ...]" = ()
+    trial_share: float = 0.0
 
     def __repr__(self) -> str:
         frames = sum(len(case.times) for case in self.cases.values())

@@ -161,6 +161,10 @@ BAD = {
         None,  # the mesh has a node set `fixed`, so this one is good
     ),
     "marker noise missing": (changed("std_mm = 0.05\n", ""), r"`std_mm` must be given in \[markers\]"),
+    "trial share negative": (
+        changed("std_mm = 0.05", "std_mm = 0.05\ntrial_share = -0.1"),
+        "`trial_share` must be a pos",
+    ),
     "rest case unknown": (changed('rest_case = "rest"', 'rest_case = "nap"'), "one of the cases rest, lean"),
     "place of two numbers": (changed("P2 = [15.0, 0.0, 20.0]", "P2 = [15.0, 0.0]"), "`P2` must be a list of 3"),
     "no marker": (changed("P1 = [0.0, 10.0, 40.0]\nP2 = [15.0, 0.0, 20.0]\n", ""), "at least one marker"),

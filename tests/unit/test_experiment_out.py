@@ -23,7 +23,7 @@ EFFECTS = (
 @pytest.fixture
 def rig(tmp_path):
     toml = EXPERIMENT + "[gravity]\ndirection = [0, 0.1, -1]\nin_reference = false\n"
-    return replace(tr.read_experiment(write_experiment(tmp_path / "rig", toml=toml)), effects=EFFECTS)
+    return replace(tr.read_experiment(write_experiment(tmp_path / "rig", toml=toml)), effects=EFFECTS, trial_share=0.03)
 
 
 @pytest.mark.parametrize("place", ["rig/experiment.extended.toml", "out/experiment.extended.toml", "e.toml"])
@@ -39,6 +39,7 @@ def test_what_is_written_is_read_back_the_same_from_any_folder(rig, tmp_path, pl
         "force_std",
         "rest_case",
         "effects",
+        "trial_share",
     ):
         assert getattr(back, plain) == getattr(rig, plain)
     assert (back.material.young, back.material.poisson, back.material.density) == (10.0, 0.45, 1.0)

@@ -25,6 +25,8 @@ def add_parser(commands: Any) -> None:
     parser = command_parser(commands, "diagnose", purpose, _DETAILS, "tissuereg diagnose my-rig --out diagnosed")
     parser.add_argument("experiment", metavar="EXPERIMENT", help="experiment folder or file")
     parser.add_argument("--out", metavar="OUT", help="folder for the results")
+    text = "elements of the believed model of a body (default: tet4)"
+    parser.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], default="tet4", help=text)
     parser.add_argument("--no-cache", action="store_true", help="make the bank of causes anew, keep nothing")
     add_common(parser, seed="seed of all chance (default: 0)")
     parser.set_defaults(run=run)
@@ -57,6 +59,7 @@ def run(args: argparse.Namespace) -> Outcome:
             print(f"diagnose: {stage}", file=sys.stderr, flush=True)
 
     settings: dict[str, Any] = {"seed": args.seed or 0, "threads": args.threads, "keep": not args.no_cache}
+    settings["element"] = args.element
     read = read_material_experiment if is_material_test(args.experiment) else read_experiment
     experiment = read(args.experiment)
     clock.lap("read")

@@ -24,6 +24,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
+    element: str = "tet4",
     progress: Callable[[str], None] | None = None,
 ) -> "Diagnosis": ...
 @overload
@@ -33,6 +34,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
+    element: str = "tet4",
     progress: Callable[[str], None] | None = None,
 ) -> "MaterialDiagnosis": ...
 def diagnose(
@@ -41,6 +43,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
+    element: str = "tet4",
     progress: Callable[[str], None] | None = None,
 ) -> "Diagnosis | MaterialDiagnosis":
     """Return what the simulation of an experiment gets wrong, and why.
@@ -55,6 +58,9 @@ def diagnose(
         Threads to use; 0 takes all cores. The answer does not depend on it.
     keep : bool
         Whether the bank of causes and the fine meshes' answers are kept for the next experiment of this mesh and rig.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements of the believed model of a body. Four-node ones are stiff in bending; a fine mesh corrects what the
+        believed model says, but not what moves only with a cause: a slender body under its own weight wants others.
     progress : callable of str, optional
         Called with what is at work.
 
@@ -80,4 +86,4 @@ def diagnose(
         return diagnose_material(experiment, seed=seed, progress=progress)
     from tissuereg.diagnose.run import diagnose_body
 
-    return diagnose_body(experiment, seed=seed, threads=threads, keep=keep, progress=progress)
+    return diagnose_body(experiment, seed=seed, threads=threads, keep=keep, element=element, progress=progress)

@@ -134,9 +134,9 @@ class Bench:
 
     @property
     def frame_step(self) -> float:
-        """Median time between frames in s."""
-        steps = np.concatenate([np.diff(part.times) for part in self.layout.parts] or [np.ones(1)])
-        return float(np.median(steps))
+        """Median time between frames in s; 0 where every case is a single one."""
+        steps = np.concatenate([np.diff(part.times) for part in self.layout.parts])
+        return float(np.median(steps)) if len(steps) else 0.0
 
     @property
     def longest_case(self) -> float:

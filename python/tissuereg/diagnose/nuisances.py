@@ -1,5 +1,6 @@
 """What is always fitted beside the causes and never named: modulus, frame, drift, error of the mesh."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -70,7 +71,7 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
     Nuisances
         Modulus, six of the frame, three of the drift, gains of the actuators. Of the mesh's error, which grows with the
         load, smooth patterns over the markers and the three components of every force, in each case, as large as meshes
-        differ, and markers near the pad at work each on their own.
+        differ, and markers near the pad at work each on their own. Where stated, what trials of one case differ by.
     """
     layout = bench.layout
     names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
@@ -105,7 +106,7 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
             for axis, column in enumerate(force_columns(layout, part, i, strength)):
                 names.append(f"mesh {part.name} {pad} {axis}")
                 columns.append(max(_differ(errors[..., axis]), FORCE_LEFT) * column)
-    for name, column in (*_at_rims(bench, mesh_errors), *_gains(bench)):
+    for name, column in (*_trials(bench, patterns), *_at_rims(bench, mesh_errors), *_gains(bench)):
         names.append(name)
         columns.append(column)
     kept = [i for i, column in enumerate(columns) if column.any()]
@@ -115,6 +116,17 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
 def _differ(errors: FloatArray) -> float:
     """Return the size of the error that differences between meshes stand for; 0 where there are none."""
     return MESH_SHARE * float(np.sqrt((errors**2).mean())) if errors.size else 0.0
+
+
+def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what trials of one case differ by: smooth over the markers, a share of how far each was seen to move."""
+    layout, share = bench.layout, bench.experiment.trial_share
+    for part in layout.parts if share else ():
+        moved = np.nan_to_num(np.linalg.norm(part.markers(layout.measured), axis=-1))
+        for axis, (number, pattern) in itertools.product(range(3), enumerate(patterns)):
+            column = np.zeros(layout.size)
+            part.markers(column)[..., axis] = share * moved * pattern
+            yield f"trial {part.name} {axis} {number}", column
 
 
 def _rim_sizes(bench: Bench, part: CasePart) -> FloatArray:

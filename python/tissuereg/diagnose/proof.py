@@ -139,5 +139,6 @@ def blocks_for(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
         part_mask[number::TIME_BLOCKS] = True
         top.markers(mask)[part_mask] = True
         top.forces(mask)[part_mask] = True
-        blocks[f"{top.name}, every {TIME_BLOCKS}th frame from {number}"] = mask
+        whole = top.n_frames == 1
+        blocks[top.name if whole else f"{top.name}, every {TIME_BLOCKS}th frame from {number}"] = mask
     return blocks

@@ -52,12 +52,13 @@ def diagnose_body(
     seed: int,
     threads: int,
     keep: bool,
+    element: str,
     progress: Callable[[str], None] | None,
 ) -> Diagnosis:
     """Return what the simulation of a body gets wrong; see `tissuereg.diagnose.diagnose`."""
     layout = Layout(experiment)
     noise = estimate_noise(experiment, layout)
-    bench = Bench(experiment, layout, threads=threads)
+    bench = Bench(experiment, layout, element=element, threads=threads)
     bank = make_bank(bench, keep=keep, progress=progress)
     path = cache_folder() / f"fine_{fingerprint(experiment, 'tet10')}.npy" if keep else None
     fine, others = refined_predictions(bench, path, progress=progress)

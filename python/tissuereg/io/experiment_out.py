@@ -99,6 +99,8 @@ def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
 def _markers(experiment: Experiment) -> dict[str, Any]:
     places = zip(experiment.marker_names, experiment.marker_reference.tolist(), strict=True)
     markers: dict[str, Any] = {"std_mm": experiment.marker_std, "reference": dict(places)}
+    if experiment.trial_share:
+        markers = {"trial_share": experiment.trial_share, **markers}
     return markers if experiment.rest_case is None else {"rest_case": experiment.rest_case, **markers}
 
 

@@ -81,6 +81,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
         cases=measured.cases,
         force_std=measured.force_std,
         rest_case=measured.rest_case,
+        trial_share=measured.trial_share,
         effects=tuple(_effect(table) for table in effects),
     )
     try:
@@ -135,6 +136,7 @@ class _Measured:
     marker_reference: FloatArray
     marker_std: float
     rest_case: str | None
+    trial_share: float
     force_std: float | None
     cases: dict[str, Case]
 
@@ -281,19 +283,21 @@ def _measured(top: Table, folder: Path, actuators: Sequence[Actuator], targets: 
     table = _needed_table(top, "markers")
     std = table.number("std_mm", positive=True)
     rest_case = table.text("rest_case") if "rest_case" in table else None
+    trial_share = table.number("trial_share", positive=True) if "trial_share" in table else 0.0
     reference, reference_time = _marker_reference(table)
     table.finish()
     markers = read_histories(folder / "markers.csv", "marker", "mm", None if reference is None else reference)
     if reference is None:
         reference = _first_places(table, markers, reference_time)
     force_std, forces = _measured_forces(top, folder, actuators)
-    places: Histories = {}
+    inner: Histories = {}
     if (folder / "targets.csv").exists():
-        places = read_histories(folder / "targets.csv", "target", "mm", targets)
-    cases = assemble_cases(markers, tuple(reference), actuators, _controls(folder, actuators), forces, places)
+        inner = read_histories(folder / "targets.csv", "target", "mm", targets)
+    cases = assemble_cases(markers, tuple(reference), actuators, _controls(folder, actuators), forces, inner)
     if rest_case is not None and rest_case not in cases:
         table.refuse(f"`rest_case` must be one of the cases {', '.join(cases)}", rest_case)
-    return _Measured(tuple(reference), np.array(list(reference.values())), std, rest_case, force_std, cases)
+    places = np.array(list(reference.values()))
+    return _Measured(tuple(reference), places, std, rest_case, trial_share, force_std, cases)
 
 
 def _marker_reference(table: Table) -> tuple[dict[str, FloatArray] | None, float]:
