@@ -9,7 +9,7 @@ import pytest
 import tissuereg as tr
 from blind.materialise import CASES, DATA, case_names, materialise
 from blind.run import tier_cases
-from blind.score import open_answers
+from blind.scored import open_answers
 from tissuereg.simulate.experiment import simulate_experiment
 
 LINES = [line.split("  ") for line in (DATA / "SHA256SUMS").read_text(encoding="utf-8").splitlines()]
@@ -36,7 +36,7 @@ def test_an_answer_that_was_changed_is_refused(monkeypatch, tmp_path):
     rows = (tmp_path / "seals.csv").read_text(encoding="utf-8").splitlines()
     rows = [f"{first},{'0' * 64}" if row.startswith(first) else row for row in rows]
     (tmp_path / "seals.csv").write_text("\n".join(rows), encoding="utf-8")
-    monkeypatch.setattr("blind.score.DATA", tmp_path)
+    monkeypatch.setattr("blind.scored.DATA", tmp_path)
     with pytest.raises(ValueError, match=f"the answer of {first} must be the sealed one"):
         open_answers({first})
 

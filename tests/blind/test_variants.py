@@ -87,10 +87,10 @@ def test_all_is_put_back_when_a_diagnosis_fails(monkeypatch):
 
 
 def test_without_a_judge_every_cause_passes_and_figures_stay():
-    density = np.array([[5.0, 0.0], [1.0, -9.0], [2.0, 7.0]])
-    left = np.ones((3, 4))
+    density = np.array([[5.0, 0.0], [1.0, -9.0], [2.0, 7.0], [3.0, 0.0]])
+    left = np.ones((4, 4))
     passed = variants._passed(HeldOut(("a", "b"), density, left))
-    before, cause, rival = passed.log_density.sum(axis=1)
+    before, cause, rival, _ = passed.log_density.sum(axis=1)
     assert cause == density[1].sum()
     assert cause > before + search.PROVED
     assert cause > rival

@@ -85,9 +85,8 @@ def made_up(believed, findings=(), effects=(), **changes):
     layout = Layout(believed)
     noise = estimate_noise(believed, layout)
     bench = Bench(believed, layout)
-    target = Target(
-        bench, noise, Correction(np.ones(layout.size), np.zeros(layout.size)), Null(np.zeros((0, layout.size)))
-    )
+    correction = Correction(np.ones(layout.size), np.zeros(layout.size), ~layout.of_markers())
+    target = Target(bench, noise, correction, Null(np.zeros((0, layout.size))))
     generator = np.random.default_rng(3)
     errors = generator.normal(size=(2, layout.size)) * np.array([[0.5], [0.05]])
     base = fitted(layout, noise, (), errors[0])
@@ -98,7 +97,7 @@ def made_up(believed, findings=(), effects=(), **changes):
         final = fitted(layout, noise, (*final.parts, part), errors[1] / (number + 1))
         found = Candidate(one.id, final, one.log_bayes_factor)
         screened = {"unknown": screened["unknown"], one.id: Screened(9.0, None, np.ones(1))}
-        proof = HeldOut(("lean",), np.zeros((3, 1)), np.array([[3.0], [1.0], [2.0]]) * np.ones((3, layout.size)))
+        proof = HeldOut(("lean",), np.zeros((4, 1)), np.array([[2.5], [1.0], [2.0], [3.0]]) * np.ones((4, layout.size)))
         steps.append(Step(screened, [found], found, proof))
     steps.append(Step(screened, [], None, None))
     answer = Diagnosis(

@@ -196,6 +196,7 @@ def test_a_correction_makes_the_coarse_prediction_the_fine_one(bench):
     forces = ~bench.layout.of_markers()
     doubled = np.where(forces, 2.0 * bench.base, bench.base)
     assert np.allclose(correction.corrected(doubled)[forces] - fine[forces], (correction.factor * bench.base)[forces])
+    assert np.allclose(correction.corrected(doubled, 2.0), np.where(forces, 2.0 * fine, fine))
 
 
 def test_every_cause_that_fits_has_columns_of_its_own(bench):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.diagnose.signals import Layout
 
 
@@ -20,18 +20,24 @@ class Correction:
         One for markers.
     difference : ndarray of float64, shape (size,)
         Fine less factor times coarse, mm and mN.
+    force : ndarray of bool, shape (size,)
+        Which entries are forces.
+    modulus : float
+        Over the believed one, where derivatives are taken: forces grow with it.
     """
 
     factor: FloatArray
     difference: FloatArray
+    force: BoolArray
+    modulus: float = 1.0
 
-    def corrected(self, coarse: FloatArray) -> FloatArray:
-        """Return predictions (..., size) as the finer mesh would give them."""
-        return coarse * self.factor + self.difference
+    def corrected(self, coarse: FloatArray, modulus: float = 1.0) -> FloatArray:
+        """Return predictions (..., size) as the finer mesh would give them; the modulus is over the believed one."""
+        return coarse * self.factor + np.where(self.force, modulus, 1.0) * self.difference
 
     def of_columns(self, columns: FloatArray) -> FloatArray:
-        """Return derivatives (..., size) as the finer mesh would give them."""
-        return columns * self.factor
+        """Return derivatives (..., size) of the believed model as the finer mesh would give them at the modulus."""
+        return columns * (np.where(self.force, self.modulus, 1.0) * self.factor)
 
 
 def make_correction(layout: Layout, coarse: FloatArray, fine: FloatArray) -> Correction:
@@ -56,4 +62,4 @@ def make_correction(layout: Layout, coarse: FloatArray, fine: FloatArray) -> Cor
             power = float((rough**2).sum())
             if power > 0.0:
                 part.forces(factor)[:, i] = float((rough * good).sum()) / power
-    return Correction(factor, fine - factor * coarse)
+    return Correction(factor, fine - factor * coarse, ~layout.of_markers())

@@ -279,7 +279,7 @@ class _Solver:
         found = found + linear
         if self.scales:
             found = np.where(self.force, factor * found, found)
-        return self.target.correction.corrected(found)
+        return self.target.correction.corrected(found, factor)
 
     def objective(self, x: FloatArray, prediction: FloatArray) -> tuple[float, FloatArray]:
         white = self.target.white(np.where(self.seen, self.measured - prediction, 0.0))

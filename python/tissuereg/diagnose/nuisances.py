@@ -19,8 +19,8 @@ FRAME_SHIFT, FRAME_TURN = 0.02, 0.02
 #: Prior deviation of the drift of the camera over the whole session, mm.
 DRIFT = 0.02
 
-#: Share of the difference between two fine meshes that is taken for the error of the one that corrects.
-MESH_SHARE = 0.7
+#: Share of the difference between two fine meshes that is taken for what is left of the mesh's error.
+MESH_SHARE = 1.0
 
 #: Error of the forces that is expected at least, as a share of them: what fine meshes were found off other solvers.
 FORCE_LEFT = 0.01

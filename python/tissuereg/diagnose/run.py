@@ -14,15 +14,15 @@ from tissuereg.diagnose.answer import Diagnosis, Finding
 from tissuereg.diagnose.bank import fingerprint, make_bank
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.correction import make_correction
+from tissuereg.diagnose.correction import Correction, make_correction
 from tissuereg.diagnose.discrepancy import describe
 from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import Target
+from tissuereg.diagnose.fit import Target, fit
 from tissuereg.diagnose.generic import generic_columns
 from tissuereg.diagnose.misfit import p_misfit
-from tissuereg.diagnose.noise import estimate_noise
-from tissuereg.diagnose.nuisances import make_nuisances
-from tissuereg.diagnose.nulls import draw_nulls
+from tissuereg.diagnose.noise import Noise, estimate_noise
+from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
+from tissuereg.diagnose.nulls import Nulls, draw_nulls
 from tissuereg.diagnose.refined import refined_predictions
 from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
 from tissuereg.diagnose.search import SEPARABLE, Search, Step, search
@@ -34,6 +34,9 @@ from tissuereg.io.cache import cache_folder
 
 #: Misfit less likely than this is one.
 MISFIT = 0.01
+
+#: Causes that leave a misfit must explain this share of it, or nothing is named.
+EXPLAINED = 0.7
 
 #: The modulus is a finding beyond this many prior deviations.
 STIFFNESS = 3.0
@@ -64,6 +67,7 @@ def diagnose_body(
     fine, others = refined_predictions(bench, path, progress=progress)
     correction = make_correction(layout, bench.base, fine)
     nuisances = make_nuisances(bench, others - fine)
+    correction = _at_modulus(bench, noise, correction, nuisances)
     white = noise.whitened(correction.of_columns(nuisances.columns), layout)
     null, rest = Null(white), Null(white[nuisances.but("stiffness")])
     generic = generic_columns(bench, float(noise.marker_std.mean()))
@@ -75,7 +79,11 @@ def diagnose_body(
     found = search(target, screen, nulls.threshold, progress=progress)
     misfit = p_misfit(found.reduced, nulls.residuals, layout)
     findings = _findings(target, found, nulls.threshold)
-    verdict = _verdict(findings, found, misfit)
+    if misfit < MISFIT and _explained(target, found, nulls) < EXPLAINED:
+        # What was found is at best the nearest thing to what is there.
+        findings, found = [], found.taken_back(target)
+        misfit = p_misfit(found.reduced, nulls.residuals, layout)
+    verdict = _verdict(findings, misfit)
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
     if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
@@ -104,6 +112,15 @@ def diagnose_body(
     )
 
 
+def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: Nuisances) -> Correction:
+    """Return a correction with the modulus that forces ask for, if it scales them alone."""
+    if not bench.scales_forces:
+        return correction
+    others = noise.whitened(correction.of_columns(nuisances.columns[nuisances.but("stiffness")]), bench.layout)
+    found = fit(Target(bench, noise, correction, Null(others)), [])
+    return correction if found is None else replace(correction, modulus=found.young(1.0))
+
+
 def _with_targets(findings: list[Finding], experiment: Experiment, extended: Experiment, threads: int) -> list[Finding]:
     """Return findings with what they gain, all together, at inner targets; as they are where there are none."""
     if not findings or not experiment.targets:
@@ -115,7 +132,15 @@ def _with_targets(findings: list[Finding], experiment: Experiment, extended: Exp
     return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
 
 
-def _verdict(findings: list[Finding], found: Search, misfit: float) -> str:
+def _explained(target: Target, found: Search, nulls: Nulls) -> float:
+    """Return the share of what the believed model misses beyond noise and nuisances that was explained."""
+    before = float((target.null.reduced(found.base.residual) ** 2).sum())
+    after = float((found.reduced**2).sum())
+    expected = float((nulls.residuals**2).sum(axis=1).mean())
+    return (before - after) / max(before - expected, 1e-9)
+
+
+def _verdict(findings: list[Finding], misfit: float) -> str:
     if not findings:
         return "consistent" if misfit > MISFIT else "unexplained"
     return "group" if any(len(finding.group) > 1 for finding in findings) else "named"
@@ -201,11 +226,11 @@ def _held_out(target: Target, step: Step) -> dict[str, object]:
     typical = float(noise.marker_std.mean())
     rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in step.proof.left]
     return {
-        "rms_base_mm": rms[0],
+        "rms_base_mm": rms[3],
         "rms_named_mm": rms[1],
         "rms_generic_mm": rms[2],
         "noise_mm": typical,
-        "chi_base": chi[0],
+        "chi_base": chi[3],
         "chi_named": chi[1],
         "chi_generic": chi[2],
         "log_density_gain": float(step.proof.log_density[1].sum() - step.proof.log_density[0].sum()),

@@ -73,7 +73,7 @@ class Step:
     found : Candidate or None
         The one that was proved.
     proof : HeldOut or None
-        Models: before, with the likeliest candidate or the one found, with the generic rival.
+        Models: before, with the likeliest candidate or the one found, with the generic rival, the believed one.
     """
 
     screened: dict[str, Screened]
@@ -110,6 +110,11 @@ class Search:
     steps: list[Step] = field(default_factory=list)
     reduced: FloatArray = field(default_factory=lambda: np.empty(0))
 
+    def taken_back(self, target: Target) -> "Search":
+        """Return the same search with nothing found."""
+        steps = [replace(step, found=None) for step in self.steps]
+        return Search(self.base, self.base, steps, target.null.reduced(self.base.residual))
+
 
 def search(
     target: Target, screen: Screen, threshold: float, *, progress: Callable[[str], None] | None = None
@@ -142,7 +147,7 @@ def search(
         for candidate in candidates:
             if candidate.gain < threshold * (FURTHER if current.parts else 1.0):
                 break
-            tried = _prove(target, screen, current, candidate)
+            tried = _prove(target, screen, base, current, candidate)
             proof = proof or tried
             density = tried.log_density.sum(axis=1)
             proved = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
@@ -160,12 +165,12 @@ def search(
     if len(current.parts) > 1:
         if progress is not None:
             progress("second thoughts")
-        current, steps = _revised(target, screen, current, steps, threshold)
+        current, steps = _revised(target, screen, base, current, steps, threshold)
     return Search(base, current, steps, _null_after(target, current).reduced(current.residual))
 
 
 def _revised(
-    target: Target, screen: Screen, current: Fit, steps: list[Step], threshold: float
+    target: Target, screen: Screen, base: Fit, current: Fit, steps: list[Step], threshold: float
 ) -> tuple[Fit, list[Step]]:
     """Return what is left of several causes once each was taken out again and exchanged for its mates."""
     found = [number for number, step in enumerate(steps) if step.found is not None]
@@ -180,7 +185,7 @@ def _revised(
         before = without(target, current, part)
         if before is not None:
             top = Candidate(current.parts[part].id, current, current.log_evidence - before.log_evidence)
-            proof = _prove(target, screen, before, top, part)
+            proof = _prove(target, screen, base, before, top, part)
             steps[number] = replace(steps[number], found=top, proof=proof)
     return current, steps
 
@@ -223,8 +228,8 @@ def _refit(
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
-def _prove(target: Target, screen: Screen, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
-    """Return how the model before, the candidate and the generic rival predict what they were not fitted to."""
+def _prove(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
+    """Return how the model before, that with the candidate, the generic rival and the believed model predict."""
     mine = candidate.fit.slices()[part]
     slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
     if not len(slopes):
@@ -233,7 +238,7 @@ def _prove(target: Target, screen: Screen, current: Fit, candidate: Candidate, p
     before = linear_model(target, current)
     with_it = linear_model(target, candidate.fit)
     rival = linear_model(target, current, _rival(screen, target, current))
-    return held_out([before, with_it, rival], blocks)
+    return held_out([before, with_it, rival, linear_model(target, base)], blocks)
 
 
 def _rival(screen: Screen, target: Target, current: Fit) -> FloatArray:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tissuereg.diagnose.signals import Layout
 
 _MODELS = (
-    ("base", "model before", svg.BEFORE),
+    ("base", "believed model", svg.BEFORE),
     ("named", "with the cause", svg.AFTER),
     ("generic", "with a generic patch", svg.GENERIC),
 )
@@ -114,7 +114,7 @@ def _by_case(proof: "HeldOut", layout: "Layout") -> str:
         mine = layout.of_case(part.name) & layout.seen & np.isfinite(proof.left).all(axis=0)
         if not mine.any():
             continue
-        chi = np.sqrt((proof.left[:, mine] ** 2).mean(axis=1))
+        chi = np.sqrt((proof.left[[3, 1, 2]][:, mine] ** 2).mean(axis=1))
         rows.append((escape(part.name), str(int(mine.sum())), *(f"{x:.2f}" for x in chi)))
         groups.append(
             (part.name, [(name, float(x), colour) for (_, name, colour), x in zip(_MODELS, chi, strict=True)])

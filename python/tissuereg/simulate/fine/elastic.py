@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray
-from tissuereg.errors import ConvergenceError
+from tissuereg.errors import ConvergenceError, LoadError
 from tissuereg.experiment import Case, Experiment
 from tissuereg.load import Load
 from tissuereg.material import Material
@@ -157,7 +157,7 @@ def _solve(
                 part = load if share == 1.0 else _scaled(load, share)
                 found = simulator.solve(part, material, start=guess(share * state, known), **light)
                 known.append((share * state, found.all_displacement))
-        except ConvergenceError:
+        except (ConvergenceError, LoadError):  # the latter where a guess turns a tet inside out
             continue
         return found.all_displacement, found.reactions
     found = simulator.solve(load, material, **settings)
