@@ -1,7 +1,7 @@
 """The solver beside the machine's limits and beside other programs, in one run: `benchmarks/results/solver.json`.
 
     python benchmarks/solver.py [--quick] [--out FILE] [--reference DIR] [--peers PYTHON]
-    python benchmarks/solver.py --many      (measures many solves on one mesh again, and keeps all else in the JSON)
+    python benchmarks/solver.py --again many dome_4k_pull_x2   (measures these again, and keeps all else in the JSON)
     python benchmarks/solver.py --table     (only writes the tables of benchmarks/README.md from the JSON)
 
 Every measurement is a process of its own (`solver_work.py`, `peers/with_*.py`); its command stands beside its figures.
@@ -159,14 +159,22 @@ def peers(python: Path, files: dict[str, Path], quadratic: Path, quick: bool) ->
     return rows, skipped
 
 
-def again(answer: dict, reference: Path, members: int) -> dict:
-    """Return the answer with many solves measured again, between two measurements of the floor."""
+def again(answer: dict, reference: Path, names: list[str], repeats: int, members: int) -> dict:
+    """Return the answer with many solves, or problems by name, measured again between two measurements of the floor."""
     before = work(2, "floor")
-    many = work(2, "many", reference / "dome_4k_pull.npz", "--members", members)
+    made = {}
+    if "many" in names:
+        made["many"] = work(2, "many", reference / "dome_4k_pull.npz", "--members", members)
+    files = {name: path for name, path in problems(reference).items() if name in names}
+    rows = solves(files, repeats)
     floor = best_of(before, work(2, "floor"))
+    with_floors(rows, floor)
     rates = {name: floor[name] for name in ("dgemm_gflops", "sgemm_gflops", "triad_gb_per_s")}
     when = datetime.now(timezone.utc).isoformat(timespec="seconds")
-    return {**answer, "many": {**many, "date": when, "commit": commit(), "floor": rates}}
+    stamp = {"date": when, "commit": commit(), "floor": rates}
+    new = {(row["name"], row["threads"]): {**row, **stamp} for row in rows}
+    kept = [new.get((row["name"], row["threads"]), row) for row in answer["solves"]]
+    return {**answer, **{name: {**row, **stamp} for name, row in made.items()}, "solves": kept}
 
 
 def commit() -> str:
@@ -184,13 +192,16 @@ def main() -> None:
     parser.add_argument("--peers", type=Path, default=Path(".venv-peers/bin/python"))
     parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--quick", action="store_true", help="few repeats, small sizes, one problem a peer")
-    parser.add_argument("--many", action="store_true", help="measure many solves again, keep all else in the JSON")
+    parser.add_argument("--again", nargs="+", metavar="NAME", help="measure `many` or problems again, keep all else")
     parser.add_argument("--table", action="store_true", help="write the tables from the JSON, measure nothing")
     options = parser.parse_args()
     out = options.out.absolute()
-    if options.many:
+    if options.again:
         os.chdir(REPOSITORY)
-        answer = again(json.loads(out.read_text(encoding="utf-8")), options.reference, 16 if options.quick else 200)
+        SCRATCH.mkdir(parents=True, exist_ok=True)
+        answer = json.loads(out.read_text(encoding="utf-8"))
+        members = 16 if options.quick else 200
+        answer = again(answer, options.reference, options.again, options.repeats, members)
         out.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
     elif not options.table:
         os.chdir(REPOSITORY)

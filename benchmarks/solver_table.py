@@ -44,6 +44,7 @@ def tables(answer: dict) -> str:
         *map(_solve_row, answer["solves"]),
         "",
         "Peak after one cold solve: the whole process, and without what Python, NumPy and the arrays held before.",
+        *sorted({f"{row['name']}:{_measured_later(row)}" for row in answer["solves"] if "floor" in row}),
         "",
         "Many solves on one mesh (4k nodes, E 10-60 kPa, one to three random patches, 2 to 25 mm to first order, two "
         f"threads): {_many(many)}",
@@ -120,12 +121,12 @@ def _many(many: dict) -> str:
     )
 
 
-def _measured_later(many: dict) -> str:
+def _measured_later(row: dict) -> str:
     """Return when a row was measured on its own, and how fast the machine was then."""
-    if "floor" not in many:
+    if "floor" not in row:
         return ""
-    dgemm = " / ".join(f"{many['floor']['dgemm_gflops'][n]:.0f}" for n in ("1", "2"))
-    return f" Measured again, {many['date'][:10]}, commit {many['commit']}, with dgemm at {dgemm} GFLOP/s."
+    dgemm = " / ".join(f"{row['floor']['dgemm_gflops'][n]:.0f}" for n in ("1", "2"))
+    return f" Measured again, {row['date'][:10]}, commit {row['commit']}, with dgemm at {dgemm} GFLOP/s."
 
 
 def _size_row(row: dict) -> str:
