@@ -11,6 +11,9 @@ from tissuereg.experiment import Experiment
 
 SCHEMA = "tissuereg.diagnosis/1"
 
+#: With fewer load cases a verdict is provisional: no case can be left out and foretold by two others.
+LEAST_CASES = 3
+
 
 @dataclass(frozen=True, eq=False)
 class Finding:
@@ -105,11 +108,18 @@ class Diagnosis:
         said = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
         return f"Diagnosis({self.verdict}: {said}; p_misfit {self.p_misfit:.2g})"
 
+    @property
+    def provisional(self) -> bool:
+        """Whether so few load cases were measured that findings are proved on frames of cases that were fitted."""
+        acts = [case for case in self.extended.cases.values() if case.displacements or case.applied_forces]
+        return len(acts) < LEAST_CASES
+
     def to_json(self) -> dict[str, Any]:
         """Return the answer in the schema ``tissuereg.diagnosis/1``."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
+            "provisional": self.provisional,
             "causes": [finding.to_json() for finding in self.findings],
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,

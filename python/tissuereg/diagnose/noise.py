@@ -67,9 +67,7 @@ class Noise:
         white = np.zeros_like(flat)
         for part in layout.parts:
             measured = part.markers(layout.measured)
-            part.markers(white)[:] = self._markers(
-                part.markers(flat), np.asarray(np.isfinite(measured).all(axis=-1)), part
-            )
+            part.markers(white)[:] = self._markers(part.markers(flat), np.isfinite(measured), part)
             known = np.isfinite(part.forces(layout.measured))
             part.forces(white)[:] = np.where(known, part.forces(flat), 0.0) / self.force_std
         return white
@@ -79,17 +77,17 @@ class Noise:
         return np.where(layout.seen, generator.standard_normal(layout.size), 0.0)
 
     def _markers(self, moved: FloatArray, seen: BoolArray, part: CasePart) -> FloatArray:
-        moved = np.where(seen[..., None], moved, 0.0) / self.marker_std[:, None]
+        moved = np.where(seen, moved, 0.0) / self.marker_std[:, None]
         # What all markers share lies along one direction, in units of their own noise.
-        shared = np.where(seen, 1.0 / self.marker_std, 0.0)[..., None]
+        shared = np.where(seen, 1.0 / self.marker_std[:, None], 0.0)
         length = np.maximum(np.linalg.norm(shared, axis=1, keepdims=True), 1e-300)
         along = shared / length
         common = (moved * along).sum(axis=-2, keepdims=True)
         step = np.diff(part.times, prepend=np.nan)
-        own = self._faded(moved - along * common, self.memory, step, seen[..., None])
+        own = self._faded(moved - along * common, self.memory, step, seen)
         common = common / np.sqrt(1.0 + (length * self.common_std) ** 2)
-        together = self._faded(common, self.common_memory, step, np.asarray(seen.any(axis=1))[:, None, None])
-        return np.where(seen[..., None], own + along * together, 0.0)
+        together = self._faded(common, self.common_memory, step, np.asarray(seen.any(axis=1, keepdims=True)))
+        return np.where(seen, own + along * together, 0.0)
 
     def _faded(self, values: FloatArray, memory: float, step: FloatArray, seen: BoolArray) -> FloatArray:
         """Return values (..., n_frames, k, 3) less what the frame before says of them, in units of what is left."""
@@ -135,21 +133,22 @@ def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
     still = _still(experiment, layout)
     if sum(len(values) for values, _ in still) < LEAST_FRAMES or n_markers < 2:
         return white
+    axes = float(still[0][0].shape[-1])
     means = [values.mean(axis=1, keepdims=True) for values, _ in still]
     own = [values - mean for (values, _), mean in zip(still, means, strict=True)]
     shapes = [(len(values), fitted) for values, fitted in still]
     memory = _memory(own, shapes)
     # In runs of frames that are alike, taking out a mean takes out a part of the noise.
-    freedom = 3.0 * (1.0 - 1.0 / n_markers) * _expected(memory, shapes)[0]
+    freedom = axes * (1.0 - 1.0 / n_markers) * _expected(memory, shapes)[0]
     # Median deviations: a marker that jumps once is not a noisy one. They are worth 0.37 of the values.
     spread = 1.4826 * np.median(np.abs(np.concatenate(own)), axis=(0, 2))
-    whole = 3.0 * sum(frames for frames, _ in shapes)
+    whole = axes * sum(frames for frames, _ in shapes)
     variance, freedom = spread**2 * whole / freedom, 0.37 * freedom
     pooled, together = float(np.median(variance)), freedom * n_markers
     marker_std = _believed(stated, np.full(n_markers, np.sqrt(pooled)), pooled * together / stated**2, together)
     # A marker that is noisier than the others.
     marker_std = _believed(marker_std, np.sqrt(variance), variance * freedom / marker_std**2, freedom)
-    common_freedom = 3.0 * _expected(memory, shapes)[0]
+    common_freedom = axes * _expected(memory, shapes)[0]
     common = float(sum((mean**2).sum() for mean in means)) / common_freedom
     expected = float((marker_std**2).mean() / n_markers)
     alike = chi2.sf(common_freedom * common / expected, common_freedom) < LEVEL
@@ -162,12 +161,13 @@ def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
 def _still(experiment: Experiment, layout: Layout) -> list[tuple[FloatArray, int]]:
     """Return runs of frames in which nothing acts anew: the rest case less its mean, holds less their straight lines.
 
-    Each (n_frames, n_markers, 3), with the number of values fitted to every coordinate. A slow change in a hold goes
-    with the line.
+    Each (n_frames, n_markers, n_axes), with the number of values fitted to every coordinate; axes that no marker was
+    measured along are left out. A slow change in a hold goes with the line.
     """
     found = []
+    along = np.any([np.isfinite(part.markers(layout.measured)).any(axis=(0, 1)) for part in layout.parts], axis=0)
     for part in layout.parts:
-        case, frames = experiment.cases[part.name], part.markers(layout.measured)
+        case, frames = experiment.cases[part.name], part.markers(layout.measured)[..., along]
         whole = np.asarray(np.isfinite(frames).all(axis=(1, 2)))
         if part.name == experiment.rest_case:
             if whole.sum() > 1:

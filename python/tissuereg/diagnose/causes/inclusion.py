@@ -42,7 +42,9 @@ class InclusionCause(Cause):
         """Return the place, and the logarithms of radius and contrast."""
         centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
         middle = bench.experiment.mesh.nodes.mean(axis=0)
-        wide, extent = 0.25 * bench.extent, bench.extent
+        # Along a slab's depth neither the place nor a step is as large as along the others.
+        lengths, extent = np.ptp(bench.experiment.mesh.nodes, axis=0), bench.extent
+        wide, step = np.minimum(0.25 * extent, 0.5 * lengths), np.minimum(0.01 * extent, 0.1 * lengths)
         # A stiff ball in a soft body saturates: its effect is (c - 1) / (1 + 0.4 (c - 1)) for small strain.
         linear = float(np.clip(SPREAD * amplitudes[0], -0.85, 1.8))
         contrast = 1.0 + linear / max(1.0 - 0.4 * linear, 0.2)
@@ -57,7 +59,7 @@ class InclusionCause(Cause):
 
         return knobs(
             [
-                *((float(centre[i]), float(middle[i]), wide, 0.01 * extent) for i in range(3)),
+                *((float(centre[i]), float(middle[i]), float(wide[i]), float(step[i])) for i in range(3)),
                 (float(np.log(radius)), float(np.log(0.065 * extent)), 0.4, 0.05),
                 (float(np.log(contrast)), 0.0, 1.0, 0.05),
             ],
@@ -93,6 +95,13 @@ def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -
     return sparse.csr_array(entries, shape=(mesh.n_tets, len(balls)))
 
 
+def _line(low: float, high: float, radius: float) -> FloatArray:
+    """Return places along one axis; the middle of a body that is thinner than the ball."""
+    if high - low < 2.0 * radius:
+        return np.array([0.5 * (low + high)])
+    return np.arange(low + 0.5 * radius, high, SPACING * radius)
+
+
 def _places(bench: Bench) -> list[tuple[float, tuple[float, float, float]]]:
     """Return radii and centres: grids inside the body, coarser for larger balls."""
     mesh = bench.experiment.mesh
@@ -101,7 +110,7 @@ def _places(bench: Bench) -> list[tuple[float, tuple[float, float, float]]]:
     for share in RADII:
         radius = share * bench.extent
         low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
-        axes = [np.arange(a + 0.5 * radius, b, SPACING * radius) for a, b in zip(low, high, strict=True)]
+        axes = [_line(float(a), float(b), radius) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         inside = grid[tree.query(grid)[0] <= reach]
         found += [(radius, (float(x), float(y), float(z))) for x, y, z in inside]

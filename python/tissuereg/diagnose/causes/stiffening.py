@@ -10,9 +10,12 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
 from tissuereg.effects import Effect, Stiffening
 
-#: Where secants are taken: exponents of Fung's law, a ratio of Yeoh's.
-EXPONENTS = (1.0, 4.0)
+#: Where secants are taken: exponents of Fung's law, a ratio of Yeoh's. Skin has exponents of some tens.
+EXPONENTS = (1.0, 4.0, 16.0)
 RATIO = 2.0
+
+#: Largest logarithm of a shape parameter: a strain of 0.1 then multiplies the modulus by some thousands.
+LARGEST = 7.0
 
 
 class StiffeningCause(Cause):
@@ -37,8 +40,8 @@ class StiffeningCause(Cause):
         start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))
         return knobs(
             [(start, float(np.log(2.0)), 1.2, 0.05)],
-            lambda x, young: (_effect(law, float(np.exp(min(x[0], 4.0)))),),
-            lambda x, young: {_KEY[law]: float(np.exp(min(x[0], 4.0)))},
+            lambda x, young: (_effect(law, float(np.exp(min(x[0], LARGEST)))),),
+            lambda x, young: {_KEY[law]: float(np.exp(min(x[0], LARGEST)))},
         )
 
     def sentence(self, values: Values) -> str:

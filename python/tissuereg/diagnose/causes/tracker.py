@@ -186,9 +186,8 @@ def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
     own, other = np.zeros(len(names)), np.zeros((len(names), len(names)))
     for part in bench.layout.parts:
         predicted = bench.layout.reference + part.markers(bench.base)
-        measured = np.nan_to_num(bench.layout.reference + part.markers(bench.layout.measured), nan=np.inf)
-        apart = np.linalg.norm(measured[:, :, None] - predicted[:, None], axis=3)
-        apart = np.where(np.isfinite(apart), apart, 0.0)
+        measured = bench.layout.reference + part.markers(bench.layout.measured)
+        apart = np.linalg.norm(np.nan_to_num(measured[:, :, None] - predicted[:, None], nan=0.0), axis=3)
         own += np.einsum("fii->i", apart)
         other += apart.sum(axis=0)
     ratio = (own[:, None] + own) / np.maximum(other + other.T, 1e-9)
