@@ -20,10 +20,10 @@ FRAME_SHIFT, FRAME_TURN = 0.02, 0.02
 DRIFT = 0.02
 
 #: Share of the difference between two fine meshes that is taken for what is left of the mesh's error.
-MESH_SHARE = 1.0
+MESH_SHARE = 0.7
 
 #: Error of the forces that is expected at least, as a share of them: what fine meshes were found off other solvers.
-FORCE_LEFT = 0.01
+FORCE_LEFT = 0.005
 
 #: Error of a marker at the rim of the pad at work, over the pad's motion, and how far from the pad's nodes it fades,
 #: over their extent: stress is singular at a rim, and no mesh resolves it.
