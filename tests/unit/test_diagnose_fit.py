@@ -1,0 +1,140 @@
+"""Fits of known causes, second thoughts on several, and a search whose findings are taken back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from support.rigs import rig
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.correction import Correction
+from tissuereg.diagnose.evidence import Null
+from tissuereg.diagnose.fit import Part, Target, fit
+from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.revise import exchanged, needed, without
+from tissuereg.diagnose.search import Candidate, Search, Step
+from tissuereg.diagnose.signals import Layout
+from tissuereg.effects import ActuatorOffset, Latency, Poisson
+
+MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
+
+
+def target_of(*effects) -> Target:
+    """Return what is fitted to data with effects, a stiffer body and noise."""
+    believed = rig()
+    truth = Bench(believed, Layout(believed)).predictor.predict(effects, young=YOUNG)
+    layout = Layout(believed)
+    rng = np.random.default_rng(1)
+    std = np.where(layout.of_markers(), MARKER_STD, FORCE_STD)
+    layout.measured[:] = truth + std * rng.standard_normal(layout.size)
+    bench = Bench(believed, layout)
+    noise = Noise(np.full(len(layout.marker_names), MARKER_STD), 0.0, 0.0, 0.0, 1.0, FORCE_STD, True)
+    same = Correction(np.ones(layout.size), np.zeros(layout.size), ~layout.of_markers())
+    return Target(bench, noise, same, Null(np.zeros((0, layout.size))))
+
+
+def part(target, name, amplitude=0.1, **settings):
+    """Return a cause where its fit begins."""
+    variants = [v for v in CAUSES[name].variants(target.bench) if settings.items() <= v.settings.items()]
+    amplitudes = np.full(len(variants[0].columns), amplitude)
+    return Part(name, variants[0], CAUSES[name].knobs(target.bench, variants[0], amplitudes))
+
+
+@pytest.fixture(scope="module")
+def of_two():
+    return target_of(Poisson(poisson=0.3), Latency(latency_s=0.1))
+
+
+def test_a_fit_finds_modulus_and_causes_within_their_deviations(of_two):
+    found = fit(of_two, [part(of_two, "poisson"), part(of_two, "latency")])
+    assert abs(found.young(1.0) - YOUNG) < 4.0 * YOUNG * np.sqrt(found.covariance[0, 0])
+    for number, (key, true) in enumerate((("poisson", 0.3), ("latency_s", 0.1))):
+        values, deviations = found.values(number, 1.0)
+        assert abs(values[key] - true) < 4.0 * deviations[key]
+        assert deviations[key] < 0.05
+    # What is left is noise.
+    assert np.sqrt(np.mean(found.residual**2)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_derivative_of_a_fit_is_that_at_its_end(of_two):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    found = fit(of_two, parts)
+    young = found.young(of_two.bench.young)
+    for number, step in ((1, 1e-3), (2, 1e-3)):
+        ends = []
+        for side in (1.0, -1.0):
+            x = found.x.copy()
+            x[number] += side * step
+            effects = [
+                e for p, mine in zip(parts, found.slices(), strict=True) for e in p.knobs.effects(x[mine], young)
+            ]
+            ends.append(of_two.bench.predictor.predict(effects, young=found.young(1.0)))
+        slope = (ends[0] - ends[1]) / (2.0 * step)
+        assert np.linalg.norm(found.jacobian[number] - slope) < 0.05 * np.linalg.norm(slope)
+
+
+def test_a_hopeless_fit_keeps_its_objective_and_saves_the_last_derivative(of_two):
+    parts = [part(of_two, "poisson")]
+    exact, saved = fit(of_two, parts), fit(of_two, parts, hopeless=-1.0)
+    assert saved.objective == pytest.approx(exact.objective, abs=1.0)
+
+
+def test_a_shifted_patch_is_fitted_without_jumps(of_two):
+    shifted = part(of_two, "actuator_offset", actuator="top", kind="patch")
+    assert shifted.knobs.columns.shape == (2, of_two.bench.layout.size)
+    found = fit(of_two, [shifted])
+    straight = found.x[1:] @ shifted.knobs.columns
+    forces = ~of_two.bench.layout.of_markers()
+    scaled = np.where(forces, found.young(1.0), 1.0)
+    assert np.allclose(found.prediction, scaled * (of_two.bench.base + straight))
+    effect = shifted.knobs.effects(np.array([1.0, 0.0]), 10.0)[0]
+    assert isinstance(effect, ActuatorOffset)
+    assert np.linalg.norm(effect.shift_mm) == pytest.approx(1.0)
+
+
+def test_what_differs_in_the_tracker_alone_is_solved_once(of_two, monkeypatch):
+    predictor = Bench(of_two.bench.experiment, of_two.bench.layout).predictor
+    solved = []
+    once = predictor._solve
+    monkeypatch.setattr(predictor, "_solve", lambda *given: solved.append(given) or once(*given))
+    late = [predictor.predict([Poisson(poisson=0.35), Latency(latency_s=s)]) for s in (0.0, 0.1, 0.2)]
+    assert len(solved) == 1
+    assert np.abs(late[2] - late[0]).max() > 0.01
+    predictor.predict([Poisson(poisson=0.35)], young=1.2)
+    assert len(solved) == 2
+
+
+def test_a_cause_that_is_not_needed_goes(of_two):
+    spare = part(of_two, "scale")
+    found = fit(of_two, [part(of_two, "poisson"), spare, part(of_two, "latency")])
+    kept, left = needed(of_two, found, threshold=8.0)
+    assert kept.ids == ("poisson", "latency")
+    assert left == [0, 2]
+    assert without(of_two, kept, 0).log_evidence < kept.log_evidence - 8.0
+
+
+def test_a_mate_stands_in_where_it_is_better(of_two):
+    wrong = fit(of_two, [part(of_two, "scale"), part(of_two, "latency")])
+    mate = part(of_two, "poisson")
+    better = exchanged(of_two, wrong, 0, [(mate, mate.knobs.start)])
+    assert better.ids == ("poisson", "latency")
+    again = part(of_two, "scale")
+    assert exchanged(of_two, better, 0, [(again, again.knobs.start)]) is better
+
+
+def test_findings_that_are_taken_back_leave_the_believed_model(of_two):
+    base = fit(of_two, [])
+    found = fit(of_two, [part(of_two, "poisson")])
+    step = Step({}, [], Candidate("poisson", found, 9.0), None)
+    search = Search(base, found, [step, replace(step, found=None)], found.residual).taken_back(of_two)
+    assert search.final is base
+    assert [s.found for s in search.steps] == [None, None]
+    assert np.allclose(search.reduced, base.residual)
+
+
+def test_candidates_close_to_the_one_found_are_counted_from_its_own_round():
+    candidates = [Candidate(name, None, gain) for name, gain in (("layer", 30.0), ("fibre", 25.0), ("scale", 10.0))]
+    step = Step({}, candidates, Candidate("layer", None, 300.0), None)
+    assert [c.id for c in step.close(8.0)] == ["fibre"]
+    assert replace(step, found=None).close(8.0) == []
