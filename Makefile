@@ -12,11 +12,11 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: blind blind-quick blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-data help demo test test-rust test-sturdy test-python test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: blind blind-quick blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
-	@echo "make test            all tests of the Rust crates and the Python package (no torch)"
+	@echo "make test            tests of the Rust crates and the Python package (no torch); make test-slow: those of minutes"
 	@echo "make test-sturdy     a thousand known equilibria, two thousand random inputs"
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make lint            formatters, linters, types"
@@ -62,7 +62,11 @@ test-sturdy:
 	TISSUEREG_CASES=2000 $(CARGO) test -p tissuereg-fem --test fuzz
 
 test-python: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not slow"
+
+# Tests that take minutes.
+test-slow: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/.installed-dev
 	$(CARGO) fmt --all --check
