@@ -21,6 +21,9 @@ MOST_CAUSES = 3
 REFITTED = 4
 WITHIN = 10.0
 
+#: Shares of what a cause must pass that its linear evidence must reach to be fitted: alone, and beside others.
+LIKELY, LIKELY_FURTHER = 0.3, 0.5
+
 #: Two causes are told apart where their separability passes this; the evidence then differs by half its square.
 SEPARABLE = 4.0
 
@@ -205,10 +208,12 @@ def _refit(
         key=lambda name: -screened[name].log_bayes_factor,
     )
     best = screened[order[0]].log_bayes_factor if order else -np.inf
+    # Beside a fitted model the linear evidence is nearly that of a fit.
+    least = LIKELY_FURTHER * FURTHER * threshold if current.parts else LIKELY * threshold
     chosen = [
         name
         for rank, name in enumerate(order)
-        if screened[name].log_bayes_factor > 0.3 * threshold
+        if screened[name].log_bayes_factor > least
         and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
     ]
     found: list[Candidate] = []
