@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from blind.compare import comparison, made, read_methods
+from blind.materialise import case_names
 from blind.scored import (
     Scored,
     clear_singles,
@@ -210,7 +211,8 @@ def report(
     lines = [
         "# Blind test bench",
         "",
-        f"{len(cases)} sealed cases scored; intervals are 95 % (Wilson). Verdicts: {made(cases)}.",
+        f"{len(cases)} of {len(case_names())} sealed cases scored; intervals are 95 % (Wilson). Cases are asked in the "
+        f"order of their names, which are random. Verdicts: {made(cases)}.",
         "",
         "| figure | count | share | goal | met | |",
         "|---|---|---|---|---|---|",
