@@ -36,7 +36,7 @@ from tissuereg.io.cache import cache_folder
 MISFIT = 0.01
 
 #: Causes that leave a misfit must explain this share of it, or nothing is named.
-EXPLAINED = 0.7
+EXPLAINED = 0.5
 
 #: The modulus is a finding beyond this many prior deviations.
 STIFFNESS = 3.0

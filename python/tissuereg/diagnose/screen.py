@@ -1,7 +1,7 @@
 """Screening: the exact linear evidence of every hypothesis in the bank, and of the generic rival."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Screen:
         self.bank = bank
         self.null = null
         self.generic_white: FloatArray = np.stack(
-            [noise.whitened(correction.of_columns(block), layout) for block in generic]
+            [noise.whitened(replace(correction, modulus=1.0).of_columns(block), layout) for block in generic]
         )
 
         def reduced(columns: FloatArray) -> FloatArray:
