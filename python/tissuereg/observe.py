@@ -71,11 +71,10 @@ class MarkerObservation:
         self.nodes: IntArray = np.unique(np.concatenate([feet_nodes.ravel(), *patches]))
         self._foot_nodes = np.searchsorted(self.nodes, feet_nodes)
         self._offset = places - feet
-        self._patches = [np.searchsorted(self.nodes, patch) for patch in patches]
-        # Patches are of corner nodes alone.
-        self._reference = mesh.nodes[np.minimum(self.nodes, mesh.n_nodes - 1)]
         self._turned = np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM)
-        self._members, self._arms = _padded([self._patches[marker] for marker in self._turned], self._reference)
+        self._patches = [np.searchsorted(self.nodes, patches[marker]) for marker in self._turned]
+        # Patches are of corner nodes alone.
+        self._members, self._arms = _padded(self._patches, mesh.nodes[np.minimum(self.nodes, mesh.n_nodes - 1)])
 
     @classmethod
     def of(cls, mesh: Mesh, markers: Markers) -> "MarkerObservation":
@@ -124,12 +123,10 @@ class MarkerObservation:
         for axis in range(3):
             for corner in range(3):
                 slopes[np.arange(self.n_markers), axis, self._foot_nodes[:, corner], axis] += self._weights[:, corner]
-        for marker in self._turned:
-            patch = self._patches[marker]
-            step = 1e-5 * float(np.ptp(self._reference[patch], axis=0).max())
+        for marker, patch, padded in zip(self._turned, self._patches, self._arms, strict=True):
+            here, arms = displacement[patch], padded[: len(patch)]
+            step = 1e-5 * float(np.ptp(arms, axis=0).max())
             nudges = step * np.eye(3 * len(patch)).reshape(-1, len(patch), 3)
-            here, rest = displacement[patch], self._reference[patch]
-            arms = rest - rest.mean(axis=0)
             nudged = _rotations(arms[None], np.stack([here + nudges, here - nudges])[:, :, None])[:, :, 0]
             change = (nudged[0] - nudged[1]) / (2.0 * step)
             slopes[marker][:, patch] += np.moveaxis((change @ self._offset[marker]).reshape(len(patch), 3, 3), -1, 0)

@@ -24,7 +24,7 @@ from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.nuisances import Nuisances
 from tissuereg.diagnose.nulls import Nulls
-from tissuereg.diagnose.proof import HeldOut, linear_model
+from tissuereg.diagnose.proof import GENERIC, NAMED, HeldOut, linear_model
 from tissuereg.diagnose.signals import Layout
 from tissuereg.experiment import Experiment
 from tissuereg.io.experiments import read_experiment
@@ -136,8 +136,9 @@ def _without_threshold(nulls: Nulls) -> Nulls:
 
 def _passed(proof: HeldOut) -> HeldOut:
     """Return a proof in which the model before, and the generic rival, predict worse than the cause in every block."""
-    worse = np.array([[search.PROVED + 1.0], [0.0], [1e-6], [search.PROVED + 1.0]])
-    return replace(proof, log_density=np.minimum(proof.log_density, proof.log_density[1] - worse))
+    worse = np.full((len(proof.log_density), 1), search.PROVED + 1.0)
+    worse[[NAMED, GENERIC], 0] = 0.0, 1e-6
+    return replace(proof, log_density=np.minimum(proof.log_density, proof.log_density[NAMED] - worse))
 
 
 def _no_correction(layout: Layout, coarse: np.ndarray, fine: np.ndarray) -> Correction:

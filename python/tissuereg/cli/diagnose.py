@@ -58,8 +58,12 @@ def run(args: argparse.Namespace) -> Outcome:
         if not args.quiet:
             print(f"diagnose: {stage}", file=sys.stderr, flush=True)
 
-    settings: dict[str, Any] = {"seed": args.seed or 0, "threads": args.threads, "keep": not args.no_cache}
-    settings["element"] = args.element
+    settings: dict[str, Any] = {
+        "seed": args.seed or 0,
+        "threads": args.threads,
+        "keep": not args.no_cache,
+        "element": args.element,
+    }
     read = read_material_experiment if is_material_test(args.experiment) else read_experiment
     experiment = read(args.experiment)
     clock.lap("read")

@@ -1,6 +1,5 @@
 """What is always fitted beside the causes and never named: modulus, frame, drift, error of the mesh."""
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -123,10 +122,9 @@ def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArra
     layout, share = bench.layout, bench.experiment.trial_share
     for part in layout.parts if share else ():
         moved = np.nan_to_num(np.linalg.norm(part.markers(layout.measured), axis=-1))
-        for axis, (number, pattern) in itertools.product(range(3), enumerate(patterns)):
-            column = np.zeros(layout.size)
-            part.markers(column)[..., axis] = share * moved * pattern
-            yield f"trial {part.name} {axis} {number}", column
+        for axis, smooth in enumerate(marker_columns(layout, part, share * moved, patterns)):
+            for number, column in enumerate(smooth):
+                yield f"trial {part.name} {axis} {number}", column
 
 
 def _rim_sizes(bench: Bench, part: CasePart) -> FloatArray:

@@ -48,8 +48,8 @@ def marker_columns(layout: Layout, part: CasePart, history: FloatArray, patterns
         Order of the columns.
     part : CasePart
         The case that moves.
-    history : ndarray of float64, shape (n_frames,)
-        mm.
+    history : ndarray of float64, shape (n_frames,) or (n_frames, n_markers)
+        Of all markers, or of each, mm.
     patterns : ndarray of float64, shape (n_patterns, n_markers)
         Over the markers.
 
@@ -60,7 +60,7 @@ def marker_columns(layout: Layout, part: CasePart, history: FloatArray, patterns
     """
     columns = np.zeros((3, len(patterns), layout.size))
     for axis in range(3):
-        part.markers(columns)[axis, ..., axis] = history[:, None] * patterns[:, None, :]
+        part.markers(columns)[axis, ..., axis] = history.reshape(part.n_frames, -1) * patterns[:, None, :]
     return columns
 
 

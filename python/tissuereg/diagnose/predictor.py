@@ -97,8 +97,9 @@ class Predictor:
             believed = replace(believed, material=believed.material.scaled(young))
         worked = extended(believed, self.element)
         cases = list(worked.cases.values())
-        kept = self._simulators if worked.mesh is self.experiment.mesh else None
-        solved = solve_cases(worked, cases, element=self.element, tolerance=TOLERANCE, threads=threads, simulators=kept)
+        solved = solve_cases(
+            worked, cases, element=self.element, tolerance=TOLERANCE, threads=threads, simulators=self._simulators
+        )
         places, forces = {}, {}
         for case in cases:
             found = solved[case.name]

@@ -16,6 +16,9 @@ from tissuereg.diagnose.signals import Layout
 #: A cause is proved on a block only where the others tell its knobs: to this share of their prior deviation.
 TOLD = 0.5
 
+#: Rows of a cause's proof: the model before it, that with it, the generic rival beside the former, the believed one.
+BEFORE, NAMED, GENERIC, BELIEVED = range(4)
+
 #: Blocks in time, where one case alone shows a cause.
 TIME_BLOCKS = 4
 

@@ -23,6 +23,7 @@ from tissuereg.diagnose.misfit import p_misfit
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnose.nulls import Nulls, draw_nulls
+from tissuereg.diagnose.proof import BEFORE, BELIEVED, GENERIC, NAMED
 from tissuereg.diagnose.refined import refined_predictions
 from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
 from tissuereg.diagnose.search import SEPARABLE, Search, Step, search
@@ -191,7 +192,7 @@ def _chances(step: Step) -> dict[str, float]:
 def _margin(step: Step) -> float:
     assert step.proof is not None  # found causes were proved
     density = step.proof.log_density.sum(axis=1)
-    return float(density[1] - density[2])
+    return float(density[NAMED] - density[GENERIC])
 
 
 def _stiffness(target: Target, found: Search) -> Finding | None:
@@ -226,14 +227,14 @@ def _held_out(target: Target, step: Step) -> dict[str, object]:
     typical = float(noise.marker_std.mean())
     rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in step.proof.left]
     return {
-        "rms_base_mm": rms[3],
-        "rms_named_mm": rms[1],
-        "rms_generic_mm": rms[2],
+        "rms_base_mm": rms[BELIEVED],
+        "rms_named_mm": rms[NAMED],
+        "rms_generic_mm": rms[GENERIC],
         "noise_mm": typical,
-        "chi_base": chi[3],
-        "chi_named": chi[1],
-        "chi_generic": chi[2],
-        "log_density_gain": float(step.proof.log_density[1].sum() - step.proof.log_density[0].sum()),
+        "chi_base": chi[BELIEVED],
+        "chi_named": chi[NAMED],
+        "chi_generic": chi[GENERIC],
+        "log_density_gain": float(step.proof.log_density[NAMED].sum() - step.proof.log_density[BEFORE].sum()),
         "cases": list(step.proof.blocks),
     }
 

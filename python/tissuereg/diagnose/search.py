@@ -10,7 +10,7 @@ from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.evidence import Null, fit_amplitudes
 from tissuereg.diagnose.fit import Fit, Part, Target, choices_of, fit
 from tissuereg.diagnose.nuisances import effect_nuisances
-from tissuereg.diagnose.proof import HeldOut, blocks_for, held_out, linear_model
+from tissuereg.diagnose.proof import BEFORE, GENERIC, NAMED, HeldOut, blocks_for, held_out, linear_model
 from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
 
@@ -76,7 +76,7 @@ class Step:
     found : Candidate or None
         The one that was proved.
     proof : HeldOut or None
-        Models: before, with the likeliest candidate or the one found, with the generic rival, the believed one.
+        Of the likeliest candidate or the one found; rows as `proof` names them.
     """
 
     screened: dict[str, Screened]
@@ -154,7 +154,7 @@ def search(
             proof = proof or tried
             density = tried.log_density.sum(axis=1)
             proved = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
-            if density[1] > density[0] + proved and density[1] > density[2]:
+            if density[NAMED] > density[BEFORE] + proved and density[NAMED] > density[GENERIC]:
                 found, proof = candidate, tried
                 break
         steps.append(Step(screened, candidates, found, proof))
@@ -234,7 +234,7 @@ def _refit(
 
 
 def _prove(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
-    """Return how the model before, that with the candidate, the generic rival and the believed model predict."""
+    """Return how models predict what was held out, in the rows that `proof` names."""
     mine = candidate.fit.slices()[part]
     slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
     if not len(slopes):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tissuereg.diagnose.proof import BELIEVED, GENERIC, NAMED
 from tissuereg.diagnose.report import svg
 from tissuereg.diagnose.report.ranking import plain_name
 from tissuereg.report.markup import escape, table
@@ -114,7 +115,7 @@ def _by_case(proof: "HeldOut", layout: "Layout") -> str:
         mine = layout.of_case(part.name) & layout.seen & np.isfinite(proof.left).all(axis=0)
         if not mine.any():
             continue
-        chi = np.sqrt((proof.left[[3, 1, 2]][:, mine] ** 2).mean(axis=1))
+        chi = np.sqrt((proof.left[[BELIEVED, NAMED, GENERIC]][:, mine] ** 2).mean(axis=1))
         rows.append((escape(part.name), str(int(mine.sum())), *(f"{x:.2f}" for x in chi)))
         groups.append(
             (part.name, [(name, float(x), colour) for (_, name, colour), x in zip(_MODELS, chi, strict=True)])

@@ -125,9 +125,7 @@ def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> Flo
     size = float(np.linalg.norm(state))
     if not solved or size == 0.0:
         return solved[0][1] if solved and not solved[0][0].any() else None
-    line = state / size
-    on_line = [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= _ALONG * size]
-    on_line = sorted(on_line, key=lambda point: abs(point[0] - size))[:_MOST_POINTS]
+    on_line = sorted(_along(state, solved), key=lambda point: abs(point[0] - size))[:_MOST_POINTS]
     if len(on_line) < 2:
         nearest = min(solved, key=lambda one: float(np.linalg.norm(one[0] - state)))
         # Unloaded nodes are no guess, a body that sags under its weight is one.
@@ -137,6 +135,13 @@ def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> Flo
         others = [p for j, (p, _) in enumerate(on_line) if j != i]
         total += np.prod([(size - p) / (place - p) for p in others]) * field
     return total
+
+
+def _along(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> list[tuple[float, FloatArray]]:
+    """Return the solved states on the line from no load to a state: how far along it, and their fields."""
+    size = max(float(np.linalg.norm(state)), 1e-300)
+    line = state / size
+    return [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= _ALONG * size]
 
 
 def _solve(
@@ -167,8 +172,7 @@ def _solve(
 def _shares(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]], steps: int) -> FloatArray:
     """Return shares of a state in equal steps from the nearest smaller one that was solved along the same line."""
     size = max(float(np.linalg.norm(state)), 1e-300)
-    line = state / size
-    along = [float(s @ line) / size for s, _ in solved if np.linalg.norm(s - (s @ line) * line) <= _ALONG * size]
+    along = [place / size for place, _ in _along(state, solved)]
     before = max((share for share in along if 0.0 < share < 1.0), default=0.0)
     return np.linspace(before, 1.0, steps + 1)[1:]
 
