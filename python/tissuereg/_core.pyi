@@ -197,7 +197,16 @@ class Rig:
         forces: _Floats | None = None,
         body_force: _Floats | None = None,
         prescribed: _Floats | None = None,
+        change: _Floats | None = None,
     ) -> RigFrame: ...
+    def again(
+        self,
+        young: _Floats,
+        poisson: _Floats,
+        *,
+        law: Law | None = None,
+        behaviour: dict[str, Any] | None = None,
+    ) -> Rig: ...
     def derivatives(self, causes: list[Cause]) -> tuple[_Floats, _Floats, _Floats]: ...
     def adjoints(
         self,

@@ -179,3 +179,49 @@ def test_what_does_not_fit_is_named():
         solve_frames(mesh, SOFT, [0], weight=[0, 0, -5.0], in_reference=True)
     with pytest.raises(tr.errors.ConvergenceError, match="some frame must find equilibrium"):
         solve_frames(mesh, SOFT, [0], pads=[push(mesh, -40.0)])
+
+
+def test_a_similar_body_and_a_kept_rig_change_nothing_but_the_work():
+    mesh, times = block(), np.arange(6.0)
+    pads = [push(mesh, 0.0, -2.0, -4.0, -4.0, -4.0, -2.0)]
+    rigs = {}
+
+    def solved(share, **more):
+        behaviour = Behaviour(relaxation=Relaxation(g=[share], tau_s=[2.0]))
+        return solve_frames(mesh, SOFT, times, pads=pads, behaviour=behaviour, **more)
+
+    def work(frames):
+        return sum(report["iterations"] for report in frames.reports)
+
+    near = solved(0.3, rigs=rigs)
+    plain = solved(0.32)
+    again = solved(0.32, rigs=rigs)
+    np.testing.assert_array_equal(again.all_displacement, plain.all_displacement)
+    led = solved(0.32, rigs=rigs, near=near.all_displacement)
+    assert len(rigs) == 1
+    np.testing.assert_allclose(led.displacement, plain.displacement, atol=1e-7)
+    np.testing.assert_allclose(led.pad_forces["top"], plain.pad_forces["top"], rtol=1e-6, atol=1e-6)
+    assert work(led) < 0.8 * work(plain)
+    # Frames that are unknown are sought without.
+    unknown = near.all_displacement.copy()
+    unknown[2:4] = np.nan
+    np.testing.assert_allclose(solved(0.32, near=unknown).displacement, plain.displacement, atol=1e-7)
+    # The modulus is not remembered.
+    stiff = solve_frames(mesh, tr.Material(young=16.0, poisson=0.4), times, pads=pads, rigs=rigs)
+    soft = solve_frames(mesh, SOFT, times, pads=pads, rigs=rigs)
+    np.testing.assert_allclose(stiff.pad_forces["top"], 2.0 * soft.pad_forces["top"], rtol=1e-9, atol=1e-9)
+
+
+def test_a_rig_is_kept_for_its_own_mesh_alone():
+    rigs = {}
+    for size in (30.0, 33.0):
+        mesh = block(size=size)
+        found = solve_frames(mesh, SOFT, [0, 1], pads=[push(mesh, 0.0, -2.0)], rigs=rigs)
+        new = solve_frames(mesh, SOFT, [0, 1], pads=[push(mesh, 0.0, -2.0)])
+        np.testing.assert_array_equal(found.displacement, new.displacement)
+
+
+def test_a_similar_body_has_as_many_frames_and_nodes():
+    mesh = block()
+    with pytest.raises(tr.errors.ShapeError, match="near"):
+        solve_frames(mesh, SOFT, [0, 1], pads=[push(mesh, 0.0, -2.0)], near=np.zeros((1, mesh.n_nodes, 3)))

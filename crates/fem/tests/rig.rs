@@ -324,3 +324,63 @@ fn threads_change_no_bit() {
     };
     assert_eq!(run(1), run(2));
 }
+
+/// Pushed caps of a dome that relaxes, at a share of the relaxation.
+fn pushes(rig: &mut Rig, near: Option<&[Vec<[f64; 3]>]>) -> (Vec<Vec<[f64; 3]>>, usize) {
+    let (mut found, mut work) = (Vec::new(), 0);
+    for k in 0..6 {
+        let change: Option<Vec<[f64; 3]>> = near.filter(|_| k > 0).map(|near| {
+            let pairs = near[k].iter().zip(&near[k - 1]);
+            pairs.map(|(a, b)| std::array::from_fn(|i| a[i] - b[i])).collect()
+        });
+        let motion = [Some([0.0, 0.0, -2.0 * (k.min(3)) as f64])];
+        let frame = rig
+            .advance_by(&Load::default(), &motion, change.as_deref(), k as f64, &settings())
+            .expect("equilibrium");
+        work += frame.solution.report.iterations;
+        found.push(frame.solution.displacement);
+    }
+    (found, work)
+}
+
+fn relaxing(share: f64) -> Behaviour {
+    let relaxation = Relaxation { g: vec![share], tau_s: vec![2.0], ..Relaxation::default() };
+    Behaviour { relaxation: Some(relaxation), ..Behaviour::default() }
+}
+
+#[test]
+fn a_similar_history_saves_work_and_changes_nothing() {
+    let (body, cap) = dome_with_cap(Element::Tet4);
+    let mut first = rig(body, relaxing(0.3), vec![cap]);
+    let (near, _) = pushes(&mut first, None);
+    let mut plain = first.afresh(material(), relaxing(0.32)).expect("sound");
+    let (expected, alone) = pushes(&mut plain, None);
+    let mut led = first.afresh(material(), relaxing(0.32)).expect("sound");
+    let (found, with_guess) = pushes(&mut led, Some(&near));
+    assert!(2 * with_guess < alone + 12, "{with_guess} iterations for {alone}");
+    for (one, other) in found.iter().flatten().zip(expected.iter().flatten()) {
+        (0..3).for_each(|i| assert!((one[i] - other[i]).abs() < 1e-5, "{one:?} {other:?}"));
+    }
+    // A guess that inverts the body is none.
+    let absurd: Vec<Vec<[f64; 3]>> = near
+        .iter()
+        .enumerate()
+        .map(|(k, rows)| rows.iter().map(|u| u.map(|v| v * (1.0 + 300.0 * k as f64))).collect())
+        .collect();
+    let mut misled = first.afresh(material(), relaxing(0.32)).expect("sound");
+    let (found, _) = pushes(&mut misled, Some(&absurd));
+    for (one, other) in found.iter().flatten().zip(expected.iter().flatten()) {
+        (0..3).for_each(|i| assert!((one[i] - other[i]).abs() < 1e-5, "{one:?} {other:?}"));
+    }
+}
+
+#[test]
+fn a_rig_afresh_is_a_new_one() {
+    let (body, cap) = dome_with_cap(Element::Tet10);
+    let mut used = rig(body, relaxing(0.3), vec![cap]);
+    pushes(&mut used, None);
+    let mut afresh = used.afresh(material(), relaxing(0.5)).expect("sound");
+    let (body, cap) = dome_with_cap(Element::Tet10);
+    let mut new = rig(body, relaxing(0.5), vec![cap]);
+    assert_eq!(pushes(&mut afresh, None), pushes(&mut new, None));
+}

@@ -17,6 +17,7 @@ from tissuereg.diagnose.causes import CAUSES, Knobs, Values, Variant
 from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.predictor import Solved
 from tissuereg.effects import Effect
 from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
 
@@ -174,7 +175,8 @@ def fit(
     choices : int
         Number of discrete hypotheses among which these were chosen: the price is its logarithm.
     hopeless : float
-        Objective above which the derivative need not be exact in the end.
+        Objective above which a fit is of no use: one that will not come below it ends early, with a derivative that
+        is not exact.
 
     Returns
     -------
@@ -190,13 +192,14 @@ def fit(
         prediction = solver.predict(x)
     if prediction is None:
         return None
+    solver.start_from(x)
     objective, reduced = solver.objective(x, prediction)
     jacobian, exact = solver.jacobian(x, prediction), True
     slopes = solver.reduced(jacobian)
-    for _ in range(MOST_ITERATIONS):
+    for left in reversed(range(MOST_ITERATIONS)):
         step = solver.step(x, slopes, reduced)
         step *= min(1.0, LONGEST / max(float(np.abs(step / solver.deviation).max()), 1e-12))
-        gained = 0.0
+        gained, was_exact = 0.0, exact
         for share in SHARES:
             trial = solver.predict(x + share * step)
             if trial is None:
@@ -207,9 +210,15 @@ def fit(
                 jacobian = solver.carried(jacobian, share * step, trial - prediction)
                 exact = False
                 x, prediction, objective, reduced = x + share * step, trial, value, rest
+                solver.start_from(x)
                 break
         if gained < LEAST_GAIN:
             if exact or objective > hopeless:
+                break
+            jacobian, exact = solver.jacobian(x, prediction), True
+        elif objective - left * gained > hopeless:
+            # Iterations gain less and less: with a derivative that was exact this one will not arrive.
+            if was_exact:
                 break
             jacobian, exact = solver.jacobian(x, prediction), True
         slopes = solver.reduced(jacobian)
@@ -254,32 +263,52 @@ class _Solver:
         self.measured = np.where(layout.seen, layout.measured, 0.0)
         self.seen = layout.seen
         self.force = ~layout.of_markers()
+        self.near: Solved | None = None
 
     def predict(self, x: FloatArray) -> FloatArray | None:
-        bench = self.target.bench
-        factor = float(np.exp(np.clip(x[0], -3.0, 3.0)))
-        unit = bench.young if self.scales else bench.young * factor
-        effects: list[Effect] = []
+        bench, factor = self.target.bench, self.factor(x)
         linear = np.zeros(len(self.measured))
         at = 1
+        for part in self.parts:
+            mine = x[at : at + len(part.knobs.start)]
+            at += len(mine)
+            if part.knobs.columns is not None:
+                linear += mine @ part.knobs.columns
         try:
-            for part in self.parts:
-                mine = x[at : at + len(part.knobs.start)]
-                at += len(mine)
-                if part.knobs.columns is not None:
-                    linear += mine @ part.knobs.columns
-                else:
-                    effects += part.knobs.effects(mine, unit)
+            effects = self.effects(x)
             if not effects and (self.scales or factor == 1.0):
                 found = bench.base
             else:
-                found = bench.predictor.predict(effects, young=None if self.scales else factor, threads=1)
+                young = None if self.scales else factor
+                found = bench.predictor.predict(effects, young=young, threads=1, near=self.near)
         except (ConvergenceError, ExperimentError, MaterialError, SupportError):
             return None
         found = found + linear
         if self.scales:
             found = np.where(self.force, factor * found, found)
         return self.target.correction.corrected(found, factor)
+
+    def factor(self, x: FloatArray) -> float:
+        """Return the modulus over the believed one."""
+        return float(np.exp(np.clip(x[0], -3.0, 3.0)))
+
+    def effects(self, x: FloatArray) -> list[Effect]:
+        """Return the effects of all parts that are more than columns."""
+        unit = self.target.bench.young * (1.0 if self.scales else self.factor(x))
+        found: list[Effect] = []
+        at = 1
+        for part in self.parts:
+            mine = x[at : at + len(part.knobs.start)]
+            at += len(mine)
+            if part.knobs.columns is None:
+                found += part.knobs.effects(mine, unit)
+        return found
+
+    def start_from(self, x: FloatArray) -> None:
+        """Seek what follows near what was just predicted."""
+        if effects := self.effects(x):
+            young = None if self.scales else self.factor(x)
+            self.near = self.target.bench.predictor.solved(effects, young=young, threads=1, near=self.near)
 
     def objective(self, x: FloatArray, prediction: FloatArray) -> tuple[float, FloatArray]:
         white = self.target.white(np.where(self.seen, self.measured - prediction, 0.0))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.signals import Layout
@@ -10,16 +11,18 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Experiment
 from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.experiment import Simulators, solve_cases
+from tissuereg.simulate.frames import Rigs
+from tissuereg.simulate.memory import goes_through_time
 
-#: Residual over load. It leaves some 1e-6 mm, far below any noise.
-TOLERANCE = 1e-6
+#: Residual over load. It leaves some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
+TOLERANCE = 1e-5
 
 #: Solved models that are kept for others that differ in the tracker alone.
 MOST_SOLVED = 4
 
 
 @dataclass(frozen=True, eq=False)
-class _Solved:
+class Solved:
     """What a model says of its body, before the tracker sees it."""
 
     effects: tuple[Effect, ...]
@@ -27,6 +30,7 @@ class _Solved:
     places: dict[str, FloatArray]
     forces: dict[str, dict[str, FloatArray]]
     times: dict[str, FloatArray]
+    fields: dict[str, FloatArray]
 
 
 class Predictor:
@@ -51,10 +55,16 @@ class Predictor:
         self.threads = threads
         self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
         self._simulators: Simulators = {}
-        self._solved: list[_Solved] = []
+        self._rigs: Rigs = {}
+        self._solved: list[Solved] = []
 
     def predict(
-        self, effects: Sequence[Effect] = (), *, young: float | None = None, threads: int | None = None
+        self,
+        effects: Sequence[Effect] = (),
+        *,
+        young: float | None = None,
+        threads: int | None = None,
+        near: Solved | None = None,
     ) -> FloatArray:
         """Return what is predicted with further effects.
 
@@ -66,6 +76,8 @@ class Predictor:
             Factor on the believed modulus.
         threads : int, optional
             Threads to use; the predictor's own number where absent.
+        near : Solved, optional
+            A similar model, from which frames that are solved one after another start; the believed one where absent.
 
         Returns
         -------
@@ -80,25 +92,50 @@ class Predictor:
             If an effect does not fit.
         """
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
+        solved = self.solved(effects, young=young, threads=threads, near=near)
+        seen = {name: seen_markers(believed, places, solved.times[name]) for name, places in solved.places.items()}
+        return self.layout.flatten(seen, solved.forces)
+
+    def solved(
+        self,
+        effects: Sequence[Effect] = (),
+        *,
+        young: float | None = None,
+        threads: int | None = None,
+        near: Solved | None = None,
+    ) -> Solved:
+        """Return the body's answer, as `predict` takes it; the last few are kept."""
         # The body does not feel its tracker: what differs in that alone is solved once.
         bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
         for solved in reversed(self._solved):
             if solved.young == young and solved.effects == bodily:
-                break
-        else:
-            solved = self._solve(bodily, young, self.threads if threads is None else threads)
-            self._solved = [*self._solved, solved][-MOST_SOLVED:]
-        seen = {name: seen_markers(believed, places, solved.times[name]) for name, places in solved.places.items()}
-        return self.layout.flatten(seen, solved.forces)
+                return solved
+        found = self._solve(bodily, young, self.threads if threads is None else threads, near)
+        self._solved = [*self._solved, found][-MOST_SOLVED:]
+        return found
 
-    def _solve(self, effects: tuple[Effect, ...], young: float | None, threads: int) -> "_Solved":
+    @cached_property
+    def _believed(self) -> Solved:
+        """The believed model's own answer."""
+        return self._solve((), None, self.threads, None)
+
+    def _solve(self, effects: tuple[Effect, ...], young: float | None, threads: int, near: Solved | None) -> Solved:
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
         if young is not None:
             believed = replace(believed, material=believed.material.scaled(young))
         worked = extended(believed, self.element)
         cases = list(worked.cases.values())
+        if near is None and (effects or young is not None) and goes_through_time(worked):
+            near = self._believed
         solved = solve_cases(
-            worked, cases, element=self.element, tolerance=TOLERANCE, threads=threads, simulators=self._simulators
+            worked,
+            cases,
+            element=self.element,
+            tolerance=TOLERANCE,
+            threads=threads,
+            simulators=self._simulators,
+            near=None if near is None else near.fields,
+            rigs=self._rigs,
         )
         places, forces = {}, {}
         for case in cases:
@@ -107,7 +144,9 @@ class Predictor:
             moved = self.observation.predict(found.displacement[:, self.observation.nodes])
             places[case.name] = worked.marker_reference + moved
             forces[case.name] = found.forces
-        return _Solved(effects, young, places, forces, {case.name: case.times for case in cases})
+        times = {case.name: case.times for case in cases}
+        fields = {name: found.all_displacement for name, found in solved.items()}
+        return Solved(effects, young, places, forces, times, fields)
 
 
 def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:

@@ -209,7 +209,8 @@ def _refit(
     )
     best = screened[order[0]].log_bayes_factor if order else -np.inf
     # Beside a fitted model the linear evidence is nearly that of a fit.
-    least = LIKELY_FURTHER * FURTHER * threshold if current.parts else LIKELY * threshold
+    asked = threshold * (FURTHER if current.parts else 1.0)
+    least = asked * (LIKELY_FURTHER if current.parts else LIKELY)
     chosen = [
         name
         for rank, name in enumerate(order)
@@ -226,7 +227,8 @@ def _refit(
         part = Part(name, variant, knobs)
         start = np.concatenate([current.x, knobs.start])
         choices = choices_of(name, screen.bank[name])
-        hopeless = HOPELESS - max((c.fit.log_evidence for c in found), default=-np.inf)
+        best_fit = max((c.fit.log_evidence for c in found), default=-np.inf)
+        hopeless = -max(best_fit - HOPELESS, current.log_evidence + asked)
         fitted = fit(target, [*current.parts, part], start=start, choices=choices, hopeless=hopeless)
         if fitted is not None:
             found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence))

@@ -4,7 +4,7 @@ Where the model is elastic a frame depends on its own load alone, and all frames
 memory, sliding supports, or a mesh that hangs in gravity already they are solved one after another (`memory`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.load import Load
 from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.simulate.frames import Rigs
 from tissuereg.simulate.loading import distinct_states, hangs_already, pads_of, traction_of, weight_of
 from tissuereg.simulate.memory import SolvedCase, goes_through_time, solve_through_time
 from tissuereg.simulate.solve import Simulator
@@ -186,6 +187,8 @@ def solve_cases(
     tolerance: float = 1e-9,
     threads: int = 0,
     simulators: Simulators | None = None,
+    near: Mapping[str, FloatArray] | None = None,
+    rigs: Rigs | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, SolvedCase]:
     """Return the equilibria of cases: elastic frames in parallel, those that remember one after another.
@@ -204,6 +207,10 @@ def solve_cases(
         Threads to use; 0 takes all cores. The result does not depend on it.
     simulators : dict, optional
         As in `believed_case`, of elastic models.
+    near : mapping of str to ndarray of float64, shape (n_frames, n_element_nodes, 3), optional
+        `SolvedCase.all_displacement` of a similar model by case, of models that go through time (`solve_frames`).
+    rigs : dict, optional
+        As in `solve_frames`, of the same models.
     progress : callable of (int, int), optional
         Called with frames done and frames in all.
 
@@ -221,7 +228,14 @@ def solve_cases(
     if goes_through_time(experiment):
         through = None if progress is None else (lambda n: progress(n, in_all))
         return solve_through_time(
-            experiment, cases, element=element, tolerance=tolerance, threads=threads, progress=through
+            experiment,
+            cases,
+            element=element,
+            tolerance=tolerance,
+            threads=threads,
+            near=near,
+            rigs=rigs,
+            progress=through,
         )
     done, solved = 0, {}
     for case in cases:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arrays import FloatArray, float_array, index_array
+from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
 from tissuereg.errors import ConvergenceError, LoadError
 from tissuereg.load import Load
 from tissuereg.material import Material
@@ -101,6 +101,32 @@ class Record:
     pads: list[str]
 
 
+@dataclass(frozen=True, eq=False)
+class KeptRig:
+    """A rig that others are made from.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Its mesh.
+    spreader : Simulator
+        Spreads loads over nodes.
+    rig : _core.Rig
+        In whatever frame it was left.
+    """
+
+    mesh: Mesh
+    spreader: Simulator
+    rig: _core.Rig
+
+
+#: Rigs that are kept at most.
+MOST_RIGS = 12
+
+#: Rigs by all but material, behaviour and loads.
+Rigs = dict[tuple[object, ...], KeptRig]
+
+
 def solve_frames(
     mesh: Mesh,
     material: Material,
@@ -116,6 +142,8 @@ def solve_frames(
     element: str = "tet4",
     held_nodes: Any = None,
     record: bool = False,
+    near: Any = None,
+    rigs: Rigs | None = None,
     tolerance: float = 1e-9,
     threads: int = 0,
     progress: Callable[[int], object] | None = None,
@@ -153,6 +181,12 @@ def solve_frames(
         Nodes whose displacement is given by the loads (zero where absent).
     record : bool
         Whether to keep all steps for derivatives.
+    near : array_like of float, shape (n_frames, n_element_nodes, 3), optional
+        `Frames.all_displacement` of a similar body, mm: every frame is sought where that one's change since the last
+        frame leads. NaN where unknown. Saves most of the work where it is close.
+    rigs : dict, optional
+        Rigs made before for the same mesh, whose analyses and factors are used again; new ones are added. For many
+        histories that differ in material and behaviour; those with springs, skins or a hanging mesh are made anew.
     tolerance : float
         Norm of the residual over the norm of the load.
     threads : int
@@ -196,39 +230,41 @@ def solve_frames(
     if in_reference and body_force is None:
         message = "a mesh can hang in its weight only where `weight` is given"
         raise LoadError(message, where="weight")
-    # Spreads tractions over nodes and knows the moduli; it never solves.
-    spreader = Simulator(mesh, element=element, held_nodes=np.arange(mesh.n_nodes))
-    young, poisson = spreader.moduli(material)
-    rig = _core.Rig(
-        mesh.nodes,
-        mesh.tets,
-        held,
-        young,
-        poisson,
-        law=material.core_law(),
-        element=element,
-        pads=[index_array(f"nodes of pad '{pad.name}'", pad.nodes, (None,)) for pad in pads],
-        behaviour=None if behaviour is None else behaviour.as_dict(),
-        springs=[one.as_tuple() for one in springs],
-        rests=len(springs) > 0,
-        skins=[one.as_tuple() for one in skins],
-        hangs_in=body_force if in_reference else None,
-        record=record,
-        tolerance=tolerance,
-        threads=threads,
-    )
+    plan = _Plan(mesh, element, held, pads, tuple(springs), tuple(skins), record, tolerance, threads)
+    if in_reference or springs or skins:
+        rigs = None
+    old = None if rigs is None else rigs.get(plan.key)
+    if old is not None and old.mesh is mesh:
+        spreader = old.spreader
+        young, poisson = spreader.moduli(material)
+        rig = old.rig.again(young, poisson, law=material.core_law(), behaviour=_table(behaviour))
+    else:
+        # Spreads tractions over nodes and knows the moduli; it never solves.
+        spreader = Simulator(mesh, element=element, held_nodes=np.arange(mesh.n_nodes))
+        rig = plan.build(spreader, material, behaviour, body_force if in_reference else None)
+    if rigs is not None:
+        rigs.pop(plan.key, None)
+        rigs[plan.key] = KeptRig(mesh, spreader, rig)
+        for oldest in list(rigs)[:-MOST_RIGS]:
+            rigs.pop(oldest, None)
+    guides = None if near is None else float_array("near", near, (n, spreader.body.n_nodes, 3))
+    last = -1
     answer = _empty(times, mesh.n_nodes, spreader.body.n_nodes, len(held), [pad.name for pad in pads], len(springs))
     for frame, (time, load) in enumerate(zip(times, each, strict=True)):
         parts = spreader.load_parts(load, len(held))
         both = [force for force in (parts["body_force"], body_force) if force is not None]
         parts["body_force"] = np.sum(both, axis=0) if both else None
+        change = None if guides is None or last < 0 else guides[frame] - guides[last]
+        if change is not None and not np.isfinite(change).all():
+            change = None
         try:
-            found = rig.advance(float(time), motions[frame], **parts)
+            found = rig.advance(float(time), motions[frame], change=change, **parts)
         except ConvergenceError as error:
             answer.failed.append((frame, str(error)))
             answer.reports.append({})
         else:
             _keep(answer, frame, found)
+            last = frame
         if progress is not None:
             progress(frame + 1)
     if len(answer.failed) == n > 0:
@@ -236,6 +272,55 @@ def solve_frames(
         raise ConvergenceError(message, where="frame 0")
     kept = Record(rig, spreader, len(held), [pad.name for pad in pads]) if record else None
     return replace(answer, rest_nodes=rig.rest_nodes[: mesh.n_nodes].copy(), record=kept)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What a rig is made of beside its material."""
+
+    mesh: Mesh
+    element: str
+    held: IntArray
+    pads: Sequence[Pad]
+    springs: tuple[Springs, ...]
+    skins: tuple[Skin, ...]
+    record: bool
+    tolerance: float
+    threads: int
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells rigs without springs and skins on one mesh apart."""
+        patches = tuple((pad.name, np.asarray(pad.nodes).tobytes()) for pad in self.pads)
+        return (self.element, self.held.tobytes(), patches, self.record, self.tolerance, self.threads)
+
+    def build(
+        self, spreader: Simulator, material: Material, behaviour: Behaviour | None, hangs_in: FloatArray | None
+    ) -> _core.Rig:
+        """Return the rig at its beginning."""
+        young, poisson = spreader.moduli(material)
+        return _core.Rig(
+            self.mesh.nodes,
+            self.mesh.tets,
+            self.held,
+            young,
+            poisson,
+            law=material.core_law(),
+            element=self.element,
+            pads=[index_array(f"nodes of pad '{pad.name}'", pad.nodes, (None,)) for pad in self.pads],
+            behaviour=_table(behaviour),
+            springs=[one.as_tuple() for one in self.springs],
+            rests=len(self.springs) > 0,
+            skins=[one.as_tuple() for one in self.skins],
+            hangs_in=hangs_in,
+            record=self.record,
+            tolerance=self.tolerance,
+            threads=self.threads,
+        )
+
+
+def _table(behaviour: Behaviour | None) -> dict[str, Any] | None:
+    return None if behaviour is None else behaviour.as_dict()
 
 
 def _one_a_frame(loads: Load | Sequence[Load] | None, n_frames: int) -> list[Load]:

@@ -6,7 +6,7 @@ through all cases on their one clock, and with it all else: what fades does so o
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -18,7 +18,7 @@ from tissuereg.errors import ConvergenceError, ExperimentError
 from tissuereg.experiment import Case, Experiment
 from tissuereg.load import Load
 from tissuereg.simulate import behaviour
-from tissuereg.simulate.frames import Pad, solve_frames
+from tissuereg.simulate.frames import Pad, Rigs, solve_frames
 from tissuereg.simulate.loading import hangs_already, pads_of, traction_of, weight_of
 
 #: Times of relaxation in each of the four steps in which a body that stands comes to rest. A step takes strain to grow
@@ -79,6 +79,8 @@ def solve_through_time(
     element: str = "tet4",
     tolerance: float = 1e-9,
     threads: int = 0,
+    near: Mapping[str, FloatArray] | None = None,
+    rigs: Rigs | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> dict[str, SolvedCase]:
     """Return the equilibria of cases, frame after frame.
@@ -95,6 +97,10 @@ def solve_through_time(
         Norm of the residual over the norm of the load.
     threads : int
         Threads to use; 0 takes all cores.
+    near : mapping of str to ndarray of float64, shape (n_frames, n_element_nodes, 3), optional
+        `SolvedCase.all_displacement` of a similar model by case (`solve_frames`).
+    rigs : dict, optional
+        As in `solve_frames`.
     progress : callable of int, optional
         Called with frames done.
 
@@ -115,7 +121,7 @@ def solve_through_time(
     done = 0
     for group in groups:
         report = None if progress is None else (lambda n, before=done: progress(before + n))
-        solved.update(_solve_group(experiment, group, element, tolerance, threads, report))
+        solved.update(_solve_group(experiment, group, element, tolerance, threads, near, rigs, report))
         done += sum(len(case.times) for case in group)
     return {case.name: solved[case.name] for case in cases}
 
@@ -126,6 +132,8 @@ def _solve_group(
     element: str,
     tolerance: float,
     threads: int,
+    near: Mapping[str, FloatArray] | None,
+    rigs: Rigs | None,
     progress: Callable[[int], object] | None,
 ) -> dict[str, SolvedCase]:
     """Return cases that share one history."""
@@ -144,6 +152,11 @@ def _solve_group(
         loads += [Load(traction=traction_of(experiment, case, i)) for i in range(len(case.times))]
         done += range(done[-1] + 1, done[-1] + 1 + len(case.times))
     report = None if progress is None else (lambda n: progress(done[n]))
+    guides = None
+    if near is not None:
+        guides = np.full((len(loads), *next(iter(near.values())).shape[1:]), np.nan)
+        for name, mine in rows.items():
+            guides[mine] = near[name]
     found = solve_frames(
         experiment.mesh,
         experiment.material,
@@ -156,6 +169,8 @@ def _solve_group(
         in_reference=hangs_already(experiment),
         element=element,
         held_nodes=_held(experiment),
+        near=guides,
+        rigs=rigs,
         tolerance=tolerance,
         threads=threads,
         progress=report,

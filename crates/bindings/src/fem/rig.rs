@@ -26,14 +26,17 @@ type Sheet<'py> = (Bound<'py, PyAny>, Vec<f64>);
 pub(crate) struct Rig {
     rig: Arc<Mutex<tissuereg_fem::Rig>>,
     springs: Vec<Springs>,
+    skins: Vec<Skin>,
     /// Given minus unloaded place of every node, mm; empty where both are the same.
     hung: Vec<[f64; 3]>,
     settings: SolveSettings,
     sizes: Sizes,
 }
 
-/// Numbers of rows of the arguments.
+/// Elements, and numbers of rows of the arguments.
+#[derive(Clone, Copy)]
 struct Sizes {
+    element: Element,
     nodes: usize,
     corners: usize,
     held: usize,
@@ -91,11 +94,16 @@ impl Rig {
             .material(element, mesh.n_tets(), young.slice(), poisson.slice())
             .map_err(mapped)?;
         errors::warn_of_locking(py, element, [&material].into_iter(), poisson.slice())?;
-        for (triangles, numbers) in &skins {
-            let triangles = triangles_of("skin triangles", triangles)?;
-            let [thickness, young, poisson] = exactly(py, "skin", numbers)?;
-            let skin = Skin { triangles, thickness, young, poisson };
-            material = material.with_skin(skin).map_err(mapped)?;
+        let skins: Vec<Skin> = skins
+            .iter()
+            .map(|(triangles, numbers)| {
+                let triangles = triangles_of("skin triangles", triangles)?;
+                let [thickness, young, poisson] = exactly(py, "skin", numbers)?;
+                Ok(Skin { triangles, thickness, young, poisson })
+            })
+            .collect::<PyResult<_>>()?;
+        for skin in &skins {
+            material = material.with_skin(skin.clone()).map_err(mapped)?;
         }
         let springs: Vec<Springs> = springs
             .iter()
@@ -125,11 +133,13 @@ impl Rig {
         let (rig, hung, sizes) =
             lock::run_watched(py, &cancel, |_| Ok(()), work)?.map_err(mapped)?;
         let sizes = Sizes { pads: n_pads, ..sizes };
-        Ok(Self { rig: Arc::new(Mutex::new(rig)), springs, hung, settings, sizes })
+        Ok(Self { rig: Arc::new(Mutex::new(rig)), springs, skins, hung, settings, sizes })
     }
 
-    /// Equilibrium of the next frame. Rows of NaN in `motions` are pads that are absent.
-    #[pyo3(signature = (time, motions, *, forces=None, body_force=None, prescribed=None))]
+    /// Equilibrium of the next frame. Rows of NaN in `motions` are pads that are absent; `change` is the change of the
+    /// displacement since the last frame that is expected.
+    #[pyo3(signature = (time, motions, *, forces=None, body_force=None, prescribed=None, change=None))]
+    #[allow(clippy::too_many_arguments)] // keywords in Python
     fn advance(
         &self,
         py: Python<'_>,
@@ -138,6 +148,7 @@ impl Rig {
         forces: Option<&Bound<'_, PyAny>>,
         body_force: Option<&Bound<'_, PyAny>>,
         prescribed: Option<&Bound<'_, PyAny>>,
+        change: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<RigFrame> {
         let Sizes { nodes, corners, held, pads, .. } = self.sizes;
         let three = Some(3);
@@ -146,6 +157,8 @@ impl Rig {
         let forces = View::<f64>::optional("forces", forces, &shapes)?;
         let body_force = View::<f64>::optional("body_force", body_force, &[&[three]])?;
         let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[Some(held), three]])?;
+        let change = View::<f64>::optional("change", change, &[&[Some(nodes), three]])?;
+        let change = change.map(|rows| rows.rows::<3>().to_vec());
         let load = Load {
             nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
             body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
@@ -160,11 +173,63 @@ impl Rig {
         let rig = self.rig.clone();
         let work = move || {
             let mut rig = rig.lock().unwrap_or_else(PoisonError::into_inner);
-            rig.advance(&load, &motions, time, &settings)
+            rig.advance_by(&load, &motions, change.as_deref(), time, &settings)
         };
         let frame = lock::run_watched(py, &cancel, |_| Ok(()), work)?;
         let frame = frame.map_err(|error| errors::from_fem(py, &error, None))?;
         RigFrame::new(py, frame, &self.hung, self.settings.tolerance)
+    }
+
+    /// The same rig at its beginning with another material; analyses and factors are shared. Not of a rig that hangs in
+    /// its weight, whose unloaded shape depends on the material.
+    #[pyo3(signature = (young, poisson, *, law=None, behaviour=None))]
+    fn again(
+        &self,
+        py: Python<'_>,
+        young: &Bound<'_, PyAny>,
+        poisson: &Bound<'_, PyAny>,
+        law: Option<&Law>,
+        behaviour: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let mapped = |error: FemError| errors::from_fem(py, &error, None);
+        if !self.hung.is_empty() {
+            return Err(bad_choice(
+                py,
+                "rig",
+                "one that does not hang in its weight",
+                "a hung one",
+            ));
+        }
+        let [tets, points] = self.sizes.points;
+        let moduli: [&[Option<usize>]; 3] =
+            [&[Some(1)], &[Some(tets)], &[Some(tets), Some(points)]];
+        let young = View::<f64>::new("young", young, &moduli)?;
+        let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
+        let element = self.sizes.element;
+        let mut material = law
+            .map_or(&Law::default(), |law| law)
+            .material(element, tets, young.slice(), poisson.slice())
+            .map_err(mapped)?;
+        errors::warn_of_locking(py, element, [&material].into_iter(), poisson.slice())?;
+        for skin in &self.skins {
+            material = material.with_skin(skin.clone()).map_err(mapped)?;
+        }
+        let behaviour = behaviour_of(py, behaviour)?;
+        let rig = self.rig.clone();
+        let made = py
+            .detach(move || {
+                let rig = rig.lock().unwrap_or_else(PoisonError::into_inner);
+                rig.afresh(material, behaviour)
+            })
+            .map_err(mapped)?;
+        Ok(Self {
+            rig: Arc::new(Mutex::new(made)),
+            springs: self.springs.clone(),
+            skins: self.skins.clone(),
+            hung: Vec::new(),
+            settings: self.settings.clone(),
+            sizes: self.sizes,
+        })
     }
 
     /// How all frames that were found follow each cause: displacement, float64 (n_causes, n_frames, n_nodes, 3) mm,
@@ -298,6 +363,7 @@ impl Plan {
             body = rest.body;
         }
         let sizes = Sizes {
+            element: body.element(),
             nodes: body.n_nodes(),
             corners: body.n_corner_nodes(),
             held: body.held_nodes().len(),

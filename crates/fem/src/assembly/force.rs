@@ -5,9 +5,12 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::packs::{PACKS, Packs, PacksAnswer};
-use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, displacement_gradient, local};
+use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, Remembered, displacement_gradient, local};
 use crate::element::{Element, Geometry, PACK, Rule, TET4, TET10};
 use crate::material::PlainLaws;
+
+/// What elements side by side take.
+type Lanes<'a> = (PlainLaws<'a>, Option<&'a Remembered>);
 
 /// Energy and smallest volume ratio of a state.
 #[derive(Debug, Clone, Copy)]
@@ -46,10 +49,12 @@ pub(crate) fn internal_force_into<M: PointModel>(
         return loops.averaged_force(patches, force, parallel);
     }
     let parallel = parallel && geometry.n_elements() >= PARALLEL_FROM;
-    if let (Element::Tet4, Some(laws)) = (geometry.element, model.neo_hookean()) {
+    let plain = model.neo_hookean().map(|laws| (laws, None));
+    let lanes = plain.or_else(|| model.remembering().map(|(laws, memory)| (laws, Some(memory))));
+    if let (Element::Tet4, Some(lanes)) = (geometry.element, lanes) {
         return match parallel {
-            false => loops.serial_packs(laws, force),
-            true => loops.parallel_packs(laws, force, buffer),
+            false => loops.serial_packs(lanes, force),
+            true => loops.parallel_packs(lanes, force, buffer),
         };
     }
     match (geometry.element.n_nodes(), parallel) {
@@ -125,14 +130,14 @@ impl<M: PointModel> Loops<'_, M> {
         }
     }
 
-    fn serial_packs(&self, laws: PlainLaws, force: &mut [f64]) -> Option<Energy> {
+    fn serial_packs(&self, lanes: Lanes, force: &mut [f64]) -> Option<Energy> {
         force.fill(0.0);
         let mut rows = [[[0.0; 3]; 4]; PACK * PACKS];
         let mut sum = Energy::NOTHING;
         let elements = self.geometry.connectivity.as_chunks::<4>().0;
         for (chunk, elements) in elements.chunks(rows.len()).enumerate() {
             let rows = &mut rows[..elements.len()];
-            sum = sum.and(self.packs(laws, chunk * PACKS, rows)?);
+            sum = sum.and(self.packs(lanes, chunk * PACKS, rows)?);
             for (nodes, rows) in elements.iter().zip(rows) {
                 for (&node, row) in nodes.iter().zip(rows) {
                     let target = &mut force[3 * node as usize..3 * node as usize + 3];
@@ -147,7 +152,7 @@ impl<M: PointModel> Loops<'_, M> {
 
     fn parallel_packs(
         &self,
-        laws: PlainLaws,
+        lanes: Lanes,
         force: &mut [f64],
         buffer: &mut Vec<f64>,
     ) -> Option<Energy> {
@@ -157,7 +162,7 @@ impl<M: PointModel> Loops<'_, M> {
             .enumerate()
             .map(|(c, slots)| {
                 let rows = slots.as_chunks_mut::<3>().0.as_chunks_mut::<4>().0;
-                self.packs(laws, c * PACKS, rows)
+                self.packs(lanes, c * PACKS, rows)
             })
             .collect();
         let chunks = chunks?;
@@ -166,9 +171,10 @@ impl<M: PointModel> Loops<'_, M> {
     }
 
     /// Write the nodal forces of up to [`PACKS`] packs of elements.
-    fn packs(&self, laws: PlainLaws, first: usize, rows: &mut [[[f64; 3]; 4]]) -> Option<Energy> {
+    fn packs(&self, lanes: Lanes, first: usize, rows: &mut [[[f64; 3]; 4]]) -> Option<Energy> {
         let Self { geometry, displacement, .. } = *self;
-        let all = Packs { geometry, laws, displacement, first, rows: &mut *rows };
+        let (laws, memory) = lanes;
+        let all = Packs { geometry, laws, memory, displacement, first, rows: &mut *rows };
         let PacksAnswer { mut energy, far } = pulp::Arch::new().dispatch(all);
         for pack in (0..PACKS).filter(|pack| far & (1 << pack) != 0) {
             let elements = PACK * pack..rows.len().min(PACK * (pack + 1));

@@ -7,7 +7,13 @@
 //! s = x / (2 + x),     x − ln(1 + x) = x²/2 − s (x²/2 + R(s²)),     R = Σ_k 2 s^2k / (2 k + 1)
 //! ```
 //!
-//! where nothing of first order cancels. Other elements are left to the scalar law.
+//! where nothing of first order cancels. Other elements are left to the scalar law. The isochoric part
+//! `ψ_iso = µ/2 (j² tr C − 3)`, with `j² = J^(−2/3) = 1 + e` and `y = −⅔ ln J`, follows as
+//!
+//! ```text
+//! tr C − 3 = d,    j² tr C − 3 = |h|² − 2 q + 2 (x − ln J) + 3 (e − y) + e d,    q = x − tr h
+//! e − y = y² Σ_k y^k / (k + 2)!
+//! ```
 
 use pulp::Simd;
 
@@ -20,6 +26,17 @@ const SERIES: [f64; 12] = {
     let mut k = 0;
     while k < 12 {
         terms[k] = 2.0 / (2 * k + 3) as f64;
+        k += 1;
+    }
+    terms
+};
+
+/// `(e^y − 1 − y) / y²` by powers of `y`: with `|y| < 0.24`, thirteen terms leave less than 1e-18.
+const EXPONENTIAL: [f64; 13] = {
+    let mut terms = [0.5; 13];
+    let mut k = 1;
+    while k < 13 {
+        terms[k] = terms[k - 1] / (k + 2) as f64;
         k += 1;
     }
     terms
@@ -40,6 +57,15 @@ pub(super) struct Elements<S: Simd> {
     pub(super) lambda: S::f64s,
 }
 
+/// What elements take that remember stresses, see [`super::Remembered`].
+#[derive(Clone, Copy)]
+pub(super) struct Memory<S: Simd> {
+    pub(super) volumetric: S::f64s,
+    /// `a_iso − a_vol`, where it is not zero.
+    pub(super) excess: Option<S::f64s>,
+    pub(super) stress: Option<[S::f64s; 6]>,
+}
+
 /// What some elements answer.
 pub(super) struct Answer<S: Simd> {
     /// Forces of nodes 1 to 3 by component, mN; node 0 balances them.
@@ -58,6 +84,7 @@ pub(super) fn neo_hookean<S: Simd>(
     simd: S,
     elements: &Elements<S>,
     edges: &Matrices<S>,
+    memory: Option<&Memory<S>>,
 ) -> Answer<S> {
     let Elements { jacobian, weight, mu, lambda } = *elements;
     let splat = |v: f64| simd.splat_f64s(v);
@@ -101,7 +128,7 @@ pub(super) fn neo_hookean<S: Simd>(
 
     let shape = simd.add_f64s(simd.mul_add_e_f64s(half, square, simd.neg_f64s(q)), rest);
     let half_lambda_log = simd.mul_f64s(simd.mul_f64s(half, lambda), log);
-    let density = simd.mul_add_e_f64s(half_lambda_log, log, simd.mul_f64s(mu, shape));
+    let mut density = simd.mul_add_e_f64s(half_lambda_log, log, simd.mul_f64s(mu, shape));
 
     // w P = shear (J h + hᵀ + q I − cof h) + pressure cof F
     let over_det = simd.div_f64s(weight, det_f);
@@ -119,6 +146,51 @@ pub(super) fn neo_hookean<S: Simd>(
             }
             inner = simd.mul_add_e_f64s(det_f, h[i][j], inner);
             stress[i][j] = simd.mul_add_e_f64s(shear, inner, simd.mul_f64s(pressure, cof_f));
+        }
+    }
+    if let Some(memory) = memory {
+        density = simd.mul_f64s(memory.volumetric, density);
+        stress = stress.map(|row| row.map(|v| simd.mul_f64s(memory.volumetric, v)));
+        if let Some(excess) = memory.excess {
+            let y = simd.mul_f64s(splat(-2.0 / 3.0), log);
+            let beyond = exponential_beyond(simd, y);
+            let growth = simd.add_f64s(y, beyond);
+            let spread = simd.mul_add_e_f64s(splat(2.0), trace, square);
+            // |h|² − 2 q + 2 (x − ln J) = 2 shape
+            let mut rise = simd.mul_add_e_f64s(splat(2.0), shape, simd.mul_f64s(growth, spread));
+            rise = simd.mul_add_e_f64s(splat(3.0), beyond, rise);
+            let own = simd.mul_f64s(simd.mul_f64s(half, mu), rise);
+            density = simd.mul_add_e_f64s(excess, own, density);
+            // w P_iso = j² shear (J h + hᵀ + q I − cof h − d/3 cof F)
+            let shear = simd.mul_f64s(simd.mul_f64s(excess, shear), simd.add_f64s(one, growth));
+            let third = simd.mul_f64s(splat(-1.0 / 3.0), spread);
+            for i in 0..3 {
+                for j in 0..3 {
+                    let mut inner = simd.sub_f64s(h[j][i], cofactor[i][j]);
+                    let mut cof_f = simd.sub_f64s(cofactor[i][j], h[j][i]);
+                    if i == j {
+                        inner = simd.add_f64s(inner, q);
+                        cof_f = simd.add_f64s(cof_f, grown);
+                    }
+                    inner = simd.mul_add_e_f64s(det_f, h[i][j], inner);
+                    inner = simd.mul_add_e_f64s(third, cof_f, inner);
+                    stress[i][j] = simd.mul_add_e_f64s(shear, inner, stress[i][j]);
+                }
+            }
+        }
+        if let Some([s00, s11, s22, s01, s02, s12]) = memory.stress {
+            let s = [[s00, s01, s02], [s01, s11, s12], [s02, s12, s22]];
+            for i in 0..3 {
+                for j in 0..3 {
+                    // S : E = Σ S_ij (h_ij + ½ Σ_k h_ki h_kj), and w F S.
+                    let column = |j: usize| [h[0][j], h[1][j], h[2][j]];
+                    let strain = sum_of_products(simd, column(i), column(j));
+                    let strain = simd.mul_add_e_f64s(half, strain, h[i][j]);
+                    density = simd.mul_add_e_f64s(s[i][j], strain, density);
+                    let first = simd.add_f64s(s[i][j], sum_of_products(simd, h[i], s[j]));
+                    stress[i][j] = simd.mul_add_e_f64s(weight, first, stress[i][j]);
+                }
+            }
         }
     }
     let mut force = zero;
@@ -139,6 +211,16 @@ pub(super) fn neo_hookean<S: Simd>(
 fn sum_of_products<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3]) -> S::f64s {
     let last = simd.mul_f64s(a[2], b[2]);
     simd.mul_add_e_f64s(a[0], b[0], simd.mul_add_e_f64s(a[1], b[1], last))
+}
+
+/// `e^y − 1 − y` for `|y| < 0.24`.
+#[inline(always)]
+fn exponential_beyond<S: Simd>(simd: S, y: S::f64s) -> S::f64s {
+    let mut series = simd.splat_f64s(0.0);
+    for k in (0..EXPONENTIAL.len()).rev() {
+        series = simd.mul_add_e_f64s(series, y, simd.splat_f64s(EXPONENTIAL[k]));
+    }
+    simd.mul_f64s(simd.mul_f64s(y, y), series)
 }
 
 /// `x − ln(1 + x)` for `|x| < 0.3`.

@@ -29,7 +29,7 @@ pub(crate) use nodal::NodalGradients;
 pub(crate) use points::{PointMap, point_volumes};
 pub(crate) use tangent::{ElementTangents, TangentKind, tangent_product_into};
 
-use crate::element::{Element, Geometry, Rule, TET4, TET10};
+use crate::element::{Element, Geometry, PACK, Rule, TET4, TET10};
 use crate::material::{Hyperelastic, Material, Matrix3, PlainLaws, Response, Tangent};
 
 /// Elements whose energies are summed together.
@@ -51,6 +51,24 @@ pub(crate) trait PointModel: Sync {
     fn neo_hookean(&self) -> Option<PlainLaws<'_>> {
         None
     }
+
+    /// The same of a body whose points remember stresses and nothing else.
+    fn remembering(&self) -> Option<(PlainLaws<'_>, &Remembered)> {
+        None
+    }
+}
+
+/// What one-point elements add to a law that is split into parts, `Ψ = a_vol (ψ − ψ_iso) + a_iso ψ_iso +
+/// ½ S : (C − I)`.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Remembered {
+    /// `a_vol`
+    pub(crate) volumetric: f64,
+    /// `a_iso`; that of the volumetric part where parts are not told apart.
+    pub(crate) isochoric: f64,
+    /// `S` of eight elements at a time: components 00, 11, 22, 01, 02, 12, kPa. Empty where nothing is
+    /// remembered.
+    pub(crate) stress: Vec<[[f64; PACK]; 6]>,
 }
 
 impl PointModel for Material {

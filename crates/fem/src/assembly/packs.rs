@@ -2,8 +2,9 @@
 
 use pulp::Simd;
 
+use super::Remembered;
 use super::force::Energy;
-use super::lanes::{Elements, Matrices, neo_hookean};
+use super::lanes::{Elements, Matrices, Memory, neo_hookean};
 use crate::element::{Geometry, PACK};
 use crate::material::PlainLaws;
 
@@ -14,6 +15,7 @@ pub(super) const PACKS: usize = 32;
 pub(super) struct Packs<'a> {
     pub(super) geometry: &'a Geometry,
     pub(super) laws: PlainLaws<'a>,
+    pub(super) memory: Option<&'a Remembered>,
     /// `(3 n_nodes)`, mm.
     pub(super) displacement: &'a [f64],
     /// First pack.
@@ -35,6 +37,23 @@ impl pulp::WithSimd for Packs<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> PacksAnswer {
+        // Twice, so that plain elements ask for no memory.
+        match self.memory {
+            None => self.all(simd, |_, _| None),
+            Some(memory) => {
+                self.all(simd, |pack, part| Some(load_memory(simd, memory, pack, part)))
+            }
+        }
+    }
+}
+
+impl Packs<'_> {
+    #[inline(always)]
+    fn all<S: Simd>(
+        self,
+        simd: S,
+        memory: impl Fn(usize, usize) -> Option<Memory<S>>,
+    ) -> PacksAnswer {
         let mut energy = simd.splat_f64s(0.0);
         let mut min_det_f = simd.splat_f64s(f64::INFINITY);
         let mut far = 0;
@@ -45,7 +64,8 @@ impl pulp::WithSimd for Packs<'_> {
             let (mut own, mut least, mut is_far) = (energy, min_det_f, simd.splat_f64s(0.0));
             for part in 0..PACK / S::F64_LANES {
                 let elements = load(simd, self.geometry, self.laws, pack, part);
-                let answer = neo_hookean(simd, &elements, &lanes_of::<S>(&edges, part));
+                let edges = lanes_of::<S>(&edges, part);
+                let answer = neo_hookean(simd, &elements, &edges, memory(pack, part).as_ref());
                 for k in 0..3 {
                     for i in 0..3 {
                         S::as_mut_simd_f64s(&mut force[k][i]).0[part] = answer.force[k][i];
@@ -105,6 +125,19 @@ fn lanes_of<S: Simd>(eight: &[[[f64; PACK]; 3]; 3], part: usize) -> Matrices<S> 
         [lanes(&eight[1][0]), lanes(&eight[1][1]), lanes(&eight[1][2])],
         [lanes(&eight[2][0]), lanes(&eight[2][1]), lanes(&eight[2][2])],
     ]
+}
+
+#[inline(always)]
+fn load_memory<S: Simd>(simd: S, memory: &Remembered, pack: usize, part: usize) -> Memory<S> {
+    let differs = memory.isochoric != memory.volumetric;
+    Memory {
+        volumetric: simd.splat_f64s(memory.volumetric),
+        excess: differs.then(|| simd.splat_f64s(memory.isochoric - memory.volumetric)),
+        stress: memory
+            .stress
+            .get(pack)
+            .map(|six| six.each_ref().map(|v| S::as_simd_f64s(v).0[part])),
+    }
 }
 
 #[inline(always)]

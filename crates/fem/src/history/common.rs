@@ -178,6 +178,11 @@ impl<S: Scalar> Common<S> {
 }
 
 impl Common<f64> {
+    /// Whether points remember stresses and nothing else happens to them.
+    pub(super) fn is_memory_alone(&self) -> bool {
+        self.softening.is_none() && self.set.is_none() && self.viscous == 0.0 && self.stretch == 1.0
+    }
+
     /// The same numbers, as constants of another kind.
     pub(super) fn lifted<S: Scalar>(&self) -> Common<S> {
         let one = S::constant;

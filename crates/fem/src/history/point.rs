@@ -20,8 +20,8 @@ use super::tensor::{
     add_scaled, contracted, det_f_minus_one, green_strain, inverse_transposed, minus,
     plus_identity, plus_scalar, product, scaled, transposed, zero,
 };
-use crate::assembly::PointModel;
-use crate::material::{Matrix3, Response, Tangent};
+use crate::assembly::{PointModel, Remembered};
+use crate::material::{Matrix3, PlainLaws, Response, Tangent};
 
 /// Energy density, first Piola–Kirchhoff stress (kPa) and volume ratio at a point.
 #[derive(Debug, Clone, Copy)]
@@ -66,6 +66,10 @@ impl<M: PointModel> PointModel for StepModel<'_, M> {
         tangent.iter_mut().flatten().for_each(|v| *v *= volume);
         add_memory_tangent(at, h, &mut tangent);
         Some(tangent)
+    }
+
+    fn remembering(&self) -> Option<(PlainLaws<'_>, &Remembered)> {
+        self.elastic.neo_hookean().zip(self.step.remembered.as_ref())
     }
 }
 

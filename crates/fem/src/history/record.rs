@@ -1,5 +1,7 @@
 //! Steps as they went.
 
+use std::sync::Arc;
+
 use super::common::PointState;
 use super::follow::Substance;
 use super::state::StepState;
@@ -18,7 +20,7 @@ pub(crate) struct StepRecord {
     pub(crate) from: usize,
     pub(crate) part: f64,
     /// Memory before the step.
-    pub(super) before: Vec<PointState<f64>>,
+    pub(super) before: Arc<Vec<PointState<f64>>>,
     pub(super) length: f64,
     pub(super) time: f64,
     /// At its end, `(3 n_nodes)`, mm.

@@ -1,11 +1,14 @@
 //! Pads that are bonded to a body for some frames and released again.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use super::run::History;
+use super::behaviour::Behaviour;
+use super::run::{Given, History};
 use crate::body::Body;
 use crate::error::FemError;
 use crate::load::{Load, check_finite, check_length};
+use crate::material::Material;
 use crate::resultant::{Resultant, resultant};
 use crate::solve::{Solution, SolveSettings};
 
@@ -41,7 +44,7 @@ pub struct Pad {
 /// ```
 #[derive(Debug)]
 pub struct Rig {
-    body: Body,
+    body: Arc<Body>,
     history: History,
     /// Nodes of each pad that the body's supports leave free.
     pads: Vec<Vec<usize>>,
@@ -50,7 +53,7 @@ pub struct Rig {
     /// Displacement of each pad's nodes and middles when it was bonded, mm; none where it is gone.
     bonded: Vec<Option<Vec<[f64; 3]>>>,
     /// Bodies by the pads that are present.
-    bodies: BTreeMap<Vec<bool>, Body>,
+    bodies: BTreeMap<Vec<bool>, Arc<Body>>,
     /// Of the recorded steps: how pads were while they were made.
     phases: Vec<Phase>,
 }
@@ -106,7 +109,30 @@ impl Rig {
         let middles = free.iter().map(|nodes| middles_of(&body, nodes)).collect();
         let bonded = vec![None; free.len()];
         let (bodies, phases) = (BTreeMap::new(), Vec::new());
+        let body = Arc::new(body);
         Ok(Self { body, history, pads: free, middles, bonded, bodies, phases })
+    }
+
+    /// The same rig at its beginning, with another material and behaviour.
+    ///
+    /// Bodies, their analyses and factors are shared: for many histories of one rig. Steps are
+    /// recorded where they were.
+    ///
+    /// # Errors
+    ///
+    /// As [`History::new`].
+    pub fn afresh(&self, material: Material, behaviour: Behaviour) -> Result<Self, FemError> {
+        let recorded = self.history.steps().is_some();
+        let make = if recorded { History::recorded } else { History::new };
+        Ok(Self {
+            body: Arc::clone(&self.body),
+            history: make(&self.body, material, behaviour)?,
+            pads: self.pads.clone(),
+            middles: self.middles.clone(),
+            bonded: vec![None; self.pads.len()],
+            bodies: self.bodies.clone(),
+            phases: Vec::new(),
+        })
     }
 
     /// The body with its own supports.
@@ -142,9 +168,30 @@ impl Rig {
         time_s: f64,
         settings: &SolveSettings,
     ) -> Result<RigFrame, FemError> {
+        self.advance_by(load, motions, None, time_s, settings)
+    }
+
+    /// The same with the change of the displacement since the last frame that is expected, as a
+    /// similar body showed it: one row a node of the body, mm.
+    ///
+    /// The search begins there, and where that leads nowhere as without it. A good guess saves most
+    /// iterations; what is found is the same up to the tolerance.
+    ///
+    /// # Errors
+    ///
+    /// As [`Rig::advance`], and [`FemError::WrongLength`] and [`FemError::NonFinite`] for `change`.
+    pub fn advance_by(
+        &mut self,
+        load: &Load,
+        motions: &[Option<[f64; 3]>],
+        change: Option<&[[f64; 3]]>,
+        time_s: f64,
+        settings: &SolveSettings,
+    ) -> Result<RigFrame, FemError> {
         check_length("motions (one a pad)", self.pads.len(), motions.len())?;
         let given: Vec<[f64; 3]> = motions.iter().map(|m| m.unwrap_or_default()).collect();
         check_finite("motion of a pad", &given)?;
+        let guess = change.map(|rows| self.after(rows)).transpose()?;
         let mut history = self.history.clone();
         let mut bonded = self.bonded.clone();
         let mut phases = self.phases.clone();
@@ -164,7 +211,7 @@ impl Rig {
         }
         if comes {
             if history.time_s().is_some() || acts(load, &history, time_s) {
-                match self.settle(&mut history, &bonded, load, &given, time_s, settings) {
+                match self.settle(&mut history, &bonded, load, (&given, None), time_s, settings) {
                     Ok(_) => {
                         phase.end = n_steps(&history);
                         phases.push(phase.clone());
@@ -184,7 +231,8 @@ impl Rig {
                 }
             }
         }
-        let solution = self.settle(&mut history, &bonded, load, &given, time_s, settings)?;
+        let solution =
+            self.settle(&mut history, &bonded, load, (&given, guess), time_s, settings)?;
         phases.push(Phase { end: n_steps(&history), is_last: true, ..phase });
         if history.steps().is_some() {
             self.phases = phases;
@@ -194,13 +242,21 @@ impl Rig {
         Ok(self.frame(solution))
     }
 
-    /// One frame with the pads that are bonded.
+    /// The displacement of the last frame and a change, flat, mm.
+    fn after(&self, change: &[[f64; 3]]) -> Result<Vec<f64>, FemError> {
+        check_length("change (one row a node)", self.body.n_nodes(), change.len())?;
+        check_finite("change", change)?;
+        let before = self.history.displacement().as_flattened();
+        Ok(before.iter().zip(change.as_flattened()).map(|(u, du)| u + du).collect())
+    }
+
+    /// One frame with the pads that are bonded; motions and the displacement that is expected.
     fn settle(
         &mut self,
         history: &mut History,
         bonded: &[Option<Vec<[f64; 3]>>],
         load: &Load,
-        motions: &[[f64; 3]],
+        (motions, guess): (&[[f64; 3]], Option<Vec<f64>>),
         time_s: f64,
         settings: &SolveSettings,
     ) -> Result<Solution, FemError> {
@@ -214,14 +270,16 @@ impl Rig {
         };
         let present: Vec<bool> = bonded.iter().map(Option::is_some).collect();
         if !present.contains(&true) {
-            return history.advance(&self.body, load, time_s, settings);
+            let given = Given { guess, ..Given::default() };
+            return history.advance_held(&self.body, load, given, time_s, settings);
         }
         if !self.bodies.contains_key(&present) {
             let mut supports = self.body.supports().clone();
             for (nodes, _) in self.pads.iter().zip(&present).filter(|(_, there)| **there) {
                 supports = supports.hold(nodes);
             }
-            self.bodies.insert(present.clone(), self.body.with_supports(supports)?);
+            let body = Arc::new(self.body.with_supports(supports)?);
+            self.bodies.insert(present.clone(), body);
         }
         let body = self.bodies.get(&present).unwrap_or(&self.body);
         let moved = |(rows, motion): (&Option<Vec<[f64; 3]>>, &[f64; 3])| {
@@ -235,7 +293,8 @@ impl Rig {
         check_finite("prescribed displacements", &rows)?;
         let prescribed = self.held_displacement(body, rows, &places);
         let load = Load { prescribed: None, ..load.clone() };
-        history.advance_held(body, &load, Some(prescribed), time_s, settings)
+        let given = Given { prescribed: Some(prescribed), guess };
+        history.advance_held(body, &load, given, time_s, settings)
     }
 
     /// Displacement of all nodes, flat, from that of the body's own held nodes and of the nodes and

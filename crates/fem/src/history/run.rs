@@ -71,8 +71,8 @@ struct Now {
     displacement: Vec<f64>,
     /// Loads of the last frame, `(3 n_nodes)`, mN.
     force: Vec<f64>,
-    /// One a quadrature point.
-    states: Vec<PointState<f64>>,
+    /// One a quadrature point; shared until the end of a step.
+    states: Arc<Vec<PointState<f64>>>,
     /// Largest norm of a load so far, mN: a residual small beside it is no force.
     largest_load: f64,
     /// All steps so far, where they are recorded.
@@ -94,7 +94,7 @@ impl History {
             time_s: None,
             displacement: vec![0.0; n],
             force: vec![0.0; n],
-            states: fresh_states(&behaviour, body.n_tets() * body.element().n_points()),
+            states: Arc::new(fresh_states(&behaviour, body.n_tets() * body.element().n_points())),
             largest_load: 0.0,
             steps: None,
         };
@@ -169,28 +169,28 @@ impl History {
         time_s: f64,
         settings: &SolveSettings,
     ) -> Result<Solution, FemError> {
-        self.advance_held(body, load, None, time_s, settings)
+        self.advance_held(body, load, Given::default(), time_s, settings)
     }
 
-    /// The same with the displacement that all held nodes are given, `(3 n_nodes)`, mm, in place of
-    /// that of the load.
+    /// The same with more that is given.
     pub(super) fn advance_held(
         &mut self,
         body: &Body,
         load: &Load,
-        prescribed: Option<Vec<f64>>,
+        given: Given,
         time_s: f64,
         settings: &SolveSettings,
     ) -> Result<Solution, FemError> {
         self.check_frame(body, time_s)?;
         let mut target = NodalLoad::new(body, load)?;
+        let Given { prescribed, guess } = given;
         if let Some(prescribed) = prescribed {
             target.moves_supports = prescribed.iter().any(|&v| v != 0.0);
             target.prescribed = prescribed;
         }
         let surface = surface_of(body, &self.material, load)?;
         let mut now = self.now.clone();
-        let frame = Frame { history: self, body, load, target, surface, time_s, settings };
+        let frame = Frame { history: self, body, load, target, guess, surface, time_s, settings };
         let answer = settings.in_pool(|| frame.reach(&mut now))?;
         self.now = now;
         Ok(answer)
@@ -211,12 +211,22 @@ impl History {
     }
 }
 
+/// What a rig says of a frame beyond its load; each `(3 n_nodes)`, mm.
+#[derive(Debug, Default)]
+pub(super) struct Given {
+    /// The displacement that all held nodes are given, in place of that of the load.
+    pub(super) prescribed: Option<Vec<f64>>,
+    /// The displacement that is expected.
+    pub(super) guess: Option<Vec<f64>>,
+}
+
 /// A time frame to be reached.
 struct Frame<'a> {
     history: &'a History,
     body: &'a Body,
     load: &'a Load,
     target: NodalLoad,
+    guess: Option<Vec<f64>>,
     surface: SurfaceTerms,
     time_s: f64,
     settings: &'a SolveSettings,
@@ -299,12 +309,20 @@ impl Frame<'_> {
         problem.least_load = solver.unbalanced(&problem, &mut state).max(now.largest_load);
         let cache = self.body.rest_cache();
         let rest = || cache.metric(self.body, elastic, &self.load.springs, problem.parallel);
-        let (state, report) = solver.find(&problem, Some(state), rest)?;
+        let guessed = self.guess.as_ref().filter(|_| to >= 1.0);
+        let near = guessed.map(|guess| self.near(guess));
+        let (state, report) = match near.map(|near| solver.find(&problem, Some(near), rest)) {
+            // A guess that leads nowhere is none.
+            None | Some(Err(FemError::NoEquilibrium(_))) => {
+                solver.find(&problem, Some(state), rest)?
+            }
+            Some(found) => found?,
+        };
 
         let least_load = problem.least_load;
         let before = now.steps.is_some().then(|| now.states.clone());
         let gradients = gradients_at_points(self.body.geometry(), &state.displacement);
-        if !step.update(elastic, &gradients, &mut now.states) {
+        if !step.update(elastic, &gradients, Arc::make_mut(&mut now.states).as_mut_slice()) {
             let worst = problem.worst_tets(&state.displacement);
             let (tet, det_f) = worst.first().map_or((0, f64::NAN), |w| (w.tet, w.det_f));
             return Err(FemError::InvertedStart { tet, det_f });
@@ -330,6 +348,16 @@ impl Frame<'_> {
             }));
         }
         Ok(answer)
+    }
+
+    /// The state that is expected at the end of the frame, its held nodes in place.
+    fn near(&self, guess: &[f64]) -> State {
+        let mut state = State::at_rest(self.body.n_nodes());
+        state.displacement.copy_from_slice(guess);
+        for (flat, _) in self.body.held().as_flattened().iter().enumerate().filter(|(_, h)| **h) {
+            state.displacement[flat] = self.target.prescribed[flat];
+        }
+        state
     }
 
     /// The load at a fraction of the way to the frame.

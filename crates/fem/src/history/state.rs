@@ -7,7 +7,8 @@ use super::common::{Common, PointState, PointStep};
 use super::point::Answer;
 use super::prony::{Memory, Term};
 use super::tensor::ZERO;
-use crate::assembly::PointModel;
+use crate::assembly::{PointModel, Remembered};
+use crate::element::PACK;
 use crate::material::Matrix3;
 
 /// What holds within a step, at all points.
@@ -16,6 +17,8 @@ pub(crate) struct StepState {
     pub(super) common: Common<f64>,
     n_points: usize,
     points: Vec<PointStep<f64>>,
+    /// For elements side by side, where memory is all there is.
+    pub(super) remembered: Option<Remembered>,
 }
 
 /// Points of a body that has been through nothing.
@@ -43,8 +46,11 @@ impl StepState {
     ) -> Self {
         let numbers = behaviour.numbers(|_, value| value);
         let common = Common::new(&numbers, behaviour.is_split(), length, time);
-        let points = states.par_iter().with_min_len(256).map(|state| common.point(state)).collect();
-        Self { common, n_points, points }
+        let points: Vec<PointStep<f64>> =
+            states.par_iter().with_min_len(256).map(|state| common.point(state)).collect();
+        let plain = n_points == 1 && common.is_memory_alone();
+        let remembered = plain.then(|| remembered(&common, &points));
+        Self { common, n_points, points, remembered }
     }
 
     pub(super) fn at(&self, element: usize, point: usize) -> &PointStep<f64> {
@@ -66,4 +72,28 @@ impl StepState {
             },
         )
     }
+}
+
+/// What is remembered, eight points at a time.
+fn remembered(common: &Common<f64>, points: &[PointStep<f64>]) -> Remembered {
+    const PLACES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+    let volumetric = common.weights.volumetric;
+    let isochoric = if common.split { common.weights.isochoric } else { volumetric };
+    let some = points.first().is_some_and(|point| point.history_stress.is_some());
+    let packed = |eight: &[PointStep<f64>]| {
+        let mut six = [[0.0; PACK]; 6];
+        for (l, point) in eight.iter().enumerate() {
+            let stress = point.history_stress.unwrap_or(ZERO);
+            for (row, (i, j)) in six.iter_mut().zip(PLACES) {
+                row[l] = stress[i][j];
+            }
+        }
+        six
+    };
+    let stress = if some {
+        points.par_chunks(PACK).with_min_len(32).map(packed).collect()
+    } else {
+        Vec::new()
+    };
+    Remembered { volumetric, isochoric, stress }
 }

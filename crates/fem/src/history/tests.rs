@@ -5,8 +5,11 @@
 use super::behaviour::{Behaviour, Drainage, Part, Relaxation, Set, Softening, Swelling};
 use super::point::StepModel;
 use super::state::{StepState, fresh_states};
-use crate::assembly::PointModel;
+use crate::assembly::{PointModel, internal_force_into};
+use crate::body::Body;
+use crate::element::Element;
 use crate::material::{Material, Matrix3};
+use crate::mesh::Mesh;
 
 /// The behaviours of this file, one by one and all together.
 fn behaviours() -> Vec<(&'static str, Behaviour)> {
@@ -143,4 +146,59 @@ fn an_inverted_point_has_no_energy() {
             assert!(!step.update(&material, &[turned], &mut states));
         }
     }
+}
+
+/// Nineteen tets on a ring of corners: packs of eight, the last one not full.
+fn ring() -> Body {
+    let corner = |k: usize| {
+        let (s, c) = (k as f64 * 0.3).sin_cos();
+        [10.0 * c, 10.0 * s, 0.5 * (k % 3) as f64]
+    };
+    let mut nodes = vec![[0.0, 0.0, -4.0], [0.0, 0.0, 5.0]];
+    nodes.extend((0..20).map(corner));
+    let tets = (0..19).map(|k| [0, k + 2, k + 3, 1]).collect();
+    Body::new(Mesh::new(nodes, tets).expect("sound"), Element::Tet4, [0, 1, 2]).expect("sound")
+}
+
+#[test]
+fn points_side_by_side_say_what_they_say_alone() {
+    let body = ring();
+    let geometry = body.geometry();
+    let material = Material::neo_hookean(9.0, 0.4).expect("sound");
+    let field = |seed: u64, size: f64| -> Vec<f64> {
+        (0..body.n_nodes()).flat_map(|n| gradient(seed + 7 * n as u64, size)[0]).collect()
+    };
+    let mut packed = 0;
+    for (name, behaviour) in behaviours() {
+        let mut states = fresh_states(&behaviour, body.n_tets());
+        let through = crate::assembly::gradients_at_points(geometry, &field(5, 0.3));
+        let first = StepState::new(&behaviour, &states, 1, 0.0, 0.0);
+        assert!(first.update(&material, &through, &mut states), "{name}");
+        let mut step = StepState::new(&behaviour, &states, 1, 0.7, 0.7);
+        packed += usize::from(step.remembered.is_some());
+        // The last is beyond the series of the logarithm in some tets.
+        for size in [1e-6, 0.05, 0.5, 1.5] {
+            let u = field(11, size);
+            let answer = |step: &StepState| {
+                let model = StepModel { elastic: &material, step };
+                let mut force = vec![0.0; u.len()];
+                internal_force_into(geometry, &model, &u, &mut force, &mut Vec::new(), false)
+                    .map(|energy| (energy.total, energy.min_det_f, force))
+            };
+            let together = answer(&step);
+            let kept = step.remembered.take();
+            let alone = answer(&step);
+            step.remembered = kept;
+            let (Some((e, det, f)), Some((e_alone, det_alone, f_alone))) = (together, alone) else {
+                panic!("{name}: inverted at {size}");
+            };
+            assert!((e - e_alone).abs() <= 1e-12 * e_alone.abs(), "{name} {size}: {e} {e_alone}");
+            assert!((det - det_alone).abs() < 1e-13, "{name}");
+            let largest = f_alone.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            for (one, other) in f.iter().zip(&f_alone) {
+                assert!((one - other).abs() <= 1e-12 * largest, "{name} {size}: {one} {other}");
+            }
+        }
+    }
+    assert_eq!(packed, 4, "none, whole, isochoric and drainage");
 }
