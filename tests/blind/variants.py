@@ -71,7 +71,10 @@ def without(folder: Path, told: Collection[str], *, threads: int = 0) -> dict:
 
 def no_mesh_correction(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
     """Return what is said when predictions on the user's mesh are taken as they are."""
-    with patch.object(run, "make_correction", _no_correction):
+    with (
+        patch.object(run, "make_correction", _no_correction),
+        patch.object(search, "recorrected", lambda target, found: target),
+    ):
         return ours(folder, threads=threads)
 
 

@@ -12,10 +12,12 @@ from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.fit import Part, Target, fit
 from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.recorrect import recorrected
+from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.search import Candidate, Search, Step
 from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import ActuatorOffset, Latency, Poisson
+from tissuereg.effects import ActuatorOffset, Latency, Poisson, Relaxation
 
 MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
 
@@ -72,6 +74,34 @@ def test_the_derivative_of_a_fit_is_that_at_its_end(of_two):
             ends.append(of_two.bench.predictor.predict(effects, young=found.young(1.0)))
         slope = (ends[0] - ends[1]) / (2.0 * step)
         assert np.linalg.norm(found.jacobian[number] - slope) < 0.05 * np.linalg.norm(slope)
+
+
+def test_a_deviation_is_that_of_the_farther_side_where_a_knob_is_no_straight_line(of_two):
+    found = fit(of_two, [part(of_two, "latency")])
+    bent = replace(found.parts[0].knobs, values=lambda x, young: {"late": float(np.exp(x[0])), "said": "so"})
+    deviation = 0.5
+    known = np.diag([0.01, deviation**2])
+    mine = replace(found, parts=(replace(found.parts[0], knobs=bent),), covariance=known)
+    values, deviations = mine.values(0, 10.0)
+    up, down = np.exp(deviation) - 1.0, 1.0 - np.exp(-deviation)
+    assert deviations["late"] == pytest.approx(values["late"] * np.sqrt(0.5 * (up**2 + down**2)))
+    assert set(deviations) == {"late"}
+
+
+def test_the_mesh_of_what_was_found_is_put_right(of_two):
+    found = fit(of_two, [part(of_two, "poisson"), part(of_two, "latency")])
+    bench = of_two.bench
+    better = recorrected(of_two, found)
+    effects = found.effects(bench.young)
+    coarse = bench.predictor.predict(effects)
+    assert np.allclose(better.correction.corrected(coarse), refined_effects(bench, effects))
+    assert np.allclose(better.correction.corrected(bench.base), bench.base)
+    # The tracker has no mesh.
+    assert recorrected(of_two, fit(of_two, [part(of_two, "latency")])) is of_two
+
+
+def test_a_fine_mesh_is_not_asked_for_what_remembers(of_two):
+    assert refined_effects(of_two.bench, [Relaxation(g=(0.3,), tau_s=(2.0,))]) is None
 
 
 def test_a_hopeless_fit_keeps_its_objective_and_saves_the_last_derivative(of_two):

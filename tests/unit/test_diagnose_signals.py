@@ -9,9 +9,12 @@ from scipy import sparse
 from support.rigs import rig
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.causes.base import Variant
 from tissuereg.diagnose.causes.tracker import changed_by
 from tissuereg.diagnose.correction import make_correction
 from tissuereg.diagnose.noise import Noise, estimate_noise
+from tissuereg.diagnose.nuisances import MESH_SHARE, make_nuisances
+from tissuereg.diagnose.patterns import load_history
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import ActuatorDirection, ActuatorGain, ActuatorOffset, Gravity, Latency, Poisson
 from tissuereg.effects.regions import Ellipsoid, share_inside
@@ -155,6 +158,54 @@ def test_a_correction_makes_the_coarse_prediction_the_fine_one(bench):
     doubled = np.where(forces, 2.0 * bench.base, bench.base)
     assert np.allclose(correction.corrected(doubled)[forces] - fine[forces], (correction.factor * bench.base)[forces])
     assert np.allclose(correction.corrected(doubled, 2.0), np.where(forces, 2.0 * fine, fine))
+
+
+def test_a_correction_with_an_effect_is_right_with_and_without_it(bench):
+    rng = np.random.default_rng(6)
+    fine = bench.base * (1.0 + 0.1 * rng.random(bench.layout.size))
+    plain = make_correction(bench.layout, bench.base, fine)
+    coarse = bench.predictor.predict([Poisson(poisson=0.3)])
+    fine_with = fine + (coarse - bench.base) * (1.0 + 0.3 * rng.random(bench.layout.size))
+    std = np.where(bench.layout.of_markers(), 0.05, 2.0)
+    both = plain.with_effect(bench.base, coarse, fine_with, std)
+    assert np.allclose(both.corrected(bench.base), fine)
+    assert np.allclose(both.corrected(coarse), fine_with)
+    # Half of an effect has half of its error, at any modulus.
+    half = 0.5 * (bench.base + coarse)
+    assert np.allclose(both.corrected(half), 0.5 * (fine + fine_with))
+    forces = ~bench.layout.of_markers()
+    doubled = np.where(forces, 2.0 * coarse, coarse)
+    assert np.allclose(both.corrected(doubled, 2.0), np.where(forces, 2.0 * fine_with, fine_with))
+    assert plain.with_effect(bench.base, bench.base, fine, std) is plain
+    again = both.with_effect(bench.base, coarse, fine_with, std)
+    assert np.allclose(again.corrected(half), both.corrected(half))
+
+
+def test_forces_may_be_off_in_every_component_as_meshes_differ_in_any(bench):
+    errors = np.zeros((2, bench.layout.size))
+    pads = [(part, part.forces(bench.base)[:, 0]) for part in bench.layout.parts if part.pads]
+    for part, force in pads:
+        part.forces(errors)[:, :, 0, 0] = 0.03 * np.linalg.norm(force, axis=1)
+    made = make_nuisances(bench, errors)
+    for part, force in pads:
+        strength = np.linalg.norm(force, axis=1)
+        top = load_history(part, bench.base) > 0.5
+        size = MESH_SHARE * np.sqrt(((0.03 * strength[top] / strength.max()) ** 2).mean() / 3.0)
+        for axis in range(3):
+            column = made.columns[made.names.index(f"mesh {part.name} {part.pads[0]} {axis}")]
+            assert np.allclose(part.forces(column)[:, 0, axis], size * strength)
+
+
+def test_an_inclusion_is_as_stiff_or_soft_as_its_knobs_say(bench):
+    variant = Variant("", np.zeros((1, bench.layout.size)), {"centre": (14.0, 9.0, 26.0), "radius": 8.0})
+    stiff, soft = (CAUSES["inclusion"].knobs(bench, variant, np.array([a])) for a in (0.4, -0.4))
+    for knobs, expected in ((stiff, 1.0 + 0.6 / 0.76), (soft, 1.0 - 0.6 / 1.24)):
+        (effect,) = knobs.effects(knobs.start, 10.0)
+        assert effect.contrast == pytest.approx(expected)
+        assert knobs.values(knobs.start, 10.0)["contrast"] == effect.contrast
+        assert effect.centre_mm == (14.0, 9.0, 26.0)
+    far = np.array([14.0, 9.0, 26.0, np.log(8.0), 9.0])
+    assert 0.0 < soft.values(far, 10.0)["contrast"] < 0.01
 
 
 def test_every_cause_that_fits_has_columns_of_its_own(bench):

@@ -16,6 +16,7 @@ from tissuereg.diagnose.tangents import State, Tangents
 from tissuereg.effects import Effect, extended
 from tissuereg.errors import ConvergenceError, ExperimentError, SupportError
 from tissuereg.experiment import Experiment
+from tissuereg.simulate.fine import FineModel
 from tissuereg.simulate.memory import goes_through_time
 from tissuereg.simulate.sensitivity import Cause, Field
 
@@ -56,6 +57,11 @@ class Bench:
     def base(self) -> FloatArray:
         """What the believed model says, shape (size,)."""
         return self.predictor.predict()
+
+    @cached_property
+    def fine(self) -> FineModel:
+        """The believed model on a fine mesh."""
+        return FineModel(self.experiment)
 
     @cached_property
     def is_elastic(self) -> bool:

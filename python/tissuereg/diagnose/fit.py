@@ -32,7 +32,7 @@ SHARES = (1.0, 0.4, 0.15, 0.05)
 LONGEST = 1.5
 
 #: Effects whose answer is no multiple of the modulus.
-_ABSOLUTE = ("gravity", "reference", "stiffness")
+ABSOLUTE = ("gravity", "reference", "stiffness")
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,22 +134,24 @@ class Fit:
         )
 
     def values(self, number: int, believed: float) -> tuple[Values, Values]:
-        """Return the parameters of one part and their standard deviations, by linear propagation."""
+        """Return the parameters of one part and their standard deviations.
+
+        Each principal axis of the knobs' covariance is followed for one deviation to both sides: a parameter that is no
+        straight function of its knob has the larger deviation that the farther side gives it.
+        """
         part, mine = self.parts[number], self.slices()[number]
         young = self.young(believed)
         centre = part.knobs.values(self.x[mine], young)
-        moved = [part.knobs.values(self.x[mine] + 1e-4 * axis, young) for axis in np.eye(len(part.knobs.start))]
+        axes = _principal_axes(self.covariance[mine, mine], self.deviation[mine])
+        moved = [part.knobs.values(self.x[mine] + axis, young) for axis in (*axes, *-axes)]
         spread: Values = {}
-        covariance = self.covariance[mine, mine]
         for key, value in centre.items():
             if _is_text(value):
                 continue
-            slopes = np.array([(np.asarray(m[key], float) - np.asarray(value, float)) / 1e-4 for m in moved])
-            deviation = (
-                np.sqrt(np.maximum(np.einsum("i...,ij,j...->...", slopes, covariance, slopes), 0.0))
-                if len(moved)
-                else 0.0 * np.asarray(value, float)
-            )
+            power = np.zeros(np.shape(value))
+            for other in moved:
+                power = power + 0.5 * (np.asarray(other[key], float) - np.asarray(value, float)) ** 2
+            deviation = np.sqrt(power)
             spread[key] = deviation.tolist() if np.ndim(value) else float(deviation)
         return centre, spread
 
@@ -258,7 +260,7 @@ class _Solver:
         self.mean = np.concatenate([[0.0], *(part.knobs.mean for part in parts)])
         self.deviation = np.concatenate([[target.bench.young_spread], *(part.knobs.deviation for part in parts)])
         self.steps = np.concatenate([[0.02], *(part.knobs.step for part in parts)])
-        self.scales = target.bench.scales_forces and not any(part.id in _ABSOLUTE for part in parts)
+        self.scales = target.bench.scales_forces and not any(part.id in ABSOLUTE for part in parts)
         layout = target.bench.layout
         self.measured = np.where(layout.seen, layout.measured, 0.0)
         self.seen = layout.seen
@@ -351,6 +353,12 @@ class _Solver:
         information = slopes @ slopes.T + np.diag(1.0 / self.deviation**2)
         gradient = slopes @ reduced - (x - self.mean) / self.deviation**2
         return np.asarray(np.linalg.solve(information, gradient))
+
+
+def _principal_axes(covariance: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Return the axes of a covariance, each one deviation long, rows; principal in units of the prior's deviations."""
+    power, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
+    return np.asarray((np.sqrt(np.maximum(power, 0.0)) * axes * deviation[:, None]).T)
 
 
 def _is_text(value: object) -> bool:

@@ -102,9 +102,12 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
         for i, pad in enumerate(part.pads):
             strength = np.linalg.norm(part.forces(bench.base)[:, i], axis=1)
             errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
+            # A pad on a curved body is tilted otherwise on every mesh: what they differ by in one component of its
+            # force they may be off in another.
+            size = max(_differ(errors), FORCE_LEFT)
             for axis, column in enumerate(force_columns(layout, part, i, strength)):
                 names.append(f"mesh {part.name} {pad} {axis}")
-                columns.append(max(_differ(errors[..., axis]), FORCE_LEFT) * column)
+                columns.append(size * column)
     for name, column in (*_trials(bench, patterns), *_at_rims(bench, mesh_errors), *_gains(bench)):
         names.append(name)
         columns.append(column)

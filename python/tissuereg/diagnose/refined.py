@@ -1,6 +1,7 @@
-"""What the believed model says on finer meshes: one that corrects the user's, and others that tell how good it is."""
+"""What a model says on finer meshes: one that corrects the user's, and others that tell how good it is."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ from tissuereg.diagnose.bank import MOST_FILES
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.predictor import refuse_failures
 from tissuereg.diagnose.signals import Layout
-from tissuereg.experiment import Experiment
+from tissuereg.effects import Effect, extended
 from tissuereg.io.cache import keep_in_cache
 from tissuereg.simulate.experiment import CaseSimulation
 from tissuereg.simulate.fine import FineModel, third_meshes
+from tissuereg.simulate.memory import goes_through_time
 
 #: Finer meshes beside the one that corrects.
 THIRDS = 3
@@ -77,7 +79,7 @@ def refined_predictions(
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
         return kept[0], kept[1:]
     found = []
-    for number, model in enumerate(_models(bench.experiment, thirds)):
+    for number, model in enumerate(_models(bench, thirds)):
         if progress is not None:
             progress("fine mesh" if number == 0 else f"other mesh {number}")
         found.append(flat_of(bench.layout, model.simulate(threads=bench.predictor.threads)))
@@ -87,9 +89,36 @@ def refined_predictions(
     return made[0], made[1:]
 
 
-def _models(experiment: Experiment, thirds: int) -> Iterator[FineModel]:
-    yield FineModel(experiment)
-    yield from third_meshes(experiment, thirds, seed=0)
+def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | None:
+    """Return what the believed model with further effects says on the fine mesh.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    effects : sequence of Effect
+        Beside those of the experiment.
+
+    Returns
+    -------
+    ndarray of float64, shape (size,), or None
+        mm and mN. None where frames depend on those before: hours on a fine mesh, and what a body remembers of a load
+        has the error of the load's own answer, which the believed model's correction carries.
+
+    Raises
+    ------
+    ConvergenceError
+        If a frame finds no equilibrium.
+    """
+    every = (*bench.experiment.effects, *effects)
+    if goes_through_time(extended(replace(bench.experiment, effects=every), bench.predictor.element)):
+        return None
+    return flat_of(bench.layout, bench.fine.simulate(every, threads=bench.predictor.threads))
+
+
+def _models(bench: Bench, thirds: int) -> Iterator[FineModel]:
+    yield bench.fine
+    yield from third_meshes(bench.experiment, thirds, seed=0)
 
 
 def _read(path: Path) -> FloatArray | None:

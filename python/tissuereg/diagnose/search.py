@@ -11,6 +11,7 @@ from tissuereg.diagnose.evidence import Null, fit_amplitudes
 from tissuereg.diagnose.fit import Fit, Part, Target, choices_of, fit
 from tissuereg.diagnose.nuisances import effect_nuisances
 from tissuereg.diagnose.proof import BEFORE, GENERIC, NAMED, HeldOut, blocks_for, held_out, linear_model
+from tissuereg.diagnose.recorrect import recorrected
 from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
 
@@ -160,7 +161,11 @@ def search(
         steps.append(Step(screened, candidates, found, proof))
         if found is None:
             break
-        # What was found has an error of its own, beside which further causes must stand.
+        # What was found has an error of its own: that of the mesh is put right, and what is left of it and of the form
+        # stands beside further causes.
+        if progress is not None:
+            progress(f"fine mesh with {' + '.join(found.fit.ids)}")
+        plain = recorrected(plain, found.fit)
         change = effect_nuisances(target.bench, found.fit.prediction - base.prediction)
         target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, plain.white(change)])))
         again = fit(target, found.fit.parts, start=found.fit.x)

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit, three
 from tissuereg.effects import Inclusion
 from tissuereg.mesh import Mesh
 
@@ -21,6 +21,9 @@ SPACING = 1.3
 
 #: Prior deviation of contrast - 1 in the linear range; contrast saturates beyond.
 SPREAD = 1.5
+
+#: A fit begins with this much of contrast - 1 at least.
+LEAST_EXCESS = 0.05
 
 
 class InclusionCause(Cause):
@@ -39,7 +42,11 @@ class InclusionCause(Cause):
             yield Variant(f"at {name} radius {radius:.1f}", SPREAD * column[None], settings)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the place, and the logarithms of radius and contrast."""
+        """Return the place, the logarithm of the radius, and how far the contrast is from 1.
+
+        A small ball of high contrast and a large one of low contrast do about the same. Along that valley logarithms of
+        radius and ``contrast - 1`` go straight, that of the contrast does not.
+        """
         centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
         middle = bench.experiment.mesh.nodes.mean(axis=0)
         # Along a slab's depth neither the place nor a step is as large as along the others.
@@ -47,21 +54,25 @@ class InclusionCause(Cause):
         wide, step = np.minimum(0.25 * extent, 0.5 * lengths), np.minimum(0.01 * extent, 0.1 * lengths)
         # A stiff ball in a soft body saturates: its effect is (c - 1) / (1 + 0.4 (c - 1)) for small strain.
         linear = float(np.clip(SPREAD * amplitudes[0], -0.85, 1.8))
-        contrast = 1.0 + linear / max(1.0 - 0.4 * linear, 0.2)
+        excess = linear / max(1.0 - 0.4 * linear, 0.2)
+        strength = float(np.log(max(excess, LEAST_EXCESS))) if excess > 0.0 else logit(-excess)
+
+        def contrast_of(x: FloatArray) -> float:
+            return 1.0 + float(np.exp(x[4])) if excess > 0.0 else 1.0 - logistic(float(x[4]))
 
         def effect(x: FloatArray, young: float) -> tuple[Inclusion]:
             size = float(np.exp(x[3]))
-            return (Inclusion(centre_mm=three(x[:3]), semi_axes_mm=(size, size, size), contrast=float(np.exp(x[4]))),)
+            return (Inclusion(centre_mm=three(x[:3]), semi_axes_mm=(size, size, size), contrast=contrast_of(x)),)
 
         def values(x: FloatArray, young: float) -> Values:
             size = float(np.exp(x[3]))
-            return {"centre_mm": x[:3].tolist(), "semi_axes_mm": [size] * 3, "contrast": float(np.exp(x[4]))}
+            return {"centre_mm": x[:3].tolist(), "semi_axes_mm": [size] * 3, "contrast": contrast_of(x)}
 
         return knobs(
             [
                 *((float(centre[i]), float(middle[i]), float(wide[i]), float(step[i])) for i in range(3)),
                 (float(np.log(radius)), float(np.log(0.065 * extent)), 0.4, 0.05),
-                (float(np.log(contrast)), 0.0, 1.0, 0.05),
+                (strength, 0.0, 1.0, 0.05),
             ],
             effect,
             values,
