@@ -31,7 +31,7 @@ RIM_ERROR, RIM_REACH = 0.02, 0.4
 #: Prior deviation of the gain of every actuator.
 GAIN = 0.003
 
-#: Error of a found cause's form and of its mesh, as a share of what it changes.
+#: Error of a found cause's form and of its fine mesh, as a share of what it changes.
 EFFECT_ERROR = 0.07
 
 
@@ -70,7 +70,8 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
     Nuisances
         Modulus, six of the frame, three of the drift, gains of the actuators. Of the mesh's error, which grows with the
         load, smooth patterns over the markers and the three components of every force, in each case, as large as meshes
-        differ, and markers near the pad at work each on their own. Where stated, what trials of one case differ by.
+        differ (a force in any component), and markers near the pad at work each on their own. Where stated, what trials
+        of one case differ by.
     """
     layout = bench.layout
     names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]

@@ -1,7 +1,8 @@
 """The mesh's error in what was found: the correction of the believed model made right for the fitted one too.
 
-A ball that cuts across the user's elements has an error of its own: on 4,000 nodes a fifth of what it changes, enough
-to move its place by many of the deviations that noise alone would leave.
+A ball that cuts across the user's elements has an error of its own: of one of 8 mm in elements of 5 mm a quarter of
+what it changes. In data without noise that moved its place by 1.9 mm and the fit with its mesh put right by 0.6 mm; the
+fine mesh's own error in the ball is 6 %.
 """
 
 from dataclasses import replace
