@@ -36,9 +36,6 @@ const FAILURES: usize = 3;
 /// Steps that took no more iterations than this are followed by one twice as long.
 const EASY: usize = 12;
 
-/// Time of an evaluation of the forces over that of an iteration.
-const EVALUATION: f64 = 0.4;
-
 /// A turn of the whole body by more than this makes the metric anew, rad.
 const TURN: f64 = 0.3;
 
@@ -213,11 +210,9 @@ impl Path<'_> {
     /// most, ends no later than the setting implies.
     fn work_done(&self) -> f64 {
         let report = &self.workspace.report;
-        let trials = report.evaluations.saturating_sub(report.iterations) as f64;
         match self.problem.settings.method {
             Method::Auto => {
-                report.iterations as f64
-                    + EVALUATION * trials
+                report.work_of_iterations()
                     + report.factorisations as f64 * iterations_per_factor(self.problem)
             }
             Method::Newton | Method::QuasiNewton => report.iterations as f64,

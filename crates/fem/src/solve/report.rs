@@ -1,5 +1,8 @@
 //! What a solve returns.
 
+/// Time of an evaluation of the forces over that of an iteration.
+const EVALUATION: f64 = 0.4;
+
 /// Equilibrium of a body under a load.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
@@ -47,6 +50,14 @@ pub struct SolveReport {
     pub min_det_f: f64,
     /// Where the time went.
     pub seconds: StageSeconds,
+}
+
+impl SolveReport {
+    /// Time of the iterations so far, trials included and factors not, in iterations.
+    pub(super) fn work_of_iterations(&self) -> f64 {
+        let trials = self.evaluations.saturating_sub(self.iterations) as f64;
+        self.iterations as f64 + EVALUATION * trials
+    }
 }
 
 /// Seconds by stage.
