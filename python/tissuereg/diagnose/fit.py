@@ -25,6 +25,9 @@ from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, S
 MOST_ITERATIONS = 12
 LEAST_GAIN = 0.2
 
+#: Iterations still to come gain together no more than this many times the last one.
+GAINS_LEFT = 3
+
 #: Shares of a step that are tried.
 SHARES = (1.0, 0.4, 0.15, 0.05)
 
@@ -202,7 +205,7 @@ def fit(
         step = solver.step(x, slopes, reduced)
         step *= min(1.0, LONGEST / max(float(np.abs(step / solver.deviation).max()), 1e-12))
         gained, was_exact = 0.0, exact
-        for share in SHARES:
+        for share in SHARES if solver.promised(step, slopes) > LEAST_GAIN else ():
             trial = solver.predict(x + share * step)
             if trial is None:
                 continue
@@ -214,13 +217,16 @@ def fit(
                 x, prediction, objective, reduced = x + share * step, trial, value, rest
                 solver.start_from(x)
                 break
+            if value < objective + LEAST_GAIN:
+                # A shorter step gains no more.
+                break
         if gained < LEAST_GAIN:
             if exact or objective > hopeless:
                 break
             jacobian, exact = solver.jacobian(x, prediction), True
-        elif objective - left * gained > hopeless:
+        elif objective - min(left, GAINS_LEFT) * gained > hopeless:
             # Iterations gain less and less: with a derivative that was exact this one will not arrive.
-            if was_exact:
+            if was_exact or objective - left * gained > hopeless:
                 break
             jacobian, exact = solver.jacobian(x, prediction), True
         slopes = solver.reduced(jacobian)
@@ -348,6 +354,12 @@ class _Solver:
     def reduced(self, rows: FloatArray) -> FloatArray:
         """Return derivatives whitened and reduced."""
         return self.target.null.reduced(self.target.white(rows))
+
+    def promised(self, step: FloatArray, slopes: FloatArray) -> float:
+        """Return by how much a step lowers the objective, as far as derivatives tell."""
+        prior = step / self.deviation
+        along = step @ slopes
+        return float(0.5 * along @ along + 0.5 * prior @ prior)
 
     def step(self, x: FloatArray, slopes: FloatArray, reduced: FloatArray) -> FloatArray:
         information = slopes @ slopes.T + np.diag(1.0 / self.deviation**2)
