@@ -239,6 +239,8 @@ impl<B: Blocks> Work<'_, B> {
                     || self.children(low, low_slots, scratch),
                     || self.children(high, high_slots, &mut Scratch::default()),
                 );
+                // The fronts above are few and larger than what these needed.
+                scratch.spares = Spares::default();
                 let mut all = first?;
                 all.extend(second?);
                 Ok(all)
