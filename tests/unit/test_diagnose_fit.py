@@ -104,6 +104,37 @@ def test_a_fine_mesh_is_not_asked_for_what_remembers(of_two):
     assert refined_effects(of_two.bench, [Relaxation(g=(0.3,), tau_s=(2.0,))]) is None
 
 
+def predictions_of(target, monkeypatch, work):
+    """Return what some work gives, and how many models it asked for."""
+    asked = []
+    predict = target.bench.predictor.predict
+    with monkeypatch.context() as patched:
+        patched.setattr(target.bench.predictor, "predict", lambda *a, **k: (asked.append(a), predict(*a, **k))[1])
+        found = work()
+    return found, len(asked)
+
+
+def test_a_fit_that_begins_at_its_end_asks_for_its_derivative_alone(of_two, monkeypatch):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    found = fit(of_two, parts)
+    again, asked = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=found.x))
+    assert asked == 1 + len(found.x) - 1  # the start, and one a knob: the modulus scales forces
+    np.testing.assert_array_equal(again.x, found.x)
+
+
+def test_a_fit_that_cannot_arrive_ends_early(of_two, monkeypatch):
+    wrong = [part(of_two, "latency")]
+    both = fit(of_two, [part(of_two, "poisson"), *wrong])
+    whole, asked = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong))
+    assert whole.objective > both.objective + 100.0
+    early, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong, hopeless=both.objective + 30.0))
+    assert fewer < asked
+    assert early.objective > both.objective + 30.0
+    # One that can arrive is not given up.
+    right = fit(of_two, [part(of_two, "poisson"), *wrong], hopeless=both.objective + 1.0)
+    assert abs(right.objective - both.objective) < 0.3
+
+
 def test_a_hopeless_fit_keeps_its_objective_and_saves_the_last_derivative(of_two):
     parts = [part(of_two, "poisson")]
     exact, saved = fit(of_two, parts), fit(of_two, parts, hopeless=-1.0)
