@@ -12,12 +12,14 @@ import functools
 import importlib
 import json
 import multiprocessing
+import multiprocessing.process
 import os
 import shlex
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -206,13 +208,26 @@ def answer_all(questions: list[Question], work: Path, jobs: int) -> Iterator[tup
     for question in questions:
         by_case.setdefault(question.case, []).append(question)
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, context, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL))
+    pool = ProcessPoolExecutor(jobs, context, initializer=follow_parent)
     try:
         told = [pool.submit(_diagnose_case, some, work, 0 if jobs == 1 else 1) for some in by_case.values()]
         for done in as_completed(told):
             yield from done.result()
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def follow_parent() -> None:
+    """Let this worker end with Ctrl-C, and with the process that made it, however that ends."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
+
+
+def _end_after(parent: multiprocessing.process.BaseProcess) -> None:
+    parent.join()
+    os._exit(1)
 
 
 def _diagnose_case(questions: list[Question], work: Path, threads: int) -> list[tuple[Question, dict]]:
