@@ -25,6 +25,9 @@ from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, S
 MOST_ITERATIONS = 12
 LEAST_GAIN = 0.2
 
+#: Decrease below which a step is not tried; what is left then moves no knob by more than a fifth of its deviation.
+LEAST_PROMISE = 0.02
+
 #: Iterations still to come gain together no more than this many times the last one.
 GAINS_LEFT = 3
 
@@ -205,7 +208,7 @@ def fit(
         step = solver.step(x, slopes, reduced)
         step *= min(1.0, LONGEST / max(float(np.abs(step / solver.deviation).max()), 1e-12))
         gained, was_exact = 0.0, exact
-        for share in SHARES if solver.promised(step, slopes) > LEAST_GAIN else ():
+        for share in SHARES if solver.promised(step, slopes) > LEAST_PROMISE else ():
             trial = solver.predict(x + share * step)
             if trial is None:
                 continue
