@@ -120,11 +120,7 @@ class Fit:
 
     def slices(self) -> list[slice]:
         """Return where the knobs of every part lie in `x`."""
-        found, at = [], 1
-        for part in self.parts:
-            found.append(slice(at, at + len(part.knobs.start)))
-            at += len(part.knobs.start)
-        return found
+        return slices_of(self.parts)
 
     def young(self, believed: float) -> float:
         """Return the fitted modulus in kPa."""
@@ -258,6 +254,25 @@ def choices_of(cause: str, variants: Sequence[Variant]) -> int:
     return max(1, len({tuple(str(v.settings.get(key)) for key in keys) for v in variants}))
 
 
+def slices_of(parts: Sequence[Part]) -> list[slice]:
+    """Return where the knobs of every part lie in the coordinates, behind the modulus."""
+    found, at = [], 1
+    for part in parts:
+        found.append(slice(at, at + len(part.knobs.start)))
+        at += len(part.knobs.start)
+    return found
+
+
+def bodily(parts: Sequence[Part], x: FloatArray, young: float) -> list[Effect]:
+    """Return the effects of all parts that are more than columns, at coordinates (k,), on a modulus in kPa."""
+    return [
+        effect
+        for part, mine in zip(parts, slices_of(parts), strict=True)
+        if part.knobs.columns is None
+        for effect in part.knobs.effects(x[mine], young)
+    ]
+
+
 class _Solver:
     """Objective, derivative and step of one fit."""
 
@@ -279,12 +294,9 @@ class _Solver:
     def predict(self, x: FloatArray) -> FloatArray | None:
         bench, factor = self.target.bench, self.factor(x)
         linear = np.zeros(len(self.measured))
-        at = 1
-        for part in self.parts:
-            mine = x[at : at + len(part.knobs.start)]
-            at += len(mine)
+        for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
             if part.knobs.columns is not None:
-                linear += mine @ part.knobs.columns
+                linear += x[mine] @ part.knobs.columns
         try:
             effects = self.effects(x)
             if not effects and (self.scales or factor == 1.0):
@@ -305,15 +317,7 @@ class _Solver:
 
     def effects(self, x: FloatArray) -> list[Effect]:
         """Return the effects of all parts that are more than columns."""
-        unit = self.target.bench.young * (1.0 if self.scales else self.factor(x))
-        found: list[Effect] = []
-        at = 1
-        for part in self.parts:
-            mine = x[at : at + len(part.knobs.start)]
-            at += len(mine)
-            if part.knobs.columns is None:
-                found += part.knobs.effects(mine, unit)
-        return found
+        return bodily(self.parts, x, self.target.bench.young * (1.0 if self.scales else self.factor(x)))
 
     def start_from(self, x: FloatArray) -> None:
         """Seek what follows near what was just predicted."""

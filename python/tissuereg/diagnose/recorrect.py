@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissuereg.diagnose.fit import ABSOLUTE, Fit, Target
+from tissuereg.diagnose.fit import ABSOLUTE, Fit, Target, bodily
 from tissuereg.diagnose.refined import refined_effects
-from tissuereg.effects import ChainEffect, Effect
+from tissuereg.effects import ChainEffect
 from tissuereg.errors import ConvergenceError, ExperimentError, MeshError, SupportError
 
 
@@ -34,11 +34,8 @@ def recorrected(target: Target, found: Fit) -> Target:
     bench = target.bench
     if not bench.scales_forces or any(part.id in ABSOLUTE for part in found.parts):
         return target
-    effects: list[Effect] = []
-    for part, mine in zip(found.parts, found.slices(), strict=True):
-        # What is linear in the fit stays so.
-        if part.knobs.columns is None:
-            effects += part.knobs.effects(found.x[mine], bench.young)
+    # What is linear in the fit stays so.
+    effects = bodily(found.parts, found.x, bench.young)
     if all(isinstance(effect, ChainEffect) for effect in effects):
         return target
     try:
