@@ -85,15 +85,6 @@ impl Rig {
             }
         };
         let mesh = super::mesh_of(py, nodes, tets)?;
-        let (n_tets, n_points) = (Some(mesh.n_tets()), Some(element.n_points()));
-        let moduli: [&[Option<usize>]; 3] = [&[Some(1)], &[n_tets], &[n_tets, n_points]];
-        let young = View::<f64>::new("young", young, &moduli)?;
-        let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
-        let mut material = law
-            .map_or(&Law::default(), |law| law)
-            .material(element, mesh.n_tets(), young.slice(), poisson.slice())
-            .map_err(mapped)?;
-        errors::warn_of_locking(py, element, [&material].into_iter(), poisson.slice())?;
         let skins: Vec<Skin> = skins
             .iter()
             .map(|(triangles, numbers)| {
@@ -102,9 +93,8 @@ impl Rig {
                 Ok(Skin { triangles, thickness, young, poisson })
             })
             .collect::<PyResult<_>>()?;
-        for skin in &skins {
-            material = material.with_skin(skin.clone()).map_err(mapped)?;
-        }
+        let substance = Substance { law, element, points: [mesh.n_tets(), element.n_points()] };
+        let material = substance.material(py, young, poisson, &skins)?;
         let springs: Vec<Springs> = springs
             .iter()
             .map(|(triangles, numbers)| {
@@ -200,20 +190,9 @@ impl Rig {
                 "a hung one",
             ));
         }
-        let [tets, points] = self.sizes.points;
-        let moduli: [&[Option<usize>]; 3] =
-            [&[Some(1)], &[Some(tets)], &[Some(tets), Some(points)]];
-        let young = View::<f64>::new("young", young, &moduli)?;
-        let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
-        let element = self.sizes.element;
-        let mut material = law
-            .map_or(&Law::default(), |law| law)
-            .material(element, tets, young.slice(), poisson.slice())
-            .map_err(mapped)?;
-        errors::warn_of_locking(py, element, [&material].into_iter(), poisson.slice())?;
-        for skin in &self.skins {
-            material = material.with_skin(skin.clone()).map_err(mapped)?;
-        }
+        let Sizes { element, points, .. } = self.sizes;
+        let substance = Substance { law, element, points };
+        let material = substance.material(py, young, poisson, &self.skins)?;
         let behaviour = behaviour_of(py, behaviour)?;
         let rig = self.rig.clone();
         let made = py
@@ -332,6 +311,42 @@ impl Rig {
         let watched = move || work(&rig.lock().unwrap_or_else(PoisonError::into_inner), &settings);
         lock::run_watched(py, &cancel, |_| Ok(()), watched)?
             .map_err(|error| errors::from_fem(py, &error, None))
+    }
+}
+
+/// What a rig's material is told by, beside its moduli.
+struct Substance<'a> {
+    law: Option<&'a Law>,
+    element: Element,
+    /// Tets and quadrature points of each.
+    points: [usize; 2],
+}
+
+impl Substance<'_> {
+    /// The material with skins; warns where its elements lock.
+    fn material(
+        &self,
+        py: Python<'_>,
+        young: &Bound<'_, PyAny>,
+        poisson: &Bound<'_, PyAny>,
+        skins: &[Skin],
+    ) -> PyResult<Material> {
+        let mapped = |error: FemError| errors::from_fem(py, &error, None);
+        let [tets, points] = self.points;
+        let moduli: [&[Option<usize>]; 3] =
+            [&[Some(1)], &[Some(tets)], &[Some(tets), Some(points)]];
+        let young = View::<f64>::new("young", young, &moduli)?;
+        let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
+        let mut material = self
+            .law
+            .map_or(&Law::default(), |law| law)
+            .material(self.element, tets, young.slice(), poisson.slice())
+            .map_err(mapped)?;
+        errors::warn_of_locking(py, self.element, [&material].into_iter(), poisson.slice())?;
+        for skin in skins {
+            material = material.with_skin(skin.clone()).map_err(mapped)?;
+        }
+        Ok(material)
     }
 }
 

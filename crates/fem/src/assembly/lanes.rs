@@ -135,16 +135,20 @@ pub(super) fn neo_hookean<S: Simd>(
     let shear = simd.mul_f64s(over_det, mu);
     let pressure = simd.mul_f64s(over_det, simd.mul_f64s(lambda, log));
     let grown = simd.add_f64s(one, trace);
+    // Entries of J h + hᵀ + q I − cof h and of cof F.
+    let inner_and_cofactor = |i: usize, j: usize| {
+        let mut inner = simd.sub_f64s(h[j][i], cofactor[i][j]);
+        let mut cof_f = simd.sub_f64s(cofactor[i][j], h[j][i]);
+        if i == j {
+            inner = simd.add_f64s(inner, q);
+            cof_f = simd.add_f64s(cof_f, grown);
+        }
+        (simd.mul_add_e_f64s(det_f, h[i][j], inner), cof_f)
+    };
     let mut stress = zero;
     for i in 0..3 {
         for j in 0..3 {
-            let mut inner = simd.sub_f64s(h[j][i], cofactor[i][j]);
-            let mut cof_f = simd.sub_f64s(cofactor[i][j], h[j][i]);
-            if i == j {
-                inner = simd.add_f64s(inner, q);
-                cof_f = simd.add_f64s(cof_f, grown);
-            }
-            inner = simd.mul_add_e_f64s(det_f, h[i][j], inner);
+            let (inner, cof_f) = inner_and_cofactor(i, j);
             stress[i][j] = simd.mul_add_e_f64s(shear, inner, simd.mul_f64s(pressure, cof_f));
         }
     }
@@ -166,14 +170,8 @@ pub(super) fn neo_hookean<S: Simd>(
             let third = simd.mul_f64s(splat(-1.0 / 3.0), spread);
             for i in 0..3 {
                 for j in 0..3 {
-                    let mut inner = simd.sub_f64s(h[j][i], cofactor[i][j]);
-                    let mut cof_f = simd.sub_f64s(cofactor[i][j], h[j][i]);
-                    if i == j {
-                        inner = simd.add_f64s(inner, q);
-                        cof_f = simd.add_f64s(cof_f, grown);
-                    }
-                    inner = simd.mul_add_e_f64s(det_f, h[i][j], inner);
-                    inner = simd.mul_add_e_f64s(third, cof_f, inner);
+                    let (inner, cof_f) = inner_and_cofactor(i, j);
+                    let inner = simd.mul_add_e_f64s(third, cof_f, inner);
                     stress[i][j] = simd.mul_add_e_f64s(shear, inner, stress[i][j]);
                 }
             }
