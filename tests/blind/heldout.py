@@ -26,7 +26,11 @@ def by_block(base: Linear, final: Linear, layout: Layout) -> dict[str, list[floa
     """
     cases = {part.name: layout.of_case(part.name) for part in layout.parts}
     # A cause that one case alone shows is proved on frames of it.
-    frames = {name: mask for alone in cases.values() for name, mask in blocks_for(layout, 1.0 * alone[None]).items()}
+    frames = {
+        name: mask
+        for alone in cases.values()
+        for name, mask in blocks_for(layout, 1.0 * alone[None], 1.0 * alone).items()
+    }
     table = {}
     for blocks in (cases, frames):
         left = held_out([base, final], blocks).left

@@ -116,7 +116,9 @@ def test_nuisances_of_the_mesh_go_and_others_stay():
 
 
 def test_a_told_fit_has_no_threshold():
-    assert variants._without_threshold(Nulls(np.zeros((1, 2)), 12.0)).threshold == variants.NO_THRESHOLD
+    assert variants._without_threshold(Nulls(np.zeros((1, 2)), {"layer": 12.0})).thresholds == {
+        "layer": variants.NO_THRESHOLD
+    }
 
 
 def test_ignored_forces_are_not_measured_and_leave_the_bank_where_it_is(experiment):

@@ -134,7 +134,7 @@ def _then(made: Callable, change: Callable) -> Callable:
 
 
 def _without_threshold(nulls: Nulls) -> Nulls:
-    return replace(nulls, threshold=NO_THRESHOLD)
+    return replace(nulls, thresholds=dict.fromkeys(nulls.thresholds, NO_THRESHOLD))
 
 
 def _passed(proof: HeldOut) -> HeldOut:

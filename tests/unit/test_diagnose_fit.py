@@ -169,7 +169,7 @@ def test_what_differs_in_the_tracker_alone_is_solved_once(of_two, monkeypatch):
 def test_a_cause_that_is_not_needed_goes(of_two):
     spare = part(of_two, "scale")
     found = fit(of_two, [part(of_two, "poisson"), spare, part(of_two, "latency")])
-    kept, left = needed(of_two, found, threshold=8.0)
+    kept, left = needed(of_two, found, dict.fromkeys(found.ids, 8.0))
     assert kept.ids == ("poisson", "latency")
     assert left == [0, 2]
     assert without(of_two, kept, 0).log_evidence < kept.log_evidence - 8.0

@@ -126,7 +126,7 @@ def made_up(believed, findings=(), effects=(), **changes):
             "layout": layout,
             "noise": noise,
             "target": target,
-            "threshold": 6.5,
+            "thresholds": {"inclusion": 6.5, "layer": 6.5},
         },
     )
     return replace(answer, **changes)
@@ -321,7 +321,7 @@ def test_every_round_marks_what_it_found(rig, tmp_path):
 
 def test_bars_stand_on_the_right_side_of_the_threshold():
     rows = [{"id": "inclusion", "log_bayes_factor": 7.0}, {"id": "layer", "log_bayes_factor": 6.0}]
-    text = ranking(rows, 6.5, {"inclusion"}, "made up")
+    text = ranking(rows, {"inclusion": 6.5, "layer": 6.5}, {"inclusion"}, "made up")
     bars = [float(x) + float(w) for x, w in re.findall(r"<rect x='([\d.]+)' y='[\d.]+' width='([\d.]+)'", text)]
     line = float(re.search(r"<line x1='([\d.]+)'[^>]*#a3180d", text)[1])
     assert bars[0] > line > bars[1]

@@ -90,7 +90,7 @@ class Diagnosis:
     versions : dict of str to str
         Of the package and what it computes with.
     details : dict
-        What the report draws from: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``threshold``.
+        What the report draws from: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
     """
 
     verdict: str

@@ -4,7 +4,7 @@ A draw has the noise of the measurement, nuisances from their priors, and the er
 nor the one that corrects it: noise alone would set every threshold far too low.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +16,15 @@ from tissuereg.diagnose.nuisances import MESH_SHARE
 from tissuereg.diagnose.screen import UNKNOWN, Screen
 from tissuereg.diagnose.signals import Layout
 
-#: Draws, and the share of them that may pass the threshold.
-DRAWS = 200
-LEVEL = 0.01
+#: Draws, and the share of them in which any cause may pass its threshold.
+DRAWS = 500
+LEVEL = 0.02
+
+#: Shares that are tried for one cause.
+SHARES = 40
 
 #: No threshold lies below this many nats.
-LEAST_THRESHOLD = 8.0
+LEAST_THRESHOLD = 6.0
 
 #: The noise is not known exactly: deviations of its size as a whole, and marker by marker.
 NOISE_SPREAD, MARKER_SPREAD = 0.03, 0.05
@@ -38,18 +41,19 @@ class Nulls:
     ----------
     residuals : ndarray of float64, shape (n, size)
         Whitened and reduced.
-    threshold : float
-        Log Bayes factor that the likeliest cause passes in `LEVEL` of them.
+    thresholds : mapping of str to float
+        Log Bayes factor of every cause that any of them passes in `LEVEL` of the draws: what looks like an error of the
+        mesh must pass more than what looks like none.
     """
 
     residuals: FloatArray
-    threshold: float
+    thresholds: Mapping[str, float]
 
 
 def draw_nulls(
     screen: Screen, null: Null, noise: Noise, layout: Layout, mesh_errors: Sequence[FloatArray], seed: int
 ) -> Nulls:
-    """Return effect-free residuals and the threshold that follows.
+    """Return effect-free residuals and the thresholds that follow.
 
     Parameters
     ----------
@@ -86,5 +90,16 @@ def draw_nulls(
         draws[i] = drawn
     residuals = null.reduced(draws)
     found = screen.many(residuals)
-    top = np.max([values for name, values in found.items() if name != UNKNOWN], axis=0)
-    return Nulls(residuals, max(LEAST_THRESHOLD, float(np.quantile(top, 1.0 - LEVEL))))
+    found.pop(UNKNOWN)
+    return Nulls(residuals, _thresholds(found))
+
+
+def _thresholds(found: Mapping[str, FloatArray]) -> dict[str, float]:
+    """Return what the log Bayes factors (n,) of every cause pass in one share of the draws, in `LEVEL` of them any."""
+    values = np.array(list(found.values()))
+    # At the last share all causes together pass in no more draws, whatever they have in common.
+    for share in LEVEL * np.geomspace(1.0, 1.0 / len(values), SHARES):
+        least = np.maximum(np.quantile(values, 1.0 - share, axis=1), LEAST_THRESHOLD)
+        if (values > least[:, None]).any(axis=0).mean() <= LEVEL:
+            break
+    return dict(zip(found, least.tolist(), strict=True))

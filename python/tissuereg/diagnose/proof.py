@@ -13,7 +13,7 @@ from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.diagnose.fit import Fit, Target
 from tissuereg.diagnose.signals import Layout
 
-#: A cause is proved on a block only where the others tell its knobs: to this share of their prior deviation.
+#: A cause is proved on a case only where the others tell what it does there: all but this share of it, in squares.
 TOLD = 0.5
 
 #: Rows of a cause's proof: the model before it, that with it, the generic rival beside the former, the believed one.
@@ -103,7 +103,7 @@ def held_out(models: list[Linear], blocks: dict[str, BoolArray]) -> HeldOut:
     return HeldOut(tuple(blocks), density, left)
 
 
-def blocks_for(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
+def blocks_for(layout: Layout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
     """Return the blocks on which a cause can be proved.
 
     Parameters
@@ -112,11 +112,14 @@ def blocks_for(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
         Order of the data.
     slopes : ndarray of float64, shape (k, size)
         The cause's whitened columns, over prior deviations.
+    change : ndarray of float64, shape (size,)
+        What the cause changes, whitened.
 
     Returns
     -------
     dict of str to ndarray of bool, shape (size,)
-        Load cases, where the others tell the cause; blocks of frames of the case that shows it, where one alone does.
+        Load cases, where the others tell what the cause does there; blocks of frames of the case that shows it, where
+        one alone does.
     """
     cases = {}
     information = slopes @ slopes.T
@@ -124,12 +127,12 @@ def blocks_for(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
     for part in layout.parts:
         mask = layout.of_case(part.name)
         mine = slopes[:, mask] @ slopes[:, mask].T
-        shown[part.name] = float(np.trace(mine))
+        shown[part.name] = float((change[mask] ** 2).sum())
         if shown[part.name] <= 1.0:
             continue
-        rest = information - mine
-        spread = np.linalg.inv(np.eye(len(rest)) + rest)
-        if np.trace(spread) / len(rest) <= TOLD:
+        # Knobs that nothing tells do no harm where they move nothing.
+        spread = np.linalg.inv(np.eye(len(mine)) + information - mine)
+        if np.trace(spread @ mine) <= TOLD * shown[part.name]:
             cases[part.name] = mask
     if cases:
         return cases

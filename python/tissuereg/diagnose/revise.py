@@ -4,7 +4,7 @@ The cause found first was weighed while the later ones were missing. Each is the
 for those that came close to it when it was found.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -37,8 +37,8 @@ def without(target: Target, current: Fit, part: int) -> Fit | None:
     return fit(target, others, start=np.delete(current.x, np.r_[mine]))
 
 
-def needed(target: Target, current: Fit, threshold: float) -> tuple[Fit, list[int]]:
-    """Return the fit without the causes whose removal costs less than the threshold, and which causes are left.
+def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tuple[Fit, list[int]]:
+    """Return the fit without the causes whose removal costs less than their threshold, and which causes are left.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def needed(target: Target, current: Fit, threshold: float) -> tuple[Fit, list[in
         What is fitted.
     current : Fit
         With all causes.
-    threshold : float
-        Nats.
+    thresholds : mapping of str to float
+        Nats, by id.
 
     Returns
     -------
@@ -57,9 +57,13 @@ def needed(target: Target, current: Fit, threshold: float) -> tuple[Fit, list[in
     left = list(range(len(current.parts)))
     while len(left) > 1:
         fits = [(number, without(target, current, number)) for number in range(len(left))]
-        costs = [(current.log_evidence - f.log_evidence, number, f) for number, f in fits if f is not None]
-        cost, number, fitted = min(costs, key=lambda row: row[0], default=(np.inf, 0, current))
-        if cost >= threshold:
+        spare = [
+            (current.log_evidence - f.log_evidence - thresholds[current.ids[number]], number, f)
+            for number, f in fits
+            if f is not None
+        ]
+        beyond, number, fitted = min(spare, key=lambda row: row[0], default=(np.inf, 0, current))
+        if beyond >= 0.0:
             break
         current = fitted
         del left[number]

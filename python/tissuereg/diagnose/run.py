@@ -1,7 +1,7 @@
 """What the simulation of a body gets wrong, step by step."""
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -77,9 +77,9 @@ def diagnose_body(
     screen = Screen(bank, generic, noise, layout, correction, null)
     nulls = draw_nulls(screen, null, noise, layout, list(others - fine), seed)
     target = Target(bench, noise, correction, rest)
-    found = search(target, screen, nulls.threshold, progress=progress)
+    found = search(target, screen, nulls.thresholds, progress=progress)
     misfit = p_misfit(found.reduced, nulls.residuals, layout)
-    findings = _findings(target, found, nulls.threshold)
+    findings = _findings(target, found, nulls.thresholds)
     if misfit < MISFIT and _explained(target, found, nulls) < EXPLAINED:
         # What was found is at best the nearest thing to what is there.
         findings, found = [], found.taken_back(target)
@@ -108,7 +108,7 @@ def diagnose_body(
             "noise": noise,
             "target": target,
             "nuisances": nuisances,
-            "threshold": nulls.threshold,
+            "thresholds": nulls.thresholds,
         },
     )
 
@@ -147,7 +147,7 @@ def _verdict(findings: list[Finding], misfit: float) -> str:
     return "group" if any(len(finding.group) > 1 for finding in findings) else "named"
 
 
-def _findings(target: Target, found: Search, threshold: float) -> list[Finding]:
+def _findings(target: Target, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
     findings = []
     young = target.bench.young
     for part, step in enumerate(step for step in found.steps if step.found is not None):
@@ -155,7 +155,7 @@ def _findings(target: Target, found: Search, threshold: float) -> list[Finding]:
         assert top is not None  # of those steps
         # Parameters are those of the model with all causes found.
         values, deviations = found.final.values(part, young)
-        close = [other.id for other in step.close(0.5 * SEPARABLE**2) if other.gain > threshold]
+        close = [other.id for other in step.close(0.5 * SEPARABLE**2) if other.gain > thresholds[top.id]]
         chances = _chances(step)
         findings.append(
             Finding(
@@ -163,7 +163,7 @@ def _findings(target: Target, found: Search, threshold: float) -> list[Finding]:
                 group=(top.id, *close)[:MOST_IN_GROUP],
                 probability=chances.get(top.id, 0.0),
                 log_bayes_factor=top.gain,
-                threshold=threshold,
+                threshold=thresholds[top.id],
                 parameters=values,
                 deviations=deviations,
                 held_out=_held_out(target, step),

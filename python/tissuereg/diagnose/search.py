@@ -1,6 +1,6 @@
 """The search for causes: one after another, each proved, each weighed against what else could explain the data."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,12 +23,12 @@ REFITTED = 4
 WITHIN = 10.0
 
 #: Shares of what a cause must pass that its linear evidence must reach to be fitted: alone, and beside others.
-LIKELY, LIKELY_FURTHER = 0.3, 0.5
+LIKELY, LIKELY_FURTHER = 0.4, 0.5
 
 #: Two causes are told apart where their separability passes this; the evidence then differs by half its square.
 SEPARABLE = 4.0
 
-#: A further cause must pass this many times the threshold: what was found before has an error of a form unknown.
+#: A further cause must pass this many times its threshold: what was found before has an error of a form unknown.
 FURTHER = 1.5
 
 #: Gain in log predictive density that a proof asks for.
@@ -121,7 +121,7 @@ class Search:
 
 
 def search(
-    target: Target, screen: Screen, threshold: float, *, progress: Callable[[str], None] | None = None
+    target: Target, screen: Screen, thresholds: Mapping[str, float], *, progress: Callable[[str], None] | None = None
 ) -> Search:
     """Return the causes that data show.
 
@@ -131,8 +131,8 @@ def search(
         What is fitted.
     screen : Screen
         All hypotheses of the bank.
-    threshold : float
-        Log Bayes factor that a cause must pass.
+    thresholds : mapping of str to float
+        Log Bayes factor that every cause must pass.
     progress : callable of str, optional
         Called with what is at work.
 
@@ -146,11 +146,12 @@ def search(
     current, steps, plain = base, [], target
     while len(current.parts) < MOST_CAUSES:
         screened = screen.of(_as_screened(screen, target, current))
-        candidates = _refit(target, screen, screened, current, threshold, progress)
+        asked = _asked(thresholds, current)
+        candidates = _refit(target, screen, screened, current, asked, progress)
         found, proof = None, None
         for candidate in candidates:
-            if candidate.gain < threshold * (FURTHER if current.parts else 1.0):
-                break
+            if candidate.gain < asked[candidate.id]:
+                continue
             tried = _prove(target, screen, base, current, candidate)
             proof = proof or tried
             density = tried.log_density.sum(axis=1)
@@ -173,16 +174,16 @@ def search(
     if len(current.parts) > 1:
         if progress is not None:
             progress("second thoughts")
-        current, steps = _revised(target, screen, base, current, steps, threshold)
+        current, steps = _revised(target, screen, base, current, steps, thresholds)
     return Search(base, current, steps, _null_after(target, current).reduced(current.residual))
 
 
 def _revised(
-    target: Target, screen: Screen, base: Fit, current: Fit, steps: list[Step], threshold: float
+    target: Target, screen: Screen, base: Fit, current: Fit, steps: list[Step], thresholds: Mapping[str, float]
 ) -> tuple[Fit, list[Step]]:
     """Return what is left of several causes once each was taken out again and exchanged for its mates."""
     found = [number for number, step in enumerate(steps) if step.found is not None]
-    current, left = needed(target, current, threshold)
+    current, left = needed(target, current, thresholds)
     found = [found[part] for part in left]
     steps = [step if number in found else replace(step, found=None) for number, step in enumerate(steps)]
     for part, number in enumerate(found):
@@ -203,7 +204,7 @@ def _refit(
     screen: Screen,
     screened: dict[str, Screened],
     current: Fit,
-    threshold: float,
+    asked: Mapping[str, float],
     progress: Callable[[str], None] | None,
 ) -> list[Candidate]:
     """Return the likeliest causes, fitted, likeliest first."""
@@ -214,12 +215,11 @@ def _refit(
     )
     best = screened[order[0]].log_bayes_factor if order else -np.inf
     # Beside a fitted model the linear evidence is nearly that of a fit.
-    asked = threshold * (FURTHER if current.parts else 1.0)
-    least = asked * (LIKELY_FURTHER if current.parts else LIKELY)
+    likely = LIKELY_FURTHER if current.parts else LIKELY
     chosen = [
         name
         for rank, name in enumerate(order)
-        if screened[name].log_bayes_factor > least
+        if screened[name].log_bayes_factor > likely * asked[name]
         and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
     ]
     found: list[Candidate] = []
@@ -233,20 +233,24 @@ def _refit(
         start = np.concatenate([current.x, knobs.start])
         choices = choices_of(name, screen.bank[name])
         best_fit = max((c.fit.log_evidence for c in found), default=-np.inf)
-        hopeless = -max(best_fit - HOPELESS, current.log_evidence + asked)
+        hopeless = -max(best_fit - HOPELESS, current.log_evidence + asked[name])
         fitted = fit(target, [*current.parts, part], start=start, choices=choices, hopeless=hopeless)
         if fitted is not None:
             found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence))
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
+def _asked(thresholds: Mapping[str, float], current: Fit) -> dict[str, float]:
+    """Return the log Bayes factor that every cause must pass beside those found."""
+    return {name: least * (FURTHER if current.parts else 1.0) for name, least in thresholds.items()}
+
+
 def _prove(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
     """Return how models predict what was held out, in the rows that `proof` names."""
     mine = candidate.fit.slices()[part]
     slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
-    if not len(slopes):
-        slopes = target.white(candidate.fit.prediction - current.prediction)[None]
-    blocks = blocks_for(target.bench.layout, slopes)
+    change = target.white(candidate.fit.prediction - current.prediction)
+    blocks = blocks_for(target.bench.layout, slopes if len(slopes) else change[None], change)
     before = linear_model(target, current)
     with_it = linear_model(target, candidate.fit)
     rival = linear_model(target, current, _rival(screen, target, current))

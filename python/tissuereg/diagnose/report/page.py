@@ -114,9 +114,9 @@ frame before says of the noise. Noise alone lies in the green band in {100 * SHA
 def _ranking(found: "Diagnosis") -> str:
     return f"""<h2>All causes that were tried</h2>
 <p>The log Bayes factor says how much better a cause predicts the data than the model without it, the price of its
-freedom included; data without any effect pass the threshold rarely. The axis is linear near 0 and logarithmic beyond;
-bars end at -10. "Size" is the length of what the cause would change, in noise deviations: what it takes to be seen is
-about 8.</p>
+freedom included. Red lines are thresholds, one a cause, which data without any effect pass rarely. The axis is linear
+near 0 and logarithmic beyond; bars end at -10. "Size" is the length of what the cause would change, in noise
+deviations: what it takes to be seen is about 8.</p>
 <p class='key'>{_swatch(AFTER, "found, or tied with what was found")}{_swatch(GENERIC, "not accepted")}</p>
 {rankings(found)}"""
 

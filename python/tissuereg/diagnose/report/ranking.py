@@ -1,4 +1,4 @@
-"""How likely every cause is that was tried: bars of log Bayes factors with the threshold."""
+"""How likely every cause is that was tried: bars of log Bayes factors with their thresholds."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.report import svg
 from tissuereg.diagnose.screen import UNKNOWN
+from tissuereg.diagnose.search import FURTHER
 from tissuereg.report.markup import escape
 
 if TYPE_CHECKING:
@@ -32,40 +33,41 @@ def gloss(cause: str) -> str:
     return ((type(CAUSES[cause]).__doc__ if cause in CAUSES else None) or "").partition("\n")[0].partition(" (`")[0]
 
 
-def threshold_of(found: "Diagnosis") -> float | None:
-    """Return the threshold of the search, None where neither details nor findings tell."""
-    if "threshold" in found.details:
-        return float(found.details["threshold"])
-    return next((finding.threshold for finding in found.findings if finding.id != "stiffness"), None)
+def thresholds_of(found: "Diagnosis") -> dict[str, float]:
+    """Return the thresholds of the first round by cause, those of the findings where details do not tell."""
+    if "thresholds" in found.details:
+        return dict(found.details["thresholds"])
+    return {finding.id: finding.threshold for finding in found.findings if finding.id != "stiffness"}
 
 
 def rankings(found: "Diagnosis") -> str:
     """Return the chart of the first round, and of later ones folded away, HTML."""
-    threshold = threshold_of(found)
+    thresholds = thresholds_of(found)
     search = found.details.get("search")
     steps = [] if search is None else search.steps
     # Findings stand in the order of the steps; only the modulus may stand before them.
     first = max(0, len(found.findings) - sum(step.found is not None for step in steps))
     groups = [set(finding.group) for finding in found.findings[first:]]
     early = found.findings[: first + 1] if steps else found.findings
-    parts = [ranking(found.candidates, threshold, {i for finding in early for i in finding.group}, "First round")]
+    parts = [ranking(found.candidates, thresholds, {i for finding in early for i in finding.group}, "First round")]
+    further = {name: FURTHER * least for name, least in thresholds.items()}
     for number, step in enumerate(steps[1:], start=1):
         before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
         said = f"Round {number + 1}: what else, once {', '.join(map(plain_name, before))} is in the model"
-        chart = ranking(_rows(step, before), threshold, groups[number] if step.found is not None else set(), said)
+        chart = ranking(_rows(step, before), further, groups[number] if step.found is not None else set(), said)
         parts.append(f"<details><summary>{escape(said)}</summary>{chart}</details>")
     return "\n".join(parts)
 
 
-def ranking(rows: Sequence[Mapping[str, Any]], threshold: float | None, named: "set[str]", title: str) -> str:
+def ranking(rows: Sequence[Mapping[str, Any]], thresholds: Mapping[str, float], named: "set[str]", title: str) -> str:
     """Return the bars of one round.
 
     Parameters
     ----------
     rows : sequence of mapping
         As `Diagnosis.candidates`; ``probability`` may be absent.
-    threshold : float or None
-        Drawn as a line.
+    thresholds : mapping of str to float
+        By id; drawn as lines across the bars.
     named : set of str
         Ids that are shown as found.
     title : str
@@ -79,7 +81,8 @@ def ranking(rows: Sequence[Mapping[str, Any]], threshold: float | None, named: "
     if not rows:
         return "<p>No cause has a place in this experiment.</p>"
     values = [float(row["log_bayes_factor"]) for row in rows]
-    most = max([_bent(v) for v in values] + [_bent(threshold or 0.0), 1.0])
+    asked = [thresholds.get(str(row["id"])) for row in rows]
+    most = max([_bent(v) for v in [*values, *(a for a in asked if a is not None)]] + [1.0])
     least = min([_bent(max(v, _LEAST)) for v in values] + [0.0])
     across = svg.Scale(least, most, _LEFT, _WIDTH - _RIGHT)
     bottom = 26.0 + _ROW * len(rows)
@@ -93,13 +96,17 @@ def ranking(rows: Sequence[Mapping[str, Any]], threshold: float | None, named: "
         if least <= _bent(tick) <= most:
             parts.append(svg.upright(across(_bent(tick)), 20.0, bottom, "#e3e6ea"))
             parts.append(svg.text(across(_bent(tick)), bottom + 13.0, f"{tick:g}", "middle", more="font-size='10'"))
-    for i, (row, value) in enumerate(zip(rows, values, strict=True)):
+    for i, (row, value, least_asked) in enumerate(zip(rows, values, asked, strict=True)):
         y = 22.0 + _ROW * i
         found, name = row["id"] in named, str(row["id"])
         colour = svg.AFTER if found else svg.GENERIC
         weight = "font-size='12' font-weight='700'" if found else "font-size='12'"
+        line, told = "", gloss(name)
+        if least_asked is not None:
+            line = svg.upright(across(_bent(least_asked)), y, y + _ROW, "#a3180d", "stroke-width='1.5'")
+            told += f" (threshold {least_asked:.1f})"
         parts.append(
-            f"<g><title>{escape(gloss(name))}</title>"
+            f"<g><title>{escape(told)}</title>"
             + svg.text(_LEFT - 8.0, y + 14.0, plain_name(name), "end", more=weight)
             + svg.bar(across(0.0), y + 3.0, across(_bent(max(value, _LEAST))) - across(0.0), _ROW - 6.0, colour)
             + svg.text(_WIDTH - _RIGHT + 10.0, y + 14.0, f"{value:.1f}", more=weight)
@@ -113,18 +120,10 @@ def ranking(rows: Sequence[Mapping[str, Any]], threshold: float | None, named: "
                 if "detectability" in row
                 else ""
             )
+            + line
             + "</g>"
         )
     parts.append(svg.upright(across(0.0), 20.0, bottom, "#555"))
-    if threshold is not None:
-        parts.append(
-            svg.upright(across(_bent(threshold)), 16.0, bottom, "#a3180d", "stroke-dasharray='5 3' stroke-width='1.5'")
-        )
-        parts.append(
-            svg.text(
-                across(_bent(threshold)), 12.0, f"threshold {threshold:.1f}", "middle", "#a3180d", "font-size='11'"
-            )
-        )
     return svg.picture(_WIDTH, bottom + 20.0, parts, title)
 
 

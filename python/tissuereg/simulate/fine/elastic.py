@@ -21,9 +21,6 @@ _ALONG = 1e-6
 #: Solved states that a guess is drawn through at most: a parabola.
 _MOST_POINTS = 3
 
-#: Iterations with the tangent at rest; what needs more is better off with a state half-way, or with new tangents.
-_MOST_ITERATIONS = 60
-
 #: Residual over load at which a frame counts as solved. It moves markers by some 1e-5 mm and forces by 1e-2 mN.
 TOLERANCE = 1e-4
 
@@ -153,14 +150,12 @@ def _solve(
     settings: dict[str, Any],
 ) -> tuple[FloatArray, FloatArray]:
     """Return the field of all nodes and the reactions in a state."""
-    # The tangent at rest serves as long as it can: a new one costs as much as fifty iterations.
-    light = {"method": "quasi-newton", "max_iterations": _MOST_ITERATIONS, **settings}
     for steps in (1, 2):
         known = list(solved)
         try:
             for share in _shares(state, solved, steps if load.body_force is None else 1):
                 part = load if share == 1.0 else _scaled(load, share)
-                found = simulator.solve(part, material, start=guess(share * state, known), **light)
+                found = simulator.solve(part, material, start=guess(share * state, known), **settings)
                 known.append((share * state, found.all_displacement))
         except (ConvergenceError, LoadError):  # the latter where a guess turns a tet inside out
             continue
