@@ -5,7 +5,7 @@ Blocks are those of `tissuereg.diagnose.proof`: every load case, and every fourt
 
 import numpy as np
 
-from tissuereg.diagnose.proof import Linear, blocks_for, held_out
+from tissuereg.diagnose.proof import Linear, frame_blocks, held_out
 from tissuereg.diagnose.signals import Layout
 
 
@@ -26,11 +26,7 @@ def by_block(base: Linear, final: Linear, layout: Layout) -> dict[str, list[floa
     """
     cases = {part.name: layout.of_case(part.name) for part in layout.parts}
     # A cause that one case alone shows is proved on frames of it.
-    frames = {
-        name: mask
-        for alone in cases.values()
-        for name, mask in blocks_for(layout, 1.0 * alone[None], 1.0 * alone).items()
-    }
+    frames = {name: mask for part in layout.parts for name, mask in frame_blocks(part, layout).items()}
     table = {}
     for blocks in (cases, frames):
         left = held_out([base, final], blocks).left

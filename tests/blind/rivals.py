@@ -204,7 +204,7 @@ def look_at(folder: Path, threads: int, *, fine: bool = False) -> Scene:
     layout = Layout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, threads=threads)
-    correction = Correction(np.ones(layout.size), np.zeros(layout.size), ~layout.of_markers())
+    correction = Correction(layout)
     if fine:
         path = cache_folder() / f"fine_{fingerprint(experiment, 'tet10')}.npy"
         correction = make_correction(layout, bench.base, refined_predictions(bench, path)[0])

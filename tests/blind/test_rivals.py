@@ -49,7 +49,7 @@ def ask(rig, monkeypatch):
         for name, number in hidden:
             measured = measured + LENGTH * noise.whitened(columns[name][number].sum(axis=0), layout)
         free = noise.whitened(np.where(layout.of_markers(), 0.02, 0.0)[None], layout)
-        untouched = Correction(np.ones(layout.size), np.zeros(layout.size), ~layout.of_markers())
+        untouched = Correction(layout)
         bench = SimpleNamespace(base=base, layout=layout, extent=extent)
         scene = rivals.Scene(layout, bench, noise, untouched, measured, Null(free))
         monkeypatch.setattr(rivals, "look_at", lambda folder, threads: scene)

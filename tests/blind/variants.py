@@ -145,7 +145,7 @@ def _passed(proof: HeldOut) -> HeldOut:
 
 
 def _no_correction(layout: Layout, coarse: np.ndarray, fine: np.ndarray) -> Correction:
-    return Correction(np.ones_like(coarse), np.zeros_like(coarse), ~layout.of_markers())
+    return Correction(layout)
 
 
 def _of_noise_alone(draw_nulls: Callable) -> Callable:

@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from tissuereg.diagnose.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
+from tissuereg.diagnose.nulls import LEAST_THRESHOLD, LEVEL, _thresholds
 from tissuereg.diagnose.proof import Linear, held_out
 from tissuereg.diagnose.screen import probabilities
 
@@ -81,3 +82,16 @@ def test_a_held_out_block_is_predicted_by_the_conditional_gaussian(rng):
     assert np.isnan(found.left[0, ~mask]).all()
     constant = 0.5 * mask.sum() * np.log(2.0 * np.pi)
     assert found.log_density[0, 0] == pytest.approx(density(x[mask] - mean, inner) + constant, rel=1e-9)
+
+
+def test_thresholds_share_the_false_alarms_and_ask_most_of_what_nulls_look_like(rng):
+    n = 500
+    mesh = rng.standard_exponential(n)
+    # Two causes follow the error of the mesh, one the noise alone.
+    drawn = {"gain": 5.0 * mesh, "layer": 2.0 * mesh, "latency": rng.standard_exponential(n) - 2.0}
+    asked = _thresholds(drawn)
+    assert asked["latency"] == LEAST_THRESHOLD
+    assert asked["gain"] > 2.0 * asked["layer"] > 2.0 * LEAST_THRESHOLD
+    alarms = np.any([drawn[name] > asked[name] for name in drawn], axis=0)
+    # The two pass together, so that neither pays for the other.
+    assert 0.5 * LEVEL < alarms.mean() <= LEVEL

@@ -12,6 +12,7 @@ from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.fit import Part, Target, fit
 from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import recorrected
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
@@ -32,7 +33,7 @@ def target_of(*effects) -> Target:
     layout.measured[:] = truth + std * rng.standard_normal(layout.size)
     bench = Bench(believed, layout)
     noise = Noise(np.full(len(layout.marker_names), MARKER_STD), 0.0, 0.0, 0.0, 1.0, FORCE_STD, True)
-    same = Correction(np.ones(layout.size), np.zeros(layout.size), ~layout.of_markers())
+    same = Correction(layout)
     return Target(bench, noise, same, Null(np.zeros((0, layout.size))))
 
 
@@ -199,3 +200,23 @@ def test_candidates_close_to_the_one_found_are_counted_from_its_own_round():
     step = Step({}, candidates, Candidate("layer", None, 300.0), None)
     assert [c.id for c in step.close(8.0)] == ["fibre"]
     assert replace(step, found=None).close(8.0) == []
+
+
+def test_figures_are_given_of_cases_where_the_others_tell_what_the_cause_does(of_two):
+    layout = of_two.bench.layout
+    first, second = (layout.of_case(part.name) for part in layout.parts[:2])
+    shared, own = np.where(first | second, 5.0, 0.0), np.where(first, 5.0, 0.0)
+    # One knob that both cases tell.
+    assert list(figure_blocks(layout, shared[None], shared)) == [part.name for part in layout.parts[:2]]
+    # Further ones that nothing tells and that move nothing change neither; a proof wants knobs that are told.
+    idle = np.stack([shared, *np.zeros((2, layout.size))])
+    assert len(figure_blocks(layout, idle, shared)) == 2
+    assert len(proof_blocks(layout, idle)) > 2
+    # A knob of the first case alone: frames of that case are left out.
+    alone = figure_blocks(layout, own[None], own)
+    assert len(alone) > 2
+    assert not any((mask & ~first).any() for mask in alone.values())
+    # What the first case alone shows of two knobs is told nowhere else; what the second shows is.
+    otherwise = 20.0 * own * np.resize([1.0, -1.0], layout.size)
+    both = figure_blocks(layout, np.stack([shared, otherwise]), shared + otherwise)
+    assert list(both) == [layout.parts[1].name]

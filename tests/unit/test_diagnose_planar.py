@@ -117,7 +117,7 @@ def test_stiffening_far_beyond_the_bank_is_fitted():
     experiment = measured_as(strip(), Stiffening(law="fung", b=90.0))
     layout = Layout(experiment)
     bench = Bench(experiment, layout)
-    same = Correction(np.ones(layout.size), np.zeros(layout.size), ~layout.of_markers())
+    same = Correction(layout)
     target = Target(bench, estimate_noise(experiment, layout), same, Null(np.zeros((0, layout.size))))
     cause = CAUSES["stiffening"]
     variant = max(

@@ -85,7 +85,7 @@ def made_up(believed, findings=(), effects=(), **changes):
     layout = Layout(believed)
     noise = estimate_noise(believed, layout)
     bench = Bench(believed, layout)
-    correction = Correction(np.ones(layout.size), np.zeros(layout.size), ~layout.of_markers())
+    correction = Correction(layout)
     target = Target(bench, noise, correction, Null(np.zeros((0, layout.size))))
     generator = np.random.default_rng(3)
     errors = generator.normal(size=(2, layout.size)) * np.array([[0.5], [0.05]])
@@ -98,7 +98,7 @@ def made_up(believed, findings=(), effects=(), **changes):
         found = Candidate(one.id, final, one.log_bayes_factor)
         screened = {"unknown": screened["unknown"], one.id: Screened(9.0, None, np.ones(1))}
         proof = HeldOut(("lean",), np.zeros((4, 1)), np.array([[2.5], [1.0], [2.0], [3.0]]) * np.ones((4, layout.size)))
-        steps.append(Step(screened, [found], found, proof))
+        steps.append(Step(screened, [found], found, proof, proof))
     steps.append(Step(screened, [], None, None))
     answer = Diagnosis(
         verdict="named" if findings else "consistent",

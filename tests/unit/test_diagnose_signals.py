@@ -156,8 +156,11 @@ def test_a_correction_makes_the_coarse_prediction_the_fine_one(bench):
     assert np.allclose(correction.corrected(bench.base), fine)
     forces = ~bench.layout.of_markers()
     doubled = np.where(forces, 2.0 * bench.base, bench.base)
-    assert np.allclose(correction.corrected(doubled)[forces] - fine[forces], (correction.factor * bench.base)[forces])
     assert np.allclose(correction.corrected(doubled, 2.0), np.where(forces, 2.0 * fine, fine))
+    # Forces that are larger for another reason than the modulus have an error as much larger.
+    loaded = forces & (bench.base != 0.0)
+    assert loaded.any()
+    assert np.allclose(correction.corrected(doubled)[loaded], 2.0 * fine[loaded])
 
 
 def test_a_correction_with_an_effect_is_right_with_and_without_it(bench):

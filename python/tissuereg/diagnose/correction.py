@@ -1,11 +1,13 @@
 """The error of the user's mesh, taken from a finer one and put right in every prediction."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissuereg._arrays import BoolArray, FloatArray
+from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.signals import Layout
+from tissuereg.simulate.fine.forces import force_maps
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,39 +35,39 @@ class OfEffect:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What a finer mesh changes: forces by a factor, markers and the rest by a difference.
+    """What a finer mesh changes: markers by a difference, forces by a map a frame.
 
-    A factor, because forces follow modulus and memory as a whole; the error of the markers hangs on motion alone.
+    A map, because forces follow modulus and memory as a whole; the error of the markers hangs on motion alone.
 
     Attributes
     ----------
-    factor : ndarray of float64, shape (size,)
-        One for markers.
-    difference : ndarray of float64, shape (size,)
-        Fine less factor times coarse, mm and mN.
-    force : ndarray of bool, shape (size,)
-        Which entries are forces.
+    layout : Layout
+        Order of all that is corrected.
+    maps : mapping of str to ndarray of float64, shape (n_frames, n_pads, 3, 3)
+        Of the forces of every case; those of other cases stay.
+    difference : ndarray of float64, shape (size,), or 0
+        Fine less mapped, mm and mN.
     modulus : float
         Over the believed one, where derivatives are taken: forces grow with it.
     of_effect : OfEffect, optional
         What was found has an error of its own on the user's mesh.
     """
 
-    factor: FloatArray
-    difference: FloatArray
-    force: BoolArray
+    layout: Layout
+    maps: Mapping[str, FloatArray] = field(default_factory=dict)
+    difference: FloatArray | float = 0.0
     modulus: float = 1.0
     of_effect: OfEffect | None = None
 
     def corrected(self, coarse: FloatArray, modulus: float = 1.0) -> FloatArray:
         """Return predictions (..., size) as the finer mesh would give them; the modulus is over the believed one."""
-        scale = np.where(self.force, modulus, 1.0)
+        scale = self._scale(modulus)
         missing = self.difference if self.of_effect is None else self.difference + self.of_effect.at(coarse / scale)
-        return coarse * self.factor + scale * missing
+        return self._mapped(coarse) + scale * missing
 
     def of_columns(self, columns: FloatArray) -> FloatArray:
         """Return derivatives (..., size) of the believed model as the finer mesh would give them at the modulus."""
-        return columns * (np.where(self.force, self.modulus, 1.0) * self.factor)
+        return self._mapped(columns) * self._scale(self.modulus)
 
     def with_effect(self, base: FloatArray, coarse: FloatArray, fine: FloatArray, std: FloatArray) -> "Correction":
         """Return the correction that is right for the believed model and for one with an effect.
@@ -91,6 +93,17 @@ class Correction:
         plain = replace(self, of_effect=None)
         return replace(plain, of_effect=OfEffect(base, weighed / power, fine - plain.corrected(coarse)))
 
+    def _mapped(self, flat: FloatArray) -> FloatArray:
+        mapped: FloatArray = flat.copy()
+        for part in self.layout.parts:
+            if part.name in self.maps:
+                maps, forces = self.maps[part.name], part.forces(flat)
+                part.forces(mapped)[:] = np.einsum("...j,...ij->...i", forces, maps)
+        return mapped
+
+    def _scale(self, modulus: float) -> FloatArray:
+        return np.asarray(np.where(self.layout.of_markers(), 1.0, modulus))
+
 
 def make_correction(layout: Layout, coarse: FloatArray, fine: FloatArray) -> Correction:
     """Return the correction that carries one prediction into another.
@@ -105,13 +118,13 @@ def make_correction(layout: Layout, coarse: FloatArray, fine: FloatArray) -> Cor
     Returns
     -------
     Correction
-        One factor a case and pad.
+        One map a frame and pad.
     """
-    factor = np.ones(layout.size)
+    maps = {}
     for part in layout.parts:
+        rough, good = part.forces(coarse), part.forces(fine)
+        maps[part.name] = np.zeros((*rough.shape, 3))
         for i in range(len(part.pads)):
-            rough, good = part.forces(coarse)[:, i], part.forces(fine)[:, i]
-            power = float((rough**2).sum())
-            if power > 0.0:
-                part.forces(factor)[:, i] = float((rough * good).sum()) / power
-    return Correction(factor, fine - factor * coarse, ~layout.of_markers())
+            maps[part.name][:, i] = force_maps(rough[:, i], good[:, i])
+    exact = Correction(layout, maps)
+    return replace(exact, difference=fine - exact.corrected(coarse))

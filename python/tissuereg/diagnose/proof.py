@@ -11,10 +11,13 @@ import numpy as np
 
 from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.diagnose.fit import Fit, Target
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnose.signals import CasePart, Layout
 
-#: A cause is proved on a case only where the others tell what it does there: all but this share of it, in squares.
+#: A cause is proved on a case only where the others tell its knobs: to this share of their prior variance.
 TOLD = 0.5
+
+#: Figures are given of a case only where the others tell what the cause does there: all but this share, in squares.
+LEFT_OPEN = 0.75
 
 #: Rows of a cause's proof: the model before it, that with it, the generic rival beside the former, the believed one.
 BEFORE, NAMED, GENERIC, BELIEVED = range(4)
@@ -103,8 +106,33 @@ def held_out(models: list[Linear], blocks: dict[str, BoolArray]) -> HeldOut:
     return HeldOut(tuple(blocks), density, left)
 
 
-def blocks_for(layout: Layout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
-    """Return the blocks on which a cause can be proved.
+def proof_blocks(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
+    """Return the blocks on which a cause can be proved by the density that it gives them.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the data.
+    slopes : ndarray of float64, shape (k, size)
+        The cause's whitened columns, over prior deviations.
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (size,)
+        Load cases, where the others tell the cause; blocks of frames of the case that shows it, where one alone does.
+    """
+    information = slopes @ slopes.T
+    shown = {part.name: float((slopes[:, layout.of_case(part.name)] ** 2).sum()) for part in layout.parts}
+    cases = {}
+    for name, size in shown.items():
+        mask = layout.of_case(name)
+        if size > 1.0 and np.trace(_spread(information, slopes[:, mask])) / len(slopes) <= TOLD:
+            cases[name] = mask
+    return cases or frame_blocks(layout[max(shown, key=lambda name: shown[name])], layout)
+
+
+def figure_blocks(layout: Layout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
+    """Return the blocks on which the best guess of a model with a cause can be better than that of one without.
 
     Parameters
     ----------
@@ -118,33 +146,34 @@ def blocks_for(layout: Layout, slopes: FloatArray, change: FloatArray) -> dict[s
     Returns
     -------
     dict of str to ndarray of bool, shape (size,)
-        Load cases, where the others tell what the cause does there; blocks of frames of the case that shows it, where
-        one alone does.
+        Load cases, where the others tell what the cause does there; blocks of frames of the case in which it does most,
+        where there is none. Knobs that nothing tells do no harm where they move nothing.
     """
-    cases = {}
     information = slopes @ slopes.T
-    shown = {}
-    for part in layout.parts:
-        mask = layout.of_case(part.name)
-        mine = slopes[:, mask] @ slopes[:, mask].T
-        shown[part.name] = float((change[mask] ** 2).sum())
-        if shown[part.name] <= 1.0:
-            continue
-        # Knobs that nothing tells do no harm where they move nothing.
-        spread = np.linalg.inv(np.eye(len(mine)) + information - mine)
-        if np.trace(spread @ mine) <= TOLD * shown[part.name]:
-            cases[part.name] = mask
-    if cases:
-        return cases
-    top = layout[max(shown, key=lambda name: shown[name])]
+    shown = {part.name: float((change[layout.of_case(part.name)] ** 2).sum()) for part in layout.parts}
+    cases = {}
+    for name, size in shown.items():
+        mask = layout.of_case(name)
+        mine = slopes[:, mask]
+        if size > 1.0 and np.trace(_spread(information, mine) @ mine @ mine.T) <= LEFT_OPEN * size:
+            cases[name] = mask
+    return cases or frame_blocks(layout[max(shown, key=lambda name: shown[name])], layout)
+
+
+def frame_blocks(part: CasePart, layout: Layout) -> dict[str, BoolArray]:
+    """Return blocks of frames of one case; every block holds frames from all through it."""
     blocks = {}
-    # Every block holds frames from all through the case.
-    for number in range(min(TIME_BLOCKS, top.n_frames)):
+    for number in range(min(TIME_BLOCKS, part.n_frames)):
         mask = np.zeros(layout.size, bool)
-        part_mask = np.zeros(top.n_frames, bool)
+        part_mask = np.zeros(part.n_frames, bool)
         part_mask[number::TIME_BLOCKS] = True
-        top.markers(mask)[part_mask] = True
-        top.forces(mask)[part_mask] = True
-        whole = top.n_frames == 1
-        blocks[top.name if whole else f"{top.name}, every {TIME_BLOCKS}th frame from {number}"] = mask
+        part.markers(mask)[part_mask] = True
+        part.forces(mask)[part_mask] = True
+        whole = part.n_frames == 1
+        blocks[part.name if whole else f"{part.name}, every {TIME_BLOCKS}th frame from {number}"] = mask
     return blocks
+
+
+def _spread(information: FloatArray, mine: FloatArray) -> FloatArray:
+    """Return the covariance of knobs, over prior deviations, that data without some columns (k, n) leave."""
+    return np.asarray(np.linalg.inv(np.eye(len(mine)) + information - mine @ mine.T))

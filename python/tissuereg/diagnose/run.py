@@ -221,11 +221,12 @@ def _stiffness(target: Target, found: Search) -> Finding | None:
 def _held_out(target: Target, step: Step) -> dict[str, object]:
     """Return the figures of a finding's proof: residuals in mm, and over their noise with forces."""
     assert step.proof is not None  # found causes were proved
+    assert step.figures is not None
     layout, noise = target.bench.layout, target.noise
     markers = layout.of_markers() & layout.seen
-    chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in step.proof.left]
+    chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in step.figures.left]
     typical = float(noise.marker_std.mean())
-    rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in step.proof.left]
+    rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in step.figures.left]
     return {
         "rms_base_mm": rms[BELIEVED],
         "rms_named_mm": rms[NAMED],
@@ -235,7 +236,7 @@ def _held_out(target: Target, step: Step) -> dict[str, object]:
         "chi_named": chi[NAMED],
         "chi_generic": chi[GENERIC],
         "log_density_gain": float(step.proof.log_density[NAMED].sum() - step.proof.log_density[BEFORE].sum()),
-        "cases": list(step.proof.blocks),
+        "cases": list(step.figures.blocks),
     }
 
 

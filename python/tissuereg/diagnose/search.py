@@ -10,7 +10,17 @@ from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.evidence import Null, fit_amplitudes
 from tissuereg.diagnose.fit import Fit, Part, Target, choices_of, fit
 from tissuereg.diagnose.nuisances import effect_nuisances
-from tissuereg.diagnose.proof import BEFORE, GENERIC, NAMED, HeldOut, blocks_for, held_out, linear_model
+from tissuereg.diagnose.proof import (
+    BEFORE,
+    GENERIC,
+    NAMED,
+    HeldOut,
+    Linear,
+    figure_blocks,
+    held_out,
+    linear_model,
+    proof_blocks,
+)
 from tissuereg.diagnose.recorrect import recorrected
 from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
@@ -28,8 +38,9 @@ LIKELY, LIKELY_FURTHER = 0.4, 0.5
 #: Two causes are told apart where their separability passes this; the evidence then differs by half its square.
 SEPARABLE = 4.0
 
-#: A further cause must pass this many times its threshold: what was found before has an error of a form unknown.
-FURTHER = 1.5
+#: A further cause must pass this many times its threshold, and so many nats: what was found before has an error of a
+#: form unknown.
+FURTHER, LEAST_FURTHER = 1.5, 15.0
 
 #: Gain in log predictive density that a proof asks for.
 PROVED = 4.0
@@ -78,12 +89,15 @@ class Step:
         The one that was proved.
     proof : HeldOut or None
         Of the likeliest candidate or the one found; rows as `proof` names them.
+    figures : HeldOut or None
+        Of the one found, on what can be guessed without it being measured; rows as in the proof.
     """
 
     screened: dict[str, Screened]
     candidates: list[Candidate]
     found: Candidate | None
     proof: HeldOut | None
+    figures: HeldOut | None = None
 
     def close(self, nats: float) -> list[Candidate]:
         """Return the candidates within so many nats of the one found, itself left out, likeliest first."""
@@ -146,9 +160,9 @@ def search(
     current, steps, plain = base, [], target
     while len(current.parts) < MOST_CAUSES:
         screened = screen.of(_as_screened(screen, target, current))
-        asked = _asked(thresholds, current)
+        asked = asked_of(thresholds, further=bool(current.parts))
         candidates = _refit(target, screen, screened, current, asked, progress)
-        found, proof = None, None
+        found, proof, figures = None, None, None
         for candidate in candidates:
             if candidate.gain < asked[candidate.id]:
                 continue
@@ -158,8 +172,9 @@ def search(
             proved = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
             if density[NAMED] > density[BEFORE] + proved and density[NAMED] > density[GENERIC]:
                 found, proof = candidate, tried
+                figures = _figures(target, screen, base, current, candidate)
                 break
-        steps.append(Step(screened, candidates, found, proof))
+        steps.append(Step(screened, candidates, found, proof, figures))
         if found is None:
             break
         # What was found has an error of its own: that of the mesh is put right, and what is left of it and of the form
@@ -195,7 +210,8 @@ def _revised(
         if before is not None:
             top = Candidate(current.parts[part].id, current, current.log_evidence - before.log_evidence)
             proof = _prove(target, screen, base, before, top, part)
-            steps[number] = replace(steps[number], found=top, proof=proof)
+            figures = _figures(target, screen, base, before, top, part)
+            steps[number] = replace(steps[number], found=top, proof=proof, figures=figures)
     return current, steps
 
 
@@ -240,21 +256,39 @@ def _refit(
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
-def _asked(thresholds: Mapping[str, float], current: Fit) -> dict[str, float]:
-    """Return the log Bayes factor that every cause must pass beside those found."""
-    return {name: least * (FURTHER if current.parts else 1.0) for name, least in thresholds.items()}
+def asked_of(thresholds: Mapping[str, float], *, further: bool) -> dict[str, float]:
+    """Return the log Bayes factor that every cause must pass, alone or beside others found before."""
+    if not further:
+        return dict(thresholds)
+    return {name: max(FURTHER * least, LEAST_FURTHER) for name, least in thresholds.items()}
 
 
 def _prove(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
-    """Return how models predict what was held out, in the rows that `proof` names."""
+    """Return the densities that models give to what was held out, in the rows that `proof` names."""
+    slopes, _ = _seen(target, current, candidate, part)
+    models = _models(target, screen, base, current, candidate)
+    return held_out(models, proof_blocks(target.bench.layout, slopes))
+
+
+def _figures(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
+    """Return what the same models leave of what was held out, where they can guess it."""
+    slopes, change = _seen(target, current, candidate, part)
+    models = _models(target, screen, base, current, candidate)
+    return held_out(models, figure_blocks(target.bench.layout, slopes, change))
+
+
+def _seen(target: Target, current: Fit, candidate: Candidate, part: int) -> tuple[FloatArray, FloatArray]:
+    """Return a cause's columns (k, size) over prior deviations, and what it changes (size,), whitened."""
     mine = candidate.fit.slices()[part]
     slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
     change = target.white(candidate.fit.prediction - current.prediction)
-    blocks = blocks_for(target.bench.layout, slopes if len(slopes) else change[None], change)
+    return (slopes if len(slopes) else change[None]), change
+
+
+def _models(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate) -> list[Linear]:
     before = linear_model(target, current)
-    with_it = linear_model(target, candidate.fit)
     rival = linear_model(target, current, _rival(screen, target, current))
-    return held_out([before, with_it, rival, linear_model(target, base)], blocks)
+    return [before, linear_model(target, candidate.fit), rival, linear_model(target, base)]
 
 
 def _rival(screen: Screen, target: Target, current: Fit) -> FloatArray:

@@ -45,7 +45,7 @@ def proofs_of(found: "Diagnosis") -> dict[int, "HeldOut"]:
     steps = [step for step in search.steps if step.found is not None] if search is not None else []
     # Findings stand in the order of the steps; only the modulus may stand before them.
     first = len(found.findings) - len(steps)
-    return {first + i: step.proof for i, step in enumerate(steps) if step.proof is not None}
+    return {first + i: step.figures for i, step in enumerate(steps) if step.figures is not None}
 
 
 def gain_words(finding: "Finding") -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.report import svg
 from tissuereg.diagnose.screen import UNKNOWN
-from tissuereg.diagnose.search import FURTHER
+from tissuereg.diagnose.search import asked_of
 from tissuereg.report.markup import escape
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def rankings(found: "Diagnosis") -> str:
     groups = [set(finding.group) for finding in found.findings[first:]]
     early = found.findings[: first + 1] if steps else found.findings
     parts = [ranking(found.candidates, thresholds, {i for finding in early for i in finding.group}, "First round")]
-    further = {name: FURTHER * least for name, least in thresholds.items()}
+    further = asked_of(thresholds, further=True)
     for number, step in enumerate(steps[1:], start=1):
         before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
         said = f"Round {number + 1}: what else, once {', '.join(map(plain_name, before))} is in the model"

@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from tissuereg._arrays import FloatArray
 from tissuereg.experiment import Experiment
 from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.simulate.fine.forces import force_maps
 from tissuereg.simulate.memory import SolvedCase
 
 
@@ -80,18 +79,12 @@ def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> 
     Returns
     -------
     Reading
-        Places get the difference of the two elastic answers. Forces get that of the most loaded frame, times the share
-        of its rough elastic force that the rough force with memory has along it: where the stress has relaxed by half,
-        so has its error.
+        Places get the difference of the two elastic answers, forces the maps between them (`force_maps`).
     """
     forces = {}
     for name, force in rough.forces.items():
-        loaded = int(np.nanargmax(np.linalg.norm(rough_elastic.forces[name], axis=1)))
-        largest = rough_elastic.forces[name][loaded]
-        missing = fine_elastic.forces[name][loaded] - largest
-        size = float(largest @ largest)
-        share = force @ largest / size if size > 0.0 else np.zeros(len(force))
-        forces[name] = force + share[:, None] * missing
+        maps = force_maps(rough_elastic.forces[name], fine_elastic.forces[name])
+        forces[name] = (maps @ force[:, :, None])[:, :, 0]
     lost = dict(rough_elastic.failed) | dict(fine_elastic.failed) | dict(rough.failed)
     return Reading(
         rough.displacement + (fine_elastic.displacement - rough_elastic.displacement),
