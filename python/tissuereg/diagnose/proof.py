@@ -5,6 +5,7 @@ and nuisances given all other data, and the predictive density of the block. A c
 the generic rival there: a patch interpolates, a cause extrapolates (Brynjarsdottir and O'Hagan 2014).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,14 +122,11 @@ def proof_blocks(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
     dict of str to ndarray of bool, shape (size,)
         Load cases, where the others tell the cause; blocks of frames of the case that shows it, where one alone does.
     """
-    information = slopes @ slopes.T
-    shown = {part.name: float((slopes[:, layout.of_case(part.name)] ** 2).sum()) for part in layout.parts}
-    cases = {}
-    for name, size in shown.items():
-        mask = layout.of_case(name)
-        if size > 1.0 and np.trace(_spread(information, slopes[:, mask])) / len(slopes) <= TOLD:
-            cases[name] = mask
-    return cases or frame_blocks(layout[max(shown, key=lambda name: shown[name])], layout)
+
+    def told(mask: BoolArray) -> bool:
+        return bool(np.trace(_spread(slopes, mask)) / len(slopes) <= TOLD)
+
+    return _blocks(layout, (slopes**2).sum(axis=0), told)
 
 
 def figure_blocks(layout: Layout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
@@ -149,15 +147,12 @@ def figure_blocks(layout: Layout, slopes: FloatArray, change: FloatArray) -> dic
         Load cases, where the others tell what the cause does there; blocks of frames of the case in which it does most,
         where there is none. Knobs that nothing tells do no harm where they move nothing.
     """
-    information = slopes @ slopes.T
-    shown = {part.name: float((change[layout.of_case(part.name)] ** 2).sum()) for part in layout.parts}
-    cases = {}
-    for name, size in shown.items():
-        mask = layout.of_case(name)
+
+    def told(mask: BoolArray) -> bool:
         mine = slopes[:, mask]
-        if size > 1.0 and np.trace(_spread(information, mine) @ mine @ mine.T) <= LEFT_OPEN * size:
-            cases[name] = mask
-    return cases or frame_blocks(layout[max(shown, key=lambda name: shown[name])], layout)
+        return bool(np.trace(_spread(slopes, mask) @ mine @ mine.T) <= LEFT_OPEN * (change[mask] ** 2).sum())
+
+    return _blocks(layout, change**2, told)
 
 
 def frame_blocks(part: CasePart, layout: Layout) -> dict[str, BoolArray]:
@@ -174,6 +169,15 @@ def frame_blocks(part: CasePart, layout: Layout) -> dict[str, BoolArray]:
     return blocks
 
 
-def _spread(information: FloatArray, mine: FloatArray) -> FloatArray:
-    """Return the covariance of knobs, over prior deviations, that data without some columns (k, n) leave."""
-    return np.asarray(np.linalg.inv(np.eye(len(mine)) + information - mine @ mine.T))
+def _blocks(layout: Layout, shown: FloatArray, told: Callable[[BoolArray], bool]) -> dict[str, BoolArray]:
+    """Return the cases that show something and that the others tell; frames of the one that shows most if none does."""
+    power = {part.name: float(shown[layout.of_case(part.name)].sum()) for part in layout.parts}
+    masks = {name: layout.of_case(name) for name, size in power.items() if size > 1.0}
+    cases = {name: mask for name, mask in masks.items() if told(mask)}
+    return cases or frame_blocks(layout[max(power, key=lambda name: power[name])], layout)
+
+
+def _spread(slopes: FloatArray, mask: BoolArray) -> FloatArray:
+    """Return the covariance of knobs, over prior deviations, that data without a block leave."""
+    others = slopes[:, ~mask]
+    return np.asarray(np.linalg.inv(np.eye(len(slopes)) + others @ others.T))
