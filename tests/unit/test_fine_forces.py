@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissuereg.simulate.fine.forces import LEAST_LOADED, force_maps
+from tissuereg.simulate.fine.forces import LEAST_LOADED, MOST_CHANGED, force_maps
 
 
 @pytest.fixture
@@ -36,3 +36,9 @@ def test_frames_without_equilibrium_tell_nothing(rough):
 @pytest.mark.parametrize("said", [0.0, np.nan])
 def test_a_pad_that_never_pushes_keeps_its_force(said):
     assert np.array_equal(force_maps(np.full((4, 3), said), np.zeros((4, 3))), np.broadcast_to(np.eye(3), (4, 3, 3)))
+
+
+def test_forces_that_are_another_thing_give_no_wild_ratio(rough):
+    maps = force_maps(rough, -5.0 * rough + 3.0 * rough[:, [1, 0, 2]])
+    assert np.linalg.norm(maps - np.eye(3), ord=2, axis=(1, 2)).max() <= 2.0 * MOST_CHANGED
+    assert np.linalg.eigvals(maps).real.min() == pytest.approx(1.0 - MOST_CHANGED)

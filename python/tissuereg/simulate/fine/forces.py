@@ -7,6 +7,9 @@ from tissuereg._arrays import FloatArray
 #: Frames whose force is less than this share of the largest tell no ratio.
 LEAST_LOADED = 0.02
 
+#: A map changes a force by no more than this share of it along and across: what differs more is no ratio.
+MOST_CHANGED = 0.6
+
 
 def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
     """Return matrices that carry forces on a rough mesh into those on a fine one.
@@ -19,8 +22,8 @@ def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n_frames, 3, 3)
-        ``map @ rough`` is ``fine`` in loaded frames. A frame without load has the map of the least loaded one; all are
-        the identity where nothing is loaded.
+        ``map @ rough`` is ``fine`` in loaded frames, unless they differ by more than `MOST_CHANGED`. A frame without
+        load has the map of the least loaded one; all are the identity where nothing is loaded.
 
     Notes
     -----
@@ -38,6 +41,8 @@ def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
     taken = np.where(loaded, np.arange(len(rough)), least)
     before, after = rough[taken], fine[taken]
     power = (before**2).sum(axis=1)[:, None]
-    along = (before * after).sum(axis=1)[:, None] / power
-    turned = (after - along * before)[:, :, None] * (before / power)[:, None, :]
+    along = np.clip((before * after).sum(axis=1)[:, None] / power, 1.0 - MOST_CHANGED, 1.0 + MOST_CHANGED)
+    across = (after - (before * after).sum(axis=1)[:, None] / power * before) / np.sqrt(power)
+    across *= np.minimum(1.0, MOST_CHANGED / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300))
+    turned = across[:, :, None] * (before / np.sqrt(power))[:, None, :]
     return np.asarray(along[:, :, None] * identity + turned)

@@ -79,12 +79,14 @@ def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> 
     Returns
     -------
     Reading
-        Places get the difference of the two elastic answers, forces the maps between them (`force_maps`).
+        Places get the difference of the two elastic answers, forces the maps between them (`force_maps`) and what maps
+        leave of it.
     """
     forces = {}
     for name, force in rough.forces.items():
-        maps = force_maps(rough_elastic.forces[name], fine_elastic.forces[name])
-        forces[name] = (maps @ force[:, :, None])[:, :, 0]
+        before, after = rough_elastic.forces[name], fine_elastic.forces[name]
+        maps = force_maps(before, after)
+        forces[name] = after + (maps @ (force - before)[:, :, None])[:, :, 0]
     lost = dict(rough_elastic.failed) | dict(fine_elastic.failed) | dict(rough.failed)
     return Reading(
         rough.displacement + (fine_elastic.displacement - rough_elastic.displacement),
