@@ -11,6 +11,8 @@ from tissuereg.diagnose.patterns import force_columns, load_history, marker_colu
 from tissuereg.diagnose.signals import CasePart
 from tissuereg.effects import ActuatorGain
 from tissuereg.effects.base import rotation_from_vector
+from tissuereg.experiment import Experiment
+from tissuereg.simulate.fine.meshing import rim_of
 
 #: Prior deviations of the tracker's frame: shifts in mm, turns in degrees.
 FRAME_SHIFT, FRAME_TURN = 0.02, 0.02
@@ -24,8 +26,8 @@ MESH_SHARE = 0.7
 #: Error of the forces that is expected at least, as a share of them: what fine meshes were found off other solvers.
 FORCE_LEFT = 0.005
 
-#: Error of a marker at the rim of the pad at work, over the pad's motion, and how far from the pad's nodes it fades,
-#: over their extent: stress is singular at a rim, and no mesh resolves it.
+#: Error of a marker at the rim of the pad at work, over the pad's motion, and how far from the patch it fades, over its
+#: extent: stress is singular at a rim, and no mesh resolves it.
 RIM_ERROR, RIM_REACH = 0.02, 0.4
 
 #: Prior deviation of the gain of every actuator.
@@ -136,12 +138,23 @@ def _rim_sizes(bench: Bench, part: CasePart) -> FloatArray:
     experiment = bench.experiment
     sizes = np.zeros(part.n_markers)
     for pad, motion in experiment.cases[part.name].displacements.items():
-        nodes = experiment.mesh.nodes[experiment.actuator(pad).nodes]
-        reach = RIM_REACH * max(float(np.linalg.norm(np.ptp(nodes, axis=0))), 1e-9)
-        away = np.linalg.norm(bench.layout.reference[:, None] - nodes[None], axis=2).min(axis=1)
+        away, extent = _away(experiment, pad, bench.layout.reference)
+        reach = RIM_REACH * max(extent, 1e-9)
         stroke = float(np.linalg.norm(motion, axis=1).max())
         sizes += np.where(away < 2.0 * reach, RIM_ERROR * stroke * np.exp(-away / reach), 0.0)
     return sizes
+
+
+def _away(experiment: Experiment, pad: str, places: FloatArray) -> tuple[FloatArray, float]:
+    """Return how far places (n, 3) lie from a pad's patch, and the patch's extent, mm."""
+    rim = rim_of(experiment.actuator(pad))
+    if rim is not None:
+        # A coarse mesh has few nodes in a ball, and none at its rim.
+        beyond = -rim.depth(places)
+        return np.maximum(beyond, 0.0), float(np.sqrt(8.0)) * rim.radius
+    nodes = experiment.mesh.nodes[experiment.actuator(pad).nodes]
+    away = np.linalg.norm(places[:, None] - nodes[None], axis=2).min(axis=1)
+    return np.asarray(away), float(np.linalg.norm(np.ptp(nodes, axis=0)))
 
 
 def _at_rims(bench: Bench, mesh_errors: FloatArray) -> Iterator[tuple[str, FloatArray]]:
