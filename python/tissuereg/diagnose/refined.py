@@ -102,8 +102,8 @@ def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | Non
     Returns
     -------
     ndarray of float64, shape (size,), or None
-        mm and mN. None where frames depend on those before: hours on a fine mesh, and what a body remembers of a load
-        has the error of the load's own answer, which the believed model's correction carries.
+        mm and mN. None where frames depend on those before: they take minutes on a fine mesh, and what a body remembers
+        of a load has the error of the load's own answer, which the believed model's correction carries.
 
     Raises
     ------

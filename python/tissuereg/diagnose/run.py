@@ -26,7 +26,7 @@ from tissuereg.diagnose.nulls import Nulls, draw_nulls
 from tissuereg.diagnose.proof import BEFORE, BELIEVED, GENERIC, NAMED
 from tissuereg.diagnose.refined import refined_predictions
 from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
-from tissuereg.diagnose.search import SEPARABLE, Search, Step, search
+from tissuereg.diagnose.search import SEPARABLE, Search, Step, asked_of, search
 from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.targets import target_rms
 from tissuereg.effects import Effect, Stiffness
@@ -157,13 +157,14 @@ def _findings(target: Target, found: Search, thresholds: Mapping[str, float]) ->
         values, deviations = found.final.values(part, young)
         close = [other.id for other in step.close(0.5 * SEPARABLE**2) if other.gain > thresholds[top.id]]
         chances = _chances(step)
+        asked = asked_of(thresholds, further=part > 0)
         findings.append(
             Finding(
                 id=top.id,
                 group=(top.id, *close)[:MOST_IN_GROUP],
                 probability=chances.get(top.id, 0.0),
                 log_bayes_factor=top.gain,
-                threshold=thresholds[top.id],
+                threshold=asked[top.id],
                 parameters=values,
                 deviations=deviations,
                 held_out=_held_out(target, step),
