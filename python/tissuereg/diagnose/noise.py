@@ -144,7 +144,8 @@ def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
     spread = 1.4826 * np.median(np.abs(np.concatenate(own)), axis=(0, 2))
     whole = axes * sum(frames for frames, _ in shapes)
     variance, freedom = spread**2 * whole / freedom, 0.37 * freedom
-    pooled, together = float(np.median(variance)), freedom * n_markers
+    # The median marker, not the mean: one may be noisier than the others. It lies below the mean of equal ones.
+    pooled, together = float(np.median(variance)) * freedom / float(chi2.median(freedom)), freedom * n_markers
     marker_std = _believed(stated, np.full(n_markers, np.sqrt(pooled)), pooled * together / stated**2, together)
     # A marker that is noisier than the others.
     marker_std = _believed(marker_std, np.sqrt(variance), variance * freedom / marker_std**2, freedom)
