@@ -26,7 +26,7 @@ def by_block(base: Linear, final: Linear, layout: Layout) -> dict[str, list[floa
     """
     cases = {part.name: layout.of_case(part.name) for part in layout.parts}
     # A cause that one case alone shows is proved on frames of it.
-    frames = {name: mask for part in layout.parts for name, mask in frame_blocks(part, layout).items()}
+    frames = {name: mask for part in layout.parts for name, mask in frame_blocks(layout, part).items()}
     table = {}
     for blocks in (cases, frames):
         left = held_out([base, final], blocks).left

@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.signals import Layout
-from tissuereg.simulate.fine.forces import force_maps
+from tissuereg.simulate.fine.forces import force_maps, mapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +94,11 @@ class Correction:
         return replace(plain, of_effect=OfEffect(base, weighed / power, fine - plain.corrected(coarse)))
 
     def _mapped(self, flat: FloatArray) -> FloatArray:
-        mapped: FloatArray = flat.copy()
+        carried: FloatArray = flat.copy()
         for part in self.layout.parts:
             if part.name in self.maps:
-                maps, forces = self.maps[part.name], part.forces(flat)
-                part.forces(mapped)[:] = np.einsum("...j,...ij->...i", forces, maps)
-        return mapped
+                part.forces(carried)[:] = mapped(part.forces(flat), self.maps[part.name])
+        return carried
 
     def _scale(self, modulus: float) -> FloatArray:
         return np.asarray(np.where(self.layout.of_markers(), 1.0, modulus))

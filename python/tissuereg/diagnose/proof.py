@@ -155,7 +155,7 @@ def figure_blocks(layout: Layout, slopes: FloatArray, change: FloatArray) -> dic
     return _blocks(layout, change**2, told)
 
 
-def frame_blocks(part: CasePart, layout: Layout) -> dict[str, BoolArray]:
+def frame_blocks(layout: Layout, part: CasePart) -> dict[str, BoolArray]:
     """Return blocks of frames of one case; every block holds frames from all through it."""
     blocks = {}
     for number in range(min(TIME_BLOCKS, part.n_frames)):
@@ -174,7 +174,7 @@ def _blocks(layout: Layout, shown: FloatArray, told: Callable[[BoolArray], bool]
     power = {part.name: float(shown[layout.of_case(part.name)].sum()) for part in layout.parts}
     masks = {name: layout.of_case(name) for name, size in power.items() if size > 1.0}
     cases = {name: mask for name, mask in masks.items() if told(mask)}
-    return cases or frame_blocks(layout[max(power, key=lambda name: power[name])], layout)
+    return cases or frame_blocks(layout, layout[max(power, key=lambda name: power[name])])
 
 
 def _spread(slopes: FloatArray, mask: BoolArray) -> FloatArray:

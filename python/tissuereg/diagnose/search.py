@@ -163,16 +163,16 @@ def search(
         asked = asked_of(thresholds, further=bool(current.parts))
         candidates = _refit(target, screen, screened, current, asked, progress)
         found, proof, figures = None, None, None
-        for candidate in candidates:
-            if candidate.gain < asked[candidate.id]:
-                continue
-            tried = _prove(target, screen, base, current, candidate)
+        passing = [candidate for candidate in candidates if candidate.gain >= asked[candidate.id]]
+        beside = _beside(target, screen, base, current) if passing else []
+        for candidate in passing:
+            tried = _prove(target, beside, current, candidate)
             proof = proof or tried
             density = tried.log_density.sum(axis=1)
             proved = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
             if density[NAMED] > density[BEFORE] + proved and density[NAMED] > density[GENERIC]:
                 found, proof = candidate, tried
-                figures = _figures(target, screen, base, current, candidate)
+                figures = _figures(target, beside, current, candidate)
                 break
         steps.append(Step(screened, candidates, found, proof, figures))
         if found is None:
@@ -209,8 +209,9 @@ def _revised(
         before = without(target, current, part)
         if before is not None:
             top = Candidate(current.parts[part].id, current, current.log_evidence - before.log_evidence)
-            proof = _prove(target, screen, base, before, top, part)
-            figures = _figures(target, screen, base, before, top, part)
+            beside = _beside(target, screen, base, before)
+            proof = _prove(target, beside, before, top, part)
+            figures = _figures(target, beside, before, top, part)
             steps[number] = replace(steps[number], found=top, proof=proof, figures=figures)
     return current, steps
 
@@ -263,18 +264,16 @@ def asked_of(thresholds: Mapping[str, float], *, further: bool) -> dict[str, flo
     return {name: max(FURTHER * least, LEAST_FURTHER) for name, least in thresholds.items()}
 
 
-def _prove(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
+def _prove(target: Target, beside: list[Linear], current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
     """Return the densities that models give to what was held out, in the rows that `proof` names."""
     slopes, _ = _seen(target, current, candidate, part)
-    models = _models(target, screen, base, current, candidate)
-    return held_out(models, proof_blocks(target.bench.layout, slopes))
+    return held_out(_models(target, beside, candidate), proof_blocks(target.bench.layout, slopes))
 
 
-def _figures(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
+def _figures(target: Target, beside: list[Linear], current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
     """Return what the same models leave of what was held out, where they can guess it."""
     slopes, change = _seen(target, current, candidate, part)
-    models = _models(target, screen, base, current, candidate)
-    return held_out(models, figure_blocks(target.bench.layout, slopes, change))
+    return held_out(_models(target, beside, candidate), figure_blocks(target.bench.layout, slopes, change))
 
 
 def _seen(target: Target, current: Fit, candidate: Candidate, part: int) -> tuple[FloatArray, FloatArray]:
@@ -285,10 +284,15 @@ def _seen(target: Target, current: Fit, candidate: Candidate, part: int) -> tupl
     return (slopes if len(slopes) else change[None]), change
 
 
-def _models(target: Target, screen: Screen, base: Fit, current: Fit, candidate: Candidate) -> list[Linear]:
-    before = linear_model(target, current)
+def _beside(target: Target, screen: Screen, base: Fit, current: Fit) -> list[Linear]:
+    """Return what any cause is held against: the model before it, the generic rival beside that, the believed one."""
     rival = linear_model(target, current, _rival(screen, target, current))
-    return [before, linear_model(target, candidate.fit), rival, linear_model(target, base)]
+    return [linear_model(target, current), rival, linear_model(target, base)]
+
+
+def _models(target: Target, beside: list[Linear], candidate: Candidate) -> list[Linear]:
+    before, *others = beside
+    return [before, linear_model(target, candidate.fit), *others]
 
 
 def _rival(screen: Screen, target: Target, current: Fit) -> FloatArray:

@@ -41,8 +41,14 @@ def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
     taken = np.where(loaded, np.arange(len(rough)), least)
     before, after = rough[taken], fine[taken]
     power = (before**2).sum(axis=1)[:, None]
-    along = np.clip((before * after).sum(axis=1)[:, None] / power, 1.0 - MOST_CHANGED, 1.0 + MOST_CHANGED)
-    across = (after - (before * after).sum(axis=1)[:, None] / power * before) / np.sqrt(power)
+    ratio = (before * after).sum(axis=1)[:, None] / power
+    along = np.clip(ratio, 1.0 - MOST_CHANGED, 1.0 + MOST_CHANGED)
+    across = (after - ratio * before) / np.sqrt(power)
     across *= np.minimum(1.0, MOST_CHANGED / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300))
     turned = across[:, :, None] * (before / np.sqrt(power))[:, None, :]
     return np.asarray(along[:, :, None] * identity + turned)
+
+
+def mapped(forces: FloatArray, maps: FloatArray) -> FloatArray:
+    """Return forces (..., 3) carried by maps (..., 3, 3)."""
+    return np.asarray(np.einsum("...j,...ij->...i", forces, maps))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from tissuereg._arrays import FloatArray
 from tissuereg.experiment import Experiment
 from tissuereg.observe import MarkerObservation, TargetObservation
-from tissuereg.simulate.fine.forces import force_maps
+from tissuereg.simulate.fine.forces import force_maps, mapped
 from tissuereg.simulate.memory import SolvedCase
 
 
@@ -85,8 +85,7 @@ def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> 
     forces = {}
     for name, force in rough.forces.items():
         before, after = rough_elastic.forces[name], fine_elastic.forces[name]
-        maps = force_maps(before, after)
-        forces[name] = after + (maps @ (force - before)[:, :, None])[:, :, 0]
+        forces[name] = after + mapped(force - before, force_maps(before, after))
     lost = dict(rough_elastic.failed) | dict(fine_elastic.failed) | dict(rough.failed)
     return Reading(
         rough.displacement + (fine_elastic.displacement - rough_elastic.displacement),
