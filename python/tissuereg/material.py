@@ -14,6 +14,7 @@ from tissuereg.errors import MaterialError
 #: Laws that the solver owns, and the names of their shape parameters.
 SHAPE_KEYS: Mapping[str, tuple[str, ...]] = {
     "neo-hookean": (),
+    "bimodular": ("excess",),
     "mooney-rivlin": ("share",),
     "yeoh": ("c2_over_c1", "c3_over_c1"),
     "ogden": ("alpha", "weight"),
@@ -25,6 +26,9 @@ SHAPE_KEYS: Mapping[str, tuple[str, ...]] = {
 
 #: Names of the laws.
 LAWS = tuple(SHAPE_KEYS)
+
+#: Energies of volume change.
+VOLUMETRIC = ("log", "quadratic", "coupled")
 
 #: 1 g/cm^3 under 1 mm/s^2, in mN/mm^3 (1 g/cm^3 = 1e-6 kg/mm^3; 1 kg mm/s^2 = 1 mN).
 MN_PER_MM3 = 1e-6
@@ -62,12 +66,15 @@ class Fibre:
 class Material:
     """A hyperelastic solid: small-strain moduli, and a law that has them whatever its shape.
 
+    A bimodular solid has them where it is compressed in all directions; stretched ones have the excess in addition.
+
     With bars for isochoric invariants and stretches and ``U`` the volumetric energy of the bulk modulus:
 
     ==================== =========================================================== ==============================
     law                  energy density                                              shape
     ==================== =========================================================== ==============================
     neo-hookean          mu/2 (I1 - 3) - mu ln J + U (lambda in place of K)
+    bimodular            neo-hookean + mu excess sum <E_i>^2 of principal strains    excess
     mooney-rivlin        mu/2 ((1 - share) (I1bar - 3) + share (I2bar - 3)) + U      share
     yeoh                 c1 a + c2 a^2 + c3 a^3 + U, a = I1bar - 3, c1 = mu/2        c2_over_c1, c3_over_c1
     ogden                sum 2 mu_p/alpha_p^2 (sum lbar^alpha_p - 3) + U             alpha, weight (1 to 3 terms each)
@@ -76,6 +83,10 @@ class Material:
     st-venant-kirchhoff  lambda/2 (tr E)^2 + mu E : E, E Green-Lagrange strain
     hooke                the same of small strain
     ==================== =========================================================== ==============================
+
+    That is the split form of a law. In the coupled one ``I1 - 3 - 2 ln J`` stands for ``I1bar - 3``,
+    ``I2 - 3 - 4 ln J - 2 (ln J)^2`` for ``I2bar - 3``, ``l^alpha - 1 - alpha ln l`` for ``lbar^alpha - 1`` and lambda
+    for K (what FEBio calls coupled or unconstrained): it is the neo-Hookean law where the shape parameters vanish.
 
     Parameters
     ----------
@@ -91,7 +102,8 @@ class Material:
         Shape parameters of the law, all dimensionless. Ogden's weights are shares of the shear modulus, divided by
         their sum.
     volumetric : str
-        ``"log"``: ``U = K/2 (ln J)^2``; ``"quadratic"``: ``U = K/2 (J - 1)^2``.
+        ``"log"``: ``U = K/2 (ln J)^2``; ``"quadratic"``: ``U = K/2 (J - 1)^2``; ``"coupled"``: the coupled form, with
+        ``U = lambda/2 (ln J)^2``.
     fibre : Fibre, optional
         Fibres beside the law.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg.errors import MaterialError
-from tissuereg.material import Material
+from tissuereg.material import SHAPE_KEYS, Material
 
 #: Deformation of each mode of a test, as the solver names it.
 MODES = {
@@ -225,6 +225,7 @@ class _Family:
 
 _FAMILIES = {
     "neo-hookean": _Family(((),)),
+    "bimodular": _Family(((-0.3,), (1.0,)), -0.95, 1e3),
     "mooney-rivlin": _Family(((0.3,),), 0.0, 1.0),
     "yeoh": _Family(((0.1, 0.01),)),
     "fung": _Family(((0.3,), (5.0,)), 0.0, 1e3),
@@ -364,12 +365,8 @@ class _Problem:
             n = (len(values) + 1) // 2
             shares = np.array([1.0, *values[n:]])
             shape = {"alpha": values[:n], "weight": (shares / shares.sum()).tolist()}
-        elif self.law == "mooney-rivlin":
-            shape = {"share": values[0]}
-        elif self.law == "yeoh":
-            shape = {"c2_over_c1": values[0], "c3_over_c1": values[1]}
-        elif values:
-            shape = {"b": values[0]}
+        else:
+            shape = dict(zip(SHAPE_KEYS[self.law], values, strict=True))
         return replace(self.unit, law=self.law, shape=shape, volumetric=self.volumetric)
 
     def unit_stress(self, x: FloatArray) -> FloatArray:

@@ -18,23 +18,24 @@ from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import recorrected
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
-from tissuereg.diagnose.search import Candidate, Search, Step
+from tissuereg.diagnose.screen import Screened
+from tissuereg.diagnose.search import Candidate, Search, Step, _fit_forms
 from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import ActuatorOffset, Latency, Poisson, Relaxation
+from tissuereg.effects import ActuatorOffset, Latency, Mooney, Poisson, Relaxation
 
 MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
 
 
-def target_of(*effects) -> Target:
+def target_of(*effects, marker_std=MARKER_STD, force_std=FORCE_STD) -> Target:
     """Return what is fitted to data with effects, a stiffer body and noise."""
     believed = rig()
     truth = Bench(believed, Layout(believed)).predictor.predict(effects, young=YOUNG)
     layout = Layout(believed)
     rng = np.random.default_rng(1)
-    std = np.where(layout.of_markers(), MARKER_STD, FORCE_STD)
+    std = np.where(layout.of_markers(), marker_std, force_std)
     layout.measured[:] = truth + std * rng.standard_normal(layout.size)
     bench = Bench(believed, layout)
-    noise = Noise(np.full(len(layout.marker_names), MARKER_STD), 0.0, 0.0, 0.0, 1.0, FORCE_STD, True)
+    noise = Noise(np.full(len(layout.marker_names), marker_std), 0.0, 0.0, 0.0, 1.0, force_std, True)
     same = Correction(layout)
     return Target(bench, noise, same, Null(np.zeros((0, layout.size))))
 
@@ -49,6 +50,21 @@ def part(target, name, amplitude=0.1, **settings):
 @pytest.fixture(scope="module")
 def of_two():
     return target_of(Poisson(poisson=0.3), Latency(latency_s=0.1))
+
+
+@pytest.mark.parametrize("form", ["coupled", "log"])
+def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
+    # Split invariants look like another Poisson's ratio: a mesh without errors tells the two apart.
+    target = target_of(Mooney(law="mooney-rivlin", share=0.5, volumetric=form), marker_std=1e-4, force_std=0.02)
+    bank = {"mooney": list(CAUSES["mooney"].variants(target.bench))}
+    screened = Screened(10.0, bank["mooney"][0], np.ones(1))
+    base = fit(target, [])
+    found = _fit_forms(target, SimpleNamespace(bank=bank), screened, base, "mooney", base.log_evidence)
+    values, deviations = found.values(0, 1.0)
+    assert (values["law"], values["volumetric"]) == ("mooney-rivlin", form)
+    assert abs(values["share"] - 0.5) < 4.0 * deviations["share"]
+    (effect,) = found.effects(target.bench.young)
+    assert effect.volumetric == form
 
 
 def test_a_fit_finds_modulus_and_causes_within_their_deviations(of_two):

@@ -114,7 +114,7 @@ def test_a_body_thinner_than_any_ball_has_places_for_inclusions_in_the_middle_of
 
 
 def test_stiffening_far_beyond_the_bank_is_fitted():
-    experiment = measured_as(strip(), Stiffening(law="fung", b=90.0))
+    experiment = measured_as(strip(), Stiffening(law="fung", b=90.0, volumetric="coupled"))
     layout = Layout(experiment)
     bench = Bench(experiment, layout)
     same = Correction(layout)

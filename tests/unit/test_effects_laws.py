@@ -59,12 +59,25 @@ def test_a_law_with_its_shape_at_zero_is_the_plain_one(rig):
 def test_asymmetry_tells_pull_from_push(rig):
     up, down = (0.0, -90.0, 0.0), (0.0, 90.0, 0.0)
     ratios = []
-    for alpha in (2.0, -12.0):
-        law = Asymmetry(law="ogden", alpha=(alpha,), weight=(1.0,))
+    for law in (
+        Asymmetry(law="ogden", alpha=(2.0,), weight=(1.0,)),
+        Asymmetry(law="ogden", alpha=(-12.0,), weight=(1.0,)),
+        Asymmetry(law="bimodular", excess=1.0),
+    ):
         pulled, pushed = (push(rig, law, gain=2.0, turn=turn)[2] for turn in (up, down))
         assert pulled > 0 > pushed
         ratios.append(-pulled / pushed)
     assert ratios[1] < 0.9 * ratios[0]
+    assert ratios[2] > 1.1 * ratios[0]
+
+
+def test_a_coupled_law_without_shape_is_the_believed_one_and_a_split_one_is_not(rig):
+    believed = push(rig, gain=5.0)
+    coupled, split = (
+        push(rig, Mooney(law="mooney-rivlin", share=0.0, volumetric=form), gain=5.0) for form in ("coupled", "log")
+    )
+    assert coupled == pytest.approx(believed, rel=1e-6, abs=1e-5)
+    assert np.linalg.norm(split - believed) > 1e-4 * np.linalg.norm(believed)
 
 
 def test_fibres_resist_along_their_direction_and_none_changes_nothing(rig):

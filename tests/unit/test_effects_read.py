@@ -111,6 +111,8 @@ BAD = {
         'law = "ogden"\nalpha = [2.0]\nweight = [0.5, 0.5]',
         r"one length, got \[1, 2\]",
     ),
+    "a bimodular law softer than nothing": ("asymmetry", 'law = "bimodular"\nexcess = -1.0', "excess"),
+    "no such form of a law": ("mooney", 'law = "mooney-rivlin"\nshare = 0.1\nvolumetric = "mixed"', "volumetric"),
     "ogden of four terms": ("asymmetry", 'law = "ogden"\nalpha = [1, 2, 3, 4]\nweight = [1, 1, 1, 1]', "alpha"),
     "fibre without direction": (
         "fibre",

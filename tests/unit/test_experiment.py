@@ -132,7 +132,7 @@ BAD = {
     "unknown key in a table": (changed("poisson = 0.45", "poisson = 0.45\nnu = 0.3"), r"got 'nu' in \[material\]"),
     "no mesh": (changed('[mesh]\nfile = "mesh.vtu"\n', ""), r"a table \[mesh\] must be given"),
     "mesh file missing": (changed("mesh.vtu", "gone.vtu"), r"no such file: .*gone\.vtu"),
-    "unknown law": (changed("neo-hookean", "jelly"), "`law` must be one of neo-hookean, mooney.* got 'jelly'"),
+    "unknown law": (changed("neo-hookean", "jelly"), "`law` must be one of neo-hookean, bimod.* got 'jelly'"),
     "law without its shape": (changed('"neo-hookean"', '"yeoh"'), r"`c2_over_c1` must be given in \[material\]"),
     "shape of another law": (changed("poisson = 0.45", "poisson = 0.45\nshare = 0.1"), r"got 'share' in \[material\]"),
     "shape out of range": (changed('"neo-hookean"', '"fung"\nb = -1.0'), r"`b` of the law must be .*not negative"),

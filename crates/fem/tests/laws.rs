@@ -83,7 +83,9 @@ fn six_laws_agree_with_felupe() {
 #[test]
 fn every_law_starts_as_hooke() {
     let mut random = Random::new(4);
-    for recipe in recipes().into_iter().filter(|recipe| recipe.fibre.is_none()) {
+    // A bimodular law starts with other moduli where it is stretched.
+    let smooth = |recipe: &Recipe| recipe.fibre.is_none() && recipe.name != "bimodular";
+    for recipe in recipes().into_iter().filter(smooth) {
         let (law, hooke) = (recipe.law(), Law { kind: LawKind::Hooke, ..recipe.law() });
         for _ in 0..5 {
             let h = random.matrix(1e-8);
@@ -182,6 +184,44 @@ fn laws_contain_each_other() {
 }
 
 #[test]
+fn coupled_laws_without_shape_are_the_neo_hookean_law() {
+    let h = [[0.3, 0.2, 0.0], [0.1, -0.2, 0.3], [0.0, 0.1, 0.15]];
+    let stress = |kind: LawKind, volumetric: Volumetric| {
+        let material = Material::neo_hookean(10.0, 0.4).and_then(|m| m.with_law(kind));
+        let material = material.and_then(|m| m.with_volumetric(volumetric)).expect("sound");
+        material.law_at(0, 0).stress(&h).expect("upright")
+    };
+    let plain = stress(LawKind::NeoHookean, Volumetric::Log);
+    assert_eq!(stress(LawKind::NeoHookean, Volumetric::Coupled), plain);
+    let error = |kind, volumetric| {
+        largest_error(stress(kind, volumetric).as_flattened(), plain.as_flattened())
+    };
+    for kind in [
+        LawKind::MooneyRivlin { share: 0.0 },
+        LawKind::Yeoh { c2_over_c1: 0.0, c3_over_c1: 0.0 },
+        LawKind::Fung { b: 0.0 },
+        LawKind::ogden(&[2.0], &[1.0]).expect("sound"),
+    ] {
+        assert!(error(kind, Volumetric::Coupled) < 1e-14 * 60.0, "{kind:?}");
+        assert!(error(kind, Volumetric::Log) > 0.05, "{kind:?}");
+    }
+}
+
+/// Pulled along one axis at small strain: that axis has the excess, those across do not.
+#[test]
+fn a_bimodular_law_is_stiffer_where_it_is_stretched() {
+    let recipe = recipes().into_iter().find(|r| r.name == "bimodular").expect("listed");
+    let law = recipe.law();
+    let stress = |e: f64| {
+        let h = [[e, 0.0, 0.0], [0.0, -0.3 * e, 0.0], [0.0, 0.0, -0.3 * e]];
+        law.stress(&h).expect("upright")[0][0]
+    };
+    let (pulled, pushed) = (stress(1e-6), -stress(-1e-6));
+    let wanted = 2.0 * law.moduli.mu * 0.7 * 1e-6;
+    assert!(((pulled - pushed) / wanted - 1.0).abs() < 1e-4, "{pulled} {pushed}");
+}
+
+#[test]
 fn slack_fibres_bear_nothing() {
     let along = |tension_only| {
         let fibre = Some((2.5, 0.8, [0.0, 0.0, 1.0], tension_only));
@@ -238,6 +278,7 @@ fn bad_shapes_name_the_parameter() {
     };
     let up = Directions::Uniform([0.0, 0.0, 1.0]);
     let cases = [
+        (soft().with_law(LawKind::Bimodular { excess: -1.0 }), "`excess`"),
         (soft().with_law(LawKind::MooneyRivlin { share: nan }), "`share`"),
         (soft().with_law(LawKind::Yeoh { c2_over_c1: nan, c3_over_c1: 0.0 }), "`c2_over_c1`"),
         (soft().with_law(LawKind::Yeoh { c2_over_c1: 0.0, c3_over_c1: nan }), "`c3_over_c1`"),
@@ -256,11 +297,11 @@ fn bad_shapes_name_the_parameter() {
         let message = made.expect_err(name).to_string();
         assert!(message.contains(name), "{message}");
     }
-    let quadratic = soft().with_volumetric(Volumetric::Quadratic).expect("sound");
-    assert!(matches!(
-        quadratic.with_law(LawKind::Hooke),
-        Err(FemError::BadLaw { name: "volumetric", .. })
-    ));
+    for volumetric in [Volumetric::Quadratic, Volumetric::Coupled] {
+        let material = soft().with_volumetric(volumetric).expect("sound");
+        let refused = material.with_law(LawKind::Hooke);
+        assert!(matches!(refused, Err(FemError::BadLaw { name: "volumetric", .. })));
+    }
 }
 
 /// A dome pushed down by its weight: every law finds its equilibrium, fields of one value a point

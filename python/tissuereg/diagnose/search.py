@@ -243,18 +243,32 @@ def _refit(
     for name in chosen:
         if progress is not None:
             progress(f"fit {' + '.join([*current.ids, name])}")
-        variant = screened[name].best
-        assert variant is not None  # only the generic rival has none
-        knobs = CAUSES[name].knobs(target.bench, variant, screened[name].amplitudes)
-        part = Part(name, variant, knobs)
-        start = np.concatenate([current.x, knobs.start])
-        choices = choices_of(name, screen.bank[name])
         best_fit = max((c.fit.log_evidence for c in found), default=-np.inf)
-        hopeless = -max(best_fit - HOPELESS, current.log_evidence + asked[name])
-        fitted = fit(target, [*current.parts, part], start=start, choices=choices, hopeless=hopeless)
+        least = max(best_fit - HOPELESS, current.log_evidence + asked[name])
+        fitted = _fit_forms(target, screen, screened[name], current, name, least)
         if fitted is not None:
             found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence))
     return sorted(found, key=lambda candidate: -candidate.gain)
+
+
+def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit, name: str, least: float) -> Fit | None:
+    """Return the fit of a cause's likeliest hypothesis, or of an alternative to it that is better.
+
+    Fits that will not reach `least`, a log evidence, end early.
+    """
+    variant = screened.best
+    assert variant is not None  # only the generic rival has none
+    alternatives = CAUSES[name].alternatives(target.bench, variant)
+    choices = choices_of(name, screen.bank[name]) * (1 + len(alternatives))
+    best: Fit | None = None
+    for form in (variant, *alternatives):
+        knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
+        start = np.concatenate([current.x, knobs.start])
+        bar = least if best is None else max(least, best.log_evidence)
+        fitted = fit(target, [*current.parts, Part(name, form, knobs)], start=start, choices=choices, hopeless=-bar)
+        if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
+            best = fitted
+    return best
 
 
 def asked_of(thresholds: Mapping[str, float], *, further: bool) -> dict[str, float]:

@@ -6,7 +6,7 @@ from typing import ClassVar
 from tissuereg.effects.base import Effect, Vector, flag, number, numbers, refuse, text
 from tissuereg.errors import MaterialError
 from tissuereg.experiment import Experiment
-from tissuereg.material import SHAPE_KEYS, Material
+from tissuereg.material import SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.material import Fibre as Fibres
 
 _SHAPES = tuple(dict.fromkeys(key for keys in SHAPE_KEYS.values() for key in keys))
@@ -41,12 +41,15 @@ class OtherLaw(Effect):
     """Another law of the same small-strain moduli, with its shape parameters."""
 
     law: str = text(among=tuple(SHAPE_KEYS))
+    excess: float | None = number(above=-1.0, default=None)
     share: float | None = number(least=0.0, default=None)
     c2_over_c1: float | None = number(default=None)
     c3_over_c1: float | None = number(default=None)
     alpha: tuple[float, ...] | None = numbers(default=None)
     weight: tuple[float, ...] | None = numbers(default=None)
     b: float | None = number(least=0.0, default=None)
+    #: As `Material.volumetric`; as believed where left out.
+    volumetric: str | None = text(among=VOLUMETRIC, default=None)
 
     def check(self) -> None:
         """Refuse missing shape parameters, and those of another law."""
@@ -61,15 +64,17 @@ class OtherLaw(Effect):
         if self.alpha is not None and self.weight is not None and len(self.alpha) != len(self.weight):
             refuse("`alpha` and `weight` must be of one length", [len(self.alpha), len(self.weight)])
         # Ranges are the material's own.
-        self._material(Material())
+        self.of(Material())
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with this law."""
-        return replace(experiment, material=self._material(experiment.material))
+        return replace(experiment, material=self.of(experiment.material))
 
-    def _material(self, material: Material) -> Material:
+    def of(self, material: Material) -> Material:
+        """Return a material with this law."""
         try:
-            return replace(material, law=self.law, shape={key: getattr(self, key) for key in SHAPE_KEYS[self.law]})
+            shape = {key: getattr(self, key) for key in SHAPE_KEYS[self.law]}
+            return replace(material, law=self.law, shape=shape, volumetric=self.volumetric or material.volumetric)
         except MaterialError as error:
             refuse(str(error))
 

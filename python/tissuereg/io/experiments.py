@@ -15,7 +15,7 @@ from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
 from tissuereg.io.meshes import nodes_near_plane, read_mesh
 from tissuereg.io.toml import Table, read_toml
-from tissuereg.material import GRAVITY_MM_PER_S2, SHAPE_KEYS, Material
+from tissuereg.material import GRAVITY_MM_PER_S2, SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.mesh import Mesh
 
 _CONTROL_TABLES = {"displacement": ("actuators.csv", "mm"), "force": ("forces_applied.csv", "mN")}
@@ -169,7 +169,7 @@ def _material(top: Table) -> tuple[Material, float | None, float | None]:
     young, young_std = table.belief("young_kpa")
     poisson, poisson_std = table.belief("poisson")
     density = table.number("density_g_per_cm3", 1.0, positive=True)
-    volumetric = table.text("volumetric", "log", among=("log", "quadratic"))
+    volumetric = table.text("volumetric", "log", among=VOLUMETRIC)
     shape = {key: table.need(key) for key in SHAPE_KEYS.get(law, ())}
     try:
         material = Material(young, poisson, law, density, shape, volumetric)

@@ -15,7 +15,7 @@ from tissuereg.errors import ExperimentError, FormatError, MaterialError
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.toml import Table, read_toml
 from tissuereg.io.toml_text import write_toml
-from tissuereg.material import SHAPE_KEYS, Material
+from tissuereg.material import SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.material_experiment import HELD_OUT, TEST_MODES, Curve, MaterialExperiment
 
 #: Effects that a material test can show.
@@ -142,7 +142,7 @@ def _material(top: Table) -> tuple[Material, float | None, float | None]:
     young, young_std = table.belief("young_kpa")
     poisson, poisson_std = table.belief("poisson")
     density = table.number("density_g_per_cm3", 1.0, positive=True)
-    volumetric = table.text("volumetric", "log", among=("log", "quadratic"))
+    volumetric = table.text("volumetric", "log", among=VOLUMETRIC)
     shape = {key: table.need(key) for key in SHAPE_KEYS.get(law, ())}
     table.finish()
     try:

@@ -24,9 +24,9 @@ class Parameter:
     Parameters
     ----------
     name : str
-        ``"young"``, ``"poisson"``, a shape parameter (``"share"``, ``"c2_over_c1"``, ``"c3_over_c1"``, ``"alpha"``,
-        ``"weight"``, ``"b"``), or ``"k1_over_mu"`` and ``"k2"`` of fibres. Through frames also those of a behaviour
-        (``"relaxation.g"``, ``"relaxation.tau_s"``, ``"rate.viscosity_kpa_s"``, ``"softening.r"``,
+        ``"young"``, ``"poisson"``, a shape parameter (``"excess"``, ``"share"``, ``"c2_over_c1"``, ``"c3_over_c1"``,
+        ``"alpha"``, ``"weight"``, ``"b"``), or ``"k1_over_mu"`` and ``"k2"`` of fibres. Through frames also those of a
+        behaviour (``"relaxation.g"``, ``"relaxation.tau_s"``, ``"rate.viscosity_kpa_s"``, ``"softening.r"``,
         ``"softening.m_kpa"``, ``"softening.beta"``, ``"set.fraction"``, ``"drainage.share"``, ``"drainage.tau_s"``,
         ``"swelling.linear_strain"``, ``"swelling.from_time_s"``, ``"swelling.to_time_s"``), of springs
         (``"springs.normal_kpa_per_mm"``, ``"springs.tangential_kpa_per_mm"``) and of skins (``"skins.young_kpa"``,

@@ -40,7 +40,10 @@ impl Law {
         let volumetric = match volumetric {
             "log" => Volumetric::Log,
             "quadratic" => Volumetric::Quadratic,
-            other => return Err(refuse(py, "volumetric", "`log` or `quadratic`", other)),
+            "coupled" => Volumetric::Coupled,
+            other => {
+                return Err(refuse(py, "volumetric", "`log`, `quadratic` or `coupled`", other));
+            }
         };
         let three = Some(3);
         let wanted: [&[Option<usize>]; 3] = [&[three], &[None, three], &[None, None, three]];
@@ -149,6 +152,7 @@ fn kind_of(py: Python<'_>, name: &str, mut shape: BTreeMap<String, Vec<f64>>) ->
     };
     let kind = match name {
         "neo-hookean" => LawKind::NeoHookean,
+        "bimodular" => LawKind::Bimodular { excess: number("excess")? },
         "mooney-rivlin" => LawKind::MooneyRivlin { share: number("share")? },
         "yeoh" => {
             LawKind::Yeoh { c2_over_c1: number("c2_over_c1")?, c3_over_c1: number("c3_over_c1")? }
@@ -160,7 +164,7 @@ fn kind_of(py: Python<'_>, name: &str, mut shape: BTreeMap<String, Vec<f64>>) ->
         "st-venant-kirchhoff" => LawKind::StVenantKirchhoff,
         "hooke" => LawKind::Hooke,
         other => {
-            let wanted = "one of neo-hookean, mooney-rivlin, yeoh, ogden, fung, veronda-westmann, \
+            let wanted = "one of neo-hookean, bimodular, mooney-rivlin, yeoh, ogden, fung, veronda-westmann, \
                           st-venant-kirchhoff, hooke";
             return Err(refuse(py, "law", wanted, &format!("'{other}'")));
         }

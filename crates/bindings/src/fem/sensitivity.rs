@@ -34,6 +34,7 @@ impl Cause {
         let parameter = match name {
             "young" => Parameter::Young,
             "poisson" => Parameter::Poisson,
+            "excess" => Parameter::Excess,
             "share" => Parameter::Share,
             "c2_over_c1" => Parameter::C2OverC1,
             "c3_over_c1" => Parameter::C3OverC1,

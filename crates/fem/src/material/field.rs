@@ -235,7 +235,7 @@ impl Material {
     /// no fibres.
     pub(crate) fn plain_neo_hookean(&self) -> Option<PlainLaws<'_>> {
         let plain = self.kind == LawKind::NeoHookean
-            && self.volumetric == Volumetric::Log
+            && self.volumetric != Volumetric::Quadratic
             && self.fibres.is_none();
         plain.then_some(PlainLaws { moduli: &self.moduli, layout: self.layout })
     }

@@ -5,13 +5,14 @@ use crate::error::FemError;
 
 /// A law and its shape: what is left of it when its small-strain moduli are taken out.
 ///
-/// Every law has the linear response of Young's modulus and Poisson's ratio, so laws can be
-/// exchanged. With `I₁, I₂` the invariants of `C`, a bar for the isochoric ones, `λ̄ᵢ` the isochoric
+/// Every law but the bimodular one has the linear response of Young's modulus and Poisson's ratio,
+/// so laws can be exchanged. With `I₁, I₂` the invariants of `C`, a bar for the isochoric ones, `λ̄ᵢ` the isochoric
 /// principal stretches and `U` a [`Volumetric`] energy of the bulk modulus `K = λ + 2μ/3`:
 ///
 /// | law | energy density |
 /// |---|---|
 /// | neo-Hookean | `μ/2 (I₁ − 3) − μ ln J + U`, with `λ` in place of `K` |
+/// | bimodular | neo-Hookean `+ μ excess Σ ⟨Eᵢ⟩²`, of the principal strains of `E = (C − I)/2` |
 /// | Mooney–Rivlin | `μ/2 ((1 − share)(Ī₁ − 3) + share (Ī₂ − 3)) + U` |
 /// | Yeoh | `c₁ (a + c₂/c₁ a² + c₃/c₁ a³) + U`, `c₁ = μ/2`, `a = Ī₁ − 3` |
 /// | Ogden | `Σ 2 μ_p/α_p² (Σ λ̄ᵢ^α_p − 3) + U`, `μ_p` a share of `μ` |
@@ -20,11 +21,16 @@ use crate::error::FemError;
 /// | St. Venant–Kirchhoff | `λ/2 (tr E)² + μ E : E`, `E = (C − I)/2` |
 /// | Hooke | the same of `sym h`; small strain, holds at any `h` |
 ///
+/// That is [`Volumetric::Log`] or [`Volumetric::Quadratic`]. With [`Volumetric::Coupled`] `Ī₁ − 3`
+/// is `I₁ − 3 − 2 ln J`, `Ī₂ − 3` is `I₂ − 3 − 4 ln J − 2 ln²J`, `λ̄ᵢ^α − 1` is
+/// `λᵢ^α − 1 − α ln λᵢ` and `K` is `λ`: the forms that FEBio calls coupled or unconstrained.
+///
 /// Exponents and rates may be 0: the limit is taken (`α = 0`: logarithmic strains; `b = 0`: no
 /// stiffening).
 ///
 /// # Reference
 ///
+/// Curnier, He and Zysset, *Journal of Elasticity* 37, 1994 (bimodular, conewise linear);
 /// Holzapfel, *Nonlinear Solid Mechanics*, Wiley, 2000, chapter 6; Veronda and Westmann, *Journal
 /// of Biomechanics* 3, 1970.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -32,6 +38,12 @@ pub enum LawKind {
     /// Coupled compressible neo-Hookean law.
     #[default]
     NeoHookean,
+    /// Stiffer, or softer, where it is stretched than where it is compressed; the moduli of small
+    /// strain are those of compression in all directions.
+    Bimodular {
+        /// What stretched directions have more, over `μ`, dimensionless, above −1.
+        excess: f64,
+    },
     /// Mooney–Rivlin; polyconvex for a share in `[0, 1]`.
     MooneyRivlin {
         /// `c₀₁ / (c₁₀ + c₀₁)`, dimensionless.
@@ -98,6 +110,8 @@ pub enum Parameter {
     Young,
     /// Poisson's ratio.
     Poisson,
+    /// Excess of a bimodular law.
+    Excess,
     /// Share of a Mooney–Rivlin law.
     Share,
     /// Second coefficient of a Yeoh law over its first.
@@ -162,6 +176,7 @@ impl LawKind {
     pub fn parameters(&self) -> Vec<Parameter> {
         match self {
             Self::NeoHookean | Self::StVenantKirchhoff | Self::Hooke => vec![],
+            Self::Bimodular { .. } => vec![Parameter::Excess],
             Self::MooneyRivlin { .. } => vec![Parameter::Share],
             Self::Yeoh { .. } => vec![Parameter::C2OverC1, Parameter::C3OverC1],
             Self::Ogden(terms) => (0..terms.n)
@@ -176,17 +191,21 @@ impl LawKind {
     pub(super) fn check(&self, volumetric: Volumetric) -> Result<(), FemError> {
         match *self {
             Self::NeoHookean | Self::Ogden(_) => Ok(()),
+            Self::Bimodular { excess } => match excess.is_finite() && excess > -1.0 {
+                true => Ok(()),
+                false => Err(FemError::BadLaw { name: "excess", must: "above -1", found: excess }),
+            },
             Self::MooneyRivlin { share } => finite("share", share),
             Self::Yeoh { c2_over_c1, c3_over_c1 } => {
                 finite("c2_over_c1", c2_over_c1)?;
                 finite("c3_over_c1", c3_over_c1)
             }
             Self::Fung { b } | Self::VerondaWestmann { b } => not_negative("b", b),
-            Self::StVenantKirchhoff | Self::Hooke if volumetric == Volumetric::Quadratic => {
+            Self::StVenantKirchhoff | Self::Hooke if volumetric != Volumetric::Log => {
                 Err(FemError::BadLaw {
                     name: "volumetric",
                     must: "left out: this law has no volumetric energy of its own",
-                    found: 2.0,
+                    found: f64::from(volumetric as u8),
                 })
             }
             Self::StVenantKirchhoff | Self::Hooke => Ok(()),

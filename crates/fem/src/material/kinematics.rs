@@ -78,10 +78,11 @@ impl Kinematics {
     }
 }
 
-/// Energy of volume change.
+/// Energy of volume change, and whether a law keeps it apart from that of shape.
 ///
-/// The modulus is the bulk modulus `K` of laws in isochoric invariants and `λ` of the coupled
-/// neo-Hookean law.
+/// The modulus is the bulk modulus `K` of split laws and `λ` of coupled ones. The neo-Hookean law
+/// is always coupled: all laws but Hooke's and St. Venant–Kirchhoff's are it where their shape
+/// parameters vanish (Ogden: an exponent of 2) if they are [`Coupled`](Self::Coupled).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Volumetric {
     /// `K/2 ln²J`
@@ -89,13 +90,22 @@ pub enum Volumetric {
     Log,
     /// `K/2 (J − 1)²`
     Quadratic,
+    /// `λ/2 ln²J`, and a law in the invariants and stretches of `C` itself, as [`LawKind`] tells.
+    ///
+    /// [`LawKind`]: super::LawKind
+    Coupled,
 }
 
 impl Volumetric {
+    /// Whether laws are split into shape and volume.
+    pub(super) fn splits(self) -> bool {
+        self != Self::Coupled
+    }
+
     /// Energy of modulus 1.
     pub(super) fn energy(self, k: &Kinematics) -> f64 {
         0.5 * match self {
-            Self::Log => k.log * k.log,
+            Self::Log | Self::Coupled => k.log * k.log,
             Self::Quadratic => k.x * k.x,
         }
     }
@@ -103,7 +113,7 @@ impl Volumetric {
     /// Slope and curvature in `ln J` of modulus 1.
     pub(super) fn slopes(self, k: &Kinematics) -> (f64, f64) {
         match self {
-            Self::Log => (k.log, 1.0),
+            Self::Log | Self::Coupled => (k.log, 1.0),
             Self::Quadratic => (k.x * k.det_f, k.det_f * (k.det_f + k.x)),
         }
     }

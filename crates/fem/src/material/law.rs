@@ -4,7 +4,7 @@ use super::kinematics::Kinematics;
 use super::tensor::{add, all_finite};
 use super::{
     Fibre, Hyperelastic, LawKind, Matrix3, NeoHookean, Parameter, Response, Tangent, Volumetric,
-    det_f_minus_one, linear,
+    bimodular, det_f_minus_one, linear,
 };
 
 /// A law, its moduli and its fibres at one point.
@@ -74,13 +74,14 @@ impl Law {
                 Fibre { k1_over_mu: 1.0, ..fibre }.response(h, &k)
             }
             (Parameter::FibreK2, _, Some(fibre)) => fibre.response_by_k2(h, &k),
+            (Parameter::Excess, LawKind::Bimodular { .. }, _) => bimodular::response(h),
             (Parameter::Alpha(term), LawKind::Ogden(terms), _) => {
-                terms.response_by_alpha(term, h, &k)
+                terms.response_by_alpha(term, self.volumetric, h, &k)
             }
             (Parameter::Weight(term), LawKind::Ogden(terms), _) => {
-                terms.response_by_weight(term, h, &k)
+                terms.response_by_weight(term, self.volumetric, h, &k)
             }
-            _ => self.kind.isochoric_response_by(parameter, h, &k),
+            _ => self.kind.invariant_response_by(parameter, self.volumetric, h, &k),
         };
         let stress = stress.map(|row| row.map(|v| self.moduli.mu * v));
         let energy = self.moduli.mu * energy;
@@ -91,7 +92,7 @@ impl Law {
     #[inline(always)]
     fn is_plain(&self) -> bool {
         matches!(self.kind, LawKind::NeoHookean)
-            && self.volumetric == Volumetric::Log
+            && self.volumetric != Volumetric::Quadratic
             && self.fibre.is_none()
     }
 
@@ -101,9 +102,10 @@ impl Law {
 
     fn volumetric_modulus(&self) -> f64 {
         match self.kind {
-            LawKind::NeoHookean => self.moduli.lambda,
+            LawKind::NeoHookean | LawKind::Bimodular { .. } => self.moduli.lambda,
             LawKind::StVenantKirchhoff | LawKind::Hooke => 0.0,
-            _ => self.moduli.bulk(),
+            _ if self.volumetric.splits() => self.moduli.bulk(),
+            _ => self.moduli.lambda,
         }
     }
 
@@ -117,10 +119,17 @@ impl Law {
                 let answer = NeoHookean { mu, lambda: 0.0 }.response(h)?;
                 Some((answer.energy, answer.stress))
             }
-            LawKind::Ogden(terms) => Some(scaled(terms.response(h, k))),
+            LawKind::Bimodular { excess } => {
+                let answer = NeoHookean { mu, lambda: 0.0 }.response(h)?;
+                let (energy, mut stress) = bimodular::response(h);
+                stress = stress.map(|row| row.map(|v| mu * excess * v));
+                add(&mut stress, 1.0, &answer.stress);
+                Some((answer.energy + mu * excess * energy, stress))
+            }
+            LawKind::Ogden(terms) => Some(scaled(terms.response(self.volumetric, h, k))),
             LawKind::StVenantKirchhoff => Some(linear::st_venant_response(&self.moduli, h)),
             LawKind::Hooke => Some(linear::hooke_response(&self.moduli, h)),
-            _ => self.kind.isochoric_response(h, k).map(scaled),
+            _ => self.kind.invariant_response(self.volumetric, h, k).map(scaled),
         }
     }
 
@@ -156,12 +165,16 @@ impl Law {
         let mu = self.moduli.mu;
         match self.kind {
             LawKind::NeoHookean => tangent = NeoHookean { mu, lambda: 0.0 }.tangent(h)?,
-            LawKind::Ogden(terms) => terms.add_tangent(mu, h, &k, &mut tangent),
+            LawKind::Bimodular { excess } => {
+                tangent = NeoHookean { mu, lambda: 0.0 }.tangent(h)?;
+                bimodular::add_tangent(mu * excess, h, &mut tangent);
+            }
+            LawKind::Ogden(terms) => terms.add_tangent(mu, self.volumetric, h, &k, &mut tangent),
             LawKind::StVenantKirchhoff => {
                 linear::add_st_venant_tangent(&self.moduli, h, &mut tangent);
             }
             LawKind::Hooke => linear::add_hooke_tangent(&self.moduli, &mut tangent),
-            _ => self.kind.add_isochoric_tangent(mu, h, &k, &mut tangent)?,
+            _ => self.kind.add_invariant_tangent(mu, self.volumetric, h, &k, &mut tangent)?,
         }
         let modulus = self.volumetric_modulus();
         if modulus != 0.0 {

@@ -7,10 +7,11 @@
 //! All laws are formed from `h = F − I` with the terms of first order taken out by hand: at strains
 //! of 1e-10 energy and stress keep some fourteen digits.
 
+mod bimodular;
 mod fibre;
 mod field;
 pub mod homogeneous;
-mod isochoric;
+mod invariants;
 mod kind;
 mod kinematics;
 mod law;

@@ -1,12 +1,13 @@
 //! The Ogden law, in principal stretches.
 //!
-//! With the eigenvalues `cᵢ = λᵢ²` of `C`, `εᵢ = ln λᵢ` and `dᵢ = εᵢ − ln J / 3`, whose sum
-//! vanishes, `exp(α dᵢ) − 1 − α dᵢ` may stand for `λ̄ᵢ^α − 1` in the energy, and nothing cancels:
+//! With the eigenvalues `cᵢ = λᵢ²` of `C` and `εᵢ = ln λᵢ`, `exp(α d) − 1 − α d` stands for
+//! `λ̄^α − 1` in the energy, where `d = ε − ln J / 3` (split) sums to nothing, or for
+//! `λ^α − 1 − α ln λ` where `d = ε` (coupled). Nothing cancels:
 //!
 //! ```text
 //! ψ  = Σ_p 2 μ_p Σᵢ dᵢ² φ₂(α_p dᵢ)                 φ₂(y) = (eʸ − 1 − y) / y²
-//! τᵢ = ∂ψ/∂εᵢ = Σ_p 2 μ_p (tᵢ − mean t)            tᵢ = dᵢ φ₁(α_p dᵢ),  φ₁(y) = (eʸ − 1) / y
-//! S  = Σᵢ τᵢ/cᵢ Nᵢ ⊗ Nᵢ,   P = F S
+//! τᵢ = ∂ψ/∂εᵢ = Σ_p 2 μ_p (tᵢ − m)                 tᵢ = dᵢ φ₁(α_p dᵢ),  φ₁(y) = (eʸ − 1) / y
+//! S  = Σᵢ τᵢ/cᵢ Nᵢ ⊗ Nᵢ,   P = F S                 m = mean t (split), 0 (coupled)
 //! ```
 //!
 //! In the tangent `(sᵢ − sⱼ)/(cᵢ − cⱼ)` is formed from `r = cᵢ/cⱼ − 1` by functions that are smooth
@@ -16,7 +17,7 @@ use super::kinematics::Kinematics;
 use super::tensor::{
     add_outer, add_rows, matrix, phi1, phi2, phi3, plus_identity, product, strain,
 };
-use super::{Matrix3, OgdenTerms, Tangent};
+use super::{Matrix3, OgdenTerms, Tangent, Volumetric};
 
 /// What all answers share.
 struct Principal {
@@ -24,14 +25,24 @@ struct Principal {
     c: [f64; 3],
     /// Eigenvectors, one a column.
     axes: Matrix3,
-    /// Deviatoric logarithmic stretches.
+    /// Logarithmic stretches, deviatoric ones of a split law.
     d: [f64; 3],
+    split: bool,
 }
 
 impl Principal {
-    fn new(h: &Matrix3, k: &Kinematics) -> Self {
+    fn new(volumetric: Volumetric, h: &Matrix3, k: &Kinematics) -> Self {
         let (values, axes) = eigen(strain(h));
-        Self { c: values.map(|v| 1.0 + v), axes, d: values.map(|v| 0.5 * v.ln_1p() - k.log / 3.0) }
+        let split = volumetric.splits();
+        let volume = if split { k.log / 3.0 } else { 0.0 };
+        let d = values.map(|v| 0.5 * v.ln_1p() - volume);
+        Self { c: values.map(|v| 1.0 + v), axes, d, split }
+    }
+
+    /// What a split law leaves of principal stresses.
+    fn projected(&self, t: [f64; 3]) -> [f64; 3] {
+        let mean = if self.split { t.iter().sum::<f64>() / 3.0 } else { 0.0 };
+        t.map(|v| v - mean)
     }
 
     /// `Σᵢ sᵢ Nᵢ ⊗ Nᵢ` with `sᵢ = τᵢ/cᵢ`.
@@ -50,26 +61,26 @@ impl Principal {
     }
 }
 
-fn minus_mean(t: [f64; 3]) -> [f64; 3] {
-    let mean = t.iter().sum::<f64>() / 3.0;
-    t.map(|v| v - mean)
-}
-
 impl OgdenTerms {
     /// `τ` of shear modulus 1.
-    fn tau(&self, d: &[f64; 3]) -> [f64; 3] {
+    fn tau(&self, at: &Principal) -> [f64; 3] {
         let mut tau = [0.0; 3];
         for (alpha, share) in self.terms() {
-            let t = minus_mean(d.map(|v| v * phi1(alpha * v)));
+            let t = at.projected(at.d.map(|v| v * phi1(alpha * v)));
             (0..3).for_each(|i| tau[i] += 2.0 * share * t[i]);
         }
         tau
     }
 
     /// Energy and stress of shear modulus 1.
-    pub(super) fn response(&self, h: &Matrix3, k: &Kinematics) -> (f64, Matrix3) {
-        let at = Principal::new(h, k);
-        (self.energy(&at), at.first_stress(h, &self.tau(&at.d)))
+    pub(super) fn response(
+        &self,
+        volumetric: Volumetric,
+        h: &Matrix3,
+        k: &Kinematics,
+    ) -> (f64, Matrix3) {
+        let at = Principal::new(volumetric, h, k);
+        (self.energy(&at), at.first_stress(h, &self.tau(&at)))
     }
 
     fn energy(&self, at: &Principal) -> f64 {
@@ -80,36 +91,45 @@ impl OgdenTerms {
     pub(super) fn response_by_alpha(
         &self,
         term: usize,
+        volumetric: Volumetric,
         h: &Matrix3,
         k: &Kinematics,
     ) -> (f64, Matrix3) {
         let Some((alpha, share)) = self.terms().nth(term) else { return (0.0, [[0.0; 3]; 3]) };
-        let at = Principal::new(h, k);
+        let at = Principal::new(volumetric, h, k);
         let t = at.d.map(|d| 2.0 * share * d * d * (phi1(alpha * d) - phi2(alpha * d)));
         let cubes = at.d.map(|d| d * d * d * (phi2(alpha * d) - 2.0 * phi3(alpha * d)));
-        (2.0 * share * cubes.iter().sum::<f64>(), at.first_stress(h, &minus_mean(t)))
+        (2.0 * share * cubes.iter().sum::<f64>(), at.first_stress(h, &at.projected(t)))
     }
 
     /// Derivatives by the weight of a term of energy and stress of shear modulus 1.
     pub(super) fn response_by_weight(
         &self,
         term: usize,
+        volumetric: Volumetric,
         h: &Matrix3,
         k: &Kinematics,
     ) -> (f64, Matrix3) {
         let Some((alpha, _)) = self.terms().nth(term) else { return (0.0, [[0.0; 3]; 3]) };
-        let at = Principal::new(h, k);
-        let own = minus_mean(at.d.map(|d| 2.0 * d * phi1(alpha * d)));
-        let all = self.tau(&at.d);
+        let at = Principal::new(volumetric, h, k);
+        let own = at.projected(at.d.map(|d| 2.0 * d * phi1(alpha * d)));
+        let all = self.tau(&at);
         let total = self.total_weight();
         let stress = at.first_stress(h, &std::array::from_fn(|i| (own[i] - all[i]) / total));
         ((at.energy(alpha) - self.energy(&at)) / total, stress)
     }
 
     /// Add the tangent of a shear modulus.
-    pub(super) fn add_tangent(&self, mu: f64, h: &Matrix3, k: &Kinematics, sum: &mut Tangent) {
-        let at = Principal::new(h, k);
-        let tau = self.tau(&at.d).map(|t| mu * t);
+    pub(super) fn add_tangent(
+        &self,
+        mu: f64,
+        volumetric: Volumetric,
+        h: &Matrix3,
+        k: &Kinematics,
+        sum: &mut Tangent,
+    ) {
+        let at = Principal::new(volumetric, h, k);
+        let tau = self.tau(&at).map(|t| mu * t);
         let f = plus_identity(h);
         add_rows(sum, 1.0, &at.second_stress(&tau));
         let pushed = product(&f, &at.axes);
@@ -118,10 +138,10 @@ impl OgdenTerms {
         let c = at.c;
         for a in 0..3 {
             let m = dyad(a, a);
-            add_outer(sum, (mu * self.slope(&at.d, a, a) - 2.0 * tau[a]) / (c[a] * c[a]), &m, &m);
+            add_outer(sum, (mu * self.slope(&at, a, a) - 2.0 * tau[a]) / (c[a] * c[a]), &m, &m);
             for b in 0..a {
                 let other = dyad(b, b);
-                let slope = 2.0 * mu * self.slope(&at.d, a, b) / (c[a] * c[b]);
+                let slope = 2.0 * mu * self.slope(&at, a, b) / (c[a] * c[b]);
                 add_outer(sum, slope, &m, &other);
                 let (ab, ba) = (dyad(a, b), dyad(b, a));
                 let mixed = matrix(|i, j| ab[i][j] + ba[i][j]);
@@ -132,12 +152,13 @@ impl OgdenTerms {
     }
 
     /// `∂τ_a/∂ε_b` of shear modulus 1.
-    fn slope(&self, d: &[f64; 3], a: usize, b: usize) -> f64 {
+    fn slope(&self, at: &Principal, a: usize, b: usize) -> f64 {
         let term = |(alpha, share): (f64, f64)| {
-            let e = d.map(|d| (alpha * d).exp());
+            let e = at.d.map(|d| (alpha * d).exp());
             let mean = e.iter().sum::<f64>() / 3.0;
             let own = if a == b { e[a] } else { 0.0 };
-            2.0 * share * (own - (e[a] + e[b] - mean) / 3.0)
+            let volume = if at.split { (e[a] + e[b] - mean) / 3.0 } else { 0.0 };
+            2.0 * share * (own - volume)
         };
         self.terms().map(term).sum()
     }
@@ -159,7 +180,7 @@ impl OgdenTerms {
 ///
 /// Golub and Van Loan, *Matrix Computations*, 4th ed., algorithm 8.5.3; a 3 x 3 matrix is diagonal
 /// to rounding after five sweeps, and a NaN passes through.
-fn eigen(mut m: Matrix3) -> ([f64; 3], Matrix3) {
+pub(super) fn eigen(mut m: Matrix3) -> ([f64; 3], Matrix3) {
     let mut axes = plus_identity(&[[0.0; 3]; 3]);
     for _ in 0..10 {
         if m[0][1] == 0.0 && m[0][2] == 0.0 && m[1][2] == 0.0 {

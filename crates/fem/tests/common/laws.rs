@@ -42,6 +42,7 @@ impl Recipe {
         match (parameter, &mut other.kind) {
             (Parameter::Young, _) => other.young += by,
             (Parameter::Poisson, _) => other.poisson += by,
+            (Parameter::Excess, LawKind::Bimodular { excess }) => *excess += by,
             (Parameter::Share, LawKind::MooneyRivlin { share }) => *share += by,
             (Parameter::C2OverC1, LawKind::Yeoh { c2_over_c1, .. }) => *c2_over_c1 += by,
             (Parameter::C3OverC1, LawKind::Yeoh { c3_over_c1, .. }) => *c3_over_c1 += by,
@@ -68,7 +69,7 @@ fn ogden(alpha_term: usize, alpha_by: f64, weight_term: usize, weight_by: f64) -
     LawKind::ogden(&alpha, &weight).expect("sound")
 }
 
-/// Every law and both volumetric energies; fibres on three of them.
+/// Every law, split with both volumetric energies and coupled; fibres on three of them.
 pub fn recipes() -> Vec<Recipe> {
     let (log, quadratic) = (Volumetric::Log, Volumetric::Quadratic);
     let plain = |name, kind, volumetric| Recipe {
@@ -84,12 +85,18 @@ pub fn recipes() -> Vec<Recipe> {
     vec![
         plain("neo_hookean", LawKind::NeoHookean, log),
         plain("neo_hookean_quadratic", LawKind::NeoHookean, quadratic),
+        plain("bimodular", LawKind::Bimodular { excess: 0.7 }, log),
         plain("mooney_rivlin", LawKind::MooneyRivlin { share: 0.3 }, log),
         plain("mooney_rivlin_quadratic", LawKind::MooneyRivlin { share: 0.3 }, quadratic),
         plain("yeoh", yeoh, log),
         plain("ogden", ogden(3, 0.0, 3, 0.0), quadratic),
         plain("fung", LawKind::Fung { b: 1.5 }, log),
         plain("veronda_westmann", LawKind::VerondaWestmann { b: 1.1 }, quadratic),
+        plain("mooney_rivlin_coupled", LawKind::MooneyRivlin { share: 0.3 }, Volumetric::Coupled),
+        plain("yeoh_coupled", yeoh, Volumetric::Coupled),
+        plain("ogden_coupled", ogden(3, 0.0, 3, 0.0), Volumetric::Coupled),
+        plain("fung_coupled", LawKind::Fung { b: 1.5 }, Volumetric::Coupled),
+        plain("veronda_westmann_coupled", LawKind::VerondaWestmann { b: 1.1 }, Volumetric::Coupled),
         plain("st_venant_kirchhoff", LawKind::StVenantKirchhoff, log),
         plain("hooke", LawKind::Hooke, log),
         Recipe { fibre: fibre(false), ..plain("neo_hookean_fibre", LawKind::NeoHookean, log) },

@@ -50,6 +50,16 @@ def neo_hookean(kind):
     return energy
 
 
+def bimodular(kind, excess=mpf(0.7)):
+    base = neo_hookean(kind)
+
+    def energy(f):
+        strains = [(v - 1) / 2 for v in eigsy(f.T * f, eigvals_only=True)]
+        return base(f) + MU * excess * sum(e**2 for e in strains if e > 0)
+
+    return energy
+
+
 def mooney_rivlin(kind, share=mpf(0.3)):
     def energy(f):
         j, i1, i2 = isochoric(f)
@@ -101,6 +111,48 @@ def veronda_westmann(kind, b=mpf(1.1)):
     return energy
 
 
+def coupled(f):
+    """Return ln J and the first two invariants of C."""
+    j, c = det(f), f.T * f
+    i1 = trace(c)
+    return log(j), i1, (i1**2 - trace(c * c)) / 2
+
+
+def mooney_rivlin_coupled(f, share=mpf(0.3)):
+    # Bonet and Wood's compressible form: the modulus of ln^2 J makes up for what I2 has of it.
+    log_j, i1, i2 = coupled(f)
+    c10, c01 = MU * (1 - share) / 2, MU * share / 2
+    return c10 * (i1 - 3) + c01 * (i2 - 3) - 2 * (c10 + 2 * c01) * log_j + (LAMBDA / 2 - 2 * c01) * log_j**2
+
+
+def yeoh_coupled(f, c2=mpf(0.3), c3=mpf(0.05)):
+    log_j, i1, _ = coupled(f)
+    a = i1 - 3 - 2 * log_j
+    return MU / 2 * (a + c2 * a**2 + c3 * a**3) + LAMBDA / 2 * log_j**2
+
+
+def ogden_coupled(f, terms=((mpf(4), mpf(1.2)), (mpf(-7), mpf(0.4)))):
+    total = sum(weight for _, weight in terms)
+    stretches = [v ** mpf(0.5) for v in eigsy(f.T * f, eigvals_only=True)]
+    log_j = log(det(f))
+    psi = LAMBDA / 2 * log_j**2
+    for alpha, weight in terms:
+        psi += 2 * MU * weight / total / alpha**2 * (sum(s**alpha for s in stretches) - 3 - alpha * log_j)
+    return psi
+
+
+def fung_coupled(f, b=mpf(1.5)):
+    log_j, i1, _ = coupled(f)
+    return MU / (2 * b) * (exp(b * (i1 - 3 - 2 * log_j)) - 1) + LAMBDA / 2 * log_j**2
+
+
+def veronda_westmann_coupled(f, b=mpf(1.1)):
+    log_j, i1, i2 = coupled(f)
+    c1 = MU / b
+    first, second = c1 * (exp(b * (i1 - 3 - 2 * log_j)) - 1), c1 * b / 2 * (i2 - 3 - 4 * log_j)
+    return first - second + (LAMBDA / 2 + MU) * log_j**2
+
+
 def quadratic(e):
     return LAMBDA / 2 * trace(e) ** 2 + MU * trace(e * e.T)
 
@@ -130,12 +182,18 @@ def with_fibre(base, tension_only, k1=mpf(2.5) * MU, k2=mpf(0.8), direction=(0.4
 LAWS = {
     "neo_hookean": neo_hookean("log"),
     "neo_hookean_quadratic": neo_hookean("quadratic"),
+    "bimodular": bimodular("log"),
     "mooney_rivlin": mooney_rivlin("log"),
     "mooney_rivlin_quadratic": mooney_rivlin("quadratic"),
     "yeoh": yeoh("log"),
     "ogden": ogden("quadratic"),
     "fung": fung("log"),
     "veronda_westmann": veronda_westmann("quadratic"),
+    "mooney_rivlin_coupled": mooney_rivlin_coupled,
+    "yeoh_coupled": yeoh_coupled,
+    "ogden_coupled": ogden_coupled,
+    "fung_coupled": fung_coupled,
+    "veronda_westmann_coupled": veronda_westmann_coupled,
     "st_venant_kirchhoff": st_venant_kirchhoff,
     "hooke": hooke,
     "neo_hookean_fibre": with_fibre(neo_hookean("log"), tension_only=False),

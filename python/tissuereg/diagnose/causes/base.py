@@ -114,6 +114,23 @@ class Cause(ABC):
             With the same discrete choices.
         """
 
+    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
+        """Return hypotheses too much like one of the bank to be screened, which are fitted beside it.
+
+        Parameters
+        ----------
+        bench : Bench
+            The believed model.
+        variant : Variant
+            Of the bank.
+
+        Returns
+        -------
+        tuple of Variant
+            With its columns and other choices.
+        """
+        return ()
+
     @abstractmethod
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""

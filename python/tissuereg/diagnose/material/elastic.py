@@ -3,7 +3,7 @@
 Bars free across are answered by the solver's own point (`tissuereg.material_tests`). In simple shear the whole tensor
 is needed, because memory acts on its parts: in the plane of shear, with ``C`` of determinant 1 and ``C33 = 1``,
 
-    S = 2 (W1 + I1 W2) I - 2 W2 C - 2/3 (W1 I1 + 2 W2 I2) C^-1        (isochoric laws; no volumetric stress at J = 1)
+    S = 2 (W1 + I1 W2) I - 2 W2 C - 2/3 (W1 I1 + 2 W2 I2) C^-1        (split laws; no volumetric stress at J = 1)
     S = mu (I - C^-1)                                                  (neo-Hookean of the coupled form)
 """
 
@@ -77,8 +77,10 @@ def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
     lmbda, mu = lame(material)
     identity, inverse = np.eye(2), _inverse(metric)
     i1 = metric[:, 0, 0] + metric[:, 1, 1] + 1.0
-    if material.law == "neo-hookean":
+    if material.law in ("neo-hookean", "bimodular"):
         stress = mu * (identity - inverse)
+        if material.law == "bimodular":
+            stress = stress + 2.0 * mu * float(material.shape["excess"]) * _stretched(metric)
     elif material.law == "st-venant-kirchhoff":
         strain = 0.5 * (metric - identity)
         trace = strain[:, 0, 0] + strain[:, 1, 1]
@@ -88,7 +90,8 @@ def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
     else:
         w1, w2 = (w[:, None, None] for w in _slopes(material, mu, i1))
         i1 = i1[:, None, None]  # I2 = I1 here
-        stress = 2.0 * (w1 + i1 * w2) * identity - 2.0 * w2 * metric - 2.0 / 3.0 * (w1 + 2.0 * w2) * i1 * inverse
+        pressure = 2.0 * w1 + 4.0 * w2 if material.volumetric == "coupled" else 2.0 / 3.0 * (w1 + 2.0 * w2) * i1
+        stress = 2.0 * (w1 + i1 * w2) * identity - 2.0 * w2 * metric - pressure * inverse
     if material.fibre is not None:
         stress = stress + _fibre_second_pk(material, mu, metric, inverse)
     return np.asarray(stress)
@@ -118,6 +121,9 @@ def isochoric_energy(material: Material, stretches: FloatArray) -> FloatArray:
             for alpha, share in _ogden_terms(material):
                 energy += 2.0 * mu * share / alpha**2 * ((stretches**alpha).sum(axis=1) - 3.0)
             return energy
+        case "bimodular":
+            stretched = np.maximum(0.5 * (stretches**2 - 1.0), 0.0)
+            return np.asarray(0.5 * mu * i1 + mu * float(shape["excess"]) * (stretched**2).sum(axis=1))
         case "mooney-rivlin":
             share = float(shape["share"])
             return np.asarray(0.5 * mu * ((1.0 - share) * i1 + share * i2))
@@ -156,15 +162,28 @@ def _ogden_terms(material: Material) -> list[tuple[float, float]]:
     return [(float(a), float(w)) for a, w in zip(alpha, weight / weight.sum(), strict=True)]
 
 
-def _ogden_second_pk(material: Material, mu: float, metric: FloatArray) -> FloatArray:
-    # Squares of the principal stretches have this sum and the product 1.
+def _larger_square(metric: FloatArray) -> FloatArray:
+    """Return the square of the larger principal stretch in the plane; that of the other is its inverse."""
     half = 0.5 * (metric[:, 0, 0] + metric[:, 1, 1])
-    larger = half + np.sqrt(np.maximum(half**2 - 1.0, 0.0))
+    return np.asarray(half + np.sqrt(np.maximum(half**2 - 1.0, 0.0)))
+
+
+def _stretched(metric: FloatArray) -> FloatArray:
+    """Return the part of the Green-Lagrange strain in the plane that stretches, (n, 2, 2)."""
+    larger = _larger_square(metric)
+    gap = larger - 1.0 / larger
+    along = (metric - (1.0 / larger)[:, None, None] * np.eye(2)) / np.where(gap > 1e-9, gap, 1.0)[:, None, None]
+    return np.asarray(0.5 * (larger - 1.0)[:, None, None] * along)
+
+
+def _ogden_second_pk(material: Material, mu: float, metric: FloatArray) -> FloatArray:
+    larger = _larger_square(metric)
     squares = np.stack([larger, 1.0 / larger, np.ones(len(larger))], axis=1)
     tau = np.zeros_like(squares)
     for alpha, share in _ogden_terms(material):
         powers = squares ** (0.5 * alpha)
-        tau += 2.0 * mu * share / alpha * (powers - powers.mean(axis=1, keepdims=True))
+        even = 1.0 if material.volumetric == "coupled" else powers.mean(axis=1, keepdims=True)
+        tau += 2.0 * mu * share / alpha * (powers - even)
     principal = tau / squares
     # Isotropic in the plane: S = p I + q C with these principal values.
     gap = squares[:, 0] - squares[:, 1]

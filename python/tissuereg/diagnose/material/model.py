@@ -8,8 +8,8 @@ from tissuereg.effects import Effect
 from tissuereg.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
 from tissuereg.effects.history import Rate, Relaxation, Set, Softening
 from tissuereg.errors import ExperimentError
-from tissuereg.material import SHAPE_KEYS, Material
 from tissuereg.material import Fibre as Fibres
+from tissuereg.material import Material
 from tissuereg.material_experiment import MaterialExperiment
 
 
@@ -75,8 +75,7 @@ class Model:
             case Poisson():
                 return self.with_material(poisson=effect.poisson)
             case OtherLaw():
-                shape = {key: getattr(effect, key) for key in SHAPE_KEYS[effect.law]}
-                return self.with_material(law=effect.law, shape=shape)
+                return replace(self, material=effect.of(self.material))
             case Fibre():
                 return self.with_material(
                     fibre=Fibres(effect.k1_over_mu, effect.k2, effect.direction, effect.tension_only)
