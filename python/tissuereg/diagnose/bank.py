@@ -27,7 +27,7 @@ SCHEMA = 3
 #: Causes whose columns are closed forms: made anew each time, never kept.
 CLOSED_FORM = ("frame", "scale", "latency", "marker_slip", "marker_swap")
 
-#: Oldest banks, and answers of fine meshes, go when there are more than this.
+#: Oldest banks go when there are more than this.
 MOST_FILES = 24
 
 

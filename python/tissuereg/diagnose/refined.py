@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg._arrays import FloatArray
-from tissuereg.diagnose.bank import MOST_FILES
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.predictor import refuse_failures
 from tissuereg.diagnose.signals import Layout
@@ -19,6 +18,9 @@ from tissuereg.simulate.memory import goes_through_time
 
 #: Finer meshes beside the one that corrects.
 THIRDS = 3
+
+#: Rigs whose answers are kept: they take long to make and some 0.1 MB each.
+MOST_FILES = 500
 
 
 def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
