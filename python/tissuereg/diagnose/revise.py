@@ -15,7 +15,7 @@ from tissuereg.diagnose.fit import Fit, Part, Target, fit
 BETTER = 2.0
 
 
-def without(target: Target, current: Fit, part: int) -> Fit | None:
+def without(target: Target, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
     """Return the fit of a model that lacks one of its causes.
 
     Parameters
@@ -26,6 +26,8 @@ def without(target: Target, current: Fit, part: int) -> Fit | None:
         With all causes.
     part : int
         Number of the one that goes.
+    hopeless : float
+        As `fit` takes it.
 
     Returns
     -------
@@ -34,7 +36,7 @@ def without(target: Target, current: Fit, part: int) -> Fit | None:
     """
     mine = current.slices()[part]
     others = [*current.parts[:part], *current.parts[part + 1 :]]
-    return fit(target, others, start=np.delete(current.x, np.r_[mine]))
+    return fit(target, others, start=np.delete(current.x, np.r_[mine]), hopeless=hopeless)
 
 
 def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tuple[Fit, list[int]]:
@@ -56,16 +58,16 @@ def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tup
     """
     left = list(range(len(current.parts)))
     while len(left) > 1:
-        fits = [(number, without(target, current, number)) for number in range(len(left))]
-        spare = [
-            (current.log_evidence - f.log_evidence - thresholds[current.ids[number]], number, f)
-            for number, f in fits
-            if f is not None
-        ]
-        beyond, number, fitted = min(spare, key=lambda row: row[0], default=(np.inf, 0, current))
-        if beyond >= 0.0:
+        spare: list[tuple[float, int, Fit]] = []
+        for number, name in enumerate(current.ids):
+            # What a fit must reach to show that its missing cause is not needed.
+            least = current.log_evidence - thresholds[name]
+            fitted = without(target, current, number, hopeless=-least)
+            if fitted is not None and fitted.log_evidence > least:
+                spare.append((fitted.log_evidence - least, number, fitted))
+        if not spare:
             break
-        current = fitted
+        _, number, current = max(spare, key=lambda row: row[0])
         del left[number]
     return current, left
 
@@ -93,7 +95,9 @@ def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Par
     best = current
     for mate, knobs in mates:
         parts = [*current.parts[:part], mate, *current.parts[part + 1 :]]
-        fitted = fit(target, parts, start=np.concatenate([current.x[: mine.start], knobs, current.x[mine.stop :]]))
-        if fitted is not None and fitted.log_evidence > max(best.log_evidence, current.log_evidence + BETTER):
+        start = np.concatenate([current.x[: mine.start], knobs, current.x[mine.stop :]])
+        least = max(best.log_evidence, current.log_evidence + BETTER)
+        fitted = fit(target, parts, start=start, hopeless=-least)
+        if fitted is not None and fitted.log_evidence > least:
             best = fitted
     return best
