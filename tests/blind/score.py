@@ -106,6 +106,13 @@ def _outside_rows(cases, without):
         at_least=False,
         note=f"{len(without)} causes",
     )
+    told_apart = {c.case: set().union(*c.groups) for c in cases}
+    yield _count(
+        "the same, where the whole catalogue tells the two apart",
+        (bool(set(c.ids) - told_apart.get(c.case, set())) and c.wrong for c in removed),
+        "",
+        1.0,
+    )
     high = [c for c in removed if c.truth["detectability"] >= 12.8]
     yield _count(
         "a cause taken out, d >= 13: unexplained or its mate",

@@ -92,6 +92,11 @@ def test_a_cause_taken_out_is_misnamed_only_outside_its_group():
         "layer": [Scored("b1", truth(near=("poisson",)), named("poisson")), Scored("b2", truth(), named("fibre"))]
     }
     assert counted([], "a cause taken out: silently misnamed", without=without) == (1, 2)
+    # With the whole catalogue the data told no difference between the layer and the fibre.
+    tied = [Scored("b2", truth(), named("layer", group=["layer", "fibre"]))]
+    name = "the same, where the whole catalogue tells the two apart"
+    assert counted([], name, without=without) == (1, 2)
+    assert counted(tied, name, without=without) == (0, 2)
 
 
 def predicting(said, base, final, n=1000, blocks=("push_x",)):

@@ -41,7 +41,7 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     forces: list[FloatArray] = []
     jams: list[FloatArray] = []
     for part in layout.parts:
-        for history in _histories(part, base):
+        for history in histories(part, base):
             markers += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
             for i in range(len(part.pads)):
                 largest = np.abs(part.forces(base)[:, i]).max()
@@ -62,8 +62,21 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     ).astype(np.float64)
 
 
-def _histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
-    """Return how a generic change may go through a case: with the load, its square, its memory, the clock."""
+def histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
+    """Return how a generic change may go through a case: with the load, its square, its memory, the clock.
+
+    Parameters
+    ----------
+    part : CasePart
+        The case.
+    base : ndarray of float64, shape (size,)
+        What the believed model says.
+
+    Returns
+    -------
+    list of ndarray of float64, shapes (n_frames,)
+        Of about unit size.
+    """
     load = load_history(part, base)
     span = float(part.times[-1] - part.times[0]) if part.n_frames > 1 else 1.0
     clock = (part.times - part.times[0]) / max(span, 1e-9)

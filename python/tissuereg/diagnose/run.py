@@ -19,10 +19,10 @@ from tissuereg.diagnose.discrepancy import describe
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.fit import Target, fit
 from tissuereg.diagnose.generic import generic_columns
-from tissuereg.diagnose.misfit import p_misfit
+from tissuereg.diagnose.misfit import Battery, smooth_subspaces
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
-from tissuereg.diagnose.nulls import Nulls, draw_nulls
+from tissuereg.diagnose.nulls import draw_nulls
 from tissuereg.diagnose.proof import BEFORE, BELIEVED, GENERIC, NAMED
 from tissuereg.diagnose.refined import refined_predictions
 from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
@@ -36,7 +36,7 @@ from tissuereg.io.cache import cache_folder
 #: Misfit less likely than this is one.
 MISFIT = 0.01
 
-#: Causes that leave a misfit must explain this share of it, or nothing is named.
+#: Causes that leave a misfit must explain this share of it where it stands out most, or nothing is named.
 EXPLAINED = 0.5
 
 #: The modulus is a finding beyond this many prior deviations.
@@ -78,13 +78,15 @@ def diagnose_body(
     nulls = draw_nulls(screen, null, noise, layout, list(others - fine), seed)
     target = Target(bench, noise, correction, rest)
     found = search(target, screen, nulls.thresholds, progress=progress)
-    misfit = p_misfit(found.reduced, nulls.residuals, layout)
+    battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise))
+    before = target.null.reduced(found.base.residual)
+    misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = _findings(target, found, nulls.thresholds)
-    if misfit < MISFIT and _explained(target, found, nulls) < EXPLAINED:
+    if misfit.p < MISFIT and misfit.explained < EXPLAINED:
         # What was found is at best the nearest thing to what is there.
         findings, found = [], found.taken_back(target)
-        misfit = p_misfit(found.reduced, nulls.residuals, layout)
-    verdict = _verdict(findings, misfit)
+        misfit = battery.judge(before, found.reduced, nulls.residuals)
+    verdict = _verdict(findings, misfit.p)
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
     if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
@@ -96,7 +98,7 @@ def diagnose_body(
         verdict=verdict,
         findings=tuple(findings),
         candidates=_candidates(screen, found.steps[0]),
-        p_misfit=misfit,
+        p_misfit=misfit.p,
         discrepancy=describe(layout, noise, found.base, found.final),
         extended=extended,
         next_experiment=advise(target, found.steps, findings),
@@ -131,14 +133,6 @@ def _with_targets(findings: list[Finding], experiment: Experiment, extended: Exp
         "target_rms_named_mm": target_rms(extended, threads),
     }
     return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
-
-
-def _explained(target: Target, found: Search, nulls: Nulls) -> float:
-    """Return the share of what the believed model misses beyond noise and nuisances that was explained."""
-    before = float((target.null.reduced(found.base.residual) ** 2).sum())
-    after = float((found.reduced**2).sum())
-    expected = float((nulls.residuals**2).sum(axis=1).mean())
-    return (before - after) / max(before - expected, 1e-9)
 
 
 def _verdict(findings: list[Finding], misfit: float) -> str:

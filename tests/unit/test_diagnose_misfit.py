@@ -1,0 +1,66 @@
+"""The battery that tells what a model leaves from noise."""
+
+import numpy as np
+import pytest
+
+from support.rigs import rig
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.misfit import Battery, smooth_subspaces
+from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.signals import Layout
+
+N_NULLS = 300
+
+
+@pytest.fixture(scope="module")
+def subspaces():
+    experiment = rig()
+    layout = Layout(experiment)
+    bench = Bench(experiment, layout)
+    noise = Noise(np.full(len(layout.marker_names), 0.01), 0.0, 0.0, 0.0, 1.0, 2.0, True)
+    return layout, smooth_subspaces(layout, bench.base, bench.extent, noise)
+
+
+@pytest.fixture(scope="module")
+def nulls(subspaces):
+    layout, _ = subspaces
+    return np.random.default_rng(4).standard_normal((N_NULLS, layout.size))
+
+
+def test_rows_of_a_subspace_are_orthonormal(subspaces):
+    _, bases = subspaces
+    assert len(bases) > 5
+    for basis in bases:
+        assert np.allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-9)
+
+
+def test_noise_is_a_misfit_as_rarely_as_is_said(subspaces, nulls):
+    layout, bases = subspaces
+    battery = Battery(layout, bases)
+    drawn = np.random.default_rng(5).standard_normal((300, layout.size))
+    p = np.array([battery.judge(one, one, nulls).p for one in drawn])
+    # 3 expected; more than 11 in one of 10,000 runs.
+    assert (p < 0.01).sum() <= 11
+    assert 0.3 < np.median(p) < 0.7
+
+
+def test_something_small_and_smooth_that_goes_with_the_load_is_seen(subspaces, nulls):
+    layout, bases = subspaces
+    noise = np.random.default_rng(6).standard_normal(layout.size)
+    pattern = bases[0].sum(axis=0) / np.sqrt(len(bases[0]))
+    found = [Battery(layout, some).judge(noise, noise + 7.0 * pattern, nulls).p for some in (bases, [])]
+    assert found[0] < 0.01
+    # All sums of squares together are large enough to hide it.
+    assert found[1] > 0.03
+
+
+def test_the_explained_share_is_that_where_the_rest_stands_out(subspaces, nulls):
+    layout, bases = subspaces
+    battery = Battery(layout, bases)
+    noise = np.random.default_rng(7).standard_normal(layout.size)
+    pattern = bases[0][0]
+    misfit = battery.judge(noise + 100.0 * pattern, noise + 80.0 * pattern, nulls)
+    assert misfit.p < 1e-6
+    assert misfit.explained == pytest.approx(1.0 - 0.8**2, abs=0.03)
+    # What was added by a model was not explained.
+    assert battery.judge(noise, noise + 80.0 * pattern, nulls).explained <= 0.0
