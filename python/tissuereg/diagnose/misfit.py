@@ -31,12 +31,14 @@ class Misfit:
     ----------
     p : float
         Probability that effect-free data misfit as much.
-    explained : float
-        Share of what the believed model leaves beyond noise that is gone, in the statistic that stands out most.
+    explained, explained_there : float
+        Share of what the believed model leaves beyond noise that is gone: of all, and in the statistic that stands out
+        most.
     """
 
     p: float
     explained: float
+    explained_there: float
 
 
 class Battery:
@@ -81,11 +83,13 @@ class Battery:
         # Largest values follow Gumbel's law, fitted by its moments where the draws end.
         width = float(of_nulls.std()) * np.sqrt(6.0) / np.pi
         tail = float(gumbel_r.sf(largest, of_nulls.mean() - np.euler_gamma * width, width))
-        there = sums[0, worst] - float(drawn[:, worst].mean())
-        gone = float(sums[0, worst] - sums[1, worst])
+        before_all, after_all = float((before**2).sum()), float((after**2).sum())
+        expected_all = float((nulls**2).sum(axis=1).mean())
+        there, left = float(sums[0, worst]), float(sums[1, worst])
         return Misfit(
             p=max(share, tail) if share > 0.0 else min(tail, 1.0 / len(nulls)),
-            explained=gone / there if there > 0.0 else 0.0,
+            explained=_gone(before_all, after_all, expected_all, nothing=1.0),
+            explained_there=_gone(there, left, float(drawn[:, worst].mean()), nothing=0.0),
         )
 
     def sums(self, residuals: FloatArray) -> FloatArray:
@@ -138,6 +142,11 @@ def smooth_subspaces(layout: Layout, base: FloatArray, extent: float, noise: Noi
             of_case.append(noise.whitened(np.concatenate([markers, *forces]), layout))
         found += [_basis(columns) for columns in (*of_case, np.concatenate(of_case))]
     return [basis for basis in found if len(basis)]
+
+
+def _gone(before: float, after: float, expected: float, nothing: float) -> float:
+    """Return the share of a sum of squares beyond the expected one that is gone; `nothing` where there was none."""
+    return (before - after) / (before - expected) if before > expected else nothing
 
 
 def _basis(columns: FloatArray) -> FloatArray:

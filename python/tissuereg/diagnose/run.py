@@ -36,8 +36,12 @@ from tissuereg.io.cache import cache_folder
 #: Misfit less likely than this is one.
 MISFIT = 0.01
 
-#: Causes that leave a misfit must explain this share of it where it stands out most, or nothing is named.
+#: Causes that leave a misfit must explain this share of what the believed model leaves, or nothing is named.
 EXPLAINED = 0.5
+
+#: A misfit less likely than this is clear: that share must be explained where it stands out most, too. What a mesh
+#: leaves of a strong effect is less clear.
+CLEAR = 0.001
 
 #: The modulus is a finding beyond this many prior deviations.
 STIFFNESS = 3.0
@@ -82,7 +86,8 @@ def diagnose_body(
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = _findings(target, found, nulls.thresholds)
-    if misfit.p < MISFIT and misfit.explained < EXPLAINED:
+    share = min(misfit.explained, misfit.explained_there) if misfit.p < CLEAR else misfit.explained
+    if misfit.p < MISFIT and share < EXPLAINED:
         # What was found is at best the nearest thing to what is there.
         findings, found = [], found.taken_back(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
