@@ -213,13 +213,14 @@ def report(
     oracle: dict[str, dict],
     without: dict[str, list[Scored]],
     methods: dict[str, list[Scored]],
+    note: str = "",
 ) -> str:
-    """Return all tables in Markdown."""
+    """Return all tables in Markdown, with a note on how the answers were made."""
     lines = [
         "# Blind test bench",
         "",
         f"{len(cases)} of {len(case_names())} sealed cases scored; intervals are 95 % (Wilson). Cases are asked in the "
-        f"order of their names, which are random. Verdicts: {made(cases)}.",
+        f"order of their names, which are random. Verdicts: {made(cases)}.{note and ' ' + note}",
         "",
         "| figure | count | share | goal | met | |",
         "|---|---|---|---|---|---|",
@@ -259,6 +260,7 @@ def main() -> None:
     parser.add_argument(
         "--list-without", type=Path, help="write CASE ID of what a fit would have to do without, and stop"
     )
+    parser.add_argument("--note", default="", help="sentence for the head: what the time of a verdict leaves out, say")
     options = parser.parse_args()
     cases = scored(read_predictions(options.predictions))
     if options.list_oracle or options.list_without:
@@ -271,7 +273,7 @@ def main() -> None:
     for case in scored(read_predictions(options.predictions / "without")):
         without[case.truth["cause"][0]].append(case)
     oracle = read_predictions(options.predictions / "oracle")
-    text = report(cases, oracle, dict(without), read_methods(options.predictions))
+    text = report(cases, oracle, dict(without), read_methods(options.predictions), options.note)
     if options.out:
         options.out.write_text(text, encoding="utf-8")
     else:

@@ -239,6 +239,7 @@ def test_the_table_says_by_what_and_when_answers_were_made():
     cases = [Scored(f"b{k}", truth(), CONSISTENT | stamp) for k, stamp in enumerate(stamps)]
     assert made(cases) == "commit abc; 2026-01-01 to 2026-01-03; median 2.0 s, largest 3.0 s; 0 failed"
     assert made(cases) in report(cases, {}, {}, {})
+    assert f"{made(cases)}. Made twice.\n" in report(cases, {}, {}, {}, "Made twice.")
 
 
 def test_answers_of_methods_are_read_by_folder(tmp_path):
