@@ -342,7 +342,7 @@ ARRAYS: dict[str, tuple[Callable[[], Any], type[TissueRegError], str]] = {
     "an unknown law": (
         lambda: tr.Material(law="jelly"),
         MaterialError,
-        r"`law` must be one of neo-hookean, mooney-rivlin, .* got 'jelly'",
+        r"`law` must be one of neo-hookean, bimodular, .* got 'jelly'",
     ),
     "a NaN modulus": (lambda: tr.Material(young=float("nan")), MaterialError, r"`young` must be positive"),
     "forces of another mesh": (
