@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from blind.heldout import by_block
-from tissuereg.diagnose.bank import fingerprint, make_bank
+from tissuereg.diagnose.bank import make_bank
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.correction import Correction, make_correction
 from tissuereg.diagnose.evidence import Null, fit_amplitudes
@@ -22,12 +22,11 @@ from tissuereg.diagnose.generic import generic_columns
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import make_nuisances
 from tissuereg.diagnose.proof import Linear
-from tissuereg.diagnose.refined import refined_predictions
+from tissuereg.diagnose.refined import path_of, refined_predictions
 from tissuereg.diagnose.run import MOST_IN_GROUP
 from tissuereg.diagnose.search import MOST_CAUSES, SEPARABLE
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import EFFECTS
-from tissuereg.io.cache import cache_folder
 from tissuereg.io.experiments import read_experiment
 
 #: Error ranking names the best cause where the error falls by this share.
@@ -206,8 +205,7 @@ def look_at(folder: Path, threads: int, *, fine: bool = False) -> Scene:
     bench = Bench(experiment, layout, threads=threads)
     correction = Correction(layout)
     if fine:
-        path = cache_folder() / f"fine_{fingerprint(experiment, 'tet10')}.npy"
-        correction = make_correction(layout, bench.base, refined_predictions(bench, path)[0])
+        correction = make_correction(layout, bench.base, refined_predictions(bench, path_of(experiment))[0])
     nuisances = make_nuisances(bench, np.zeros((1, layout.size)))
     free = [i for i, name in enumerate(nuisances.names) if name == "stiffness" or name.startswith("frame ")]
     null = Null(noise.whitened(correction.of_columns(nuisances.columns[free]), layout))

@@ -106,10 +106,10 @@ def _outside_rows(cases, without):
         at_least=False,
         note=f"{len(without)} causes",
     )
-    told_apart = {c.case: set().union(*c.groups) for c in cases}
+    named_together = {c.case: set().union(*c.groups) for c in cases}
     yield _count(
         "the same, where the whole catalogue tells the two apart",
-        (bool(set(c.ids) - told_apart.get(c.case, set())) and c.wrong for c in removed),
+        (bool(set(c.ids) - named_together.get(c.case, set())) and c.wrong for c in removed),
         "",
         1.0,
     )

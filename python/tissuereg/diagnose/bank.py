@@ -22,7 +22,7 @@ from tissuereg.io.cache import cache_folder, keep_in_cache
 from tissuereg.io.json import dumps
 
 #: Raised when columns change their meaning: banks of other releases are not read.
-SCHEMA = 3
+SCHEMA = 4
 
 #: Causes whose columns are closed forms: made anew each time, never kept.
 CLOSED_FORM = ("frame", "scale", "latency", "marker_slip", "marker_swap")
@@ -57,7 +57,7 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
     ConvergenceError
         If the believed model itself finds no equilibrium.
     """
-    path = cache_folder() / f"bank_{fingerprint(bench.experiment, bench.predictor.element)}.npz"
+    path = cache_folder() / f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA}')}.npz"
     base, bank = _read(path) if keep else (None, {})
     if base is not None:
         bench.base = base
@@ -73,9 +73,9 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
     return {name: bank[name] for name in CAUSES if bank[name]}
 
 
-def fingerprint(experiment: Experiment, element: str) -> str:
-    """Return a hash of everything that a bank depends on, hexadecimal."""
-    digest = hashlib.sha256(f"{__version__} {SCHEMA} {element}".encode())
+def fingerprint(experiment: Experiment, of: str) -> str:
+    """Return a hash of all that a believed model says depends on, and of what it is taken of, hexadecimal."""
+    digest = hashlib.sha256(f"{__version__} {of}".encode())
     mesh = experiment.mesh
     parts = [mesh.nodes, mesh.tets, experiment.marker_reference]
     parts += [boundary.nodes for boundary in experiment.boundaries]

@@ -83,18 +83,15 @@ class Battery:
         # Largest values follow Gumbel's law, fitted by its moments where the draws end.
         width = float(of_nulls.std()) * np.sqrt(6.0) / np.pi
         tail = float(gumbel_r.sf(largest, of_nulls.mean() - np.euler_gamma * width, width))
-        before_all, after_all = float((before**2).sum()), float((after**2).sum())
-        expected_all = float((nulls**2).sum(axis=1).mean())
-        there, left = float(sums[0, worst]), float(sums[1, worst])
         return Misfit(
             p=max(share, tail) if share > 0.0 else min(tail, 1.0 / len(nulls)),
-            explained=_gone(before_all, after_all, expected_all, nothing=1.0),
-            explained_there=_gone(there, left, float(drawn[:, worst].mean()), nothing=0.0),
+            explained=_gone(sums[:, 0], drawn[:, 0], nothing=1.0),
+            explained_there=_gone(sums[:, worst], drawn[:, worst], nothing=0.0),
         )
 
     def sums(self, residuals: FloatArray) -> FloatArray:
-        """Return all statistics, shape (n, n_statistics), positive."""
-        layout, rows = self.layout, []
+        """Return all statistics, shape (n, n_statistics), positive; that of everything first."""
+        layout, rows = self.layout, [(residuals**2).sum(axis=1)]
         per_marker = np.zeros((len(residuals), len(layout.marker_names)))
         per_frame = []
         for part in layout.parts:
@@ -108,7 +105,6 @@ class Battery:
                 per_frame.append(forces.sum(axis=2))
         rows.append(per_marker.max(axis=1))
         rows.append(np.concatenate(per_frame, axis=1).max(axis=1))
-        rows.append((residuals**2).sum(axis=1))
         rows += [((residuals @ basis.T) ** 2).sum(axis=1) for basis in self.subspaces]
         return np.asarray(np.maximum(np.stack(rows, axis=1), 1e-12))
 
@@ -144,9 +140,10 @@ def smooth_subspaces(layout: Layout, base: FloatArray, extent: float, noise: Noi
     return [basis for basis in found if len(basis)]
 
 
-def _gone(before: float, after: float, expected: float, nothing: float) -> float:
-    """Return the share of a sum of squares beyond the expected one that is gone; `nothing` where there was none."""
-    return (before - after) / (before - expected) if before > expected else nothing
+def _gone(sums: FloatArray, drawn: FloatArray, nothing: float) -> float:
+    """Return the share of a statistic, before and after, beyond what is drawn, that is gone; `nothing` of none."""
+    (before, after), expected = sums.tolist(), float(drawn.mean())
+    return float((before - after) / (before - expected)) if before > expected else nothing
 
 
 def _basis(columns: FloatArray) -> FloatArray:

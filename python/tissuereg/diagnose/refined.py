@@ -7,14 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.bank import fingerprint
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.predictor import refuse_failures
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import Effect, extended
-from tissuereg.io.cache import keep_in_cache
+from tissuereg.experiment import Experiment
+from tissuereg.io.cache import cache_folder, keep_in_cache
 from tissuereg.simulate.experiment import CaseSimulation
 from tissuereg.simulate.fine import FineModel, third_meshes
 from tissuereg.simulate.memory import goes_through_time
+
+#: Raised when fine meshes give other answers: those of other releases are not read.
+SCHEMA = 1
 
 #: Finer meshes beside the one that corrects.
 THIRDS = 3
@@ -51,6 +56,11 @@ def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
     )
 
 
+def path_of(experiment: Experiment) -> Path:
+    """Return the file in the cache that keeps what a believed model says on finer meshes."""
+    return cache_folder() / f"fine_{fingerprint(experiment, f'tet10 {SCHEMA}')}.npy"
+
+
 def refined_predictions(
     bench: Bench, path: Path | None, *, thirds: int = THIRDS, progress: Callable[[str], None] | None = None
 ) -> tuple[FloatArray, FloatArray]:
@@ -61,7 +71,7 @@ def refined_predictions(
     bench : Bench
         The believed model.
     path : Path, optional
-        File that keeps them between calls.
+        File that keeps them between calls; see `path_of`.
     thirds : int
         Number of other meshes.
     progress : callable of str, optional

@@ -11,7 +11,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg._version import __version__
 from tissuereg.diagnose.advice import advise
 from tissuereg.diagnose.answer import Diagnosis, Finding
-from tissuereg.diagnose.bank import fingerprint, make_bank
+from tissuereg.diagnose.bank import make_bank
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.correction import Correction, make_correction
@@ -24,14 +24,13 @@ from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnose.nulls import draw_nulls
 from tissuereg.diagnose.proof import BEFORE, BELIEVED, GENERIC, NAMED
-from tissuereg.diagnose.refined import refined_predictions
+from tissuereg.diagnose.refined import path_of, refined_predictions
 from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
 from tissuereg.diagnose.search import SEPARABLE, Search, Step, asked_of, search
 from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.targets import target_rms
 from tissuereg.effects import Effect, Stiffness
 from tissuereg.experiment import Experiment
-from tissuereg.io.cache import cache_folder
 
 #: Misfit less likely than this is one.
 MISFIT = 0.01
@@ -68,8 +67,7 @@ def diagnose_body(
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, element=element, threads=threads)
     bank = make_bank(bench, keep=keep, progress=progress)
-    path = cache_folder() / f"fine_{fingerprint(experiment, 'tet10')}.npy" if keep else None
-    fine, others = refined_predictions(bench, path, progress=progress)
+    fine, others = refined_predictions(bench, path_of(experiment) if keep else None, progress=progress)
     correction = make_correction(layout, bench.base, fine)
     nuisances = make_nuisances(bench, others - fine)
     correction = _at_modulus(bench, noise, correction, nuisances)

@@ -8,34 +8,33 @@
 //!
 //! The stress is continuous; the tangent jumps where a principal strain changes its sign.
 
-use super::principal::eigen;
-use super::tensor::{add_outer, add_rows, matrix, plus_identity, product, strain};
+use super::spectrum::Spectrum;
+use super::tensor::{add_outer, add_rows, plus_identity, product, strain};
 use super::{Matrix3, Tangent};
 
-/// Positive parts of the principal strains, and all that is needed of the rest.
+/// `E`, whose positive part the law feels.
 struct Stretched {
-    /// Principal Green–Lagrange strains.
-    e: [f64; 3],
-    /// Their axes, one a column.
-    axes: Matrix3,
+    spectrum: Spectrum,
 }
 
 impl Stretched {
     fn new(h: &Matrix3) -> Self {
-        let (values, axes) = eigen(strain(h));
-        Self { e: values.map(|v| 0.5 * v), axes }
+        Self { spectrum: Spectrum::new(strain(h).map(|row| row.map(|v| 0.5 * v))) }
     }
 
-    /// `Σ ⟨Eₐ⟩ Nₐ ⊗ Nₐ`
-    fn part(&self) -> Matrix3 {
-        let term =
-            |i: usize, j: usize, a: usize| self.e[a].max(0.0) * self.axes[i][a] * self.axes[j][a];
-        matrix(|i, j| (0..3).map(|a| term(i, j, a)).sum())
+    /// `⟨Eₐ⟩`
+    fn positive(&self) -> [f64; 3] {
+        self.spectrum.values.map(|e| e.max(0.0))
+    }
+
+    /// `2 Σ ⟨Eₐ⟩ Nₐ ⊗ Nₐ`
+    fn second_stress(&self) -> Matrix3 {
+        self.spectrum.with_values(self.positive().map(|e| 2.0 * e))
     }
 
     /// `(⟨Eₐ⟩ − ⟨E_b⟩) / (Eₐ − E_b)`, between 0 and 1.
     fn divided(&self, a: usize, b: usize) -> f64 {
-        let (own, other) = (self.e[a], self.e[b]);
+        let (own, other) = (self.spectrum.values[a], self.spectrum.values[b]);
         match (own > 0.0, other > 0.0) {
             (true, true) => 1.0,
             (false, false) => 0.0,
@@ -48,24 +47,20 @@ impl Stretched {
 /// Energy and stress of an excess of 1 and shear modulus 1.
 pub(super) fn response(h: &Matrix3) -> (f64, Matrix3) {
     let stretched = Stretched::new(h);
-    let energy = stretched.e.iter().map(|e| e.max(0.0) * e.max(0.0)).sum();
-    let second = stretched.part().map(|row| row.map(|v| 2.0 * v));
-    (energy, product(&plus_identity(h), &second))
+    let energy = stretched.positive().iter().map(|e| e * e).sum();
+    (energy, product(&plus_identity(h), &stretched.second_stress()))
 }
 
 /// Add the tangent of an excess times a shear modulus.
 pub(super) fn add_tangent(modulus: f64, h: &Matrix3, sum: &mut Tangent) {
     let stretched = Stretched::new(h);
-    add_rows(sum, 2.0 * modulus, &stretched.part());
-    let pushed = product(&plus_identity(h), &stretched.axes);
-    // (F N_a) ⊗ N_b
-    let dyad = |a: usize, b: usize| matrix(|i, j| pushed[i][a] * stretched.axes[j][b]);
+    add_rows(sum, modulus, &stretched.second_stress());
+    let dyads = stretched.spectrum.pushed(h);
     for a in 0..3 {
-        let own = dyad(a, a);
+        let own = dyads.one(a, a);
         add_outer(sum, 2.0 * modulus * stretched.divided(a, a), &own, &own);
         for b in 0..a {
-            let (ab, ba) = (dyad(a, b), dyad(b, a));
-            let mixed = matrix(|i, j| ab[i][j] + ba[i][j]);
+            let mixed = dyads.mixed(a, b);
             add_outer(sum, modulus * stretched.divided(a, b), &mixed, &mixed);
         }
     }

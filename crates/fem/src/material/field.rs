@@ -234,9 +234,7 @@ impl Material {
     /// Lamé constants where the law is the neo-Hookean one with logarithmic volumetric energy and
     /// no fibres.
     pub(crate) fn plain_neo_hookean(&self) -> Option<PlainLaws<'_>> {
-        let plain = self.kind == LawKind::NeoHookean
-            && self.volumetric != Volumetric::Quadratic
-            && self.fibres.is_none();
+        let plain = self.kind.is_plain(self.volumetric) && self.fibres.is_none();
         plain.then_some(PlainLaws { moduli: &self.moduli, layout: self.layout })
     }
 

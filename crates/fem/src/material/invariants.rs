@@ -34,7 +34,7 @@ pub(super) struct Slopes {
 }
 
 impl LawKind {
-    /// None for a law that is not one in isochoric invariants.
+    /// None for a law that is not one in invariants.
     fn slopes(&self, a: f64, b: f64) -> Option<Slopes> {
         Some(match *self {
             Self::MooneyRivlin { share } => Slopes {
@@ -90,7 +90,7 @@ impl LawKind {
         h: &Matrix3,
         k: &Kinematics,
     ) -> Option<(f64, Matrix3)> {
-        let invariants = Invariants { split: volumetric.splits() };
+        let invariants = Invariants::of(volumetric);
         let (a, slope_of_a) = invariants.first(h, k);
         if !self.has_second() {
             let slopes = self.slopes(a, 0.0)?;
@@ -110,7 +110,7 @@ impl LawKind {
         h: &Matrix3,
         k: &Kinematics,
     ) -> (f64, Matrix3) {
-        let invariants = Invariants { split: volumetric.splits() };
+        let invariants = Invariants::of(volumetric);
         let (a, slope_of_a) = invariants.first(h, k);
         let (b, slope_of_b) = match self.has_second() {
             true => invariants.second(h, k),
@@ -129,7 +129,7 @@ impl LawKind {
         k: &Kinematics,
         sum: &mut Tangent,
     ) -> Option<()> {
-        let invariants = Invariants { split: volumetric.splits() };
+        let invariants = Invariants::of(volumetric);
         let (a, slope_of_a) = invariants.first(h, k);
         // No law here has curvature in b: its value is not needed.
         let slopes = self.slopes(a, 0.0)?;
@@ -149,6 +149,10 @@ struct Invariants {
 }
 
 impl Invariants {
+    fn of(volumetric: Volumetric) -> Self {
+        Self { split: volumetric.splits() }
+    }
+
     /// `a` and its slope.
     fn first(self, h: &Matrix3, k: &Kinematics) -> (f64, Matrix3) {
         let value = self.without_first_order(2.0, square(h) - 2.0 * k.q, k);

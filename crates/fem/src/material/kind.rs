@@ -187,6 +187,13 @@ impl LawKind {
         }
     }
 
+    /// Whether this is the neo-Hookean law with a logarithmic volumetric energy, which is coupled
+    /// as it stands.
+    #[inline(always)]
+    pub(super) fn is_plain(&self, volumetric: Volumetric) -> bool {
+        matches!(self, Self::NeoHookean) && volumetric != Volumetric::Quadratic
+    }
+
     /// Check the shape parameters and the volumetric energy.
     pub(super) fn check(&self, volumetric: Volumetric) -> Result<(), FemError> {
         match *self {

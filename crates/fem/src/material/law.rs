@@ -91,9 +91,7 @@ impl Law {
     /// The law that is worth a path of its own.
     #[inline(always)]
     fn is_plain(&self) -> bool {
-        matches!(self.kind, LawKind::NeoHookean)
-            && self.volumetric != Volumetric::Quadratic
-            && self.fibre.is_none()
+        self.kind.is_plain(self.volumetric) && self.fibre.is_none()
     }
 
     fn holds_at_any_h(&self) -> bool {

@@ -18,6 +18,7 @@ mod law;
 mod linear;
 mod neo_hookean;
 mod principal;
+mod spectrum;
 mod stiffness;
 mod tensor;
 

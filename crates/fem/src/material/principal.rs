@@ -14,17 +14,16 @@
 //! at `r = 0`: equal stretches need no special case and lose no digits.
 
 use super::kinematics::Kinematics;
-use super::tensor::{
-    add_outer, add_rows, matrix, phi1, phi2, phi3, plus_identity, product, strain,
-};
+use super::spectrum::Spectrum;
+use super::tensor::{add_outer, add_rows, phi1, phi2, phi3, plus_identity, product, strain};
 use super::{Matrix3, OgdenTerms, Tangent, Volumetric};
 
 /// What all answers share.
 struct Principal {
+    /// Of `C − I`.
+    spectrum: Spectrum,
     /// Eigenvalues of `C`.
     c: [f64; 3],
-    /// Eigenvectors, one a column.
-    axes: Matrix3,
     /// Logarithmic stretches, deviatoric ones of a split law.
     d: [f64; 3],
     split: bool,
@@ -32,11 +31,11 @@ struct Principal {
 
 impl Principal {
     fn new(volumetric: Volumetric, h: &Matrix3, k: &Kinematics) -> Self {
-        let (values, axes) = eigen(strain(h));
+        let spectrum = Spectrum::new(strain(h));
         let split = volumetric.splits();
         let volume = if split { k.log / 3.0 } else { 0.0 };
-        let d = values.map(|v| 0.5 * v.ln_1p() - volume);
-        Self { c: values.map(|v| 1.0 + v), axes, d, split }
+        let d = spectrum.values.map(|v| 0.5 * v.ln_1p() - volume);
+        Self { c: spectrum.values.map(|v| 1.0 + v), spectrum, d, split }
     }
 
     /// What a split law leaves of principal stresses.
@@ -47,7 +46,7 @@ impl Principal {
 
     /// `Σᵢ sᵢ Nᵢ ⊗ Nᵢ` with `sᵢ = τᵢ/cᵢ`.
     fn second_stress(&self, tau: &[f64; 3]) -> Matrix3 {
-        matrix(|i, j| (0..3).map(|a| tau[a] / self.c[a] * self.axes[i][a] * self.axes[j][a]).sum())
+        self.spectrum.with_values(std::array::from_fn(|a| tau[a] / self.c[a]))
     }
 
     /// Energy of one term with all of the shear modulus.
@@ -130,21 +129,17 @@ impl OgdenTerms {
     ) {
         let at = Principal::new(volumetric, h, k);
         let tau = self.tau(&at).map(|t| mu * t);
-        let f = plus_identity(h);
         add_rows(sum, 1.0, &at.second_stress(&tau));
-        let pushed = product(&f, &at.axes);
-        // (F N_a) ⊗ N_b
-        let dyad = |a: usize, b: usize| matrix(|i, j| pushed[i][a] * at.axes[j][b]);
+        let dyads = at.spectrum.pushed(h);
         let c = at.c;
         for a in 0..3 {
-            let m = dyad(a, a);
+            let m = dyads.one(a, a);
             add_outer(sum, (mu * self.slope(&at, a, a) - 2.0 * tau[a]) / (c[a] * c[a]), &m, &m);
             for b in 0..a {
-                let other = dyad(b, b);
+                let other = dyads.one(b, b);
                 let slope = 2.0 * mu * self.slope(&at, a, b) / (c[a] * c[b]);
                 add_outer(sum, slope, &m, &other);
-                let (ab, ba) = (dyad(a, b), dyad(b, a));
-                let mixed = matrix(|i, j| ab[i][j] + ba[i][j]);
+                let mixed = dyads.mixed(a, b);
                 let theta = mu * self.divided(&c, &at.d, a, b) / c[a] - tau[b] / (c[a] * c[b]);
                 add_outer(sum, theta, &mixed, &mixed);
             }
@@ -173,72 +168,5 @@ impl OgdenTerms {
             2.0 * share * (alpha * d[b]).exp() * phi1(alpha * delta) * over_ratio / c[b]
         };
         self.terms().map(term).sum()
-    }
-}
-
-/// Eigenvalues and eigenvectors (columns) of a symmetric matrix, by Jacobi's rotations.
-///
-/// Golub and Van Loan, *Matrix Computations*, 4th ed., algorithm 8.5.3; a 3 x 3 matrix is diagonal
-/// to rounding after five sweeps, and a NaN passes through.
-pub(super) fn eigen(mut m: Matrix3) -> ([f64; 3], Matrix3) {
-    let mut axes = plus_identity(&[[0.0; 3]; 3]);
-    for _ in 0..10 {
-        if m[0][1] == 0.0 && m[0][2] == 0.0 && m[1][2] == 0.0 {
-            break;
-        }
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            rotate(&mut m, &mut axes, p, q);
-        }
-    }
-    ([m[0][0], m[1][1], m[2][2]], axes)
-}
-
-/// Make entry `(p, q)` zero.
-fn rotate(m: &mut Matrix3, axes: &mut Matrix3, p: usize, q: usize) {
-    let off = m[p][q];
-    let scale = m[p][p].abs().min(m[q][q].abs());
-    if off.abs() <= f64::EPSILON * 1e-3 * scale {
-        (m[p][q], m[q][p]) = (0.0, 0.0);
-        return;
-    }
-    let half = 0.5 * (m[q][q] - m[p][p]) / off;
-    let t = half.signum() / (half.abs() + half.hypot(1.0));
-    let cos = 1.0 / t.hypot(1.0);
-    let sin = t * cos;
-    m[p][p] -= t * off;
-    m[q][q] += t * off;
-    (m[p][q], m[q][p]) = (0.0, 0.0);
-    let r = 3 - p - q;
-    let (x, y) = (m[r][p], m[r][q]);
-    (m[r][p], m[r][q]) = (cos * x - sin * y, sin * x + cos * y);
-    (m[p][r], m[q][r]) = (m[r][p], m[r][q]);
-    for row in axes {
-        (row[p], row[q]) = (cos * row[p] - sin * row[q], sin * row[p] + cos * row[q]);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_eigenvectors_rebuild_the_matrix() {
-        let tiny = 1e-14;
-        for m in [
-            [[2.0, -1.0, 0.5], [-1.0, 3.0, 0.25], [0.5, 0.25, -4.0]],
-            [[1.0, tiny, 0.0], [tiny, 1.0, tiny], [0.0, tiny, 1.0]],
-            [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
-            [[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 5.0]],
-        ] {
-            let (values, axes) = eigen(m);
-            for i in 0..3 {
-                for j in 0..3 {
-                    let rebuilt: f64 = (0..3).map(|a| values[a] * axes[i][a] * axes[j][a]).sum();
-                    assert!((rebuilt - m[i][j]).abs() < 4e-15, "{m:?}");
-                    let inner: f64 = (0..3).map(|a| axes[i][a] * axes[j][a]).sum();
-                    assert!((inner - if i == j { 1.0 } else { 0.0 }).abs() < 1e-15, "{m:?}");
-                }
-            }
-        }
     }
 }

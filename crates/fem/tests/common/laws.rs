@@ -36,6 +36,12 @@ impl Recipe {
         self.material().expect("sound").law_at(0, 0)
     }
 
+    /// Whether small strains find the law's moduli and nothing else: a bimodular law has others
+    /// where it is stretched.
+    pub fn starts_as_hooke(&self) -> bool {
+        self.fibre.is_none() && !matches!(self.kind, LawKind::Bimodular { .. })
+    }
+
     /// The same with one parameter moved.
     pub fn moved(&self, parameter: Parameter, by: f64) -> Self {
         let mut other = self.clone();

@@ -1,14 +1,13 @@
 """Pull and push are no mirror images."""
 
-from collections.abc import Iterable
 from typing import ClassVar
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
-from tissuereg.diagnose.causes.laws import form_of, forms_of_laws, other_forms
+from tissuereg.diagnose.causes.base import Knobs, Values, Variant, knobs
+from tissuereg.diagnose.causes.laws import LawCause
 from tissuereg.effects import Asymmetry, Effect
 
 #: Exponent of Ogden's law that equals a neo-Hookean one, and distances from it at which secants are taken.
@@ -19,43 +18,42 @@ DISTANCES = (-12.0, 10.0)
 EXCESSES = (-0.4, 0.7)
 
 
-class AsymmetryCause(Cause):
+class AsymmetryCause(LawCause):
     """Ogden's law of one term, or a bimodular one, which tells pull from push from the smallest strain on.
 
     Ogden's is stiffer in compression for negative exponents, in tension for large positive ones.
     """
 
     id: ClassVar[str] = "asymmetry"
-    discrete: ClassVar[tuple[str, ...]] = ("law",)
+    tried: ClassVar[tuple[tuple[str, float], ...]] = (
+        *(("ogden", distance) for distance in DISTANCES),
+        *(("bimodular", excess) for excess in EXCESSES),
+    )
 
-    def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return secants of both laws to both sides."""
-        for form in forms_of_laws(bench)[:1]:
-            tried = [("ogden", distance) for distance in DISTANCES] + [("bimodular", excess) for excess in EXCESSES]
-            changes = bench.changes([[_effect(law, size, form)] for law, size in tried])
-            for (law, size), changed in zip(tried, changes, strict=True):
-                if changed is not None:
-                    yield Variant(f"{law} {size:g}", changed[None], {"law": law, "size": size}, positive=True)
+    def effect(self, law: str, size: float, form: str) -> Effect:
+        """Return a bimodular law of some excess, or Ogden's at some distance from an even exponent."""
+        if law == "bimodular":
+            return Asymmetry(law=law, excess=size, volumetric=form)
+        exponent = EVEN + size
+        if abs(exponent) < 0.1:
+            exponent = 0.1 if exponent >= 0 else -0.1
+        return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return the exponent's distance from an even one, or the logarithm of the stiffness in tension."""
-        form, law = form_of(bench, variant.settings), str(variant.settings["law"])
+        form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
         start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
         if law == "ogden":
             return knobs(
                 [(start, 0.0, 12.0, 0.5)],
-                lambda x, young: (_effect(law, float(x[0]), form),),
+                lambda x, young: (self.effect(law, float(x[0]), form),),
                 lambda x, young: {"law": law, "alpha": [EVEN + float(x[0])], "volumetric": form},
             )
         return knobs(
             [(float(np.log1p(start)), 0.0, 0.7, 0.05)],
-            lambda x, young: (_effect(law, float(np.expm1(x[0])), form),),
+            lambda x, young: (self.effect(law, float(np.expm1(x[0])), form),),
             lambda x, young: {"law": law, "excess": float(np.expm1(x[0])), "volumetric": form},
         )
-
-    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same exponent in the split form; a bimodular law has one form."""
-        return other_forms(bench, variant) if variant.settings["law"] == "ogden" else ()
 
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""
@@ -65,12 +63,3 @@ class AsymmetryCause(Cause):
         exponent = values["alpha"][0]
         side = "compression" if exponent < 0 else "tension"
         return f"The body is stiffer in {side} than its mirror image (Ogden's exponent {exponent:.3g})."
-
-
-def _effect(law: str, size: float, form: str) -> Effect:
-    if law == "bimodular":
-        return Asymmetry(law=law, excess=size, volumetric=form)
-    exponent = EVEN + size
-    if abs(exponent) < 0.1:
-        exponent = 0.1 if exponent >= 0 else -0.1
-    return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)

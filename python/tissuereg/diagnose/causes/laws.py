@@ -1,42 +1,50 @@
-"""Other laws in the place of a believed neo-Hookean one, in the forms that the same moduli leave open."""
+"""Causes that put another law in the place of a believed neo-Hookean one.
 
-from collections.abc import Mapping
+The believed law is the coupled neo-Hookean one. Coupled laws differ from it by their shape alone; split ones also by
+the split, which looks like another Poisson's ratio. The bank holds the nested form, the fit tries the split one too.
+"""
+
+from abc import abstractmethod
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
+from typing import ClassVar
 
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Variant
+from tissuereg.diagnose.causes.base import Cause, Variant
+from tissuereg.effects import Effect
 
 
-def forms_of_laws(bench: Bench) -> tuple[str, ...]:
-    """Return how other laws may treat the volume, as `Material.volumetric`; none where none is tried.
+class LawCause(Cause):
+    """Laws that are the believed one where their shape vanishes; secants are taken at one or more sizes of each."""
 
-    The believed law is the coupled neo-Hookean one. Coupled laws differ from it by their shape alone; split ones also
-    by the split, which looks like another Poisson's ratio.
+    discrete: ClassVar[tuple[str, ...]] = ("law",)
 
-    Parameters
-    ----------
-    bench : Bench
-        The believed model.
+    #: Laws and sizes of their shape where secants are taken.
+    tried: ClassVar[tuple[tuple[str, float], ...]]
 
-    Returns
-    -------
-    tuple of str
-        The nested form first.
-    """
+    @abstractmethod
+    def effect(self, law: str, size: float, form: str) -> Effect:
+        """Return a law of some shape in a form, as `Material.volumetric` has it."""
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return secants to all laws in the nested form; none where another law is believed."""
+        for form in _forms(bench)[:1]:
+            changes = bench.changes([[self.effect(law, size, form)] for law, size in self.tried])
+            for (law, size), changed in zip(self.tried, changes, strict=True):
+                if changed is not None:
+                    settings = {"law": law, "size": size, "volumetric": form}
+                    yield Variant(f"{law} {size:g}", changed[None], settings, positive=True)
+
+    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
+        """Return the same shape in the other forms; a bimodular law has one."""
+        if variant.settings["law"] == "bimodular":
+            return ()
+        return tuple(replace(variant, settings={**variant.settings, "volumetric": form}) for form in _forms(bench)[1:])
+
+
+def _forms(bench: Bench) -> tuple[str, ...]:
+    """Return how other laws may treat the volume, the nested form first; none where none is tried."""
     material = bench.experiment.material
     if material.law != "neo-hookean":
         return ()
     return ("quadratic",) if material.volumetric == "quadratic" else ("coupled", "log")
-
-
-def other_forms(bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-    """Return a hypothesis of a law in its other forms, with the columns of the nested one."""
-    return tuple(
-        replace(variant, settings={**variant.settings, "volumetric": form}) for form in forms_of_laws(bench)[1:]
-    )
-
-
-def form_of(bench: Bench, settings: Mapping[str, Any]) -> str:
-    """Return the form of a hypothesis; the nested one where it names none."""
-    return str(settings.get("volumetric") or forms_of_laws(bench)[0])

@@ -1,14 +1,13 @@
 """The body stiffens with strain."""
 
-from collections.abc import Iterable
 from typing import ClassVar
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
-from tissuereg.diagnose.causes.laws import form_of, forms_of_laws, other_forms
+from tissuereg.diagnose.causes.base import Knobs, Values, Variant, knobs
+from tissuereg.diagnose.causes.laws import LawCause
 from tissuereg.effects import Effect, Stiffening
 
 #: Where secants are taken: exponents of Fung's law, a ratio of Yeoh's. Skin has exponents of some tens.
@@ -19,38 +18,28 @@ RATIO = 2.0
 LARGEST = 7.0
 
 
-class StiffeningCause(Cause):
+class StiffeningCause(LawCause):
     """Fung's exponential law or Yeoh's polynomial in place of one without stiffening."""
 
     id: ClassVar[str] = "stiffening"
-    discrete: ClassVar[tuple[str, ...]] = ("law",)
+    tried: ClassVar[tuple[tuple[str, float], ...]] = (*(("fung", b) for b in EXPONENTS), ("yeoh", RATIO))
 
-    def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return secants to both laws."""
-        for form in forms_of_laws(bench)[:1]:
-            yield from self._secants(bench, form)
-
-    def _secants(self, bench: Bench, form: str) -> Iterable[Variant]:
-        tried: list[tuple[str, float]] = [("fung", b) for b in EXPONENTS] + [("yeoh", RATIO)]
-        changes = bench.changes([[_effect(law, size, form)] for law, size in tried])
-        for (law, size), changed in zip(tried, changes, strict=True):
-            if changed is not None:
-                yield Variant(f"{law} {size:g}", changed[None], {"law": law, "size": size}, positive=True)
+    def effect(self, law: str, size: float, form: str) -> Effect:
+        """Return one of both laws, of some exponent or ratio."""
+        if law == "fung":
+            return Stiffening(law="fung", b=size, volumetric=form)
+        return Stiffening(law="yeoh", c2_over_c1=size, c3_over_c1=0.0, volumetric=form)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return the logarithm of the law's shape parameter."""
         law, size = str(variant.settings["law"]), float(variant.settings["size"])
-        form = form_of(bench, variant.settings)
+        form = str(variant.settings["volumetric"])
         start = float(np.log(size * np.clip(amplitudes[0], 0.1, 3.0)))
         return knobs(
             [(start, float(np.log(2.0)), 1.2, 0.05)],
-            lambda x, young: (_effect(law, float(np.exp(min(x[0], LARGEST))), form),),
-            lambda x, young: {"law": law, _KEY[law]: float(np.exp(min(x[0], LARGEST))), "volumetric": form},
+            lambda x, young: (self.effect(law, _shape(x), form),),
+            lambda x, young: {"law": law, _KEY[law]: _shape(x), "volumetric": form},
         )
-
-    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same law in the split form."""
-        return other_forms(bench, variant)
 
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""
@@ -61,7 +50,5 @@ class StiffeningCause(Cause):
 _KEY = {"fung": "b", "yeoh": "c2_over_c1"}
 
 
-def _effect(law: str, size: float, form: str) -> Effect:
-    if law == "fung":
-        return Stiffening(law="fung", b=size, volumetric=form)
-    return Stiffening(law="yeoh", c2_over_c1=size, c3_over_c1=0.0, volumetric=form)
+def _shape(x: FloatArray) -> float:
+    return float(np.exp(min(x[0], LARGEST)))

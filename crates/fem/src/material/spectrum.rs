@@ -1,0 +1,117 @@
+//! Principal values and axes of a strain, and the dyads that tangents of isotropic laws are made of.
+
+use super::Matrix3;
+use super::tensor::{matrix, plus_identity, product};
+
+/// `Σₐ vₐ Nₐ ⊗ Nₐ`
+pub(super) struct Spectrum {
+    /// Principal values.
+    pub(super) values: [f64; 3],
+    /// Their axes, one a column.
+    axes: Matrix3,
+}
+
+impl Spectrum {
+    /// Of a symmetric matrix.
+    pub(super) fn new(m: Matrix3) -> Self {
+        let (values, axes) = eigen(m);
+        Self { values, axes }
+    }
+
+    /// The matrix of the same axes and other values.
+    pub(super) fn with_values(&self, values: [f64; 3]) -> Matrix3 {
+        let axes = &self.axes;
+        matrix(|i, j| (0..3).map(|a| values[a] * axes[i][a] * axes[j][a]).sum())
+    }
+
+    /// Dyads of the axes, their first ones carried along by `F = I + h`.
+    pub(super) fn pushed(&self, h: &Matrix3) -> Dyads<'_> {
+        Dyads { pushed: product(&plus_identity(h), &self.axes), axes: &self.axes }
+    }
+}
+
+/// `(F Nₐ) ⊗ N_b`
+pub(super) struct Dyads<'a> {
+    pushed: Matrix3,
+    axes: &'a Matrix3,
+}
+
+impl Dyads<'_> {
+    /// That of two axes.
+    pub(super) fn one(&self, a: usize, b: usize) -> Matrix3 {
+        matrix(|i, j| self.pushed[i][a] * self.axes[j][b])
+    }
+
+    /// That of two axes and of the same in the other order.
+    pub(super) fn mixed(&self, a: usize, b: usize) -> Matrix3 {
+        let (ab, ba) = (self.one(a, b), self.one(b, a));
+        matrix(|i, j| ab[i][j] + ba[i][j])
+    }
+}
+
+/// Eigenvalues and eigenvectors (columns) of a symmetric matrix, by Jacobi's rotations.
+///
+/// Golub and Van Loan, *Matrix Computations*, 4th ed., algorithm 8.5.3; a 3 x 3 matrix is diagonal
+/// to rounding after five sweeps, and a NaN passes through.
+fn eigen(mut m: Matrix3) -> ([f64; 3], Matrix3) {
+    let mut axes = plus_identity(&[[0.0; 3]; 3]);
+    for _ in 0..10 {
+        if m[0][1] == 0.0 && m[0][2] == 0.0 && m[1][2] == 0.0 {
+            break;
+        }
+        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
+            rotate(&mut m, &mut axes, p, q);
+        }
+    }
+    ([m[0][0], m[1][1], m[2][2]], axes)
+}
+
+/// Make entry `(p, q)` zero.
+fn rotate(m: &mut Matrix3, axes: &mut Matrix3, p: usize, q: usize) {
+    let off = m[p][q];
+    let scale = m[p][p].abs().min(m[q][q].abs());
+    if off.abs() <= f64::EPSILON * 1e-3 * scale {
+        (m[p][q], m[q][p]) = (0.0, 0.0);
+        return;
+    }
+    let half = 0.5 * (m[q][q] - m[p][p]) / off;
+    let t = half.signum() / (half.abs() + half.hypot(1.0));
+    let cos = 1.0 / t.hypot(1.0);
+    let sin = t * cos;
+    m[p][p] -= t * off;
+    m[q][q] += t * off;
+    (m[p][q], m[q][p]) = (0.0, 0.0);
+    let r = 3 - p - q;
+    let (x, y) = (m[r][p], m[r][q]);
+    (m[r][p], m[r][q]) = (cos * x - sin * y, sin * x + cos * y);
+    (m[p][r], m[q][r]) = (m[r][p], m[r][q]);
+    for row in axes {
+        (row[p], row[q]) = (cos * row[p] - sin * row[q], sin * row[p] + cos * row[q]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_eigenvectors_rebuild_the_matrix() {
+        let tiny = 1e-14;
+        for m in [
+            [[2.0, -1.0, 0.5], [-1.0, 3.0, 0.25], [0.5, 0.25, -4.0]],
+            [[1.0, tiny, 0.0], [tiny, 1.0, tiny], [0.0, tiny, 1.0]],
+            [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+            [[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 5.0]],
+        ] {
+            let (values, axes) = eigen(m);
+            for i in 0..3 {
+                for j in 0..3 {
+                    let rebuilt: f64 = (0..3).map(|a| values[a] * axes[i][a] * axes[j][a]).sum();
+                    assert!((rebuilt - m[i][j]).abs() < 4e-15, "{m:?}");
+                    let inner: f64 = (0..3).map(|a| axes[i][a] * axes[j][a]).sum();
+                    assert!((inner - if i == j { 1.0 } else { 0.0 }).abs() < 1e-15, "{m:?}");
+                }
+            }
+        }
+    }
+}
