@@ -117,6 +117,18 @@ def test_softening_is_carried_from_case_to_case(rig):
     assert push(turned, "again") == pytest.approx(push(answer, "again"), rel=1e-12)
 
 
+def test_damage_softens_a_first_load_too_and_stays(rig):
+    damage = Softening(r=2.0, m_kpa=0.05, form="damage")
+    elastic, answer = simulated(rig, CYCLES), simulated(rig, CYCLES, damage)
+    first, again = push(answer, "first"), push(answer, "again")
+    assert first[1] < 0.99 * push(elastic, "first")[1]
+    # As stiff as it was left: softer than at first on the way, the same at the load that it has seen.
+    assert again[1] < 0.97 * first[1]
+    assert again[2] == pytest.approx(first[2], rel=1e-6)
+    # Never softer than the share that is left where all is damaged.
+    assert first[2] > 0.5 * push(elastic, "first")[2]
+
+
 def test_a_set_stays_into_the_next_case(rig):
     answer = simulated(rig, CYCLES, Set(fraction=0.1))
     assert np.abs(answer["first"].displacement[0]).max() < 1e-6

@@ -93,7 +93,11 @@ def test_viscosity_softening_and_set_follow_their_formulas(mode):
     [
         ({"relaxation": ([0.3, 0.2], [1.0, 8.0], "whole")}, {"relaxation": Relaxation(g=(0.3, 0.2), tau_s=(1.0, 8.0))}),
         ({"viscosity_kpa_s": 2.0}, {"rate": Rate(viscosity_kpa_s=2.0)}),
-        ({"softening": (2.0, 0.1, 0.2)}, {"softening": Softening(r=2.0, m_kpa=0.1, beta=0.2)}),
+        (
+            {"softening": ("ogden-roxburgh", 2.0, 0.1, 0.2)},
+            {"softening": Softening(r=2.0, m_kpa=0.1, beta=0.2)},
+        ),
+        ({"softening": ("damage", 2.0, 0.1, 0.0)}, {"softening": Softening(r=2.0, m_kpa=0.1, form="damage")}),
         ({"set": 0.1}, {"set": Set(fraction=0.1)}),
     ],
 )

@@ -116,7 +116,7 @@ pub use ensemble::{Member, Outcome, solve_many};
 pub use error::{FemError, NoEquilibrium, StopReason, WorstTet};
 pub use history::{
     Behaviour, BehaviourParameter, Drainage, History, Pad, Part, Relaxation, Rig, RigFrame, Set,
-    Softening, Swelling,
+    Softening, SofteningForm, Swelling,
 };
 pub use load::Load;
 pub use material::{Material, Stiffness};

@@ -8,7 +8,8 @@ use tissuereg_fem::material::{LawKind, Parameter};
 use tissuereg_fem::{
     Behaviour, BehaviourParameter, Body, Cause, Drainage, Element, FemError, FrameCause,
     FrameDerivative, FrameObservation, History, Load, Material, Method, Observation, Pad, Part,
-    Relaxation, Rig, Set, Skin, Softening, SolveSettings, Springs, Stiffness, Swelling,
+    Relaxation, Rig, Set, Skin, Softening, SofteningForm, SolveSettings, Springs, Stiffness,
+    Swelling,
 };
 
 const ALL: [Element; 3] = [Element::Tet4, Element::Tet4Averaged, Element::Tet10];
@@ -139,7 +140,9 @@ fn assert_follows(found: &[FrameDerivative], step: f64, words: &str, moved: impl
 fn behaviours() -> Vec<(&'static str, Behaviour)> {
     let none = Behaviour::default;
     let relaxation = |part| Some(Relaxation { g: vec![0.3, 0.25], tau_s: vec![0.4, 3.0], part });
-    let softening = Some(Softening { r: 1.7, m_kpa: 0.1, beta: 0.2 });
+    let softening =
+        Some(Softening { form: SofteningForm::OgdenRoxburgh, r: 1.7, m_kpa: 0.1, beta: 0.2 });
+    let damage = Some(Softening { form: SofteningForm::Damage, r: 1.7, m_kpa: 0.1, beta: 0.0 });
     let set = Some(Set { fraction: 0.3 });
     let drainage = Some(Drainage { share: 0.35, tau_s: 1.0 });
     let swelling = Some(Swelling { linear_strain: 0.06, from_time_s: 0.2, to_time_s: 2.1 });
@@ -149,6 +152,7 @@ fn behaviours() -> Vec<(&'static str, Behaviour)> {
         ("isochoric", Behaviour { relaxation: relaxation(Part::Isochoric), ..none() }),
         ("rate", Behaviour { viscosity_kpa_s: 1.5, ..none() }),
         ("softening", Behaviour { softening, ..none() }),
+        ("damage", Behaviour { softening: damage, ..none() }),
         ("set", Behaviour { set, ..none() }),
         ("drainage", Behaviour { drainage, ..none() }),
         ("swelling", Behaviour { swelling, ..none() }),
@@ -161,6 +165,16 @@ fn behaviours() -> Vec<(&'static str, Behaviour)> {
                 set,
                 drainage,
                 swelling,
+            },
+        ),
+        (
+            "damage and others",
+            Behaviour {
+                relaxation: relaxation(Part::Whole),
+                softening: damage,
+                set,
+                drainage,
+                ..none()
             },
         ),
     ]
@@ -188,7 +202,10 @@ fn numbers(behaviour: &Behaviour) -> Vec<(BehaviourParameter, f64)> {
         all.push((P::Viscosity, 1e-5));
     }
     if behaviour.softening.is_some() {
-        all.extend([(P::SofteningR, 1e-5), (P::SofteningM, 1e-6), (P::SofteningBeta, 1e-5)]);
+        all.extend([(P::SofteningR, 1e-5), (P::SofteningM, 1e-6)]);
+    }
+    if behaviour.softening.is_some_and(|s| s.form == SofteningForm::OgdenRoxburgh) {
+        all.push((P::SofteningBeta, 1e-5));
     }
     if behaviour.set.is_some() {
         all.push((P::SetFraction, 1e-5));

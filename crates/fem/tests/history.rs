@@ -7,7 +7,7 @@ use common::{bar, largest, largest_difference, nodes_where};
 use tissuereg_fem::material::{Hyperelastic, NeoHookean};
 use tissuereg_fem::{
     Behaviour, Body, Drainage, Element, History, Load, Material, Part, Relaxation, Set, Softening,
-    Solution, SolveSettings, Supports, Swelling, solve,
+    SofteningForm, Solution, SolveSettings, Supports, Swelling, solve,
 };
 
 const YOUNG: f64 = 8.0;
@@ -270,7 +270,8 @@ fn a_free_block_swells_without_stress() {
 #[test]
 fn unloading_follows_ogden_and_roxburgh() {
     let body = held_cube(Element::Tet4);
-    let softening = Softening { r: 2.0, m_kpa: 0.05, beta: 0.3 };
+    let softening =
+        Softening { form: SofteningForm::OgdenRoxburgh, r: 2.0, m_kpa: 0.05, beta: 0.3 };
     let mut history =
         history(&body, Behaviour { softening: Some(softening), ..Behaviour::default() });
     let mu = law().mu;
@@ -287,6 +288,25 @@ fn unloading_follows_ogden_and_roxburgh() {
         largest = largest.max(energy);
         let found = nominal(&body, &answer, 1)[0];
         assert!((found - eta * mu * gamma).abs() < 1e-9, "{gamma}: {found} {}", eta * mu * gamma);
+    }
+}
+
+/// Damage multiplies the stress of a first load too: `μ γ (1 − (1 − 1/r) (1 − exp(−Wm/m)))`.
+#[test]
+fn damage_goes_with_the_largest_energy() {
+    let body = held_cube(Element::Tet4);
+    let softening = Softening { form: SofteningForm::Damage, r: 2.5, m_kpa: 0.15, beta: 0.0 };
+    let mut history =
+        history(&body, Behaviour { softening: Some(softening), ..Behaviour::default() });
+    let mu = law().mu;
+    let mut largest: f64 = 0.0;
+    for (frame, gamma) in [0.0, 0.2, 0.4, 0.3, 0.1, -0.2, 0.0, 0.4, 0.5].into_iter().enumerate() {
+        let load = affine(&body, [[0.0, gamma, 0.0], [0.0; 3], [0.0; 3]]);
+        let answer = history.advance(&body, &load, frame as f64, &settings()).expect("held");
+        largest = largest.max(0.5 * mu * gamma * gamma);
+        let wanted = mu * gamma * (1.0 - 0.6 * (1.0 - (-largest / 0.15_f64).exp()));
+        let found = nominal(&body, &answer, 1)[0];
+        assert!((found - wanted).abs() < 1e-9, "{gamma}: {found} {wanted}");
     }
 }
 

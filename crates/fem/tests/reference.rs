@@ -7,7 +7,8 @@ use std::path::Path;
 
 use common::{largest, largest_difference, npz};
 use tissuereg_fem::{
-    Behaviour, Body, Element, History, Load, Material, Mesh, Softening, SolveSettings, solve,
+    Behaviour, Body, Element, History, Load, Material, Mesh, Softening, SofteningForm,
+    SolveSettings, solve,
 };
 
 #[test]
@@ -42,8 +43,10 @@ fn a_softening_bar_agrees_with_felupe_through_load_and_unload() {
     let material =
         Material::neo_hookean(bar["young_kPa"].values[0], bar["poisson"].values[0]).expect("sound");
     let [r, m_kpa, beta] = reference["softening"].rows3()[0];
-    let behaviour =
-        Behaviour { softening: Some(Softening { r, m_kpa, beta }), ..Behaviour::default() };
+    let behaviour = Behaviour {
+        softening: Some(Softening { form: SofteningForm::OgdenRoxburgh, r, m_kpa, beta }),
+        ..Behaviour::default()
+    };
     let mesh = Mesh::new(bar["nodes_mm"].rows3(), bar["tets"].index_rows()).expect("sound");
     let body = Body::new(mesh, Element::Tet4, bar["fixed_nodes"].indices()).expect("held");
     let mut history = History::new(&body, material, behaviour).expect("sound");

@@ -9,7 +9,8 @@ use std::sync::atomic::AtomicBool;
 use common::{bar, clamped_at_x0, dome, largest, largest_difference, nodes_where};
 use tissuereg_fem::{
     Behaviour, Body, Drainage, Element, FemError, History, Load, Material, Pad, Relaxation, Rig,
-    Set, Skin, Softening, SolveSettings, Springs, Supports, Swelling, rest_shape, resultant, solve,
+    Set, Skin, Softening, SofteningForm, SolveSettings, Springs, Supports, Swelling, rest_shape,
+    resultant, solve,
 };
 
 const BOTH: [Element; 2] = [Element::Tet4, Element::Tet10];
@@ -214,7 +215,11 @@ fn behaviours_out_of_range_are_named() {
         ..Behaviour::default()
     };
     let softening = |r, m_kpa, beta| Behaviour {
-        softening: Some(Softening { r, m_kpa, beta }),
+        softening: Some(Softening { form: SofteningForm::OgdenRoxburgh, r, m_kpa, beta }),
+        ..Behaviour::default()
+    };
+    let damage = |r, m_kpa, beta| Behaviour {
+        softening: Some(Softening { form: SofteningForm::Damage, r, m_kpa, beta }),
         ..Behaviour::default()
     };
     let set = |fraction| Behaviour { set: Some(Set { fraction }), ..Behaviour::default() };
@@ -239,6 +244,8 @@ fn behaviours_out_of_range_are_named() {
         (softening(0.9, 1.0, 0.0), ["`softening.r`", "found 0.9"]),
         (softening(2.0, 0.0, 0.0), ["`softening.m`", "above 0 where beta is 0"]),
         (softening(2.0, 1.0, -0.1), ["`softening.beta`", "found -0.1"]),
+        (damage(2.0, 0.0, 0.0), ["`softening.m`", "found 0"]),
+        (damage(2.0, 1.0, 0.1), ["`softening.beta`", "0 for damage"]),
         (set(1.0), ["`set.fraction`", "found 1"]),
         (drainage(0.0, 1.0), ["`drainage.share`", "found 0"]),
         (drainage(0.5, f64::INFINITY), ["`drainage.tau`", "found inf"]),
@@ -310,7 +317,12 @@ fn threads_change_no_bit() {
         let relaxation = Relaxation { g: vec![0.5], tau_s: vec![1.0], ..Relaxation::default() };
         let behaviour = Behaviour {
             relaxation: Some(relaxation),
-            softening: Some(Softening { r: 1.5, m_kpa: 0.1, beta: 0.1 }),
+            softening: Some(Softening {
+                form: SofteningForm::OgdenRoxburgh,
+                r: 1.5,
+                m_kpa: 0.1,
+                beta: 0.1,
+            }),
             ..Behaviour::default()
         };
         let mut rig = rig(body, behaviour, vec![cap]);

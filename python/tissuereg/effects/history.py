@@ -43,12 +43,18 @@ class Rate(Memory):
 
 @dataclass(frozen=True, kw_only=True)
 class Softening(Memory):
-    """Softening by the largest energy so far (Ogden and Roxburgh 1999)."""
+    """Softening by the largest energy so far, as `simulate.behaviour.Softening`."""
 
     id: ClassVar[str] = "softening"
     r: float = number(least=1.0)
     m_kpa: float = number(above=0.0)
     beta: float = number(least=0.0, default=0.0)
+    form: str = text(among=("ogden-roxburgh", "damage"), default="ogden-roxburgh")
+
+    def check(self) -> None:
+        """Refuse a `beta` of damage."""
+        if self.form == "damage" and self.beta != 0.0:
+            refuse("`beta` must be 0 for damage", self.beta)
 
 
 @dataclass(frozen=True, kw_only=True)

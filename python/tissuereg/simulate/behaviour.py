@@ -47,7 +47,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class Softening:
-    """Softening by earlier load (Mullins effect) after Ogden and Roxburgh.
+    """Softening by the largest energy so far, `Wm`.
 
     Parameters
     ----------
@@ -56,12 +56,19 @@ class Softening:
     m_kpa : float
         Energy over which small loads soften, in kPa.
     beta : float
-        Share of the largest energy added to it.
+        Share of the largest energy added to it; 0 for damage.
+    form : {'ogden-roxburgh', 'damage'}
+        The Mullins effect: below the largest isochoric energy the isochoric stress is multiplied by
+        ``1 - erf((Wm - W) / (m + beta Wm)) / r``, and a first load softens nothing that it goes through (Ogden and
+        Roxburgh, Proc. R. Soc. A 455, 1999). Damage: the whole stress, under a first load too, is multiplied by
+        ``1 - (1 - 1/r) (1 - exp(-Wm/m))`` with the whole energy (after Simo, Comput. Methods Appl. Mech. Eng. 60,
+        1987).
     """
 
     r: float
     m_kpa: float
-    beta: float
+    beta: float = 0.0
+    form: str = "ogden-roxburgh"
 
 
 @dataclass(frozen=True)
@@ -154,7 +161,8 @@ class Behaviour:
         if self.rate is not None:
             said["viscosity_kpa_s"] = float(self.rate.viscosity_kpa_s)
         if self.softening is not None:
-            said["softening"] = (self.softening.r, self.softening.m_kpa, self.softening.beta)
+            soft = self.softening
+            said["softening"] = (soft.form, soft.r, soft.m_kpa, soft.beta)
         if self.set is not None:
             said["set"] = self.set.fraction
         if self.drainage is not None:

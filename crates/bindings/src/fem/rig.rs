@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use tissuereg_fem::{
     Behaviour, Body, Drainage, Element, FemError, FrameAdjoint, FrameCause, FrameObservation,
     History, Load, Material, Mesh, Observation, Pad, Part, Relaxation, Resultant, Set, Skin,
-    Softening, SolveSettings, Springs, Supports, Swelling,
+    Softening, SofteningForm, SolveSettings, Springs, Supports, Swelling,
 };
 
 use super::sensitivity::{Cause, Stack, weights_of};
@@ -491,8 +491,20 @@ fn behaviour_of(py: Python<'_>, given: Option<&Bound<'_, PyDict>>) -> PyResult<B
             }
             "viscosity_kpa_s" => behaviour.viscosity_kpa_s = value.extract()?,
             "softening" => {
-                let (r, m_kpa, beta) = value.extract()?;
-                behaviour.softening = Some(Softening { r, m_kpa, beta });
+                let (form, r, m_kpa, beta): (String, _, _, _) = value.extract()?;
+                let form = match form.as_str() {
+                    "ogden-roxburgh" => SofteningForm::OgdenRoxburgh,
+                    "damage" => SofteningForm::Damage,
+                    other => {
+                        return Err(bad_choice(
+                            py,
+                            "softening",
+                            "`ogden-roxburgh` or `damage`",
+                            other,
+                        ));
+                    }
+                };
+                behaviour.softening = Some(Softening { form, r, m_kpa, beta });
             }
             "set" => behaviour.set = Some(Set { fraction: value.extract()? }),
             "drainage" => {

@@ -35,18 +35,29 @@ pub struct Drainage {
     pub tau_s: f64,
 }
 
-/// Softening by earlier load (Mullins effect) after Ogden and Roxburgh.
-///
-/// Below the largest isochoric energy so far, `Wm`, the isochoric stress is multiplied by
-/// `η = 1 − erf((Wm − W)/(m + β Wm)) / r`.
+/// Softening by earlier load, by the largest energy so far, `Wm`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Softening {
-    /// Largest softening is `1 − 1/r`, dimensionless; at least 1.
+    /// How the energy softens.
+    pub form: SofteningForm,
+    /// Dimensionless; at least 1.
     pub r: f64,
     /// Energy over which small loads soften, kPa; at least 0, above 0 where `beta` is 0.
     pub m_kpa: f64,
-    /// Share of `Wm` added to `m`, dimensionless; at least 0.
+    /// Share of `Wm` added to `m`, dimensionless; at least 0. 0 for damage.
     pub beta: f64,
+}
+
+/// How an energy softens.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SofteningForm {
+    /// Mullins effect: loading for the first time is not softened, and below the largest isochoric
+    /// energy so far the isochoric stress is multiplied by
+    /// `η = 1 − erf((Wm − W)/(m + β Wm)) / r` (Ogden and Roxburgh 1999).
+    OgdenRoxburgh,
+    /// Damage: the whole stress, under its first load too, is multiplied by
+    /// `η = 1 − (1 − 1/r) (1 − exp(−Wm/m))`, `Wm` being of the whole energy (after Simo 1987).
+    Damage,
 }
 
 /// Set: a share of the largest strain that stays.
@@ -138,8 +149,11 @@ impl Behaviour {
             self.viscosity_kpa_s,
             self.viscosity_kpa_s >= 0.0 && self.viscosity_kpa_s.is_finite(),
         )?;
-        if let Some(Softening { r, m_kpa, beta }) = self.softening {
+        if let Some(Softening { form, r, m_kpa, beta }) = self.softening {
             must("softening.r", "at least 1 and finite", r, r >= 1.0 && r.is_finite())?;
+            if form == SofteningForm::Damage {
+                must("softening.beta", "0 for damage", beta, beta == 0.0)?;
+            }
             let fits = beta >= 0.0 && beta.is_finite();
             must("softening.beta", "finite and not negative", beta, fits)?;
             let fits = m_kpa >= 0.0 && m_kpa.is_finite() && (m_kpa > 0.0 || beta > 0.0);

@@ -1,5 +1,6 @@
 //! What holds within a time step, and how a point's memory goes on at its end: over any [`Scalar`].
 
+use super::behaviour::SofteningForm;
 use super::numbers::Numbers;
 use super::point::Answer;
 use super::prony::{Decay, Memory};
@@ -17,6 +18,14 @@ pub(super) struct Weights<S> {
     pub(super) isochoric: S,
 }
 
+impl<S: Scalar> Weights<S> {
+    /// Factor of the whole stress, of which damage leaves a share, where all but the isochoric part
+    /// has the volumetric factor.
+    pub(super) fn of_whole(&self, left: S) -> S {
+        self.volumetric + self.isochoric * (left - S::constant(1.0))
+    }
+}
+
 /// What one point remembers.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PointState<S> {
@@ -25,7 +34,7 @@ pub(crate) struct PointState<S> {
     /// Of the whole stress, or of its volumetric part where parts relax differently.
     pub(super) volumetric: Option<Memory<S>>,
     pub(super) isochoric: Option<Memory<S>>,
-    /// Largest isochoric energy so far, kPa.
+    /// Largest energy so far that softens, kPa.
     pub(super) largest_energy: S,
     /// Logarithmic strain of the largest norm so far.
     pub(super) largest_strain: Matrix<S>,
@@ -50,7 +59,7 @@ pub(super) struct PointStep<S> {
     /// `S_hist`, kPa.
     pub(super) history_stress: Option<Matrix<S>>,
     pub(super) flow: Option<Flow<S>>,
-    /// Largest isochoric energy before the step, kPa.
+    /// Largest energy before the step that softens, kPa.
     largest_energy: S,
 }
 
@@ -92,10 +101,21 @@ impl<S: Scalar> Common<S> {
         }
     }
 
-    pub(super) fn softened(&self, energy: S, at: &PointStep<S>) -> Softened<S> {
+    /// Whether something softens in this form.
+    pub(super) fn softens(&self, form: SofteningForm) -> bool {
+        self.softening.as_ref().is_some_and(|softening| softening.form == form)
+    }
+
+    /// What is left of an energy of the kind that the form softens; all of it for other forms.
+    pub(super) fn softened(
+        &self,
+        form: SofteningForm,
+        energy: S,
+        at: &PointStep<S>,
+    ) -> Softened<S> {
         match &self.softening {
-            Some(softening) => softening.at(energy, at.largest_energy),
-            None => Softened::virgin(energy),
+            Some(softening) if softening.form == form => softening.at(energy, at.largest_energy),
+            _ => Softened::virgin(energy),
         }
     }
 
@@ -122,8 +142,8 @@ impl<S: Scalar> Common<S> {
             if let Some(memory) = &mut state.isochoric {
                 self.decays[1].update(memory, second(none, one));
             }
-            if self.softening.is_some() {
-                let energy = parts.isochoric_energy();
+            if let Some(softening) = &self.softening {
+                let energy = parts.softening_energy(softening.form);
                 if energy.value() > state.largest_energy.value() {
                     state.largest_energy = energy;
                 }

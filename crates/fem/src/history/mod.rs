@@ -4,7 +4,7 @@
 //! material is fixed, and a point stores, per undeformed volume,
 //!
 //! ```text
-//! Ψ(F) = s³ [ a_vol (ψ(Fe) − ψ_iso(Fe)) + a_iso φ(ψ_iso(Fe)) ]
+//! Ψ(F) = s³ [ a_vol (ψ(Fe) − ψ_iso(Fe)) + a_iso (φ(ψ_iso(Fe)) + φ_d(ψ(Fe)) − ψ(Fe)) ]
 //!        + ½ S_hist : (C − I) + (η J_n / Δt) tr (C_n⁻¹ ΔE C_n⁻¹ ΔE)
 //! Fe = F Fp⁻¹ / s,     ψ_iso(F) = ψ(J^(−1/3) F),     ΔE = E − E_n
 //! ```
@@ -14,7 +14,8 @@
 //!
 //! * `point`: chain rule of the first line, stress and tangent, once for all laws;
 //! * `prony`: `a` and `S_hist`, the relaxed answer to all steps before (Simo's recursion);
-//! * `softening`: `φ`, of the largest energy so far (Mullins effect);
+//! * `softening`: `φ` or `φ_d`, of the largest energy so far (Mullins effect or damage; the other is
+//!   its argument);
 //! * `common`: what is remembered, and its update; `Fp` is the set, `s` the swelling; `state` for all
 //!   points of a body;
 //! * `scalar`, `numbers`: numbers that carry derivatives, and those of a behaviour;
@@ -24,7 +25,8 @@
 //! # References
 //!
 //! Simo and Hughes, *Computational Inelasticity*, Springer 1998, section 10.3 (relaxation); Ogden
-//! and Roxburgh, Proc. R. Soc. A 455, 2861 (1999) (softening); Ortiz and Stainier, Comput. Methods
+//! and Roxburgh, Proc. R. Soc. A 455, 2861 (1999), and Simo, Comput. Methods Appl. Mech. Eng. 60,
+//! 153 (1987) (softening); Ortiz and Stainier, Comput. Methods
 //! Appl. Mech. Eng. 171, 419 (1999) (variational updates).
 
 mod behaviour;
@@ -46,7 +48,9 @@ mod tensor;
 mod tests;
 
 pub(crate) use behaviour::must;
-pub use behaviour::{Behaviour, Drainage, Part, Relaxation, Set, Softening, Swelling};
+pub use behaviour::{
+    Behaviour, Drainage, Part, Relaxation, Set, Softening, SofteningForm, Swelling,
+};
 pub(crate) use follow::{Moved, Substance};
 pub(crate) use follow_back::Backward;
 pub use numbers::BehaviourParameter;

@@ -1,6 +1,6 @@
 //! The numbers of a behaviour, by name and with derivatives.
 
-use super::behaviour::{Behaviour, Part};
+use super::behaviour::{Behaviour, Part, SofteningForm};
 use super::prony::Term;
 use super::scalar::Scalar;
 use super::softening::Softness;
@@ -69,6 +69,7 @@ impl Behaviour {
             part,
             viscosity: of(P::Viscosity, self.viscosity_kpa_s),
             softening: self.softening.map(|softening| Softness {
+                form: softening.form,
                 r: of(P::SofteningR, softening.r),
                 m_kpa: of(P::SofteningM, softening.m_kpa),
                 beta: of(P::SofteningBeta, softening.beta),
@@ -95,7 +96,10 @@ impl Behaviour {
         match parameter {
             P::RelaxationShare(k) | P::RelaxationTime(k) => k < n_terms,
             P::Viscosity => true,
-            P::SofteningR | P::SofteningM | P::SofteningBeta => self.softening.is_some(),
+            P::SofteningR | P::SofteningM => self.softening.is_some(),
+            P::SofteningBeta => {
+                self.softening.is_some_and(|s| s.form == SofteningForm::OgdenRoxburgh)
+            }
             P::SetFraction => self.set.is_some(),
             P::DrainageShare | P::DrainageTime => self.drainage.is_some(),
             P::SwellingStrain | P::SwellingFrom | P::SwellingTo => self.swelling.is_some(),
@@ -117,7 +121,8 @@ impl Behaviour {
         let isochoric = self.relaxation.as_ref().is_some_and(|relaxation| {
             relaxation.part == Part::Isochoric && !relaxation.g.is_empty()
         });
-        self.softening.is_some() || self.drainage.is_some() || isochoric
+        let softens = self.softening.is_some_and(|s| s.form == SofteningForm::OgdenRoxburgh);
+        softens || self.drainage.is_some() || isochoric
     }
 }
 

@@ -12,6 +12,7 @@
 //! and `Fe = F A` with a constant `A` gives `P = s³ P_e Aᵀ`. Energy and stress are written over any
 //! [`Scalar`]; the tangent is that of plain numbers.
 
+use super::behaviour::SofteningForm;
 use super::common::{Common, PointStep, Weights};
 use super::scalar::{Matrix, Scalar};
 use super::softening::Softened;
@@ -81,10 +82,18 @@ impl<M: PointModel> StepModel<'_, M> {
         he: &Matrix3,
         at: &PointStep<f64>,
     ) -> Option<Tangent> {
-        let weights = self.step.common.weights;
+        let common = &self.step.common;
+        let weights = common.weights;
         let mut tangent = self.elastic.tangent(element, point, he)?;
-        scale(&mut tangent, weights.volumetric);
-        if !self.step.common.split {
+        if common.softens(SofteningForm::Damage) {
+            let whole = self.elastic.response(element, point, he)?;
+            let damaged = common.softened(SofteningForm::Damage, whole.energy, at);
+            scale(&mut tangent, weights.of_whole(damaged.slope));
+            add_dyad(&mut tangent, weights.isochoric * damaged.curvature, &whole.stress);
+        } else {
+            scale(&mut tangent, weights.volumetric);
+        }
+        if !common.split {
             return Some(tangent);
         }
         let bar = bar_gradient(he);
@@ -92,15 +101,12 @@ impl<M: PointModel> StepModel<'_, M> {
         let law_tangent = self.elastic.tangent(element, point, &bar)?;
         let stress = isochoric_stress(&law.stress, he);
         let iso = isochoric_tangent(&law.stress, &law_tangent, &stress, he);
-        let softened = self.step.common.softened(law.energy, at);
+        let softened = common.softened(SofteningForm::OgdenRoxburgh, law.energy, at);
         let slope = weights.isochoric * softened.slope - weights.volumetric;
-        let curvature = weights.isochoric * softened.curvature;
-        for a in 0..9 {
-            for b in 0..9 {
-                tangent[a][b] +=
-                    slope * iso[a][b] + curvature * stress[a / 3][a % 3] * stress[b / 3][b % 3];
-            }
+        for (row, of_iso) in tangent.iter_mut().zip(&iso) {
+            row.iter_mut().zip(of_iso).for_each(|(v, w)| *v += slope * w);
         }
+        add_dyad(&mut tangent, weights.isochoric * softened.curvature, &stress);
         Some(tangent)
     }
 }
@@ -108,6 +114,8 @@ impl<M: PointModel> StepModel<'_, M> {
 /// What the law says at an elastic gradient, whole and of the isochoric part.
 pub(super) struct Parts<S> {
     whole: Answer<S>,
+    /// What damage leaves of the whole energy.
+    damaged: Softened<S>,
     /// Where the parts have to be told apart.
     isochoric: Option<Isochoric<S>>,
 }
@@ -119,24 +127,26 @@ struct Isochoric<S> {
 }
 
 impl<S: Scalar> Parts<S> {
-    /// `ψ_iso`, kPa; that of the whole law where parts are not told apart.
-    pub(super) fn isochoric_energy(&self) -> S {
-        self.isochoric.as_ref().map_or(self.whole.energy, |isochoric| isochoric.energy)
+    /// The energy of which the largest so far softens, kPa: `ψ` for damage, otherwise `ψ_iso`.
+    pub(super) fn softening_energy(&self, form: SofteningForm) -> S {
+        match (form, &self.isochoric) {
+            (SofteningForm::OgdenRoxburgh, Some(isochoric)) => isochoric.energy,
+            _ => self.whole.energy,
+        }
     }
 
-    /// Energy and stress `a_vol (ψ − ψ_iso) + a_iso φ(ψ_iso)`.
+    /// Energy and stress `a_vol (ψ − ψ_iso) + a_iso (φ(ψ_iso) + φ(ψ) − ψ)`; one `φ` softens at most.
     fn weighted(&self, weights: Weights<S>) -> Answer<S> {
-        let mut stress = scaled(weights.volumetric, &self.whole.stress);
-        let det_f = self.whole.det_f;
-        let Some(iso) = &self.isochoric else {
-            let energy = weights.volumetric * self.whole.energy;
-            return Answer { energy, stress, det_f };
-        };
-        let slope = weights.isochoric * iso.softened.slope - weights.volumetric;
-        add_scaled(&mut stress, slope, &iso.stress);
-        let energy = weights.volumetric * (self.whole.energy - iso.energy)
-            + weights.isochoric * iso.softened.energy;
-        Answer { energy, stress, det_f }
+        let mut stress = scaled(weights.of_whole(self.damaged.slope), &self.whole.stress);
+        let mut energy = weights.volumetric * self.whole.energy
+            + weights.isochoric * (self.damaged.energy - self.whole.energy);
+        if let Some(iso) = &self.isochoric {
+            let slope = weights.isochoric * iso.softened.slope - weights.volumetric;
+            add_scaled(&mut stress, slope, &iso.stress);
+            energy =
+                energy + weights.isochoric * iso.softened.energy - weights.volumetric * iso.energy;
+        }
+        Answer { energy, stress, det_f: self.whole.det_f }
     }
 }
 
@@ -154,12 +164,13 @@ impl<S: Scalar> Common<S> {
             true => {
                 let iso = law(&bar_gradient(&he))?;
                 let stress = isochoric_stress(&iso.stress, &he);
-                let softened = self.softened(iso.energy, at);
+                let softened = self.softened(SofteningForm::OgdenRoxburgh, iso.energy, at);
                 Some(Isochoric { energy: iso.energy, stress, softened })
             }
             false => None,
         };
-        Some(Parts { whole, isochoric })
+        let damaged = self.softened(SofteningForm::Damage, whole.energy, at);
+        Some(Parts { whole, damaged, isochoric })
     }
 
     /// The first line of `Ψ` and its stress with other weights of its parts.
@@ -286,6 +297,15 @@ fn pulled(tangent: &Tangent, pull: &Matrix3) -> Tangent {
 
 fn scale(tangent: &mut Tangent, factor: f64) {
     tangent.iter_mut().flatten().for_each(|v| *v *= factor);
+}
+
+/// Add `factor · stress ⊗ stress`.
+fn add_dyad(tangent: &mut Tangent, factor: f64, stress: &Matrix3) {
+    for (a, row) in tangent.iter_mut().enumerate() {
+        for (b, v) in row.iter_mut().enumerate() {
+            *v += factor * stress[a / 3][a % 3] * stress[b / 3][b % 3];
+        }
+    }
 }
 
 impl<S: Scalar> PointStep<S> {

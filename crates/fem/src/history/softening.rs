@@ -1,10 +1,11 @@
-//! Softening by earlier load: the energy function of Ogden and Roxburgh.
+//! Softening by earlier load: energy functions of Ogden and Roxburgh, and of damage.
 
 use std::f64::consts::PI;
 
+use super::behaviour::SofteningForm;
 use super::scalar::Scalar;
 
-/// `φ`, `η = dφ/dW` and `dη/dW` of an isochoric energy.
+/// `φ`, `η = dφ/dW` and `dη/dW` of an energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Softened<S> {
     /// kPa
@@ -16,7 +17,7 @@ pub(super) struct Softened<S> {
 }
 
 impl<S: Scalar> Softened<S> {
-    /// A point under more load than ever before.
+    /// A point that nothing softens.
     pub(super) fn virgin(energy: S) -> Self {
         Self { energy, slope: S::constant(1.0), curvature: 0.0 }
     }
@@ -25,17 +26,24 @@ impl<S: Scalar> Softened<S> {
 /// Numbers of the softening.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Softness<S> {
+    pub(super) form: SofteningForm,
     pub(super) r: S,
     pub(super) m_kpa: S,
     pub(super) beta: S,
 }
 
 impl<S: Scalar> Softness<S> {
-    /// Softened energy at isochoric energy `energy`, the largest so far being `largest` (kPa).
-    ///
+    /// Softened energy at energy `energy`, the largest so far being `largest` (kPa).
+    pub(super) fn at(&self, energy: S, largest: S) -> Softened<S> {
+        match self.form {
+            SofteningForm::OgdenRoxburgh => self.unloaded(energy, largest),
+            SofteningForm::Damage => self.damaged(energy, largest),
+        }
+    }
+
     /// `φ(W) = W` from `Wm` on; below, with `z = Wm − W` and `c = m + β Wm`, the integral of `η`
     /// that joins it, `φ(W) = W + (z erf(z/c) + c/√π (exp(−z²/c²) − 1)) / r`.
-    pub(super) fn at(&self, energy: S, largest: S) -> Softened<S> {
+    fn unloaded(&self, energy: S, largest: S) -> Softened<S> {
         let z = largest - energy;
         if z.value() <= 0.0 {
             return Softened::virgin(energy);
@@ -53,12 +61,30 @@ impl<S: Scalar> Softness<S> {
             curvature: 2.0 / (PI.sqrt() * c.value() * self.r.value()) * bell,
         }
     }
+
+    /// `φ(W) = W − d (W + m (exp(−W/m) − 1))` with `d = 1 − 1/r` from `Wm` on; below, its tangent
+    /// there.
+    fn damaged(&self, energy: S, largest: S) -> Softened<S> {
+        let one = S::constant(1.0);
+        let lost = one - one / self.r;
+        let grows = energy.value() >= largest.value();
+        let top = if grows { energy } else { largest };
+        let ratio = top / self.m_kpa;
+        let x = ratio.value();
+        let rest = ratio.apply((-x).exp_m1(), -(-x).exp());
+        let slope = one + lost * rest;
+        Softened {
+            energy: top - lost * (top + self.m_kpa * rest) + slope * (energy - top),
+            slope,
+            curvature: if grows { -lost.value() / self.m_kpa.value() * (-x).exp() } else { 0.0 },
+        }
+    }
 }
 
 impl Softness<f64> {
     /// The same numbers, as constants of another kind.
     pub(super) fn lifted<S: Scalar>(self) -> Softness<S> {
         let one = S::constant;
-        Softness { r: one(self.r), m_kpa: one(self.m_kpa), beta: one(self.beta) }
+        Softness { form: self.form, r: one(self.r), m_kpa: one(self.m_kpa), beta: one(self.beta) }
     }
 }

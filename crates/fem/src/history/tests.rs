@@ -2,7 +2,9 @@
 //! behaviour, at points that have been through something.
 #![allow(clippy::expect_used)]
 
-use super::behaviour::{Behaviour, Drainage, Part, Relaxation, Set, Softening, Swelling};
+use super::behaviour::{
+    Behaviour, Drainage, Part, Relaxation, Set, Softening, SofteningForm, Swelling,
+};
 use super::point::StepModel;
 use super::state::{StepState, fresh_states};
 use crate::assembly::{PointModel, internal_force_into};
@@ -15,7 +17,9 @@ use crate::mesh::Mesh;
 fn behaviours() -> Vec<(&'static str, Behaviour)> {
     let none = Behaviour::default;
     let relaxation = |part| Some(Relaxation { g: vec![0.3, 0.25], tau_s: vec![0.4, 6.0], part });
-    let softening = Some(Softening { r: 1.7, m_kpa: 0.4, beta: 0.2 });
+    let softening =
+        Some(Softening { form: SofteningForm::OgdenRoxburgh, r: 1.7, m_kpa: 0.4, beta: 0.2 });
+    let damage = Some(Softening { form: SofteningForm::Damage, r: 1.7, m_kpa: 0.6, beta: 0.0 });
     let set = Some(Set { fraction: 0.3 });
     let drainage = Some(Drainage { share: 0.35, tau_s: 2.0 });
     let swelling = Some(Swelling { linear_strain: 0.1, from_time_s: 0.0, to_time_s: 3.0 });
@@ -25,6 +29,7 @@ fn behaviours() -> Vec<(&'static str, Behaviour)> {
         ("isochoric", Behaviour { relaxation: relaxation(Part::Isochoric), ..none() }),
         ("rate", Behaviour { viscosity_kpa_s: 2.5, ..none() }),
         ("softening", Behaviour { softening, ..none() }),
+        ("damage", Behaviour { softening: damage, ..none() }),
         ("set", Behaviour { set, ..none() }),
         ("drainage", Behaviour { drainage, ..none() }),
         ("swelling", Behaviour { swelling, ..none() }),
@@ -34,6 +39,17 @@ fn behaviours() -> Vec<(&'static str, Behaviour)> {
                 relaxation: relaxation(Part::Whole),
                 viscosity_kpa_s: 2.5,
                 softening,
+                set,
+                drainage,
+                swelling,
+            },
+        ),
+        (
+            "damage and all others",
+            Behaviour {
+                relaxation: relaxation(Part::Isochoric),
+                viscosity_kpa_s: 2.5,
+                softening: damage,
                 set,
                 drainage,
                 swelling,

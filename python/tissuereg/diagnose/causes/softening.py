@@ -14,32 +14,36 @@ from tissuereg.effects import Softening
 SIZE = 1.5
 ENERGIES = (0.003, 0.03)
 
-#: Beta of Ogden and Roxburgh, kept.
-BETA = 0.1
+#: Forms with the beta that is kept in each.
+FORMS = {"ogden-roxburgh": 0.1, "damage": 0.0}
 
 
 class SofteningCause(Cause):
-    """Ogden and Roxburgh's softening by the largest energy so far."""
+    """Softening by the largest energy so far: of what a first load has been through, or of that load too."""
 
     id: ClassVar[str] = "softening"
+    discrete: ClassVar[tuple[str, ...]] = ("form",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return secants for two energies."""
+        """Return secants for two energies in both forms."""
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
-        tried = [[Softening(r=SIZE, m_kpa=energy * bench.young, beta=BETA)] for energy in ENERGIES]
-        for energy, changed in zip(ENERGIES, bench.changes(tried), strict=True):
+        every = [(form, energy) for form in FORMS for energy in ENERGIES]
+        tried = [[Softening(r=SIZE, m_kpa=energy * bench.young, beta=FORMS[form], form=form)] for form, energy in every]
+        for (form, energy), changed in zip(every, bench.changes(tried), strict=True):
             if changed is not None:
-                yield Variant(f"energy {energy:g}", changed[None], {"energy": energy}, positive=True)
+                settings = {"form": form, "energy": energy}
+                yield Variant(f"{form}, energy {energy:g}", changed[None], settings, positive=True)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return logarithms of r - 1 and of m over the modulus."""
         # A share of (1 - 1/r) of the stress goes at most.
         lost = min((1.0 - 1.0 / SIZE) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
-        energy = float(variant.settings["energy"])
+        energy, form = float(variant.settings["energy"]), str(variant.settings["form"])
 
         def effect(x: FloatArray, young: float) -> tuple[Softening]:
-            return (Softening(r=1.0 + float(np.exp(x[0])), m_kpa=float(np.exp(x[1])) * young, beta=BETA),)
+            r, m_kpa = 1.0 + float(np.exp(x[0])), float(np.exp(x[1])) * young
+            return (Softening(r=r, m_kpa=m_kpa, beta=FORMS[form], form=form),)
 
         return knobs(
             [
@@ -50,10 +54,13 @@ class SofteningCause(Cause):
             lambda x, young: {
                 "r": 1.0 + float(np.exp(x[0])),
                 "m_kpa": float(np.exp(x[1])) * young,
-                "beta": BETA,
+                "beta": FORMS[form],
+                "form": form,
             },
         )
 
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""
+        if values["form"] == "damage":
+            return f"Load damages the body while it goes through it for the first time (r = {values['r']:.2g})."
         return f"The first large load softens the body for good (Mullins effect, r = {values['r']:.2g})."

@@ -179,6 +179,8 @@ def _largest_before(values: FloatArray) -> FloatArray:
 def _softened(softening: Softening, energy: FloatArray) -> FloatArray:
     from scipy.special import erf
 
+    if softening.form == "damage":
+        return np.asarray(1.0 + (1.0 - 1.0 / softening.r) * np.expm1(-np.maximum.accumulate(energy) / softening.m_kpa))
     largest = np.concatenate([[0.0], np.maximum.accumulate(energy)[:-1]])
     below = np.maximum(largest - energy, 0.0)
     return np.asarray(1.0 - erf(below / (softening.m_kpa + softening.beta * largest)) / softening.r)
