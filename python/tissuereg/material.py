@@ -74,7 +74,7 @@ class Material:
     law                  energy density                                              shape
     ==================== =========================================================== ==============================
     neo-hookean          mu/2 (I1 - 3) - mu ln J + U (lambda in place of K)
-    bimodular            neo-hookean + mu excess sum <E_i>^2 of principal strains    excess
+    bimodular            neo-hookean + mu excess sum <ln l_i>^2, stretches l_i       excess
     mooney-rivlin        mu/2 ((1 - share) (I1bar - 3) + share (I2bar - 3)) + U      share
     yeoh                 c1 a + c2 a^2 + c3 a^3 + U, a = I1bar - 3, c1 = mu/2        c2_over_c1, c3_over_c1
     ogden                sum 2 mu_p/alpha_p^2 (sum lbar^alpha_p - 3) + U             alpha, weight (1 to 3 terms each)

@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from blind.heldout import by_block
-from tissuereg.diagnose import diagnose, run, search
+from tissuereg.diagnose import diagnose, recorrect, run, search
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.nuisances import Nuisances
@@ -73,7 +73,7 @@ def no_mesh_correction(folder: Path, told: Collection[str] = (), *, threads: int
     """Return what is said when predictions on the user's mesh are taken as they are."""
     with (
         patch.object(run, "make_correction", _no_correction),
-        patch.object(search, "recorrected", lambda target, found: target),
+        patch.object(recorrect, "recorrected", lambda target, found, **_: target),
     ):
         return ours(folder, threads=threads)
 

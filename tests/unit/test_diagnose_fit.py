@@ -1,6 +1,7 @@
 """Fits of known causes, second thoughts on several, and a search whose findings are taken back."""
 
 from dataclasses import replace
+from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,13 +10,13 @@ import pytest
 from support.rigs import rig
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.correction import Correction
+from tissuereg.diagnose.correction import Correction, make_correction
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.fit import Part, Target, fit
 from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.nuisances import RIM_ERROR, _rim_sizes
 from tissuereg.diagnose.proof import figure_blocks, proof_blocks
-from tissuereg.diagnose.recorrect import recorrected
+from tissuereg.diagnose.recorrect import recorrected, settled
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import Screened
@@ -119,6 +120,27 @@ def test_the_mesh_of_what_was_found_is_put_right(of_two):
     assert recorrected(of_two, fit(of_two, [part(of_two, "latency")])) is of_two
 
 
+def test_a_fit_to_data_of_a_finer_mesh_is_right_once_its_own_mesh_is_put_right(of_two):
+    bench = of_two.bench
+    layout = bench.layout
+    true = refined_effects(bench, [Poisson(poisson=0.3)])
+    believed = refined_effects(bench, [])
+    correction = make_correction(layout, bench.base, believed)
+    layout = Layout(bench.experiment)
+    layout.measured[:] = true
+    target = replace(of_two, bench=Bench(bench.experiment, layout), correction=replace(correction, layout=layout))
+    found = fit(target, [part(target, "poisson")])
+    better, again = settled(target, found)
+    errors = [abs(f.values(0, 1.0)[0]["poisson"] - 0.3) for f in (found, again)]
+    assert errors[1] < 0.2 * errors[0]
+    assert again.log_evidence > found.log_evidence + 10.0
+    # Nothing is left to be put right there.
+    effects = again.effects(bench.young)
+    markers = layout.of_markers()
+    off = (better.correction.corrected(bench.predictor.predict(effects)) - true)[markers]
+    assert np.abs(off).max() < 0.05 * np.abs((true - believed)[markers]).max()
+
+
 def test_a_fine_mesh_is_not_asked_for_what_remembers(of_two):
     assert refined_effects(of_two.bench, [Relaxation(g=(0.3,), tau_s=(2.0,))]) is None
 
@@ -185,28 +207,37 @@ def test_what_differs_in_the_tracker_alone_is_solved_once(of_two, monkeypatch):
     assert len(solved) == 2
 
 
+@pytest.fixture
+def of_the_same_mesh(monkeypatch):
+    """Data of the user's own mesh have no error of a mesh to be put right."""
+    # The package's attribute of this name is a function.
+    monkeypatch.setattr(import_module("tissuereg.diagnose.revise"), "settled", lambda target, found: (target, found))
+
+
+@pytest.mark.usefixtures("of_the_same_mesh")
 def test_a_cause_that_is_not_needed_goes(of_two):
     spare = part(of_two, "scale")
     found = fit(of_two, [part(of_two, "poisson"), spare, part(of_two, "latency")])
-    kept, left = needed(of_two, found, dict.fromkeys(found.ids, 8.0))
+    target, kept, left = needed(of_two, found, dict.fromkeys(found.ids, 8.0))
     assert kept.ids == ("poisson", "latency")
     assert left == [0, 2]
-    assert without(of_two, kept, 0).log_evidence < kept.log_evidence - 8.0
+    assert without(target, kept, 0).log_evidence < kept.log_evidence - 8.0
 
 
+@pytest.mark.usefixtures("of_the_same_mesh")
 def test_a_mate_stands_in_where_it_is_better(of_two):
     wrong = fit(of_two, [part(of_two, "scale"), part(of_two, "latency")])
     mate = part(of_two, "poisson")
-    better = exchanged(of_two, wrong, 0, [(mate, mate.knobs.start)])
+    target, better = exchanged(of_two, wrong, 0, [(mate, mate.knobs.start)])
     assert better.ids == ("poisson", "latency")
     again = part(of_two, "scale")
-    assert exchanged(of_two, better, 0, [(again, again.knobs.start)]) is better
+    assert exchanged(target, better, 0, [(again, again.knobs.start)])[1] is better
 
 
 def test_findings_that_are_taken_back_leave_the_believed_model(of_two):
     base = fit(of_two, [])
     found = fit(of_two, [part(of_two, "poisson")])
-    step = Step({}, [], Candidate("poisson", found, 9.0), None)
+    step = Step({}, [], Candidate("poisson", found, 9.0, of_two), None)
     search = Search(base, found, [step, replace(step, found=None)], found.residual).taken_back(of_two)
     assert search.final is base
     assert [s.found for s in search.steps] == [None, None]
@@ -214,8 +245,10 @@ def test_findings_that_are_taken_back_leave_the_believed_model(of_two):
 
 
 def test_candidates_close_to_the_one_found_are_counted_from_its_own_round():
-    candidates = [Candidate(name, None, gain) for name, gain in (("layer", 30.0), ("fibre", 25.0), ("scale", 10.0))]
-    step = Step({}, candidates, Candidate("layer", None, 300.0), None)
+    candidates = [
+        Candidate(name, None, gain, None) for name, gain in (("layer", 30.0), ("fibre", 25.0), ("scale", 10.0))
+    ]
+    step = Step({}, candidates, Candidate("layer", None, 300.0, None), None)
     assert [c.id for c in step.close(8.0)] == ["fibre"]
     assert replace(step, found=None).close(8.0) == []
 

@@ -95,7 +95,7 @@ def made_up(believed, findings=(), effects=(), **changes):
     for number, one in enumerate(findings):
         part = Part(one.id, None, None)
         final = fitted(layout, noise, (*final.parts, part), errors[1] / (number + 1))
-        found = Candidate(one.id, final, one.log_bayes_factor)
+        found = Candidate(one.id, final, one.log_bayes_factor, None)
         screened = {"unknown": screened["unknown"], one.id: Screened(9.0, None, np.ones(1))}
         proof = HeldOut(("lean",), np.zeros((4, 1)), np.array([[2.5], [1.0], [2.0], [3.0]]) * np.ones((4, layout.size)))
         steps.append(Step(screened, [found], found, proof, proof))

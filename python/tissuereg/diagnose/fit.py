@@ -100,6 +100,8 @@ class Fit:
         Up to a constant that is the same for all fits to the same data.
     covariance : ndarray of float64, shape (k, k)
         Of the coordinates.
+    choices : int
+        Number of discrete hypotheses among which these were chosen.
     """
 
     parts: tuple[Part, ...]
@@ -112,6 +114,7 @@ class Fit:
     objective: float
     log_evidence: float
     covariance: FloatArray
+    choices: int = 1
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -245,6 +248,7 @@ def fit(
         objective,
         log_evidence,
         covariance,
+        choices,
     )
 
 

@@ -10,9 +10,13 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.fit import Fit, Part, Target, fit
+from tissuereg.diagnose.recorrect import settled
 
 #: Nats by which a mate must be better.
 BETTER = 2.0
+
+#: Nats by which the mesh's error in its causes, once put right, may make a fit better.
+PUT_RIGHT = 30.0
 
 
 def without(target: Target, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
@@ -39,8 +43,10 @@ def without(target: Target, current: Fit, part: int, *, hopeless: float = np.inf
     return fit(target, others, start=np.delete(current.x, np.r_[mine]), hopeless=hopeless)
 
 
-def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tuple[Fit, list[int]]:
+def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tuple[Target, Fit, list[int]]:
     """Return the fit without the causes whose removal costs less than their threshold, and which causes are left.
+
+    Every fit has the mesh's error in its own causes put right.
 
     Parameters
     ----------
@@ -53,27 +59,33 @@ def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tup
 
     Returns
     -------
-    tuple of Fit and list of int
-        Numbers of the parts that stay, of those of `current`; one at least.
+    tuple of Target, Fit and list of int
+        What is fitted then, and the numbers of the parts that stay, of those of `current`; one at least.
     """
     left = list(range(len(current.parts)))
     while len(left) > 1:
-        spare: list[tuple[float, int, Fit]] = []
+        spare: list[tuple[int, Target, Fit]] = []
         for number, name in enumerate(current.ids):
             # What a fit must reach to show that its missing cause is not needed.
             least = current.log_evidence - thresholds[name]
-            fitted = without(target, current, number, hopeless=-least)
-            if fitted is not None and fitted.log_evidence > least:
-                spare.append((fitted.log_evidence - least, number, fitted))
+            fitted = without(target, current, number, hopeless=PUT_RIGHT - least)
+            if fitted is None or fitted.log_evidence < least - PUT_RIGHT:
+                continue
+            other, fitted = settled(target, fitted)
+            if fitted.log_evidence > least:
+                spare.append((number, other, fitted))
         if not spare:
             break
-        _, number, current = max(spare, key=lambda row: row[0])
+        # Where one of two will do, the likelier one stays, whatever their thresholds are.
+        number, target, current = max(spare, key=lambda row: row[2].log_evidence)
         del left[number]
-    return current, left
+    return target, current, left
 
 
-def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Part, FloatArray]]) -> Fit:
+def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Part, FloatArray]]) -> tuple[Target, Fit]:
     """Return the fit with the best of some mates in the place of one cause, where it is better by `BETTER` nats.
+
+    Every fit has the mesh's error in its own causes put right.
 
     Parameters
     ----------
@@ -88,16 +100,19 @@ def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Par
 
     Returns
     -------
-    Fit
-        The one given where no mate is better.
+    tuple of Target and Fit
+        Those given where no mate is better.
     """
     mine = current.slices()[part]
-    best = current
+    best, of_best = current, target
     for mate, knobs in mates:
         parts = [*current.parts[:part], mate, *current.parts[part + 1 :]]
         start = np.concatenate([current.x[: mine.start], knobs, current.x[mine.stop :]])
         least = max(best.log_evidence, current.log_evidence + BETTER)
-        fitted = fit(target, parts, start=start, hopeless=-least)
-        if fitted is not None and fitted.log_evidence > least:
-            best = fitted
-    return best
+        fitted = fit(target, parts, start=start, hopeless=PUT_RIGHT - least)
+        if fitted is None or fitted.log_evidence < least - PUT_RIGHT:
+            continue
+        other, fitted = settled(target, fitted)
+        if fitted.log_evidence > least:
+            best, of_best = fitted, other
+    return of_best, best

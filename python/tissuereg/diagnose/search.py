@@ -21,7 +21,7 @@ from tissuereg.diagnose.proof import (
     linear_model,
     proof_blocks,
 )
-from tissuereg.diagnose.recorrect import recorrected
+from tissuereg.diagnose.recorrect import settled
 from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
 
@@ -40,12 +40,13 @@ SEPARABLE = 4.0
 
 #: A further cause must pass this many times its threshold, and so many nats: what was found before has an error of a
 #: form unknown.
-FURTHER, LEAST_FURTHER = 1.5, 15.0
+FURTHER, LEAST_FURTHER = 1.5, 18.0
 
 #: Gain in log predictive density that a proof asks for.
 PROVED = 4.0
 
-#: Nats by which a fit may stand behind the best one and still be worth an exact derivative.
+#: Nats by which a fit may stand behind the best one and still be worth an exact derivative, and a fine mesh that puts
+#: the error of the user's in it right.
 HOPELESS = 30.0
 
 #: Mates that are tried in the place of one of several causes: so many, and within so many nats of it.
@@ -64,11 +65,14 @@ class Candidate:
         With the causes found before.
     gain : float
         Log Bayes factor against the model before.
+    target : Target
+        What was fitted; of likely ones with the mesh's error in the causes put right.
     """
 
     id: str
     fit: Fit
     gain: float
+    target: Target
 
     def as_mate(self) -> tuple[Part, FloatArray]:
         """Return the cause, fitted last, with its knobs."""
@@ -177,11 +181,9 @@ def search(
         steps.append(Step(screened, candidates, found, proof, figures))
         if found is None:
             break
-        # What was found has an error of its own: that of the mesh is put right, and what is left of it and of the form
+        # What was found has an error of its own: that of the mesh was put right, and what is left of it and of the form
         # stands beside further causes.
-        if progress is not None:
-            progress(f"fine mesh with {' + '.join(found.fit.ids)}")
-        plain = recorrected(plain, found.fit)
+        plain = replace(plain, correction=found.target.correction)
         change = effect_nuisances(target.bench, found.fit.prediction - base.prediction)
         target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, plain.white(change)])))
         again = fit(target, found.fit.parts, start=found.fit.x)
@@ -189,31 +191,32 @@ def search(
     if len(current.parts) > 1:
         if progress is not None:
             progress("second thoughts")
-        current, steps = _revised(target, screen, base, current, steps, thresholds)
+        target, current, steps = _revised(target, screen, base, current, steps, thresholds)
     return Search(base, current, steps, _null_after(target, current).reduced(current.residual))
 
 
 def _revised(
     target: Target, screen: Screen, base: Fit, current: Fit, steps: list[Step], thresholds: Mapping[str, float]
-) -> tuple[Fit, list[Step]]:
+) -> tuple[Target, Fit, list[Step]]:
     """Return what is left of several causes once each was taken out again and exchanged for its mates."""
     found = [number for number, step in enumerate(steps) if step.found is not None]
-    current, left = needed(target, current, thresholds)
+    target, current, left = needed(target, current, thresholds)
     found = [found[part] for part in left]
     steps = [step if number in found else replace(step, found=None) for number, step in enumerate(steps)]
     for part, number in enumerate(found):
         mates = [c.as_mate() for c in steps[number].close(MATES_WITHIN) if c.id not in current.ids]
-        current = exchanged(target, current, part, mates[:MOST_MATES])
+        target, current = exchanged(target, current, part, mates[:MOST_MATES])
     for part, number in enumerate(found):
         # What a finding gains is what its removal costs.
         before = without(target, current, part)
         if before is not None:
-            top = Candidate(current.parts[part].id, current, current.log_evidence - before.log_evidence)
+            gain = current.log_evidence - before.log_evidence
+            top = Candidate(current.parts[part].id, current, gain, target)
             beside = _beside(target, screen, base, before)
             proof = _prove(target, beside, before, top, part)
             figures = _figures(target, beside, before, top, part)
             steps[number] = replace(steps[number], found=top, proof=proof, figures=figures)
-    return current, steps
+    return target, current, steps
 
 
 def _refit(
@@ -224,7 +227,7 @@ def _refit(
     asked: Mapping[str, float],
     progress: Callable[[str], None] | None,
 ) -> list[Candidate]:
-    """Return the likeliest causes, fitted, likeliest first."""
+    """Return the likeliest causes, fitted, likeliest first; those that may be it with the mesh's error put right."""
     taken = set(current.ids)
     order = sorted(
         (name for name in screened if name != UNKNOWN and (name not in taken or _repeats(name))),
@@ -247,7 +250,12 @@ def _refit(
         least = max(best_fit - HOPELESS, current.log_evidence + asked[name])
         fitted = _fit_forms(target, screen, screened[name], current, name, least)
         if fitted is not None:
-            found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence))
+            found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, target))
+    top = max((candidate.gain for candidate in found), default=-np.inf)
+    for place, candidate in enumerate(found):
+        if candidate.gain > max(top - HOPELESS, likely * asked[candidate.id]):
+            own, fitted = settled(target, candidate.fit, progress=progress)
+            found[place] = Candidate(candidate.id, fitted, fitted.log_evidence - current.log_evidence, own)
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 

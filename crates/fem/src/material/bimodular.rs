@@ -1,67 +1,52 @@
 //! What a bimodular law adds to the neo-Hookean one: stiffness of stretched fibres of all directions.
 //!
-//! With the principal values `Eₐ` of the Green–Lagrange strain, `⟨x⟩ = max(x, 0)` and the axes `Nₐ`,
+//! With the principal logarithmic strains `εₐ = ln λₐ`, `⟨x⟩ = max(x, 0)`, eigenvalues `cₐ = λₐ²` of
+//! `C` and the axes `Nₐ`,
 //!
 //! ```text
-//! ψ = μ e Σₐ ⟨Eₐ⟩²,   S = 2 μ e Σₐ ⟨Eₐ⟩ Nₐ ⊗ Nₐ
+//! ψ = μ e Σₐ ⟨εₐ⟩²,   τₐ = 2 μ e ⟨εₐ⟩,   S = Σₐ τₐ/cₐ Nₐ ⊗ Nₐ
 //! ```
 //!
-//! The stress is continuous; the tangent jumps where a principal strain changes its sign.
+//! In logarithmic strains, because others would stiffen the stretched directions besides. The
+//! stress is continuous; the tangent jumps where a principal strain changes its sign.
 
-use super::spectrum::Spectrum;
-use super::tensor::{add_outer, add_rows, plus_identity, product, strain};
+use super::spectrum::Stretches;
+use super::tensor::{plus_identity, product};
 use super::{Matrix3, Tangent};
 
-/// `E`, whose positive part the law feels.
-struct Stretched {
-    spectrum: Spectrum,
-}
-
-impl Stretched {
-    fn new(h: &Matrix3) -> Self {
-        Self { spectrum: Spectrum::new(strain(h).map(|row| row.map(|v| 0.5 * v))) }
-    }
-
-    /// `⟨Eₐ⟩`
-    fn positive(&self) -> [f64; 3] {
-        self.spectrum.values.map(|e| e.max(0.0))
-    }
-
-    /// `2 Σ ⟨Eₐ⟩ Nₐ ⊗ Nₐ`
-    fn second_stress(&self) -> Matrix3 {
-        self.spectrum.with_values(self.positive().map(|e| 2.0 * e))
-    }
-
-    /// `(⟨Eₐ⟩ − ⟨E_b⟩) / (Eₐ − E_b)`, between 0 and 1.
-    fn divided(&self, a: usize, b: usize) -> f64 {
-        let (own, other) = (self.spectrum.values[a], self.spectrum.values[b]);
-        match (own > 0.0, other > 0.0) {
-            (true, true) => 1.0,
-            (false, false) => 0.0,
-            (true, false) => own / (own - other),
-            (false, true) => other / (other - own),
-        }
-    }
+/// `τ` of an excess of 1 and shear modulus 1.
+fn tau(at: &Stretches) -> [f64; 3] {
+    at.log.map(|e| 2.0 * e.max(0.0))
 }
 
 /// Energy and stress of an excess of 1 and shear modulus 1.
 pub(super) fn response(h: &Matrix3) -> (f64, Matrix3) {
-    let stretched = Stretched::new(h);
-    let energy = stretched.positive().iter().map(|e| e * e).sum();
-    (energy, product(&plus_identity(h), &stretched.second_stress()))
+    let at = Stretches::new(h);
+    let energy = at.log.iter().map(|e| e.max(0.0).powi(2)).sum();
+    (energy, product(&plus_identity(h), &at.second_stress(&tau(&at))))
 }
 
 /// Add the tangent of an excess times a shear modulus.
 pub(super) fn add_tangent(modulus: f64, h: &Matrix3, sum: &mut Tangent) {
-    let stretched = Stretched::new(h);
-    add_rows(sum, modulus, &stretched.second_stress());
-    let dyads = stretched.spectrum.pushed(h);
-    for a in 0..3 {
-        let own = dyads.one(a, a);
-        add_outer(sum, 2.0 * modulus * stretched.divided(a, a), &own, &own);
-        for b in 0..a {
-            let mixed = dyads.mixed(a, b);
-            add_outer(sum, modulus * stretched.divided(a, b), &mixed, &mixed);
-        }
+    let at = Stretches::new(h);
+    let slope = |a: usize, b: usize| {
+        if a == b && at.log[a] > 0.0 { 2.0 * modulus } else { 0.0 }
+    };
+    at.add_tangent(
+        h,
+        &tau(&at).map(|t| modulus * t),
+        slope,
+        |a, b| modulus * divided(&at, a, b),
+        sum,
+    );
+}
+
+/// `(τ_a − τ_b)/(c_a − c_b)`, also where they are equal.
+fn divided(at: &Stretches, a: usize, b: usize) -> f64 {
+    match (at.log[a] > 0.0, at.log[b] > 0.0) {
+        (true, true) => 2.0 * at.log_difference(a, b).1 / at.c[b],
+        (false, false) => 0.0,
+        (true, false) => 2.0 * at.log[a] / (at.c[a] - at.c[b]),
+        (false, true) => 2.0 * at.log[b] / (at.c[b] - at.c[a]),
     }
 }

@@ -12,7 +12,7 @@ use crate::error::FemError;
 /// | law | energy density |
 /// |---|---|
 /// | neo-Hookean | `μ/2 (I₁ − 3) − μ ln J + U`, with `λ` in place of `K` |
-/// | bimodular | neo-Hookean `+ μ excess Σ ⟨Eᵢ⟩²`, of the principal strains of `E = (C − I)/2` |
+/// | bimodular | neo-Hookean `+ μ excess Σ ⟨ln λᵢ⟩²`, of the principal stretches |
 /// | Mooney–Rivlin | `μ/2 ((1 − share)(Ī₁ − 3) + share (Ī₂ − 3)) + U` |
 /// | Yeoh | `c₁ (a + c₂/c₁ a² + c₃/c₁ a³) + U`, `c₁ = μ/2`, `a = Ī₁ − 3` |
 /// | Ogden | `Σ 2 μ_p/α_p² (Σ λ̄ᵢ^α_p − 3) + U`, `μ_p` a share of `μ` |

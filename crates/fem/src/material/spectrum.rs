@@ -1,49 +1,115 @@
-//! Principal values and axes of a strain, and the dyads that tangents of isotropic laws are made of.
+//! Principal values and axes of a strain, and stress and tangent of laws in principal stretches.
+//!
+//! With the eigenvalues `cᵢ = λᵢ²` of `C`, `εᵢ = ln λᵢ` and principal Kirchhoff stresses `τᵢ(ε)`,
+//!
+//! ```text
+//! S  = Σᵢ sᵢ Nᵢ ⊗ Nᵢ,   sᵢ = τᵢ/cᵢ,   P = F S
+//! ```
+//!
+//! In the tangent `(sᵢ − sⱼ)/(cᵢ − cⱼ)` is formed from `r = cᵢ/cⱼ − 1` by functions that are smooth
+//! at `r = 0`: equal stretches need no special case and lose no digits.
 
-use super::Matrix3;
-use super::tensor::{matrix, plus_identity, product};
+use super::tensor::{add_outer, add_rows, matrix, plus_identity, product, strain};
+use super::{Matrix3, Tangent};
+
+/// Principal stretches of a displacement gradient.
+pub(super) struct Stretches {
+    /// Of `C − I`.
+    spectrum: Spectrum,
+    /// Eigenvalues of `C`.
+    pub(super) c: [f64; 3],
+    /// Logarithmic stretches `ε`.
+    pub(super) log: [f64; 3],
+}
+
+impl Stretches {
+    pub(super) fn new(h: &Matrix3) -> Self {
+        let spectrum = Spectrum::new(strain(h));
+        let c = spectrum.values.map(|v| 1.0 + v);
+        let log = spectrum.values.map(|v| 0.5 * v.ln_1p());
+        Self { spectrum, c, log }
+    }
+
+    /// `S` of principal Kirchhoff stresses.
+    pub(super) fn second_stress(&self, tau: &[f64; 3]) -> Matrix3 {
+        self.spectrum.with_values(std::array::from_fn(|a| tau[a] / self.c[a]))
+    }
+
+    /// `ε_a − ε_b`, and that over `r = c_a/c_b − 1`.
+    pub(super) fn log_difference(&self, a: usize, b: usize) -> (f64, f64) {
+        let ratio = (self.c[a] - self.c[b]) / self.c[b];
+        let delta = 0.5 * ratio.ln_1p();
+        (delta, if ratio == 0.0 { 0.5 } else { delta / ratio })
+    }
+
+    /// Add the tangent of principal Kirchhoff stresses with slopes `∂τ_a/∂ε_b` and divided
+    /// differences `(τ_a − τ_b)/(c_a − c_b)`.
+    pub(super) fn add_tangent(
+        &self,
+        h: &Matrix3,
+        tau: &[f64; 3],
+        slope: impl Fn(usize, usize) -> f64,
+        divided: impl Fn(usize, usize) -> f64,
+        sum: &mut Tangent,
+    ) {
+        add_rows(sum, 1.0, &self.second_stress(tau));
+        let dyads = self.spectrum.pushed(h);
+        let c = self.c;
+        for a in 0..3 {
+            let m = dyads.one(a, a);
+            add_outer(sum, (slope(a, a) - 2.0 * tau[a]) / (c[a] * c[a]), &m, &m);
+            for b in 0..a {
+                let other = dyads.one(b, b);
+                add_outer(sum, 2.0 * slope(a, b) / (c[a] * c[b]), &m, &other);
+                let mixed = dyads.mixed(a, b);
+                let theta = divided(a, b) / c[a] - tau[b] / (c[a] * c[b]);
+                add_outer(sum, theta, &mixed, &mixed);
+            }
+        }
+    }
+}
 
 /// `Σₐ vₐ Nₐ ⊗ Nₐ`
-pub(super) struct Spectrum {
+struct Spectrum {
     /// Principal values.
-    pub(super) values: [f64; 3],
+    values: [f64; 3],
     /// Their axes, one a column.
     axes: Matrix3,
 }
 
 impl Spectrum {
     /// Of a symmetric matrix.
-    pub(super) fn new(m: Matrix3) -> Self {
+    fn new(m: Matrix3) -> Self {
         let (values, axes) = eigen(m);
         Self { values, axes }
     }
 
     /// The matrix of the same axes and other values.
-    pub(super) fn with_values(&self, values: [f64; 3]) -> Matrix3 {
+    fn with_values(&self, values: [f64; 3]) -> Matrix3 {
         let axes = &self.axes;
         matrix(|i, j| (0..3).map(|a| values[a] * axes[i][a] * axes[j][a]).sum())
     }
 
     /// Dyads of the axes, their first ones carried along by `F = I + h`.
-    pub(super) fn pushed(&self, h: &Matrix3) -> Dyads<'_> {
+    fn pushed(&self, h: &Matrix3) -> Dyads<'_> {
         Dyads { pushed: product(&plus_identity(h), &self.axes), axes: &self.axes }
     }
 }
 
 /// `(F Nₐ) ⊗ N_b`
-pub(super) struct Dyads<'a> {
+struct Dyads<'a> {
     pushed: Matrix3,
     axes: &'a Matrix3,
 }
 
 impl Dyads<'_> {
     /// That of two axes.
-    pub(super) fn one(&self, a: usize, b: usize) -> Matrix3 {
+    fn one(&self, a: usize, b: usize) -> Matrix3 {
         matrix(|i, j| self.pushed[i][a] * self.axes[j][b])
     }
 
     /// That of two axes and of the same in the other order.
-    pub(super) fn mixed(&self, a: usize, b: usize) -> Matrix3 {
+    fn mixed(&self, a: usize, b: usize) -> Matrix3 {
         let (ab, ba) = (self.one(a, b), self.one(b, a));
         matrix(|i, j| ab[i][j] + ba[i][j])
     }

@@ -54,7 +54,7 @@ def bimodular(kind, excess=mpf(0.7)):
     base = neo_hookean(kind)
 
     def energy(f):
-        strains = [(v - 1) / 2 for v in eigsy(f.T * f, eigvals_only=True)]
+        strains = [log(v) / 2 for v in eigsy(f.T * f, eigvals_only=True)]
         return base(f) + MU * excess * sum(e**2 for e in strains if e > 0)
 
     return energy

@@ -122,7 +122,7 @@ def isochoric_energy(material: Material, stretches: FloatArray) -> FloatArray:
                 energy += 2.0 * mu * share / alpha**2 * ((stretches**alpha).sum(axis=1) - 3.0)
             return energy
         case "bimodular":
-            stretched = np.maximum(0.5 * (stretches**2 - 1.0), 0.0)
+            stretched = np.maximum(np.log(stretches), 0.0)
             return np.asarray(0.5 * mu * i1 + mu * float(shape["excess"]) * (stretched**2).sum(axis=1))
         case "mooney-rivlin":
             share = float(shape["share"])
@@ -169,11 +169,11 @@ def _larger_square(metric: FloatArray) -> FloatArray:
 
 
 def _stretched(metric: FloatArray) -> FloatArray:
-    """Return the part of the Green-Lagrange strain in the plane that stretches, (n, 2, 2)."""
+    """Return the logarithmic strain that stretches in the plane, over the square of the stretch, (n, 2, 2)."""
     larger = _larger_square(metric)
     gap = larger - 1.0 / larger
     along = (metric - (1.0 / larger)[:, None, None] * np.eye(2)) / np.where(gap > 1e-9, gap, 1.0)[:, None, None]
-    return np.asarray(0.5 * (larger - 1.0)[:, None, None] * along)
+    return np.asarray((0.5 * np.log(larger) / larger)[:, None, None] * along)
 
 
 def _ogden_second_pk(material: Material, mu: float, metric: FloatArray) -> FloatArray:
