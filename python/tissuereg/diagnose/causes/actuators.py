@@ -24,6 +24,7 @@ class GainCause(Cause):
     """One actuator's motion is scaled."""
 
     id: ClassVar[str] = "actuator_gain"
+    always_fitted: ClassVar[bool] = True
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
