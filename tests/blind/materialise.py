@@ -24,10 +24,10 @@ def case_names() -> list[str]:
     return sorted(path.stem for path in CASES.glob("*.npz"))
 
 
-def materialise(case: str, folder: Path) -> Path:
-    """Write one case as an experiment folder and return the folder."""
+def materialise(case: str, folder: Path, cases: Path = CASES) -> Path:
+    """Write one of the stored cases as an experiment folder and return the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    with np.load(CASES / f"{case}.npz") as stored:
+    with np.load(cases / f"{case}.npz") as stored:
         times, mesh = stored["times"], str(stored["mesh"])
         (folder / "experiment.toml").write_text(str(stored["toml"]), encoding="utf-8")
         markers = _numbers(stored["markers"], STEP_MM)

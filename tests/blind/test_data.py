@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
+from blind.generator.open_cases import make_open_cases
 from blind.materialise import CASES, DATA, case_names, materialise
 from blind.run import tier_cases
 from blind.scored import open_answers
@@ -72,3 +73,14 @@ def test_a_believed_model_moves_the_markers_as_the_foreign_one_does(tmp_path):
         seen = np.nanmean(experiment.cases[name].markers[hold], axis=0) - experiment.marker_reference
         said = simulated[name].markers[hold].mean(axis=0) - experiment.marker_reference
         assert np.corrcoef(seen.ravel(), said.ravel())[0, 1] > 0.9
+
+
+def test_open_cases_have_the_wanted_size_and_tell_the_truth(tmp_path):
+    truth = make_open_cases(13.0, tmp_path, rigs=(1,))
+    assert len(truth) > 5
+    for name, told in truth.items():
+        assert told["detectability"] == pytest.approx(13.0, rel=0.02)
+        experiment = tr.read_experiment(tmp_path / name)
+        assert not experiment.effects
+        assert set(experiment.cases) >= {"rest", "push_x"}
+    assert json.loads((tmp_path / "truth.json").read_text(encoding="utf-8")).keys() == truth.keys()

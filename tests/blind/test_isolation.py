@@ -32,6 +32,8 @@ def test_the_generator_imports_nothing_from_the_package(path):
         "os",
         "pathlib",
         "secrets",
+        "sys",
+        "tempfile",
         "time",
         "traceback",
     }

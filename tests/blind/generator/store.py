@@ -51,7 +51,7 @@ def make_cases(report=print):
             counts["out of reach"] += 1
             path.unlink(missing_ok=True)
             continue
-        _store(path, experiment)
+        write_case(path, experiment)
         answers[plan.name] = experiment.answer
         counts["made"] += 1
     body = json.dumps({"salt": salt, "answers": answers}, sort_keys=True, default=float)
@@ -82,7 +82,8 @@ def _tiers(answers):
     return {"quick": sorted([*quick[:16], *nulls[:20]]), "fine": sorted(n for n in answers if answers[n]["fine"])}
 
 
-def _store(path, experiment: Experiment):
+def write_case(path, experiment: Experiment):
+    """Store what is measured and believed, and the user's mesh where it is not stored yet."""
     arrays = experiment.arrays
     variant = experiment.plan.mesh
     mesh = MESHES / f"r{experiment.plan.rig:02d}{'f' if variant == -1 else 'abc'[variant]}.npz"
