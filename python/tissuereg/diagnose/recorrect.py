@@ -17,6 +17,9 @@ from tissuereg.diagnose.refined import refined_effects
 from tissuereg.effects import ChainEffect
 from tissuereg.errors import ConvergenceError, ExperimentError, MeshError, SupportError
 
+#: Nats by which the mesh's error in its causes, once put right, may make a fit better.
+PUT_RIGHT = 30.0
+
 #: The mesh is put right anew where a fit moves markers by more than this share of what its causes do; so many times at
 #: most.
 FAR, MOST_ROUNDS = 0.2, 2

@@ -10,13 +10,10 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.fit import Fit, Part, Target, fit
-from tissuereg.diagnose.recorrect import settled
+from tissuereg.diagnose.recorrect import PUT_RIGHT, settled
 
 #: Nats by which a mate must be better.
 BETTER = 2.0
-
-#: Nats by which the mesh's error in its causes, once put right, may make a fit better.
-PUT_RIGHT = 30.0
 
 
 def without(target: Target, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
@@ -68,12 +65,9 @@ def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tup
         for number, name in enumerate(current.ids):
             # What a fit must reach to show that its missing cause is not needed.
             least = current.log_evidence - thresholds[name]
-            fitted = without(target, current, number, hopeless=PUT_RIGHT - least)
-            if fitted is None or fitted.log_evidence < least - PUT_RIGHT:
-                continue
-            other, fitted = settled(target, fitted)
-            if fitted.log_evidence > least:
-                spare.append((number, other, fitted))
+            reached = _reaching(least, target, without(target, current, number, hopeless=PUT_RIGHT - least))
+            if reached is not None:
+                spare.append((number, *reached))
         if not spare:
             break
         # Where one of two will do, the likelier one stays, whatever their thresholds are.
@@ -109,10 +103,15 @@ def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Par
         parts = [*current.parts[:part], mate, *current.parts[part + 1 :]]
         start = np.concatenate([current.x[: mine.start], knobs, current.x[mine.stop :]])
         least = max(best.log_evidence, current.log_evidence + BETTER)
-        fitted = fit(target, parts, start=start, hopeless=PUT_RIGHT - least)
-        if fitted is None or fitted.log_evidence < least - PUT_RIGHT:
-            continue
-        other, fitted = settled(target, fitted)
-        if fitted.log_evidence > least:
-            best, of_best = fitted, other
+        reached = _reaching(least, target, fit(target, parts, start=start, hopeless=PUT_RIGHT - least))
+        if reached is not None:
+            of_best, best = reached
     return of_best, best
+
+
+def _reaching(least: float, target: Target, fitted: Fit | None) -> tuple[Target, Fit] | None:
+    """Return a fit with the mesh's error in it put right, if its log evidence then passes the least."""
+    if fitted is None or fitted.log_evidence < least - PUT_RIGHT:
+        return None
+    better, again = settled(target, fitted)
+    return (better, again) if again.log_evidence > least else None

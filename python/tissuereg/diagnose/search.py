@@ -21,7 +21,7 @@ from tissuereg.diagnose.proof import (
     linear_model,
     proof_blocks,
 )
-from tissuereg.diagnose.recorrect import settled
+from tissuereg.diagnose.recorrect import PUT_RIGHT, settled
 from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
 
@@ -44,10 +44,6 @@ FURTHER, LEAST_FURTHER = 1.5, 18.0
 
 #: Gain in log predictive density that a proof asks for.
 PROVED = 4.0
-
-#: Nats by which a fit may stand behind the best one and still be worth an exact derivative, and a fine mesh that puts
-#: the error of the user's in it right.
-HOPELESS = 30.0
 
 #: Mates that are tried in the place of one of several causes: so many, and within so many nats of it.
 MOST_MATES, MATES_WITHIN = 2, 40.0
@@ -247,13 +243,13 @@ def _refit(
         if progress is not None:
             progress(f"fit {' + '.join([*current.ids, name])}")
         best_fit = max((c.fit.log_evidence for c in found), default=-np.inf)
-        least = max(best_fit - HOPELESS, current.log_evidence + asked[name])
+        least = max(best_fit - PUT_RIGHT, current.log_evidence + asked[name])
         fitted = _fit_forms(target, screen, screened[name], current, name, least)
         if fitted is not None:
             found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, target))
     top = max((candidate.gain for candidate in found), default=-np.inf)
     for place, candidate in enumerate(found):
-        if candidate.gain > max(top - HOPELESS, likely * asked[candidate.id]):
+        if candidate.gain > max(top - PUT_RIGHT, likely * asked[candidate.id]):
             own, fitted = settled(target, candidate.fit, progress=progress)
             found[place] = Candidate(candidate.id, fitted, fitted.log_evidence - current.log_evidence, own)
     return sorted(found, key=lambda candidate: -candidate.gain)

@@ -55,6 +55,10 @@ class AsymmetryCause(LawCause):
             lambda x, young: {"law": law, "excess": float(np.expm1(x[0])), "volumetric": form},
         )
 
+    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
+        """Return the same exponent in the other forms; a bimodular law has one."""
+        return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
+
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""
         if "excess" in values:

@@ -36,9 +36,7 @@ class LawCause(Cause):
                     yield Variant(f"{law} {size:g}", changed[None], settings, positive=True)
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same shape in the other forms; a bimodular law has one."""
-        if variant.settings["law"] == "bimodular":
-            return ()
+        """Return the same shape in the other forms."""
         return tuple(replace(variant, settings={**variant.settings, "volumetric": form}) for form in _forms(bench)[1:])
 
 
