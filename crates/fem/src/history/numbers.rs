@@ -97,9 +97,7 @@ impl Behaviour {
             P::RelaxationShare(k) | P::RelaxationTime(k) => k < n_terms,
             P::Viscosity => true,
             P::SofteningR | P::SofteningM => self.softening.is_some(),
-            P::SofteningBeta => {
-                self.softening.is_some_and(|s| s.form == SofteningForm::OgdenRoxburgh)
-            }
+            P::SofteningBeta => self.softens_when_unloaded(),
             P::SetFraction => self.set.is_some(),
             P::DrainageShare | P::DrainageTime => self.drainage.is_some(),
             P::SwellingStrain | P::SwellingFrom | P::SwellingTo => self.swelling.is_some(),
@@ -121,8 +119,11 @@ impl Behaviour {
         let isochoric = self.relaxation.as_ref().is_some_and(|relaxation| {
             relaxation.part == Part::Isochoric && !relaxation.g.is_empty()
         });
-        let softens = self.softening.is_some_and(|s| s.form == SofteningForm::OgdenRoxburgh);
-        softens || self.drainage.is_some() || isochoric
+        self.softens_when_unloaded() || self.drainage.is_some() || isochoric
+    }
+
+    fn softens_when_unloaded(&self) -> bool {
+        self.softening.is_some_and(|softening| softening.form == SofteningForm::OgdenRoxburgh)
     }
 }
 

@@ -14,8 +14,8 @@ use super::{Matrix3, Tangent};
 
 /// Principal stretches of a displacement gradient.
 pub(super) struct Stretches {
-    /// Of `C − I`.
-    spectrum: Spectrum,
+    /// Axes of `C`, one a column.
+    axes: Matrix3,
     /// Eigenvalues of `C`.
     pub(super) c: [f64; 3],
     /// Logarithmic stretches `ε`.
@@ -24,15 +24,14 @@ pub(super) struct Stretches {
 
 impl Stretches {
     pub(super) fn new(h: &Matrix3) -> Self {
-        let spectrum = Spectrum::new(strain(h));
-        let c = spectrum.values.map(|v| 1.0 + v);
-        let log = spectrum.values.map(|v| 0.5 * v.ln_1p());
-        Self { spectrum, c, log }
+        let (strains, axes) = eigen(strain(h));
+        Self { axes, c: strains.map(|v| 1.0 + v), log: strains.map(|v| 0.5 * v.ln_1p()) }
     }
 
     /// `S` of principal Kirchhoff stresses.
     pub(super) fn second_stress(&self, tau: &[f64; 3]) -> Matrix3 {
-        self.spectrum.with_values(std::array::from_fn(|a| tau[a] / self.c[a]))
+        let (axes, c) = (&self.axes, &self.c);
+        matrix(|i, j| (0..3).map(|a| tau[a] / c[a] * axes[i][a] * axes[j][a]).sum())
     }
 
     /// `ε_a − ε_b`, and that over `r = c_a/c_b − 1`.
@@ -53,7 +52,7 @@ impl Stretches {
         sum: &mut Tangent,
     ) {
         add_rows(sum, 1.0, &self.second_stress(tau));
-        let dyads = self.spectrum.pushed(h);
+        let dyads = Dyads { pushed: product(&plus_identity(h), &self.axes), axes: &self.axes };
         let c = self.c;
         for a in 0..3 {
             let m = dyads.one(a, a);
@@ -66,33 +65,6 @@ impl Stretches {
                 add_outer(sum, theta, &mixed, &mixed);
             }
         }
-    }
-}
-
-/// `Σₐ vₐ Nₐ ⊗ Nₐ`
-struct Spectrum {
-    /// Principal values.
-    values: [f64; 3],
-    /// Their axes, one a column.
-    axes: Matrix3,
-}
-
-impl Spectrum {
-    /// Of a symmetric matrix.
-    fn new(m: Matrix3) -> Self {
-        let (values, axes) = eigen(m);
-        Self { values, axes }
-    }
-
-    /// The matrix of the same axes and other values.
-    fn with_values(&self, values: [f64; 3]) -> Matrix3 {
-        let axes = &self.axes;
-        matrix(|i, j| (0..3).map(|a| values[a] * axes[i][a] * axes[j][a]).sum())
-    }
-
-    /// Dyads of the axes, their first ones carried along by `F = I + h`.
-    fn pushed(&self, h: &Matrix3) -> Dyads<'_> {
-        Dyads { pushed: product(&plus_identity(h), &self.axes), axes: &self.axes }
     }
 }
 
