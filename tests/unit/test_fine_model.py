@@ -27,6 +27,7 @@ from tissuereg.simulate.fine import FineMeshing, FineModel
 from tissuereg.simulate.fine import model as model_module
 from tissuereg.simulate.fine.elastic import guess
 from tissuereg.simulate.loading import distinct_states
+from tissuereg.simulate.solve import Simulator
 
 #: Coarse at the rim: these tests ask whether things are the same, not whether they are right.
 COARSE = FineMeshing(rim_edge=1.0)
@@ -171,6 +172,31 @@ def test_a_correction_is_known_at_the_second_call(model, monkeypatch):
     second = model.simulate([slow], progress=lambda done, of: seen.append((done, of)))["ramp"]
     np.testing.assert_array_equal(first.markers, second.markers)
     assert seen[-1] == (18, 18)
+
+
+def test_warm_calls_give_the_same_answer_with_less_work(rig, monkeypatch):
+    rig = replace(rig, cases={"far": case("far", [0.0, 1.0, 2.0], [0.0, 4.0, 8.0])})
+    work = []
+
+    def counted(self, *given, **settings):
+        found = solve(self, *given, **settings)
+        work.append(found.report["iterations"])
+        return found
+
+    solve = Simulator.solve
+    monkeypatch.setattr(Simulator, "solve", counted)
+    model = FineModel(rig, COARSE)
+    cold = model.simulate([Poisson(poisson=0.4)])["far"]
+    needed = sum(work)
+    model.simulate([Poisson(poisson=0.42)], warm=True)
+    work.clear()
+    warm = model.simulate([Poisson(poisson=0.4)], warm=True)["far"]
+    assert 0 < sum(work) < needed
+    work.clear()
+    model.simulate([Poisson(poisson=0.4)], warm=True)
+    assert sum(work) == 0
+    np.testing.assert_allclose(warm.displacement, cold.displacement, atol=5e-4)
+    np.testing.assert_allclose(warm.forces["push"], cold.forces["push"], atol=0.05)
 
 
 def test_an_unknown_case_is_refused(model):

@@ -20,10 +20,6 @@ from tissuereg.errors import ConvergenceError, ExperimentError, MeshError, Suppo
 #: Nats by which the mesh's error in its causes, once put right, may make a fit better.
 PUT_RIGHT = 30.0
 
-#: The mesh is put right anew where a fit moves markers by more than this share of what its causes do; so many times at
-#: most.
-FAR, MOST_ROUNDS = 0.2, 2
-
 
 def settled(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> tuple[Target, Fit]:
     """Return a target whose correction is right for a fitted model too, and the fit to it.
@@ -41,22 +37,15 @@ def settled(target: Target, found: Fit, *, progress: Callable[[str], None] | Non
     -------
     tuple of Target and Fit
         Those given where `recorrected` changes nothing.
+
+    Notes
+    -----
+    One round: in 12 fits of bodies of 600 nodes a second one at the new fit changed the log evidence by 1.3 at most,
+    where the first one changed it by up to 18, and moved no parameter by more than 0.5 of its deviations.
     """
-    bench = target.bench
-    believed = target.correction.corrected(bench.base)
-    for _ in range(MOST_ROUNDS):
-        better = recorrected(target, found, progress=progress)
-        again = None if better is target else fit(better, found.parts, start=found.x, choices=found.choices)
-        if again is None:
-            break
-        moved, changed = (
-            float(np.linalg.norm(target.white(other - found.prediction)[bench.layout.of_markers()]))
-            for other in (again.prediction, believed)
-        )
-        target, found = better, again
-        if moved < FAR * changed:
-            break
-    return target, found
+    better = recorrected(target, found, progress=progress)
+    again = None if better is target else fit(better, found.parts, start=found.x, choices=found.choices)
+    return (target, found) if again is None else (better, again)
 
 
 def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> Target:

@@ -125,7 +125,7 @@ def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | Non
     every = (*bench.experiment.effects, *effects)
     if goes_through_time(extended(replace(bench.experiment, effects=every), bench.predictor.element)):
         return None
-    return flat_of(bench.layout, bench.fine.simulate(every, threads=bench.predictor.threads))
+    return flat_of(bench.layout, bench.fine.simulate(every, warm=True, threads=bench.predictor.threads))
 
 
 def _models(bench: Bench, thirds: int) -> Iterator[FineModel]:
