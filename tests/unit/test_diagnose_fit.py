@@ -134,11 +134,13 @@ def test_a_fit_to_data_of_a_finer_mesh_is_right_once_its_own_mesh_is_put_right(o
     errors = [abs(f.values(0, 1.0)[0]["poisson"] - 0.3) for f in (found, again)]
     assert errors[1] < 0.2 * errors[0]
     assert again.log_evidence > found.log_evidence + 10.0
-    # Nothing is left to be put right there.
+    # Most of the mesh's error is gone where the second fit ended, though it was taken where the first one did.
     effects = again.effects(bench.young)
-    markers = layout.of_markers()
-    off = (better.correction.corrected(bench.predictor.predict(effects)) - true)[markers]
-    assert np.abs(off).max() < 0.05 * np.abs((true - believed)[markers]).max()
+    coarse, fine = bench.predictor.predict(effects), refined_effects(bench, effects)
+    there, left = (
+        np.linalg.norm((one.correction.corrected(coarse) - fine)[layout.of_markers()]) for one in (target, better)
+    )
+    assert left < 0.15 * there
 
 
 def test_a_fine_mesh_is_not_asked_for_what_remembers(of_two):
