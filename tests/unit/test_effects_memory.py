@@ -208,9 +208,25 @@ def test_a_mesh_that_hangs_already_stays_where_it_is_and_resists_otherwise(rig):
     assert push(hung, "lean")[1] < 0.99 * push(plain, "lean")[1]
 
 
-def test_friction_is_refused_when_it_is_simulated(rig):
-    with pytest.raises(ExperimentError, match=r"runs no friction in \[\[effect\]\] number 1 \('sliding'\)"):
-        simulated(rig, [HOLD], Sliding(boundary="base", friction=0.3))
+def test_a_base_sticks_until_friction_holds_it_no_more_and_stays_where_it_slid(rig):
+    base = rig.mesh.fixed_nodes
+    lean, again = case("lean", [10.0, 11.0, 12.0], [0.0, 2.0, 0.0]), case("again", [20.0, 21.0], [0.0, 2.0])
+    held = simulated(rig, [lean])["lean"]
+    sticks = simulated(rig, [lean], Sliding(boundary="base", friction=0.5, cohesion_kpa=1e3))["lean"]
+    assert sticks.displacement[1] == pytest.approx(held.displacement[1], abs=0.02)
+    assert sticks.forces["push"][1] == pytest.approx(held.forces["push"][1], rel=0.02, abs=2.0)
+    # A coefficient of 0 leaves the cohesion alone: no more than that times the area goes through the base.
+    slips = simulated(rig, [lean, again], Sliding(boundary="base", friction=0.0, cohesion_kpa=0.02))
+    there, back = slips["lean"].forces["push"][1:, 0]
+    assert there == pytest.approx(0.02 * 600.0, rel=0.02)
+    assert back < -0.5 * there
+    # The next case begins where this one has left the base, and needs no push for it.
+    left = slips["again"].displacement[0][base, 0].mean()
+    assert left == pytest.approx(slips["lean"].displacement[2][base, 0].mean(), rel=0.5)
+    assert left > 0.1
+    # Pressed down, more holds.
+    rough = simulated(rig, [lean], Sliding(boundary="base", friction=0.5, cohesion_kpa=0.02))["lean"]
+    assert rough.forces["push"][1, 0] > 1.05 * there
 
 
 def test_progress_counts_the_frames_of_the_cases_alone(rig):

@@ -30,7 +30,7 @@ GOOD = {
     "drainage": ["share = 0.3\ntau_s = 5.0"],
     "gravity": ["direction = [0, 0.1, -1]", "direction = [0, 0, -1]\ng_mm_per_s2 = 9000.0\nin_reference = false"],
     "reference": ["direction = [0, 0, -1]\nin_reference = true"],
-    "sliding": ['boundary = "base"\nspring_kpa_per_mm = 2.0', 'boundary = "base"\nfriction = 0.3'],
+    "sliding": ['boundary = "base"\nspring_kpa_per_mm = 2.0', 'boundary = "base"\nfriction = 0.3\ncohesion_kpa = 0.2'],
     "detachment": [
         'boundary = "base"\ncentre_mm = [0, 0, 0]\nradius_mm = 12.0',
         'boundary = "base"\nazimuth_deg = 90.0\nshare = 0.2',
@@ -88,6 +88,7 @@ OPTIONAL = {
     "fibre": ("tension_only",),
     "relaxation": ("part",),
     "softening": ("beta", "form"),
+    "sliding": ("cohesion_kpa",),
     "gravity": ("g_mm_per_s2", "in_reference"),
     "frame": ("rotation_deg", "shift_mm"),
     "scale": ("origin_mm",),
@@ -156,6 +157,11 @@ BAD = {
     "gravity says nothing": ("gravity", "", "one of `direction`, `g_mm_per_s2`, `in_reference` must be given"),
     "weight without direction": ("reference", "in_reference = true", "`direction` must be given where"),
     "unknown boundary": ("sliding", 'boundary = "wall"\nfriction = 0.1', "`boundary` must be one of base, got 'wall'"),
+    "a cohesion of springs": (
+        "sliding",
+        'boundary = "base"\nspring_kpa_per_mm = 1.0\ncohesion_kpa = 1.0',
+        "`cohesion_kpa` must come with `friction`",
+    ),
     "spring and friction": (
         "sliding",
         'boundary = "base"\nfriction = 0.1\nspring_kpa_per_mm = 1.0',

@@ -132,7 +132,7 @@ pub use solve::{
     is_stable, solve, solve_from,
 };
 pub use supports::Supports;
-pub use surface::{Skin, Springs};
+pub use surface::{Friction, Skin, Springs};
 pub use system::RigidModes;
 
 /// Runs the examples of the README.

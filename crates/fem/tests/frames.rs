@@ -73,7 +73,12 @@ impl Story {
             let mut load = self.loads[frame].clone();
             if self.springs != [0.0, 0.0] {
                 let [normal, tangential] = self.springs;
-                load.springs.push(Springs { triangles: top.clone(), normal, tangential });
+                load.springs.push(Springs {
+                    triangles: top.clone(),
+                    normal,
+                    tangential,
+                    friction: None,
+                });
             }
             let found = rig.advance(&load, &self.motions[frame..=frame], time, &tight());
             let found = found.expect("stands");
@@ -395,7 +400,7 @@ fn what_a_rig_does_not_have_is_named() {
     let story = Story::new(Element::Tet4, Behaviour::default());
     let (rig, _) = story.run();
     let rows = |n: usize| vec![[0.0; 3]; n];
-    let sprung = Springs { triangles: vec![], normal: 1.0, tangential: 0.0 };
+    let sprung = Springs { triangles: vec![], normal: 1.0, tangential: 0.0, friction: None };
     let sprung = Load { springs: vec![sprung], ..Load::default() };
     for (cause, words) in [
         (FrameCause::Always(Cause::Parameter(Parameter::FibreK1)), "FibreK1"),

@@ -186,7 +186,7 @@ fn springs_and_histories_work_on_patches() {
         .copied()
         .filter(|t| t.iter().all(|&n| body.nodes()[n][2] > 7.9))
         .collect();
-    let springs = Springs { triangles: top, normal: 3.0, tangential: 1.0 };
+    let springs = Springs { triangles: top, normal: 3.0, tangential: 1.0, friction: None };
     let weight = Load { body_force: [0.02, 0.0, -0.05], ..Load::default() };
     let held = Load { springs: vec![springs], ..weight.clone() };
     let newton = SolveSettings { method: Method::Newton, ..SolveSettings::default() };

@@ -174,7 +174,7 @@ fn a_rest_shape_on_springs_with_a_skin_is_found() {
         let on = |n: &usize| (mesh.nodes()[*n][2] - z).abs() < 1e-9;
         mesh.surface_triangles().iter().filter(|t| t.iter().all(on)).copied().collect()
     };
-    let bed = Springs { triangles: facets(0.0), normal: 0.2, tangential: 0.1 };
+    let bed = Springs { triangles: facets(0.0), normal: 0.2, tangential: 0.1, friction: None };
     let skin = Skin { triangles: facets(20.0), thickness: 1.0, young: 30.0, poisson: 0.4 };
     let body =
         Body::new(mesh.clone(), Element::Tet4, Supports::new().rest_on(&bed)).expect("stands");

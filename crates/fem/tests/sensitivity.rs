@@ -110,7 +110,12 @@ fn loads_springs_and_skin_agree_with_differences() {
             Material::neo_hookean(10.0, 0.4).and_then(|m| m.with_skin(skin)).expect("sound")
         };
         let material = make(50.0, 0.5);
-        let springs = |normal, tangential| Springs { triangles: top.clone(), normal, tangential };
+        let springs = |normal, tangential| Springs {
+            triangles: top.clone(),
+            normal,
+            tangential,
+            friction: None,
+        };
         let base = Load { springs: vec![springs(0.3, 0.2)], ..pushed(&body, 1.5) };
         let here = at(&body, &material, &base);
         let sprung = |normal, tangential| {
@@ -171,7 +176,7 @@ fn the_adjoint_is_the_transpose_of_the_derivatives() {
         let field = Stiffness::PerPoint { n_points, young, poisson: vec![0.42] };
         let skin = Skin { triangles: top.clone(), thickness: 0.4, young: 30.0, poisson: 0.3 };
         let material = Material::new(field).and_then(|m| m.with_skin(skin)).expect("sound");
-        let bed = Springs { triangles: top, normal: 0.2, tangential: 0.1 };
+        let bed = Springs { triangles: top, normal: 0.2, tangential: 0.1, friction: None };
         let load = Load { springs: vec![bed], ..pushed(&body, 1.5) };
         let here = at(&body, &material, &load);
 

@@ -42,8 +42,12 @@ fn mean_over(body: &Body, facets: &[[usize; 3]], u: &[[f64; 3]]) -> [f64; 3] {
 fn a_block_on_springs_sinks_by_weight_over_stiffness() {
     for element in BOTH {
         let mesh = bar([3, 2, 2], [30.0, 20.0, 10.0]);
-        let bed =
-            Springs { triangles: facets(&mesh, |x| x[2] < 1e-9), normal: 0.05, tangential: 0.02 };
+        let bed = Springs {
+            triangles: facets(&mesh, |x| x[2] < 1e-9),
+            normal: 0.05,
+            tangential: 0.02,
+            friction: None,
+        };
         let body =
             Body::new(mesh, element, Supports::new().rest_on(&bed)).expect("stands on springs");
         let material = Material::neo_hookean(500.0, 0.3).expect("sound");
@@ -89,14 +93,15 @@ fn a_dead_pressure_pushes_against_the_outward_normal() {
 fn springs_that_leave_a_rigid_motion_free_are_named() {
     let mesh = bar([2, 2, 2], [10.0; 3]);
     let triangles = facets(&mesh, |x| x[2] < 1e-9);
-    let gliding = Springs { triangles: triangles.clone(), normal: 1.0, tangential: 0.0 };
+    let gliding =
+        Springs { triangles: triangles.clone(), normal: 1.0, tangential: 0.0, friction: None };
     let error = Body::new(mesh, Element::Tet4, Supports::new().rest_on(&gliding))
         .expect_err("glides")
         .to_string();
     assert!(error.contains("translation x, translation y, rotation about z"), "{error}");
 
     let mesh = bar([2, 2, 2], [10.0; 3]);
-    let bed = Springs { triangles, normal: 1.0, tangential: 1.0 };
+    let bed = Springs { triangles, normal: 1.0, tangential: 1.0, friction: None };
     let body = Body::new(mesh, Element::Tet4, Supports::new().rest_on(&bed)).expect("stands");
     let material = Material::neo_hookean(10.0, 0.3).expect("sound");
     let error = solve(&body, &material, &Load::default(), &settings()).expect_err("no springs");
@@ -113,11 +118,14 @@ fn wrong_springs_and_skins_are_named() {
         let load = Load { springs: vec![springs], ..Load::default() };
         solve(&body, &material, &load, &settings()).expect_err("wrong").to_string()
     };
-    let negative = with(Springs { triangles: vec![], normal: -1.0, tangential: 0.0 });
+    let negative =
+        with(Springs { triangles: vec![], normal: -1.0, tangential: 0.0, friction: None });
     assert!(negative.contains("`springs.normal`") && negative.contains("-1"), "{negative}");
-    let nan = with(Springs { triangles: vec![], normal: 0.0, tangential: f64::NAN });
+    let nan =
+        with(Springs { triangles: vec![], normal: 0.0, tangential: f64::NAN, friction: None });
     assert!(nan.contains("`springs.tangential`"), "{nan}");
-    let inside = with(Springs { triangles: vec![[0, 1, 26]], normal: 1.0, tangential: 1.0 });
+    let inside =
+        with(Springs { triangles: vec![[0, 1, 26]], normal: 1.0, tangential: 1.0, friction: None });
     assert!(inside.contains("no facet"), "{inside}");
 
     let skin = Skin { triangles: vec![[0, 1, 26]], thickness: 1.0, young: 5.0, poisson: 0.4 };
@@ -192,7 +200,7 @@ fn forces_and_tangent_of_skin_and_springs_are_derivatives() {
         let mesh = bar([2, 1, 1], [20.0, 10.0, 10.0]);
         let top = facets(&mesh, |x| x[2] > 9.0);
         let skin = Skin { triangles: top.clone(), thickness: 0.7, young: 60.0, poisson: 0.3 };
-        let springs = Springs { triangles: top, normal: 0.8, tangential: 0.3 };
+        let springs = Springs { triangles: top, normal: 0.8, tangential: 0.3, friction: None };
         let all: Vec<usize> = (0..mesh.n_nodes()).collect();
         let body = Body::new(mesh, element, all).expect("held");
         let material =
@@ -225,7 +233,7 @@ fn newton_converges_on_skin_and_springs() {
         let mesh = dome(6);
         let base = facets(&mesh, |x| x[2] < 1e-9);
         let cap = facets(&mesh, |x| x[2] > 1e-9);
-        let bed = Springs { triangles: base, normal: 0.1, tangential: 0.05 };
+        let bed = Springs { triangles: base, normal: 0.1, tangential: 0.05, friction: None };
         let body = Body::new(mesh, element, Supports::new().rest_on(&bed)).expect("stands");
         let skin = Skin { triangles: cap, thickness: 1.5, young: 100.0, poisson: 0.45 };
         let material =
@@ -252,7 +260,12 @@ fn springs_of_members_count_in_an_ensemble() {
     let material = Material::neo_hookean(10.0, 0.3).expect("sound");
     let loads = [0.0, 1.0, 50.0].map(|normal| Load {
         body_force: [0.05, 0.0, 0.0],
-        springs: vec![Springs { triangles: triangles.clone(), normal, tangential: 0.0 }],
+        springs: vec![Springs {
+            triangles: triangles.clone(),
+            normal,
+            tangential: 0.0,
+            friction: None,
+        }],
         ..Load::default()
     });
     let members: Vec<tissuereg_fem::Member> = loads

@@ -31,15 +31,22 @@ class _Support(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Sliding(_Support):
-    """A boundary that slides on its tangent plane against springs, in kPa per mm of slip, or against friction."""
+    """A boundary that slides on its tangent plane against springs, in kPa per mm of slip, or against friction.
+
+    With friction it sticks until it is pulled harder than `cohesion_kpa` and `friction` times the pressure on it, by
+    Coulomb's law. The pressure is what a load adds to the body as it is given.
+    """
 
     id: ClassVar[str] = "sliding"
     spring_kpa_per_mm: float | None = number(least=0.0, default=None)
     friction: float | None = number(least=0.0, default=None)
+    cohesion_kpa: float | None = number(least=0.0, default=None)
 
     def check(self) -> None:
-        """Refuse none or both."""
+        """Refuse none or both, and a cohesion of springs."""
         exactly_one(self, ("spring_kpa_per_mm",), ("friction",))
+        if self.cohesion_kpa is not None and self.friction is None:
+            refuse("`cohesion_kpa` must come with `friction`")
 
     def fits(self, experiment: Experiment) -> None:
         """Refuse an unknown boundary, and one of loose nodes."""
@@ -57,8 +64,6 @@ class Sliding(_Support):
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment as it is: the solver reads the springs from the effect."""
-        if self.friction is not None:
-            refuse("sliding must be against springs, `spring_kpa_per_mm`; this release's solver runs no friction")
         return experiment
 
 

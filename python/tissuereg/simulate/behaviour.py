@@ -185,11 +185,18 @@ class Springs:
         Stiffness along the undeformed normal, in kPa/mm.
     tangential_kpa_per_mm : float
         Stiffness in the plane, in kPa/mm.
+    friction : float, optional
+        Coefficient: the springs in the plane pull with the cohesion and that many times the pressure at most (Coulomb).
+        The pressure is what the normal springs push with.
+    cohesion_kpa : float
+        What holds without pressure; counts with friction.
     """
 
     triangles: Any
     normal_kpa_per_mm: float
     tangential_kpa_per_mm: float
+    friction: float | None = None
+    cohesion_kpa: float = 0.0
 
     def as_tuple(self) -> tuple[Any, list[float]]:
         """Return what the compiled solver takes.
@@ -197,10 +204,12 @@ class Springs:
         Returns
         -------
         tuple of (ndarray of int64, list of float)
-            Triangles and stiffness.
+            Triangles and stiffness; coefficient and cohesion behind it where there is friction.
         """
-        stiffness = [float(self.normal_kpa_per_mm), float(self.tangential_kpa_per_mm)]
-        return index_array("springs", self.triangles, (None, 3)), stiffness
+        numbers = [float(self.normal_kpa_per_mm), float(self.tangential_kpa_per_mm)]
+        if self.friction is not None:
+            numbers += [float(self.friction), float(self.cohesion_kpa)]
+        return index_array("springs", self.triangles, (None, 3)), numbers
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,9 @@ _REST = 30.0
 #: Stiffness across a sliding boundary over modulus / extent of the body: it sinks in by some 1e-4 of the strain.
 _ACROSS = 1e4
 
+#: Stiffness of what sticks by friction, over the same.
+_STICKS = 1e3
+
 
 @dataclass(frozen=True, eq=False)
 class SolvedCase:
@@ -68,8 +71,11 @@ def goes_through_time(experiment: Experiment) -> bool:
 
 
 def is_carried(experiment: Experiment) -> bool:
-    """Say whether a case depends on the cases before it: with softening or set."""
-    return any(isinstance(effect, Softening | Set) for effect in experiment.effects)
+    """Say whether a case depends on the cases before it: with softening, set or friction."""
+    return any(
+        isinstance(effect, Softening | Set) or (isinstance(effect, Sliding) and effect.friction is not None)
+        for effect in experiment.effects
+    )
 
 
 def solve_through_time(
@@ -90,7 +96,7 @@ def solve_through_time(
     experiment : Experiment
         Effects of body, supports and actuators worked in.
     cases : sequence of Case
-        All that matter: with softening or set every case from the first one on.
+        All that matter: with softening, set or friction every case from the first one on.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
     tolerance : float
@@ -225,20 +231,24 @@ def _held(experiment: Experiment) -> IntArray:
 
 
 def _springs(experiment: Experiment) -> list[behaviour.Springs]:
-    across = _ACROSS * float(experiment.material.young_array.max()) / experiment.mesh.extent
-    return [
-        behaviour.Springs(effect.triangles(experiment), across, effect.spring_kpa_per_mm)
-        for effect in experiment.effects
-        if isinstance(effect, Sliding) and effect.spring_kpa_per_mm is not None
-    ]
+    unit = float(experiment.material.young_array.max()) / experiment.mesh.extent
+    found = []
+    for effect in experiment.effects:
+        if isinstance(effect, Sliding):
+            along = _STICKS * unit if effect.spring_kpa_per_mm is None else effect.spring_kpa_per_mm
+            cohesion = effect.cohesion_kpa or 0.0
+            found.append(
+                behaviour.Springs(effect.triangles(experiment), _ACROSS * unit, along, effect.friction, cohesion)
+            )
+    return found
 
 
 def _refuse_overlap(group: Sequence[Case]) -> None:
     for case, following in itertools.pairwise(group):
         if following.times[0] < case.times[-1]:
             message = (
-                "cases must follow each other on one clock where softening or set is carried from one to the next: "
-                f"'{following.name}' begins at {following.times[0]:g} s, before '{case.name}' ends at "
+                "cases must follow each other on one clock where softening, set or friction is carried from one to the "
+                f"next: '{following.name}' begins at {following.times[0]:g} s, before '{case.name}' ends at "
                 f"{case.times[-1]:g} s"
             )
             raise ExperimentError(message, where=following.name)

@@ -8,8 +8,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tissuereg_fem::{
     Behaviour, Body, Drainage, Element, FemError, FrameAdjoint, FrameCause, FrameObservation,
-    History, Load, Material, Mesh, Observation, Pad, Part, Relaxation, Resultant, Set, Skin,
-    Softening, SofteningForm, SolveSettings, Springs, Supports, Swelling,
+    Friction, History, Load, Material, Mesh, Observation, Pad, Part, Relaxation, Resultant, Set,
+    Skin, Softening, SofteningForm, SolveSettings, Springs, Supports, Swelling,
 };
 
 use super::sensitivity::{Cause, Stack, weights_of};
@@ -47,8 +47,8 @@ struct Sizes {
 
 #[pymethods]
 impl Rig {
-    /// Springs are triangles with (normal, tangential) stiffness in kPa/mm, skins with (thickness mm, Young kPa,
-    /// Poisson). With `rests` the springs help to hold the body. `hangs_in` is a body force, mN/mm^3, that acts in the
+    /// Springs are triangles with (normal, tangential) stiffness in kPa/mm, and for friction (coefficient, cohesion kPa)
+    /// behind it; skins with (thickness mm, Young kPa, Poisson). With `rests` the springs help to hold the body. `hangs_in` is a body force, mN/mm^3, that acts in the
     /// mesh as given already. With `record` the steps are kept for derivatives.
     #[new]
     #[pyo3(signature = (nodes, tets, held_nodes, young, poisson, *, law=None, element="tet4", pads=Vec::new(), behaviour=None,
@@ -98,9 +98,17 @@ impl Rig {
         let springs: Vec<Springs> = springs
             .iter()
             .map(|(triangles, numbers)| {
-                let [normal, tangential] = exactly(py, "springs", numbers)?;
+                let (stiffness, rest) = numbers.split_at(numbers.len().min(2));
+                let [normal, tangential] = exactly(py, "springs", stiffness)?;
+                let friction = match rest {
+                    [] => None,
+                    rest => {
+                        let [coefficient, cohesion] = exactly(py, "friction", rest)?;
+                        Some(Friction { coefficient, cohesion })
+                    }
+                };
                 let triangles = triangles_of("spring triangles", triangles)?;
-                Ok(Springs { triangles, normal, tangential })
+                Ok(Springs { triangles, normal, tangential, friction })
             })
             .collect::<PyResult<_>>()?;
         let mut supports = Supports::new().hold(&nodes_of(py, "held_nodes", held_nodes)?);

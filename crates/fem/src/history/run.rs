@@ -1,5 +1,6 @@
 //! A body's history, frame by frame.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use super::behaviour::Behaviour;
@@ -16,10 +17,15 @@ use crate::solve::{
     LoadSteps, Model, Problem, Solution, SolveReport, SolveSettings, Solver, State, norm, solution,
     surface_of,
 };
-use crate::surface::SurfaceTerms;
+use crate::surface::{Slip, SurfaceTerms, must_stick};
 
 /// Iterations after which a time step is halved.
 const STEP_ITERATIONS: usize = 200;
+
+/// Searches in which the pressure under which springs slip is made to agree with the end of a step, and
+/// how far it may then be off, as a share of it.
+const MOST_PRESSURES: usize = 12;
+const SAME_PRESSURE: f64 = 1e-3;
 
 /// Smallest part of the time between two frames.
 const SMALLEST_PART: f64 = 1.0 / 64.0;
@@ -73,6 +79,8 @@ struct Now {
     force: Vec<f64>,
     /// One a quadrature point; shared until the end of a step.
     states: Arc<Vec<PointState<f64>>>,
+    /// One a point of the springs that may slip; none before the first step with such.
+    slips: Vec<Slip>,
     /// Largest norm of a load so far, mN: a residual small beside it is no force.
     largest_load: f64,
     /// All steps so far, where they are recorded.
@@ -95,6 +103,7 @@ impl History {
             displacement: vec![0.0; n],
             force: vec![0.0; n],
             states: Arc::new(fresh_states(&behaviour, body.n_tets() * body.element().n_points())),
+            slips: Vec::new(),
             largest_load: 0.0,
             steps: None,
         };
@@ -189,6 +198,9 @@ impl History {
             target.prescribed = prescribed;
         }
         let surface = surface_of(body, &self.material, load)?;
+        if self.now.steps.is_some() {
+            must_stick(&load.springs)?;
+        }
         let mut now = self.now.clone();
         let frame = Frame { history: self, body, load, target, guess, surface, time_s, settings };
         let answer = settings.in_pool(|| frame.reach(&mut now))?;
@@ -295,6 +307,7 @@ impl Frame<'_> {
             },
             None => self.settings.clone(),
         };
+        let mut surface = self.surface_after(now)?;
         let mut problem = Problem {
             body: self.body,
             model: Model::Step(&model),
@@ -306,20 +319,32 @@ impl Frame<'_> {
         };
         let mut state = State::at_rest(self.body.n_nodes());
         state.displacement.clone_from(&now.displacement);
-        problem.least_load = solver.unbalanced(&problem, &mut state).max(now.largest_load);
+        let first = Problem { surface: &surface, ..problem };
+        problem.least_load = solver.unbalanced(&first, &mut state).max(now.largest_load);
+        let least_load = problem.least_load;
         let cache = self.body.rest_cache();
         let rest = || cache.metric(self.body, elastic, &self.load.springs, problem.parallel);
         let guessed = self.guess.as_ref().filter(|_| to >= 1.0);
         let near = guessed.map(|guess| self.near(guess));
-        let (state, report) = match near.map(|near| solver.find(&problem, Some(near), rest)) {
+        let first = Problem { surface: &surface, ..problem };
+        let found = match near.map(|near| solver.find(&first, Some(near), rest)) {
             // A guess that leads nowhere is none.
-            None | Some(Err(FemError::NoEquilibrium(_))) => {
-                solver.find(&problem, Some(state), rest)?
-            }
-            Some(found) => found?,
+            None | Some(Err(FemError::NoEquilibrium(_))) => solver.find(&first, Some(state), rest),
+            Some(found) => found,
         };
+        let (mut state, mut report) = found?;
+        for _ in 1..MOST_PRESSURES {
+            let pressed = surface.slips_after(&state.displacement, false);
+            if Slip::apart(&surface.slips(), &pressed) < SAME_PRESSURE {
+                break;
+            }
+            surface.to_mut().go_on_from(&pressed);
+            let (next, more) =
+                solver.find(&Problem { surface: &surface, ..problem }, Some(state), rest)?;
+            (state, report) = (next, sum(&report, &more));
+        }
+        let problem = Problem { surface: &surface, ..problem };
 
-        let least_load = problem.least_load;
         let before = now.steps.is_some().then(|| now.states.clone());
         let gradients = gradients_at_points(self.body.geometry(), &state.displacement);
         if !step.update(elastic, &gradients, Arc::make_mut(&mut now.states).as_mut_slice()) {
@@ -330,6 +355,7 @@ impl Frame<'_> {
         now.largest_load = problem.load_norm(&state, 1.0);
         now.displacement.clone_from(&state.displacement);
         now.force.clone_from(&load.force);
+        now.slips = surface.slips_after(&state.displacement, true);
         now.time_s = Some(time);
         let answer = solution(&problem, &state, report);
         if let (Some(steps), Some(before)) = (&mut now.steps, before) {
@@ -348,6 +374,17 @@ impl Frame<'_> {
             }));
         }
         Ok(answer)
+    }
+
+    /// Springs and skin, what may slip as it was left.
+    fn surface_after(&self, now: &Now) -> Result<Cow<'_, SurfaceTerms>, FemError> {
+        let mut surface = Cow::Borrowed(&self.surface);
+        if !now.slips.is_empty() {
+            let (before, here) = (now.slips.len(), surface.slips().len());
+            check_length("springs with friction (points of the history)", before, here)?;
+            surface.to_mut().go_on_from(&now.slips);
+        }
+        Ok(surface)
     }
 
     /// The state that is expected at the end of the frame, its held nodes in place.

@@ -13,7 +13,7 @@ use crate::error::FemError;
 use crate::load::{Load, NodalLoad, check_finite, check_length};
 use crate::material::{Material, Matrix3, Parameter};
 use crate::solve::{Model, Problem, SolveSettings, Solver, State, dot, surface_of};
-use crate::surface::{Springs, SurfaceTerms};
+use crate::surface::{Springs, SurfaceTerms, must_stick};
 use crate::system::SolveScratch;
 use crate::system::factor::Factor;
 
@@ -73,7 +73,8 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
     /// # Errors
     ///
     /// [`FemError::NotInEquilibrium`] with the residual, [`FemError::NotStable`] where the tangent is
-    /// not positive definite; those of [`solve`](crate::solve) for wrong input.
+    /// not positive definite; [`FemError::BadParameter`] for springs with friction, and those of
+    /// [`solve`](crate::solve) for wrong input.
     ///
     /// # Cost
     ///
@@ -92,6 +93,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         check_length("displacement (one row a node)", own.n_nodes(), displacement.len())?;
         check_finite("displacement", displacement)?;
         let surface = surface_of(own, material, load)?;
+        must_stick(&load.springs)?;
         let nodal = NodalLoad::new(own, load)?;
         let settings = exact(settings);
         let mut state = State::at_rest(own.n_nodes());

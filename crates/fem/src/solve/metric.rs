@@ -190,6 +190,8 @@ impl Shape {
             skin: material.skin().to_vec(),
         };
         for set in &mut shape.springs {
+            // At rest all sticks.
+            set.friction = None;
             set.normal /= largest;
             set.tangential /= largest;
         }

@@ -27,6 +27,7 @@ pub(crate) enum Model<'a> {
 }
 
 /// What does not change during a solve.
+#[derive(Clone, Copy)]
 pub(crate) struct Problem<'a> {
     pub(crate) body: &'a Body,
     pub(crate) model: Model<'a>,

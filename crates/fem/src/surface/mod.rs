@@ -6,12 +6,15 @@
 
 mod blocks;
 mod facet;
+mod friction;
 mod skin;
 mod springs;
 mod traction;
 
 pub(crate) use blocks::{FacetBlocks, WithFacets};
 use facet::facets_of;
+pub use friction::Friction;
+pub(crate) use friction::{Slip, must_stick};
 pub use skin::Skin;
 pub use springs::Springs;
 
@@ -75,7 +78,8 @@ impl SurfaceTerms {
     ) -> Option<FacetBlocks> {
         let mut blocks = FacetBlocks::default();
         for facet in self.springs.iter().flatten() {
-            blocks.add(&facet.facet, |a, b| facet.block(a, b));
+            let matrix = facet.matrix(displacement);
+            blocks.add(&facet.facet, |a, b| matrix[a][b]);
         }
         for facet in &self.skin {
             let matrix = facet.matrix(displacement, kind)?;
@@ -93,7 +97,7 @@ impl SurfaceTerms {
         product: &mut [f64],
     ) -> bool {
         for facet in self.springs.iter().flatten() {
-            facet.add_force(direction, product);
+            facet.facet.add_product(&facet.matrix(Some(displacement)), direction, product);
         }
         for facet in &self.skin {
             let Some(matrix) = facet.matrix(Some(displacement), TangentKind::Exact) else {
@@ -102,6 +106,23 @@ impl SurfaceTerms {
             facet.facet.add_product(&matrix, direction, product);
         }
         true
+    }
+
+    /// What points that may slip remember, in their order; none without friction.
+    pub(crate) fn slips(&self) -> Vec<Slip> {
+        self.springs.iter().flatten().flat_map(|facet| facet.slips()).copied().collect()
+    }
+
+    /// What they remember at a displacement: the pressure there, and with `slid` what has slipped.
+    pub(crate) fn slips_after(&self, displacement: &[f64], slid: bool) -> Vec<Slip> {
+        let facets = self.springs.iter().flatten();
+        facets.flat_map(|facet| facet.slips_after(displacement, slid)).collect()
+    }
+
+    /// Go on from what as many points remember.
+    pub(crate) fn go_on_from(&mut self, slips: &[Slip]) {
+        let points = self.springs.iter_mut().flatten().flat_map(SpringFacet::slips_mut);
+        points.zip(slips).for_each(|(point, slip)| *point = *slip);
     }
 
     /// Forces of each set of springs on the body, one row a node, mN.

@@ -1,6 +1,7 @@
 //! Springs between facets of the surface and the place that these have undeformed.
 
 use super::facet::Facet;
+use super::friction::{Friction, LEFT, Slip, Slipping};
 use crate::error::FemError;
 use crate::history::must;
 
@@ -17,7 +18,7 @@ use crate::history::must;
 /// use tissuereg_fem::{Body, Element, Load, Material, Mesh, SolveSettings, Springs, Supports, solve};
 ///
 /// let nodes = vec![[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]];
-/// let bed = Springs { triangles: vec![[0, 2, 1]], normal: 2.0, tangential: 1.0 };
+/// let bed = Springs { triangles: vec![[0, 2, 1]], normal: 2.0, tangential: 1.0, friction: None };
 /// let body = Body::new(
 ///     Mesh::new(nodes, vec![[0, 1, 2, 3]])?,
 ///     Element::Tet4,
@@ -39,8 +40,10 @@ pub struct Springs {
     pub triangles: Vec<[usize; 3]>,
     /// Stiffness along the normal, kPa/mm; at least 0.
     pub normal: f64,
-    /// Stiffness in the plane, kPa/mm; at least 0.
+    /// Stiffness in the plane, kPa/mm; at least 0. With friction that of what sticks.
     pub tangential: f64,
+    /// What the springs in the plane can hold; all where none is given.
+    pub friction: Option<Friction>,
 }
 
 impl Springs {
@@ -53,7 +56,8 @@ impl Springs {
         let fits = |k: f64| k >= 0.0 && k.is_finite();
         must("springs.normal", "finite and not negative", self.normal, fits(self.normal))?;
         let tangential = self.tangential;
-        must("springs.tangential", "finite and not negative", tangential, fits(tangential))
+        must("springs.tangential", "finite and not negative", tangential, fits(tangential))?;
+        self.friction.map_or(Ok(()), |friction| friction.check())
     }
 }
 
@@ -74,20 +78,39 @@ const MASS6: [[f64; 6]; 6] = [
 #[derive(Debug, Clone)]
 pub(super) struct SpringFacet {
     pub(super) facet: Facet,
-    /// `k_t I + (k_n − k_t) n nᵀ`, kPa/mm.
+    /// `k_t I + (k_n − k_t) n nᵀ`, kPa/mm; with friction of the little that never slips.
     stiffness: [[f64; 3]; 3],
+    slipping: Option<Slipping>,
 }
 
 impl SpringFacet {
     pub(super) fn new(facet: Facet, springs: &Springs) -> Self {
         let n = facet.normal;
+        let tangential = springs.tangential * springs.friction.map_or(1.0, |_| LEFT);
         let stiffness = std::array::from_fn(|i| {
             std::array::from_fn(|k| {
-                let own = if i == k { springs.tangential } else { 0.0 };
-                own + (springs.normal - springs.tangential) * n[i] * n[k]
+                let own = if i == k { tangential } else { 0.0 };
+                own + (springs.normal - tangential) * n[i] * n[k]
             })
         });
-        Self { facet, stiffness }
+        let slipping = springs.friction.map(|friction| Slipping::new(&facet, springs, friction));
+        Self { facet, stiffness, slipping }
+    }
+
+    /// Points that may slip, in their order; none without friction.
+    pub(super) fn slips(&self) -> &[Slip] {
+        self.slipping.as_ref().map_or(&[], |slipping| &slipping.slips)
+    }
+
+    /// The same to be set.
+    pub(super) fn slips_mut(&mut self) -> &mut [Slip] {
+        self.slipping.as_mut().map_or(&mut [], |slipping| &mut slipping.slips)
+    }
+
+    /// What these points remember at a displacement; see [`Slipping::after`].
+    pub(super) fn slips_after(&self, displacement: &[f64], slid: bool) -> Vec<Slip> {
+        let after = |slipping: &Slipping| slipping.after(&self.facet, displacement, slid);
+        self.slipping.as_ref().map_or_else(Vec::new, after)
     }
 
     fn mass(&self, a: usize, b: usize) -> f64 {
@@ -97,15 +120,32 @@ impl SpringFacet {
         }
     }
 
-    /// Stiffness between two of its nodes, mN/mm.
-    pub(super) fn block(&self, a: usize, b: usize) -> [[f64; 3]; 3] {
-        let mass = self.mass(a, b);
-        self.stiffness.map(|row| row.map(|k| mass * k))
+    /// Tangent between all pairs of its nodes at a displacement (none: at rest), mN/mm.
+    pub(super) fn matrix(&self, displacement: Option<&[f64]>) -> Vec<Vec<[[f64; 3]; 3]>> {
+        let n = self.facet.nodes.len();
+        let mut matrix = match &self.slipping {
+            Some(slipping) => slipping.matrix(&self.facet, displacement),
+            None => vec![vec![[[0.0; 3]; 3]; n]; n],
+        };
+        for (a, row) in matrix.iter_mut().enumerate() {
+            for (b, block) in row.iter_mut().enumerate() {
+                let mass = self.mass(a, b);
+                for (sum, k) in
+                    block.as_flattened_mut().iter_mut().zip(self.stiffness.as_flattened())
+                {
+                    *sum += mass * k;
+                }
+            }
+        }
+        matrix
     }
 
     /// Add the forces of a displacement and return its energy, µJ.
     pub(super) fn add_force(&self, displacement: &[f64], force: &mut [f64]) -> f64 {
-        let mut energy = 0.0;
+        let mut energy = match &self.slipping {
+            Some(slipping) => slipping.add_force(&self.facet, displacement, force),
+            None => 0.0,
+        };
         for (a, &node) in self.facet.nodes.iter().enumerate() {
             let mut mean = [0.0; 3];
             for (b, &other) in self.facet.nodes.iter().enumerate() {

@@ -10,43 +10,71 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
 from tissuereg.effects import Sliding
 
-#: Where secants are taken: compliance times modulus over extent.
+#: Where secants are taken: compliance times modulus over extent, of springs.
 COMPLIANCES = (0.03, 0.3)
+
+#: The same for friction: coefficient, and cohesions over the modulus.
+COEFFICIENT = 0.3
+COHESIONS = (0.03, 0.1)
 
 
 class SlidingCause(Cause):
-    """A boundary on tangential springs."""
+    """A boundary on tangential springs, or one that slips where friction does not hold it."""
 
     id: ClassVar[str] = "sliding"
-    discrete: ClassVar[tuple[str, ...]] = ("boundary",)
+    discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return two secants a boundary."""
+        """Return two secants a boundary and kind."""
         taken = {getattr(effect, "boundary", None) for effect in bench.experiment.effects if effect.id == self.id}
         for boundary in bench.experiment.boundaries:
-            if boundary.name in taken or not len(_triangles(bench, boundary.name)):
+            name = boundary.name
+            if name in taken or not len(_triangles(bench, name)):
                 continue
-            tried = [[_effect(bench, boundary.name, size, bench.young)] for size in COMPLIANCES]
-            for size, changed in zip(COMPLIANCES, bench.changes(tried), strict=True):
+            of = {
+                **{("springs", size): _springs(bench, name, size, bench.young) for size in COMPLIANCES},
+                **{("friction", size): _friction(name, COEFFICIENT, size * bench.young) for size in COHESIONS},
+            }
+            changes = bench.changes([[effect] for effect in of.values()])
+            for (kind, size), changed in zip(of, changes, strict=True):
                 if changed is not None:
-                    settings = {"boundary": boundary.name, "size": size}
-                    yield Variant(f"{boundary.name} {size:g}", changed[None], settings, positive=True)
+                    settings = {"boundary": name, "kind": kind, "size": size}
+                    yield Variant(f"{name} {kind} {size:g}", changed[None], settings, positive=True)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the logarithm of the compliance."""
+        """Return the logarithm of the compliance, or those of coefficient and cohesion."""
         name, size = str(variant.settings["boundary"]), float(variant.settings["size"])
-        start = float(np.log(size * np.clip(amplitudes[0], 0.1, 10.0)))
+        more = float(np.clip(amplitudes[0], 0.1, 10.0))
+        if variant.settings["kind"] == "springs":
+            return knobs(
+                [(float(np.log(size * more)), float(np.log(0.1)), 1.5, 0.1)],
+                lambda x, young: (_springs(bench, name, float(np.exp(x[0])), young),),
+                lambda x, young: {
+                    "boundary": name,
+                    "spring_kpa_per_mm": young / (float(np.exp(x[0])) * bench.extent),
+                },
+            )
+        # What holds less slips more.
         return knobs(
-            [(start, float(np.log(0.1)), 1.5, 0.1)],
-            lambda x, young: (_effect(bench, name, float(np.exp(x[0])), young),),
+            [
+                (float(np.log(COEFFICIENT)), float(np.log(COEFFICIENT)), 0.7, 0.1),
+                (float(np.log(size / np.sqrt(more))), float(np.log(0.05)), 1.0, 0.1),
+            ],
+            lambda x, young: (_friction(name, float(np.exp(x[0])), float(np.exp(x[1])) * young),),
             lambda x, young: {
                 "boundary": name,
-                "spring_kpa_per_mm": young / (float(np.exp(x[0])) * bench.extent),
+                "friction": float(np.exp(x[0])),
+                "cohesion_kpa": float(np.exp(x[1])) * young,
             },
         )
 
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""
+        if "friction" in values:
+            return (
+                f"Boundary '{values['boundary']}' slips where friction does not hold it (coefficient "
+                f"{values['friction']:.2g}, at rest under {values['cohesion_kpa']:.2g} kPa)."
+            )
         return f"Boundary '{values['boundary']}' slides, as if on springs of {values['spring_kpa_per_mm']:.2g} kPa/mm."
 
 
@@ -54,5 +82,9 @@ def _triangles(bench: Bench, boundary: str) -> FloatArray:
     return np.asarray(Sliding(boundary=boundary, spring_kpa_per_mm=1.0).triangles(bench.experiment))
 
 
-def _effect(bench: Bench, boundary: str, compliance: float, young: float) -> Sliding:
+def _springs(bench: Bench, boundary: str, compliance: float, young: float) -> Sliding:
     return Sliding(boundary=boundary, spring_kpa_per_mm=young / (compliance * bench.extent))
+
+
+def _friction(boundary: str, coefficient: float, cohesion: float) -> Sliding:
+    return Sliding(boundary=boundary, friction=coefficient, cohesion_kpa=cohesion)
