@@ -3,9 +3,7 @@
 import numpy as np
 
 from tissuereg.mesh import Mesh
-
-#: Facets that meet at more than this, in degrees, meet at an edge of the body itself.
-SHARP = 45.0
+from tissuereg.simulate.fine.folds import folds_of
 
 
 def faceting(mesh: Mesh) -> float:
@@ -24,19 +22,10 @@ def faceting(mesh: Mesh) -> float:
     float
         Below and above alike count as positive.
     """
-    nodes, facets = mesh.nodes, mesh.surface
-    normals = np.cross(nodes[facets[:, 1]] - nodes[facets[:, 0]], nodes[facets[:, 2]] - nodes[facets[:, 0]])
-    areas = 0.5 * np.linalg.norm(normals, axis=1)
-    normals = normals / (2.0 * areas[:, None])
-    edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
-    owners = np.tile(np.arange(len(facets)), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    edges, owners = edges[order], owners[order]
-    paired = np.flatnonzero((edges[1:] == edges[:-1]).all(axis=1))
-    first, second = owners[paired], owners[paired + 1]
-    lengths = np.linalg.norm(nodes[edges[paired, 1]] - nodes[edges[paired, 0]], axis=1)
-    angles = np.arccos(np.clip((normals[first] * normals[second]).sum(axis=1), -1.0, 1.0))
-    both = areas[first] + areas[second]
+    folds = folds_of(mesh.nodes, mesh.surface)
+    ends = mesh.nodes[folds.edges]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    both = folds.areas[folds.facets].sum(axis=1)
     # Every facet has three edges; each tells of a third of it.
-    gaps = np.where(angles < np.radians(SHARP), both / lengths * angles / 4.0, 0.0)
+    gaps = np.where(folds.is_sharp, 0.0, both / lengths * np.arccos(folds.cosines) / 4.0)
     return float((gaps * both).sum() / 3.0 / mesh.volumes.sum())

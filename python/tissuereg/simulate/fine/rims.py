@@ -12,6 +12,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.simulate.fine.bisection import Bisection, shape_quality
+from tissuereg.simulate.fine.folds import folds_of
 
 #: An end of a crossing edge slides onto the rim where the crossing is nearer to it than this share of the edge.
 SNAP_SHARE = 0.35
@@ -24,9 +25,6 @@ INSIDE = 1e-11
 
 #: Edges between outer nodes are cut where they dip this share of their length into the ball.
 _DIP_SHARE = 0.1
-
-#: Facets that meet at a sharper angle (cosine between normals) make an edge of the body; its nodes do not slide.
-SHARP = 0.7
 
 
 @dataclass(frozen=True)
@@ -211,7 +209,7 @@ def _snap(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
 
 
 def sharp_nodes(nodes: FloatArray, surface: IntArray) -> IntArray:
-    """Return the nodes on edges of the body, where facets meet at more than some 45 degrees.
+    """Return the nodes on edges of the body, which do not slide.
 
     Parameters
     ----------
@@ -225,12 +223,5 @@ def sharp_nodes(nodes: FloatArray, surface: IntArray) -> IntArray:
     ndarray of int64, shape (n,)
         Sorted.
     """
-    corners = nodes[surface]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    sides = np.sort(surface[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, of_sides = np.unique(sides, axis=0, return_inverse=True)
-    total = np.zeros((len(edges), 3))
-    np.add.at(total, of_sides.ravel(), np.repeat(normal, 3, axis=0))
-    # Two unit normals at an angle of 2 a add up to 2 cos a.
-    return np.unique(edges[np.linalg.norm(total, axis=1) < 2.0 * np.sqrt(0.5 * (1.0 + SHARP))])
+    folds = folds_of(nodes, surface)
+    return np.unique(folds.edges[folds.is_sharp])

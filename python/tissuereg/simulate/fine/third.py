@@ -14,9 +14,10 @@ from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.experiment import Experiment
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.fine.bisection import shape_quality
+from tissuereg.simulate.fine.folds import folds_of
 from tissuereg.simulate.fine.meshing import FineMeshing, rim_of
 from tissuereg.simulate.fine.model import FineModel
-from tissuereg.simulate.fine.rims import SHARP, sharp_nodes
+from tissuereg.simulate.fine.rims import sharp_nodes
 
 #: How far a node moves at most, over its shortest edge.
 JITTER_SHARE = 0.25
@@ -129,24 +130,19 @@ def gaps(mesh: Mesh) -> FloatArray:
     over the distance of their centres.
     """
     surface = mesh.surface
-    corners = mesh.nodes[surface]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    sides = np.sort(surface[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    pairs = np.lexsort((sides[:, 1], sides[:, 0])).reshape(-1, 2)  # every edge has two facets
-    first, second = pairs[:, 0] // 3, pairs[:, 1] // 3
-    edges = sides[pairs[:, 0]]
-    across = corners[second].mean(axis=1) - corners[first].mean(axis=1)
-    angle = np.arccos(np.clip((normal[first] * normal[second]).sum(axis=1), -1.0, 1.0))
-    angle *= -np.sign((across * normal[first]).sum(axis=1))
+    folds = folds_of(mesh.nodes, surface)
+    edges, (first, second) = folds.edges, folds.facets.T
+    centres = mesh.nodes[surface].mean(axis=1)
+    across = centres[second] - centres[first]
+    angle = np.arccos(folds.cosines) * -np.sign((across * folds.normals[first]).sum(axis=1))
     squares = ((mesh.nodes[edges[:, 0]] - mesh.nodes[edges[:, 1]]) ** 2).sum(axis=1)
     gap = angle * squares / (8.0 * np.linalg.norm(across, axis=1))
-    gap[np.cos(angle) < SHARP] = 0.0
+    gap[folds.is_sharp] = 0.0
     total, count, out = np.zeros(mesh.n_nodes), np.zeros(mesh.n_nodes), np.zeros_like(mesh.nodes)
     for end in (0, 1):
         np.add.at(total, edges[:, end], gap)
         np.add.at(count, edges[:, end], 1.0)
     for corner in range(3):
-        np.add.at(out, surface[:, corner], normal)
+        np.add.at(out, surface[:, corner], folds.normals)
     length = np.maximum(np.linalg.norm(out, axis=1), np.finfo(float).tiny)
     return np.asarray(out * (total / np.maximum(count, 1.0) / length)[:, None])
