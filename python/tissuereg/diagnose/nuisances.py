@@ -31,8 +31,9 @@ FORCE_LEFT = 0.005
 #: extent: stress is singular at a rim, and no mesh resolves it.
 RIM_ERROR, RIM_REACH = 0.02, 0.4
 
-#: Prior deviation of the gain of every actuator; and of what facets look like, over the share of the body that they
-#: leave out: on six rigs of 600 nodes, 3 % left out, gains of 0.7 % (rms) were seen that were not there.
+#: Prior deviation of the gain of every actuator; and of what coarse meshes look like, over the share of the body that
+#: their facets leave out: on six rigs of 600 nodes, 3 % left out, gains of 0.7 % (rms) were seen that were not there.
+#: They look like pads of another size.
 GAIN, FACETS = 0.003, 0.2
 
 #: Error of a found cause's form and of its fine mesh, as a share of what it changes.
@@ -172,7 +173,7 @@ def _at_rims(bench: Bench, mesh_errors: FloatArray) -> Iterator[tuple[str, Float
 
 
 def _gains(bench: Bench) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what small errors of the actuators' gains change, or of the body's shape, which moves as much."""
+    """Yield what small errors of the actuators' gains change, or of the pads' size, which look alike."""
     moved = {pad for case in bench.experiment.cases.values() for pad in case.displacements}
     size = float(np.hypot(GAIN, FACETS * faceting(bench.experiment.mesh)))
     for pad in sorted(moved):
