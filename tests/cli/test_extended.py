@@ -7,7 +7,7 @@ import pytest
 
 import tissuereg as tr
 from support.files import run, run_json, write_experiment
-from tissuereg.effects import ActuatorGain, MarkerSwap, Relaxation, Sliding
+from tissuereg.effects import ActuatorGain, ActuatorOffset, MarkerSwap, Relaxation, Sliding
 from tissuereg.io.cases import read_histories
 
 
@@ -54,11 +54,18 @@ def test_register_takes_a_frame_that_went_through_time(folder, tmp_path, capsys)
     assert simulation == pytest.approx(plain["targets"]["deep"]["simulation_mm"], abs=0.02)
 
 
+def test_simulate_lets_a_base_slip_by_friction(folder, tmp_path, capsys):
+    slips = extended(folder, Sliding(boundary="base", friction=0.1, cohesion_kpa=0.02))
+    held, slid = simulated(capsys, folder, tmp_path / "a"), simulated(capsys, slips, tmp_path / "b")
+    assert np.array(slid["P1"].values[1])[0] > np.array(held["P1"].values[1])[0] + 0.05
+
+
 def test_what_cannot_be_simulated_is_said_by_table(folder, tmp_path, capsys):
-    file = extended(folder, Sliding(boundary="base", friction=0.2))
+    file = extended(folder, ActuatorOffset(actuator="push", shift_mm=(500.0, 0.0, 0.0)))
     code, _, err = run(capsys, "simulate", file, "--out", tmp_path / "sim", "--quiet")
     assert code == 2
-    assert "runs no friction in [[effect]] number 1 ('sliding')" in " ".join(err.split())
+    said = "`shift_mm` must leave the patch of 'push' on the body, got [500.0, 0.0, 0.0] in [[effect]] number 1"
+    assert said in " ".join(err.split())
     assert not (tmp_path / "sim").exists()
 
 
