@@ -48,8 +48,9 @@ struct Sizes {
 #[pymethods]
 impl Rig {
     /// Springs are triangles with (normal, tangential) stiffness in kPa/mm, and for friction (coefficient, cohesion kPa)
-    /// behind it; skins with (thickness mm, Young kPa, Poisson). With `rests` the springs help to hold the body. `hangs_in` is a body force, mN/mm^3, that acts in the
-    /// mesh as given already. With `record` the steps are kept for derivatives.
+    /// behind it; skins with (thickness mm, Young kPa, Poisson). With `rests` the springs help to hold the body.
+    /// `hangs_in` is a body force, mN/mm^3, that acts in the mesh as given already. With `record` the steps are kept for
+    /// derivatives.
     #[new]
     #[pyo3(signature = (nodes, tets, held_nodes, young, poisson, *, law=None, element="tet4", pads=Vec::new(), behaviour=None,
                         springs=Vec::new(), rests=false, skins=Vec::new(), hangs_in=None, record=false,

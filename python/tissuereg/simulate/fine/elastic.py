@@ -1,6 +1,7 @@
 """Frames of an elastic case on a fine mesh: every state of its loads once, one after another along the ramp."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -89,11 +90,8 @@ def solve_states(
         try:
             settings = {"tolerance": tolerance, "threads": threads}
             load = believed.loads[frames[0]]
-            found = nothing if known else None
-            if found is None and near is not None and len(near) == len(states):
-                found = _from(near[number], simulator, load, experiment.material, settings)
-            if found is None:
-                found = _solve(simulator, load, state, experiment.material, solved, settings)
+            begin = near[number] if near is not None and len(near) == len(states) else None
+            found = nothing if known else _solve(simulator, load, state, experiment.material, solved, begin, settings)
         except ConvergenceError as error:
             failed += [(int(frame), str(error)) for frame in frames]
         else:
@@ -155,9 +153,14 @@ def _solve(
     state: FloatArray,
     material: Material,
     solved: list[tuple[FloatArray, FloatArray]],
+    near: FloatArray | None,
     settings: dict[str, Any],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the field of all nodes and the reactions in a state."""
+    """Return the field of all nodes and the reactions in a state, from a field near by if that leads anywhere."""
+    if near is not None and np.isfinite(near).all():
+        with suppress(ConvergenceError, LoadError):
+            found = simulator.solve(load, material, start=near, **settings)
+            return found.all_displacement, found.reactions
     for steps in (1, 2):
         known = list(solved)
         try:
@@ -169,19 +172,6 @@ def _solve(
             continue
         return found.all_displacement, found.reactions
     found = simulator.solve(load, material, **settings)
-    return found.all_displacement, found.reactions
-
-
-def _from(
-    start: FloatArray, simulator: Simulator, load: Load, material: Material, settings: dict[str, Any]
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the field of all nodes and the reactions, from a similar field; None where it leads nowhere."""
-    if not np.isfinite(start).all():
-        return None
-    try:
-        found = simulator.solve(load, material, start=start, **settings)
-    except (ConvergenceError, LoadError):
-        return None
     return found.all_displacement, found.reactions
 
 

@@ -1,11 +1,10 @@
 """What a fine model says in the markers, forces and targets of the experiment that it was made from."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from threading import Lock
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -150,10 +149,10 @@ class FineModel:
             readings = self._through_time(fine, wanted, through_time == "solved", threads, progress)
         else:
             report = Progress(progress, sum(len(case.times) for case in wanted))
-            near = self._near[1] if warm and self._near is not None and self._near[0] is fine.mesh else {}
-            readings, fields = _elastic(fine, wanted, "tet10", threads, report, "frames", near)
-            if warm:
-                self._near = (fine.mesh, near | fields)
+            if warm and (self._near is None or self._near[0] is not fine.mesh):
+                self._near = (fine.mesh, {})
+            near = self._near[1] if warm and self._near is not None else None
+            readings = _elastic(fine, wanted, "tet10", threads, report, "frames", near)
         answers = {}
         for case in wanted:
             said = readings[case.name]
@@ -205,7 +204,7 @@ class FineModel:
         for case in cases:
             if case not in missing and (told := report.of(f"{part} of {case.name}")) is not None:
                 told(len(case.times))
-        fresh = _elastic(twin, missing, element, threads, report, part)[0] if missing else {}
+        fresh = _elastic(twin, missing, element, threads, report, part) if missing else {}
         found = {name: fresh[name] if name in fresh else self._elastic.pop(key) for name, key in keys.items()}
         self._elastic |= {keys[name]: said for name, said in found.items()}
         while len(self._elastic) > _MOST_KEPT:
@@ -261,25 +260,25 @@ def _elastic(
     threads: int,
     report: "Progress",
     part: str,
-    near: Mapping[str, FloatArray] = MappingProxyType({}),
-) -> tuple[dict[str, Reading], Fields]:
-    """Return elastic cases, solved in parallel, and their fields in each of their states; some begin near others."""
+    near: Fields | None = None,
+) -> dict[str, Reading]:
+    """Return elastic cases, solved in parallel; they begin at fields near by, where given, and leave theirs there."""
     ready = extended(fine, element)
     reader = Reader(fine, quadratic=element == "tet10")
     share = max(1, threads // max(len(cases), 1))
 
-    def read(case: Case) -> tuple[Reading, FloatArray]:
+    def read(case: Case) -> Reading:
         told = report.of(f"{part} of {case.name}")
         # Effects on actuators are worked into the cases.
         moved = ready.cases[case.name]
-        start = near.get(case.name)
-        solved = solve_states(ready, moved, element=element, threads=share, near=start, progress=told)
-        first = np.unique(distinct_states(moved)[1], return_index=True)[1]
-        return reader.read(solved), solved.all_displacement[first]
+        begin = None if near is None else near.get(case.name)
+        solved = solve_states(ready, moved, element=element, threads=share, near=begin, progress=told)
+        if near is not None:
+            near[case.name] = solved.all_displacement[np.unique(distinct_states(moved)[1], return_index=True)[1]]
+        return reader.read(solved)
 
     with ThreadPoolExecutor(max_workers=threads) as pool:
-        found = dict(zip([case.name for case in cases], pool.map(read, cases), strict=True))
-    return {name: said for name, (said, _) in found.items()}, {name: fields for name, (_, fields) in found.items()}
+        return dict(zip([case.name for case in cases], pool.map(read, cases), strict=True))
 
 
 def _remembering(
