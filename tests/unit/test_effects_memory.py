@@ -23,6 +23,7 @@ from tissuereg.effects import (
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Case
 from tissuereg.frames import frame_input
+from tissuereg.simulate import memory
 from tissuereg.simulate.experiment import simulate_experiment
 
 
@@ -227,6 +228,37 @@ def test_a_base_sticks_until_friction_holds_it_no_more_and_stays_where_it_slid(r
     # Pressed down, more holds.
     rough = simulated(rig, [lean], Sliding(boundary="base", friction=0.5, cohesion_kpa=0.02))["lean"]
     assert rough.forces["push"][1, 0] > 1.05 * there
+
+
+@pytest.mark.parametrize(
+    ("effect", "solved"),
+    [
+        (Sliding(boundary="base", spring_kpa_per_mm=2.0), 2),
+        (Sliding(boundary="base", friction=0.3, cohesion_kpa=0.1), 3),
+        (Softening(r=2.0, m_kpa=0.05), 3),
+        (Set(fraction=0.1), 6),
+        (Relaxation(g=(0.4,), tau_s=(1.0,)), 6),
+    ],
+    ids=["springs", "friction", "softening", "set", "relaxation"],
+)
+def test_frames_that_equal_others_are_not_solved(rig, effect, solved, monkeypatch):
+    lengths = []
+
+    def counted(mesh, material, times, **rest):
+        lengths.append(len(times))
+        return solve_frames(mesh, material, times, **rest)
+
+    solve_frames = memory.solve_frames
+    monkeypatch.setattr(memory, "solve_frames", counted)
+    seen = []
+    answer = simulated(rig, [HOLD], effect, progress=lambda done, _: seen.append(done))["hold"]
+    assert lengths == [solved]
+    assert seen[-1] == len(HOLD.times)
+    every = np.arange(len(HOLD.times))
+    monkeypatch.setattr(memory, "frames_of_own", lambda *_: (every, every))
+    each = simulated(rig, [HOLD], effect)["hold"]
+    np.testing.assert_allclose(answer.displacement, each.displacement, atol=1e-4)
+    np.testing.assert_allclose(push({"hold": answer}), push({"hold": each}), atol=0.01)
 
 
 def test_progress_counts_the_frames_of_the_cases_alone(rig):

@@ -22,6 +22,7 @@ from tissuereg.effects import (
 )
 from tissuereg.errors import ConvergenceError, ExperimentError
 from tissuereg.experiment import Case
+from tissuereg.simulate import memory as memory_module
 from tissuereg.simulate.experiment import simulate_experiment
 from tissuereg.simulate.fine import FineMeshing, FineModel
 from tissuereg.simulate.fine import model as model_module
@@ -143,13 +144,36 @@ def test_effects_of_body_actuators_and_trackers_act(model):
 @pytest.mark.parametrize(
     "effect",
     [
-        Relaxation(g=(0.4,), tau_s=(1.0,)),
-        Set(fraction=0.2),
         Sliding(boundary="base", spring_kpa_per_mm=5.0),
+        Sliding(boundary="base", friction=0.3, cohesion_kpa=0.1),
         Gravity(direction=(0.0, 0.0, -1.0), in_reference=True),
     ],
-    ids=lambda effect: effect.id,
+    ids=["springs", "friction", "hanging"],
 )
+def test_what_a_body_rests_on_is_solved_in_ten_node_elements(rig, effect, monkeypatch):
+    model = FineModel(rig, COARSE)
+    solved = []
+
+    def counted(*given, **settings):
+        frames = solve_frames(*given, **settings)
+        solved.append([report["iterations"] for report in frames.reports])
+        return frames
+
+    solve_frames = memory_module.solve_frames
+    monkeypatch.setattr(memory_module, "solve_frames", counted)
+    said = model.simulate([effect])["ramp"]
+    each = simulate_experiment(replace(model.fine, effects=(effect,)), element="tet10")["ramp"]
+    np.testing.assert_allclose(said.displacement, each.displacement, atol=1e-4)
+    np.testing.assert_allclose(said.forces["push"], each.forces["push"], atol=0.05)
+    # Up and down again are one where nothing sticks; where the load stands, nothing is solved at all.
+    assert len(solved[0]) == (5 if effect.id == "sliding" and effect.friction else 3)
+    assert sum(solved[0]) < sum(solved[1])
+    model.simulate([effect], warm=True)
+    warm = model.simulate([effect], warm=True)["ramp"]
+    np.testing.assert_allclose(warm.displacement, said.displacement, atol=5e-4)
+
+
+@pytest.mark.parametrize("effect", [Relaxation(g=(0.4,), tau_s=(1.0,)), Set(fraction=0.2)], ids=lambda e: e.id)
 def test_frames_through_time_are_nearly_solved_by_correction(rig, effect):
     model = FineModel(rig, COARSE)
     quick, full = (model.simulate([effect], through_time=how)["ramp"] for how in ("corrected", "solved"))

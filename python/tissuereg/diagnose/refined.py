@@ -16,7 +16,7 @@ from tissuereg.experiment import Experiment
 from tissuereg.io.cache import cache_folder, keep_in_cache
 from tissuereg.simulate.experiment import CaseSimulation
 from tissuereg.simulate.fine import FineModel, third_meshes
-from tissuereg.simulate.memory import goes_through_time
+from tissuereg.simulate.memory import remembers
 
 #: Raised when fine meshes give other answers: those of other releases are not read.
 SCHEMA = 1
@@ -114,7 +114,7 @@ def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | Non
     Returns
     -------
     ndarray of float64, shape (size,), or None
-        mm and mN. None where frames depend on those before: they take minutes on a fine mesh, and what a body remembers
+        mm and mN. None with memory or friction: such frames take minutes on a fine mesh, and what a body remembers
         of a load has the error of the load's own answer, which the believed model's correction carries.
 
     Raises
@@ -123,7 +123,7 @@ def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | Non
         If a frame finds no equilibrium.
     """
     every = (*bench.experiment.effects, *effects)
-    if goes_through_time(extended(replace(bench.experiment, effects=every), bench.predictor.element)):
+    if remembers(extended(replace(bench.experiment, effects=every), bench.predictor.element)):
         return None
     return flat_of(bench.layout, bench.fine.simulate(every, warm=True, threads=bench.predictor.threads))
 

@@ -16,7 +16,7 @@ from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.load import Load
 from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.simulate.frames import Rigs
-from tissuereg.simulate.loading import distinct_states, hangs_already, pads_of, traction_of, weight_of
+from tissuereg.simulate.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
 from tissuereg.simulate.memory import SolvedCase, goes_through_time, solve_through_time
 from tissuereg.simulate.solve import Simulator
 
@@ -257,7 +257,7 @@ def _solve_elastic(
     """Return the frames of a case, each on its own and all in parallel."""
     simulator = believed.simulator
     _, state_of = distinct_states(case)
-    loads = [believed.loads[frame] for frame in np.unique(state_of, return_index=True)[1]]
+    loads = [believed.loads[frame] for frame in first_frames(case)]
     report = None if progress is None else (lambda n: progress(n * len(state_of) // len(loads)))
     materials = [experiment.material] * len(loads)
     found = simulator.solve_many(loads, materials, tolerance=tolerance, threads=threads, progress=report)

@@ -74,6 +74,22 @@ def distinct_states(case: Case) -> tuple[FloatArray, IntArray]:
     return table[first[order]], rank[inverse.ravel()]
 
 
+def first_frames(case: Case) -> IntArray:
+    """Return the frames in which the `distinct_states` of a case first appear.
+
+    Parameters
+    ----------
+    case : Case
+        With what is given to its actuators.
+
+    Returns
+    -------
+    ndarray of int64, shape (n_states,)
+        Increasing.
+    """
+    return np.unique(distinct_states(case)[1], return_index=True)[1]
+
+
 def _patch(experiment: Experiment, pad: Actuator) -> tuple[IntArray, float]:
     """Return the boundary triangles of a force actuator's patch and their area in mm^2."""
     mesh = experiment.mesh

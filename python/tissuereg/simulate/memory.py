@@ -7,7 +7,7 @@ through all cases on their one clock, and with it all else: what fades does so o
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -19,11 +19,14 @@ from tissuereg.experiment import Case, Experiment
 from tissuereg.load import Load
 from tissuereg.simulate import behaviour
 from tissuereg.simulate.frames import Pad, Rigs, solve_frames
-from tissuereg.simulate.loading import hangs_already, pads_of, traction_of, weight_of
+from tissuereg.simulate.loading import distinct_states, hangs_already, pads_of, traction_of, weight_of
 
 #: Times of relaxation in each of the four steps in which a body that stands comes to rest. A step takes strain to grow
 #: linearly, so each leaves about 1/30 of what it has to creep.
 _REST = 30.0
+
+#: Memory that goes with the load alone and changes nothing while that stands. (What is set acts a frame later.)
+_TIMELESS = (Softening,)
 
 #: Stiffness across a sliding boundary over modulus / extent of the body: it sinks in by some 1e-4 of the strain.
 _ACROSS = 1e4
@@ -68,6 +71,22 @@ def goes_through_time(experiment: Experiment) -> bool:
         True with memory, swelling, sliding supports, or a mesh that hangs in gravity already.
     """
     return hangs_already(experiment) or any(isinstance(effect, Memory | Sliding) for effect in experiment.effects)
+
+
+def remembers(experiment: Experiment) -> bool:
+    """Say whether the material depends on frames before.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Effects worked in.
+
+    Returns
+    -------
+    bool
+        True with memory or swelling.
+    """
+    return any(isinstance(effect, Memory) for effect in experiment.effects)
 
 
 def is_carried(experiment: Experiment) -> bool:
@@ -126,10 +145,75 @@ def solve_through_time(
     solved: dict[str, SolvedCase] = {}
     done = 0
     for group in groups:
-        report = None if progress is None else (lambda n, before=done: progress(before + n))
-        solved.update(_solve_group(experiment, group, element, tolerance, threads, near, rigs, report))
+        _refuse_overlap(group)
+        told = [frames_of_own(experiment, case) for case in group]
+        fewer = [_only(case, first) for case, (first, _) in zip(group, told, strict=True)]
+        guides = near and {case.name: near[case.name][first] for case, (first, _) in zip(group, told, strict=True)}
+        report = None if progress is None else _counting(progress, done, told)
+        found = _solve_group(experiment, fewer, element, tolerance, threads, guides, rigs, report)
+        for case, (_, of_frame) in zip(group, told, strict=True):
+            solved[case.name] = _at_every_frame(found[case.name], of_frame)
         done += sum(len(case.times) for case in group)
     return {case.name: solved[case.name] for case in cases}
+
+
+def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArray]:
+    """Return the frames of a case that must be solved, and which of them every frame is equal to.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Effects worked in.
+    case : Case
+        One of its cases.
+
+    Returns
+    -------
+    tuple of ndarray of int64, shapes (n_solved,) and (n_frames,)
+        All frames where memory goes with the time; those whose load is not that of the frame before where it goes with
+        the load alone, and with friction; else one of every load.
+    """
+    if any(isinstance(effect, Memory) and not isinstance(effect, _TIMELESS) for effect in experiment.effects):
+        every = np.arange(len(case.times))
+        return every, every
+    of_frame = distinct_states(case)[1]
+    if is_carried(experiment):
+        of_frame = np.cumsum(np.diff(of_frame, prepend=of_frame[0]) != 0)
+    return np.unique(of_frame, return_index=True)[1], of_frame
+
+
+def _only(case: Case, frames: IntArray) -> Case:
+    """Return some frames of what acts in a case."""
+    return replace(
+        case,
+        times=case.times[frames],
+        displacements={name: motion[frames] for name, motion in case.displacements.items()},
+        applied_forces={name: force[frames] for name, force in case.applied_forces.items()},
+    )
+
+
+def _at_every_frame(found: SolvedCase, of_frame: IntArray) -> SolvedCase:
+    """Return a case with the frames that are equal to solved ones."""
+    why = dict(found.failed)
+    every = found.all_displacement[of_frame]
+    return SolvedCase(
+        every[:, : found.displacement.shape[1]],
+        {name: force[of_frame] for name, force in found.forces.items()},
+        [(frame, why[solved]) for frame, solved in enumerate(of_frame.tolist()) if solved in why],
+        every,
+    )
+
+
+def _counting(
+    progress: Callable[[int], object], before: int, told: Sequence[tuple[IntArray, IntArray]]
+) -> Callable[[int], None]:
+    """Return what tells of all frames when it is told of solved ones."""
+    done = before + np.cumsum(np.concatenate([[0], *(np.bincount(of_frame) for _, of_frame in told)]))
+
+    def report(solved: int) -> None:
+        progress(int(done[solved]))
+
+    return report
 
 
 def _solve_group(
@@ -143,7 +227,6 @@ def _solve_group(
     progress: Callable[[int], object] | None,
 ) -> dict[str, SolvedCase]:
     """Return cases that share one history."""
-    _refuse_overlap(group)
     standing = _standing_times(experiment, float(group[0].times[0]))
     times, loads, rows = [standing], [Load()] * len(standing), {}
     done = [0] * (len(standing) + 1)

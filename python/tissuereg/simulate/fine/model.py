@@ -26,12 +26,12 @@ from tissuereg.effects.history import Memory
 from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.experiment import CaseSimulation
-from tissuereg.simulate.fine.elastic import solve_states
+from tissuereg.simulate.fine.elastic import TOLERANCE, solve_states
 from tissuereg.simulate.fine.meshing import FineMeshing, fine_experiment, rim_of
 from tissuereg.simulate.fine.reading import Reader, Reading, corrected
 from tissuereg.simulate.fine.rims import INSIDE, Rim
-from tissuereg.simulate.loading import distinct_states
-from tissuereg.simulate.memory import SolvedCase, goes_through_time, is_carried, solve_through_time
+from tissuereg.simulate.loading import distinct_states, first_frames
+from tissuereg.simulate.memory import SolvedCase, goes_through_time, is_carried, remembers, solve_through_time
 
 #: Poisson's ratio above which four-node tets move too little.
 _LOCKS_ABOVE = 0.475
@@ -111,7 +111,7 @@ class FineModel:
         cases : sequence of str, optional
             Names; all where absent.
         through_time : {"corrected", "solved"}
-            What becomes of frames that depend on those before (memory, sliding, a mesh that hangs in gravity already).
+            What becomes of frames of a material that depends on those before (memory).
             `corrected`: four-node elements on the fine mesh, plus what ten-node elements change of the elastic answer,
             which is kept for the next call. `solved`: ten-node elements in every frame, minutes a case on 4,000 nodes.
         warm : bool
@@ -145,14 +145,14 @@ class FineModel:
         for name in cases or ():
             fine.case(name)
         threads = threads or os.cpu_count() or 1
-        if goes_through_time(extended(fine, "tet10")):
+        worked = extended(fine, "tet10")
+        if remembers(worked):
             readings = self._through_time(fine, wanted, through_time == "solved", threads, progress)
         else:
-            report = Progress(progress, sum(len(case.times) for case in wanted))
             if warm and (self._near is None or self._near[0] is not fine.mesh):
                 self._near = (fine.mesh, {})
             near = self._near[1] if warm and self._near is not None else None
-            readings = _elastic(fine, wanted, "tet10", threads, report, "frames", near)
+            readings = _by_load(fine, wanted, threads, near, progress)
         answers = {}
         for case in wanted:
             said = readings[case.name]
@@ -175,10 +175,7 @@ class FineModel:
         progress: Callable[[int, int], None] | None,
     ) -> dict[str, Reading]:
         """Return cases that go through time, in ten-node elements or corrected by their elastic answers."""
-        through = list(cases)
-        if is_carried(extended(fine, "tet10")):
-            last = max(float(case.times[0]) for case in cases)
-            through = [case for case in fine.cases.values() if case.times[0] <= last]
+        through = _with_those_before(fine, cases)
         n_frames = sum(len(case.times) for case in cases)
         report = Progress(progress, sum(len(case.times) for case in through) + (0 if fully else 2 * n_frames))
         # Four-node elements lock where ten-node ones do not; there their averaged kin stand in.
@@ -274,25 +271,74 @@ def _elastic(
         begin = None if near is None else near.get(case.name)
         solved = solve_states(ready, moved, element=element, threads=share, near=begin, progress=told)
         if near is not None:
-            near[case.name] = solved.all_displacement[np.unique(distinct_states(moved)[1], return_index=True)[1]]
+            near[case.name] = solved.all_displacement[first_frames(moved)]
         return reader.read(solved)
 
     with ThreadPoolExecutor(max_workers=threads) as pool:
         return dict(zip([case.name for case in cases], pool.map(read, cases), strict=True))
 
 
+def _with_those_before(fine: Experiment, cases: Sequence[Case]) -> list[Case]:
+    """Return cases with all that they depend on."""
+    if not is_carried(extended(fine, "tet10")):
+        return list(cases)
+    last = max(float(case.times[0]) for case in cases)
+    return [case for case in fine.cases.values() if case.times[0] <= last]
+
+
+def _by_load(
+    fine: Experiment,
+    cases: Sequence[Case],
+    threads: int,
+    near: Fields | None,
+    progress: Callable[[int, int], None] | None,
+) -> dict[str, Reading]:
+    """Return cases without memory in ten-node elements, from fields near by where given; they leave theirs there.
+
+    On springs, with friction, or where the mesh hangs in its weight already, a body that does without is solved first:
+    its change from state to state leads to these in a sixth of the time.
+    """
+    worked = extended(fine, "tet10")
+    if not goes_through_time(worked):
+        report = Progress(progress, sum(len(case.times) for case in cases))
+        return _elastic(fine, cases, "tet10", threads, report, "frames", near)
+    cases = _with_those_before(fine, cases)
+    near = {} if near is None else near
+    first = [case for case in cases if case.name not in near]
+    report = Progress(progress, sum(len(case.times) for case in (*cases, *first)))
+    if first:
+        _elastic(_without_time(fine), first, "tet10", threads, report, "elastic frames", near)
+    solved = _remembering(worked, cases, "tet10", threads, report, near)
+    reader = Reader(fine, quadratic=True)
+    for case in cases:
+        near[case.name] = solved[case.name].all_displacement[first_frames(case)]
+    return {case.name: reader.read(solved[case.name]) for case in cases}
+
+
 def _remembering(
-    ready: Experiment, cases: Sequence[Case], element: str, threads: int, report: "Progress"
+    ready: Experiment,
+    cases: Sequence[Case],
+    element: str,
+    threads: int,
+    report: "Progress",
+    near: Fields | None = None,
 ) -> dict[str, SolvedCase]:
-    """Return cases solved frame after frame, those that do not depend on each other in parallel."""
+    """Return cases solved frame after frame, those that do not depend on each other in parallel.
+
+    `near` holds fields in the distinct states of models without memory.
+    """
     cases = [ready.cases[case.name] for case in cases]
+    guides = near and {case.name: near[case.name][distinct_states(case)[1]] for case in cases}
+    settings: dict[str, Any] = {"element": element, "near": guides}
+    if near is not None:
+        settings["tolerance"] = TOLERANCE
     if is_carried(ready):
-        return solve_through_time(ready, cases, element=element, threads=threads, progress=report.of("history"))
+        return solve_through_time(ready, cases, threads=threads, progress=report.of("history"), **settings)
     share = max(1, threads // max(len(cases), 1))
 
     def solve(case: Case) -> SolvedCase:
         told = report.of(f"history of {case.name}")
-        return solve_through_time(ready, [case], element=element, threads=share, progress=told)[case.name]
+        return solve_through_time(ready, [case], threads=share, progress=told, **settings)[case.name]
 
     with ThreadPoolExecutor(max_workers=threads) as pool:
         return dict(zip([case.name for case in cases], pool.map(solve, cases), strict=True))
