@@ -9,10 +9,11 @@ import pytest
 
 from support.rigs import rig
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.causes import CAUSES, Variant
+from tissuereg.diagnose.causes.base import knobs
 from tissuereg.diagnose.correction import Correction, make_correction
 from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import Part, Target, fit
+from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, fit
 from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.nuisances import RIM_ERROR, _rim_sizes
 from tissuereg.diagnose.proof import figure_blocks, proof_blocks
@@ -290,3 +291,42 @@ def test_a_marker_near_the_rim_of_a_ball_has_an_error_though_the_mesh_has_no_nod
         sizes = _rim_sizes(bench, bench.layout["down"])
         assert sizes[0] <= seen
         assert bool(sizes[0]) == bool(seen)
+
+
+def test_a_shifted_patch_is_put_right_too():
+    # The user's mesh shifts a patch by whole nodes; the fine one cuts it out where it sits.
+    shift = ActuatorOffset(actuator="side", shift_mm=(0.0, 8.0, 0.0))
+    target = target_of(shift)
+    column = target.bench.change(shift) / 8.0
+    along = knobs(
+        [(5.0, 0.0, 8.0, 1.0)],
+        lambda x, _: (replace(shift, shift_mm=(0.0, float(x[0]), 0.0)),),
+        lambda x, _: {"shift_mm": [0.0, float(x[0]), 0.0]},
+    )
+    variant = Variant("side", 8.0 * column[None])
+    found = fit(target, [Part("actuator_offset", variant, replace(along, columns=column[None]))])
+    assert found.x[1] == pytest.approx(8.0, abs=0.5)
+    better = recorrected(target, found)
+    effects, coarse = at_believed_modulus(target, found)
+    np.testing.assert_allclose(coarse, target.bench.base + found.x[1] * column)
+    np.testing.assert_allclose(better.correction.corrected(coarse), refined_effects(target.bench, effects), atol=1e-6)
+
+
+def test_a_detachment_grows_without_jumps():
+    target = target_of()
+    bench = target.bench
+    detached = part(target, "detachment", share=0.15)
+    answers = []
+    logits = np.linspace(-5.0, -1.0, 81)
+    for x in logits:
+        mixture = detached.knobs.mixture(np.array([20.0, x]), bench.young)
+        assert sum(weight for weight, _ in mixture) == pytest.approx(1.0)
+        assert all(weight >= 0.0 for weight, _ in mixture)
+        answers.append(np.sum([weight * bench.predictor.predict(effects) for weight, effects in mixture], axis=0))
+    moved = np.linalg.norm(np.array(answers) - bench.base, axis=1)
+    assert moved[0] < 0.2 * moved[-1]
+    # A node that comes free at once would be a jump of its whole share.
+    assert np.abs(np.diff(moved)).max() < 0.15 * moved[-1]
+    (effect,) = detached.knobs.effects(np.array([20.0, -1.0]), bench.young)
+    assert effect.azimuth_deg == 20.0
+    assert effect.share == pytest.approx(1.0 / (1.0 + np.e))

@@ -267,14 +267,46 @@ def slices_of(parts: Sequence[Part]) -> list[slice]:
     return found
 
 
-def bodily(parts: Sequence[Part], x: FloatArray, young: float) -> list[Effect]:
-    """Return the effects of all parts that are more than columns, at coordinates (k,), on a modulus in kPa."""
-    return [
+def at_believed_modulus(target: Target, found: Fit) -> tuple[list[Effect], FloatArray]:
+    """Return the effects of a fit, and what the user's mesh says of them, at the believed modulus.
+
+    Parameters
+    ----------
+    target : Target
+        What was fitted.
+    found : Fit
+        With causes.
+
+    Returns
+    -------
+    tuple of list of Effect and ndarray of float64, shape (size,)
+        The latter in mm and mN.
+
+    Raises
+    ------
+    ConvergenceError
+        If a frame finds no equilibrium.
+    ExperimentError, MaterialError, SupportError
+        If an effect does not fit.
+    """
+    x = found.x.copy()
+    x[0] = 0.0
+    effects = [
         effect
-        for part, mine in zip(parts, slices_of(parts), strict=True)
-        if part.knobs.columns is None
-        for effect in part.knobs.effects(x[mine], young)
+        for part, mine in zip(found.parts, found.slices(), strict=True)
+        for effect in part.knobs.effects(x[mine], target.bench.young)
     ]
+    return effects, _Solver(target, found.parts).uncorrected(x)
+
+
+def mixed(parts: Sequence[Part], x: FloatArray, young: float) -> list[tuple[float, list[Effect]]]:
+    """Return weights, one in all, and sets of effects whose answers a user's mesh gives for coordinates (k,)."""
+    mixture: list[tuple[float, list[Effect]]] = [(1.0, [])]
+    for part, mine in zip(parts, slices_of(parts), strict=True):
+        if part.knobs.columns is None:
+            own = part.knobs.mixture(x[mine], young)
+            mixture = [(a * b, [*before, *more]) for a, before in mixture for b, more in own if b > 0.0]
+    return mixture
 
 
 class _Solver:
@@ -296,36 +328,42 @@ class _Solver:
         self.near: Solved | None = None
 
     def predict(self, x: FloatArray) -> FloatArray | None:
-        bench, factor = self.target.bench, self.factor(x)
-        linear = np.zeros(len(self.measured))
-        for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
-            if part.knobs.columns is not None:
-                linear += x[mine] @ part.knobs.columns
         try:
-            effects = self.effects(x)
-            if not effects and (self.scales or factor == 1.0):
-                found = bench.base
-            else:
-                young = None if self.scales else factor
-                found = bench.predictor.predict(effects, young=young, threads=1, near=self.near)
+            found = self.uncorrected(x)
         except (ConvergenceError, ExperimentError, MaterialError, SupportError):
             return None
-        found = found + linear
-        if self.scales:
-            found = np.where(self.force, factor * found, found)
-        return self.target.correction.corrected(found, factor)
+        return self.target.correction.corrected(found, self.factor(x))
+
+    def uncorrected(self, x: FloatArray) -> FloatArray:
+        """Return what the user's mesh says at coordinates (k,)."""
+        factor = self.factor(x)
+        total = np.zeros(len(self.measured))
+        for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
+            if part.knobs.columns is not None:
+                total += x[mine] @ part.knobs.columns
+        for weight, effects in self.mixture(x):
+            total += weight * self.body(effects, factor)
+        return np.where(self.force, factor * total, total) if self.scales else total
+
+    def body(self, effects: Sequence[Effect], factor: float) -> FloatArray:
+        """Return what the user's mesh says of effects."""
+        bench = self.target.bench
+        if not effects and (self.scales or factor == 1.0):
+            return bench.base
+        young = None if self.scales else factor
+        return bench.predictor.predict(effects, young=young, threads=1, near=self.near)
 
     def factor(self, x: FloatArray) -> float:
         """Return the modulus over the believed one."""
         return float(np.exp(np.clip(x[0], -3.0, 3.0)))
 
-    def effects(self, x: FloatArray) -> list[Effect]:
-        """Return the effects of all parts that are more than columns."""
-        return bodily(self.parts, x, self.target.bench.young * (1.0 if self.scales else self.factor(x)))
+    def mixture(self, x: FloatArray) -> list[tuple[float, list[Effect]]]:
+        """Return what all parts that are more than columns are between."""
+        return mixed(self.parts, x, self.target.bench.young * (1.0 if self.scales else self.factor(x)))
 
     def start_from(self, x: FloatArray) -> None:
         """Seek what follows near what was just predicted."""
-        if effects := self.effects(x):
+        if effects := max(self.mixture(x), key=lambda one: one[0])[1]:
             young = None if self.scales else self.factor(x)
             self.near = self.target.bench.predictor.solved(effects, young=young, threads=1, near=self.near)
 

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissuereg.diagnose.fit import ABSOLUTE, Fit, Target, bodily, fit
+from tissuereg.diagnose.fit import ABSOLUTE, Fit, Target, at_believed_modulus, fit
 from tissuereg.diagnose.refined import refined_effects
-from tissuereg.effects import ChainEffect
-from tissuereg.errors import ConvergenceError, ExperimentError, MeshError, SupportError
+from tissuereg.effects import EFFECTS, ChainEffect
+from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, MeshError, SupportError
 
 #: Nats by which the mesh's error in its causes, once put right, may make a fit better.
 PUT_RIGHT = 30.0
@@ -69,18 +69,16 @@ def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] |
     bench = target.bench
     if not bench.scales_forces or any(part.id in ABSOLUTE for part in found.parts):
         return target
-    # What is linear in the fit stays so.
-    effects = bodily(found.parts, found.x, bench.young)
-    if all(isinstance(effect, ChainEffect) for effect in effects):
+    if all(issubclass(EFFECTS[part.id], ChainEffect) for part in found.parts):
         return target
     if progress is not None:
         progress(f"fine mesh with {' + '.join(found.ids)}")
     try:
+        effects, coarse = at_believed_modulus(target, found)
         fine = refined_effects(bench, effects)
-        if fine is None:
-            return target
-        coarse = bench.predictor.predict(effects)
-    except (ConvergenceError, ExperimentError, MeshError, SupportError):
+    except (ConvergenceError, ExperimentError, MaterialError, MeshError, SupportError):
+        return target
+    if fine is None:
         return target
     std = np.full(bench.layout.size, target.noise.force_std)
     for case in bench.layout.parts:

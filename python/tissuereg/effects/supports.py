@@ -114,14 +114,38 @@ class Detachment(_Support):
         if self.centre_mm is not None and self.radius_mm is not None:
             inside = np.linalg.norm(places - np.asarray(self.centre_mm), axis=1) <= self.radius_mm
             return np.asarray(nodes[inside])
-        assert self.azimuth_deg is not None and self.share is not None  # noqa: PT018  (`check` has seen it)
+        assert self.share is not None  # `check` has seen it
+        order, _, shares = self._towards(mesh, nodes)
+        return np.sort(nodes[order[shares < self.share]])
+
+    def edges(self, mesh: Mesh, nodes: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return where the edge of a detached rim passes a boundary's nodes, the outermost one first.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Reference shape.
+        nodes : ndarray of int64, shape (n,)
+            Of the boundary.
+
+        Returns
+        -------
+        tuple of ndarray of float64, each of shape (n,)
+            How far each node lies behind the outermost one towards `azimuth_deg`, mm, never decreasing; and the share
+            from which on it is free.
+        """
+        order, towards, shares = self._towards(mesh, nodes)
+        return towards[order[0]] - towards[order], shares
+
+    def _towards(self, mesh: Mesh, nodes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return the nodes' order towards the azimuth, how far they lie there, and the shares that free them."""
+        assert self.azimuth_deg is not None  # `check` has seen it
         angle = np.deg2rad(self.azimuth_deg)
-        area = node_areas(mesh, nodes)
-        towards = places @ np.array([np.cos(angle), np.sin(angle), 0.0])
+        towards = mesh.nodes[nodes] @ np.array([np.cos(angle), np.sin(angle), 0.0])
         order = np.argsort(-towards, kind="stable")
         # A node is free once half of what it stands for has come off.
-        behind = np.cumsum(area[order]) - 0.5 * area[order]
-        return np.sort(nodes[order[behind < self.share * area.sum()]])
+        area = node_areas(mesh, nodes)[order]
+        return order, towards, (np.cumsum(area) - 0.5 * area) / area.sum()
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the freed nodes taken from the boundary and from the mesh's held set."""

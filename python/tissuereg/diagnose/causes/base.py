@@ -57,6 +57,9 @@ class Knobs:
     columns : ndarray of float64, shape (k, size), optional
         What a unit of every coordinate changes, mm and mN, where the fit takes that for the effects: a mesh may answer
         them in jumps.
+    between : callable, optional
+        Gives weights and effects, of coordinates and modulus, between whose answers the fit takes that of the effects,
+        where the user's mesh would jump from one to the other.
     """
 
     start: FloatArray
@@ -66,6 +69,11 @@ class Knobs:
     values: Callable[[FloatArray, float], Values]
     step: FloatArray
     columns: FloatArray | None = None
+    between: Callable[[FloatArray, float], list[tuple[float, tuple[Effect, ...]]]] | None = None
+
+    def mixture(self, x: FloatArray, young: float) -> list[tuple[float, tuple[Effect, ...]]]:
+        """Return weights, one in all, and effects whose answers the user's mesh gives for coordinates (k,)."""
+        return [(1.0, self.effects(x, young))] if self.between is None else self.between(x, young)
 
 
 class Cause(ABC):
@@ -140,10 +148,11 @@ def knobs(
     coordinates: Iterable[tuple[float, float, float, float]],
     effects: Callable[[FloatArray, float], tuple[Effect, ...]],
     values: Callable[[FloatArray, float], Values],
+    between: Callable[[FloatArray, float], list[tuple[float, tuple[Effect, ...]]]] | None = None,
 ) -> Knobs:
     """Return knobs from rows of start, prior mean, prior deviation and step."""
     start, mean, deviation, step = np.array(list(coordinates), np.float64).T
-    return Knobs(start, mean, deviation, effects, values, step)
+    return Knobs(start, mean, deviation, effects, values, step, between=between)
 
 
 def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:

@@ -1,6 +1,5 @@
 """A part of a support has come off."""
 
-import itertools
 from collections.abc import Iterable
 from typing import ClassVar
 
@@ -9,11 +8,13 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
-from tissuereg.effects import Detachment
+from tissuereg.effects import Detachment, Effect
 
-#: Shares of the boundary's area and number of directions that are tried.
-SHARES = (0.08, 0.2)
-DIRECTIONS = 8
+#: Directions that are tried for shares of the boundary's area: a small part of a rim is missed between two of them.
+DIRECTIONS = {0.012: 16, 0.04: 8, 0.15: 8}
+
+#: No share is less than this.
+LEAST_SHARE = 0.002
 
 
 class DetachmentCause(Cause):
@@ -25,8 +26,8 @@ class DetachmentCause(Cause):
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one secant a boundary, direction and share."""
         names = [boundary.name for boundary in bench.experiment.boundaries]
-        azimuths = (np.arange(DIRECTIONS) * (360.0 / DIRECTIONS)).tolist()
-        tried = list(itertools.product(names, SHARES, azimuths))
+        azimuths = [(share, 360.0 * turn / count) for share, count in DIRECTIONS.items() for turn in range(count)]
+        tried = [(name, share, azimuth) for name in names for share, azimuth in azimuths]
         # A boundary too small to lose a node, or so much, changes nothing.
         changes = bench.changes([[Detachment(boundary=b, azimuth_deg=a, share=s)] for b, s, a in tried])
         for (name, share, azimuth), changed in zip(tried, changes, strict=True):
@@ -35,22 +36,46 @@ class DetachmentCause(Cause):
                 yield Variant(f"{name} {azimuth:.0f} deg {share:g}", changed[None], settings, positive=True)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the direction and the logit of the share; steps are wide, for a node is free or not."""
+        """Return the direction and the logit of the share.
+
+        A node is free or not: on the user's mesh the answer is taken between those of edges at the nodes next to the
+        detachment's own, by how far it lies from them.
+        """
         name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
         azimuth = float(variant.settings["azimuth"])
-        start = logit(share * float(np.clip(amplitudes[0], 0.4, 2.5)))
+        boundary = next(boundary for boundary in bench.experiment.boundaries if boundary.name == name)
+        # What gives way grows faster than its area.
+        start = logit(share * float(np.clip(amplitudes[0], 0.1, 4.0)) ** 0.5, LEAST_SHARE)
 
-        def effect(x: FloatArray, young: float) -> tuple[Detachment]:
-            return (Detachment(boundary=name, azimuth_deg=float(x[0]), share=logistic(x[1])),)
+        def effect(x: FloatArray) -> Detachment:
+            return Detachment(boundary=name, azimuth_deg=float(x[0]), share=logistic(x[1]))
+
+        def between(x: FloatArray, young: float) -> list[tuple[float, tuple[Effect, ...]]]:
+            places, shares = effect(x).edges(bench.experiment.mesh, boundary.nodes)
+            # Nothing is free with the edge as far before the first node as the second lies behind it.
+            places = np.concatenate([[-max(float(places[1]), 1e-3)], places])
+            shares = np.concatenate([[0.0], shares, [1.0]])
+            edge = float(np.interp(logistic(x[1]), shares[:-1], places))
+            n_free = min(int((places <= edge).sum()), len(places) - 1) - 1
+            more = (edge - places[n_free]) / max(float(places[n_free + 1] - places[n_free]), 1e-12)
+            more = float(np.clip(more, 0.0, 1.0))
+            sets: list[tuple[float, tuple[Effect, ...]]] = []
+            for weight, count in ((1.0 - more, n_free), (more, n_free + 1)):
+                # Midway to where the next node would be free.
+                own = 0.5 * float(shares[count] + shares[count + 1])
+                freed = Detachment(boundary=name, azimuth_deg=float(x[0]), share=own)
+                sets.append((weight, (freed,) if count else ()))
+            return sets
 
         return knobs(
-            [(azimuth, azimuth, 60.0, 10.0), (start, logit(0.15), 1.0, 0.3)],
-            effect,
+            [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)],
+            lambda x, young: (effect(x),),
             lambda x, young: {
                 "boundary": name,
                 "azimuth_deg": float(x[0]),
                 "share": logistic(x[1]),
             },
+            between,
         )
 
     def sentence(self, values: Values) -> str:
