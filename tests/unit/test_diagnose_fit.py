@@ -13,7 +13,7 @@ from tissuereg.diagnose.causes import CAUSES, Variant
 from tissuereg.diagnose.causes.base import knobs
 from tissuereg.diagnose.correction import Correction, make_correction
 from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, fit
+from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, best_start, fit
 from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.nuisances import RIM_ERROR, _rim_sizes
 from tissuereg.diagnose.proof import figure_blocks, proof_blocks
@@ -23,7 +23,7 @@ from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import Screened
 from tissuereg.diagnose.search import Candidate, Search, Step, _fit_forms
 from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import ActuatorOffset, Latency, Mooney, Poisson, Relaxation
+from tissuereg.effects import ActuatorOffset, Detachment, Latency, Mooney, Poisson, Relaxation
 
 MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
 
@@ -330,3 +330,17 @@ def test_a_detachment_grows_without_jumps():
     (effect,) = detached.knobs.effects(np.array([20.0, -1.0]), bench.young)
     assert effect.azimuth_deg == 20.0
     assert effect.share == pytest.approx(1.0 / (1.0 + np.e))
+
+
+def test_a_fit_begins_where_least_is_left():
+    torn = Detachment(boundary="base", azimuth_deg=100.0, share=0.3)
+    target = target_of(torn)
+    detached = part(target, "detachment", azimuth=90.0)
+    base = fit(target, [])
+    begin = best_start(target, [detached], base.x)
+    places = [np.concatenate([base.x, start]) for start in (detached.knobs.start, *detached.knobs.starts)]
+    assert any(np.array_equal(begin, place) for place in places)
+    left = [fit(target, [detached], start=place, hopeless=-np.inf).objective for place in places[:2]]
+    found = fit(target, [detached], start=begin)
+    assert found.objective <= min(left) + 0.5
+    assert abs(found.values(0, 1.0)[0]["share"] - 0.3) < 0.1

@@ -252,6 +252,37 @@ def fit(
     )
 
 
+def best_start(target: Target, parts: Sequence[Part], before: FloatArray) -> FloatArray:
+    """Return where the fit of a further cause begins: at the place of its knobs that leaves least.
+
+    Parameters
+    ----------
+    target : Target
+        What is fitted.
+    parts : sequence of Part
+        The cause is the last one.
+    before : ndarray of float64, shape (k,)
+        The fit without it.
+
+    Returns
+    -------
+    ndarray of float64, shape (k + n_knobs,)
+        With the first start where no other one is given or finds equilibrium.
+    """
+    knobs = parts[-1].knobs
+    first = np.concatenate([before, knobs.start])
+    if knobs.starts is None:
+        return first
+    solver = _Solver(target, tuple(parts))
+
+    def left(x: FloatArray) -> float:
+        prediction = solver.predict(x)
+        return np.inf if prediction is None else solver.objective(x, prediction)[0]
+
+    tried = [first, *(np.concatenate([before, start]) for start in knobs.starts)]
+    return tried[int(np.argmin(target.bench.side_by_side(left, tried)))]
+
+
 def choices_of(cause: str, variants: Sequence[Variant]) -> int:
     """Return the number of discrete hypotheses of a cause that its knobs cannot pass between."""
     keys = CAUSES[cause].discrete

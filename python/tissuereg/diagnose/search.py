@@ -8,7 +8,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.evidence import Null, fit_amplitudes
-from tissuereg.diagnose.fit import Fit, Part, Target, choices_of, fit
+from tissuereg.diagnose.fit import Fit, Part, Target, best_start, choices_of, fit
 from tissuereg.diagnose.nuisances import effect_nuisances
 from tissuereg.diagnose.proof import (
     BEFORE,
@@ -267,9 +267,10 @@ def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit,
     best: Fit | None = None
     for form in (variant, *alternatives):
         knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
-        start = np.concatenate([current.x, knobs.start])
+        parts = [*current.parts, Part(name, form, knobs)]
         bar = least if best is None else max(least, best.log_evidence)
-        fitted = fit(target, [*current.parts, Part(name, form, knobs)], start=start, choices=choices, hopeless=-bar)
+        start = best_start(target, parts, current.x)
+        fitted = fit(target, parts, start=start, choices=choices, hopeless=-bar)
         if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
             best = fitted
     return best

@@ -115,8 +115,8 @@ class Detachment(_Support):
             inside = np.linalg.norm(places - np.asarray(self.centre_mm), axis=1) <= self.radius_mm
             return np.asarray(nodes[inside])
         assert self.share is not None  # `check` has seen it
-        order, _, shares = self._towards(mesh, nodes)
-        return np.sort(nodes[order[shares < self.share]])
+        order, _, areas = self._towards(mesh, nodes)
+        return np.sort(nodes[order[freeing_shares(areas) < self.share]])
 
     def edges(self, mesh: Mesh, nodes: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return where the edge of a detached rim passes a boundary's nodes, the outermost one first.
@@ -132,20 +132,19 @@ class Detachment(_Support):
         -------
         tuple of ndarray of float64, each of shape (n,)
             How far each node lies behind the outermost one towards `azimuth_deg`, mm, never decreasing; and the share
-            from which on it is free.
+            of the area that it stands for.
         """
-        order, towards, shares = self._towards(mesh, nodes)
-        return towards[order[0]] - towards[order], shares
+        order, towards, areas = self._towards(mesh, nodes)
+        return towards[order[0]] - towards[order], areas
 
     def _towards(self, mesh: Mesh, nodes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the nodes' order towards the azimuth, how far they lie there, and the shares that free them."""
+        """Return the nodes' order towards the azimuth, how far they lie there, and their shares of the area."""
         assert self.azimuth_deg is not None  # `check` has seen it
         angle = np.deg2rad(self.azimuth_deg)
         towards = mesh.nodes[nodes] @ np.array([np.cos(angle), np.sin(angle), 0.0])
         order = np.argsort(-towards, kind="stable")
-        # A node is free once half of what it stands for has come off.
         area = node_areas(mesh, nodes)[order]
-        return order, towards, (np.cumsum(area) - 0.5 * area) / area.sum()
+        return order, towards, area / area.sum()
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the freed nodes taken from the boundary and from the mesh's held set."""
@@ -157,6 +156,22 @@ class Detachment(_Support):
         held = np.unique(np.concatenate([boundary.nodes for boundary in boundaries]))
         mesh = experiment.mesh.with_node_set(old.name, kept).with_node_set("fixed", held)
         return replace(experiment, boundaries=boundaries, mesh=mesh)
+
+
+def freeing_shares(areas: FloatArray) -> FloatArray:
+    """Return from which share on each node of a rim is free: once half of what it stands for has come off.
+
+    Parameters
+    ----------
+    areas : ndarray of float64, shape (n,)
+        Shares of the area, the outermost node first.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+        Increasing.
+    """
+    return np.asarray(np.cumsum(areas) - 0.5 * areas)
 
 
 def node_areas(mesh: Mesh, nodes: IntArray) -> FloatArray:

@@ -60,6 +60,8 @@ class Knobs:
     between : callable, optional
         Gives weights and effects, of coordinates and modulus, between whose answers the fit takes that of the effects,
         where the user's mesh would jump from one to the other.
+    starts : ndarray of float64, shape (n, k), optional
+        Other places where the fit may begin.
     """
 
     start: FloatArray
@@ -70,6 +72,7 @@ class Knobs:
     step: FloatArray
     columns: FloatArray | None = None
     between: Callable[[FloatArray, float], list[tuple[float, tuple[Effect, ...]]]] | None = None
+    starts: FloatArray | None = None
 
     def mixture(self, x: FloatArray, young: float) -> list[tuple[float, tuple[Effect, ...]]]:
         """Return weights, one in all, and effects whose answers the user's mesh gives for coordinates (k,)."""

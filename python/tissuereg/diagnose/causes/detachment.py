@@ -1,6 +1,7 @@
 """A part of a support has come off."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -9,12 +10,19 @@ from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
 from tissuereg.effects import Detachment, Effect
+from tissuereg.effects.supports import freeing_shares, node_areas
 
 #: Directions that are tried for shares of the boundary's area: a small part of a rim is missed between two of them.
 DIRECTIONS = {0.012: 16, 0.04: 8, 0.15: 8}
 
 #: No share is less than this.
 LEAST_SHARE = 0.002
+
+#: Turns in degrees from the likeliest direction, and shares, from the best of which a fit begins.
+TURNS, STARTS = (-22.5, -11.25, 0.0, 11.25, 22.5), (0.006, 0.015, 0.035, 0.08, 0.2)
+
+#: Places at which the edge of a detachment is tabled.
+DEPTHS = 200
 
 
 class DetachmentCause(Cause):
@@ -44,6 +52,7 @@ class DetachmentCause(Cause):
         name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
         azimuth = float(variant.settings["azimuth"])
         boundary = next(boundary for boundary in bench.experiment.boundaries if boundary.name == name)
+        width = float(np.sqrt(node_areas(bench.experiment.mesh, boundary.nodes).mean()))
         # What gives way grows faster than its area.
         start = logit(share * float(np.clip(amplitudes[0], 0.1, 4.0)) ** 0.5, LEAST_SHARE)
 
@@ -51,11 +60,13 @@ class DetachmentCause(Cause):
             return Detachment(boundary=name, azimuth_deg=float(x[0]), share=logistic(x[1]))
 
         def between(x: FloatArray, young: float) -> list[tuple[float, tuple[Effect, ...]]]:
-            places, shares = effect(x).edges(bench.experiment.mesh, boundary.nodes)
-            # Nothing is free with the edge as far before the first node as the second lies behind it.
-            places = np.concatenate([[-max(float(places[1]), 1e-3)], places])
-            shares = np.concatenate([[0.0], shares, [1.0]])
-            edge = float(np.interp(logistic(x[1]), shares[:-1], places))
+            places, areas = effect(x).edges(bench.experiment.mesh, boundary.nodes)
+            # Each node's area is spread over its width, so that the edge goes on evenly as the share grows.
+            depths = np.linspace(-0.5 * width, places[-1] + 0.5 * width, DEPTHS)
+            covered = np.clip((depths[:, None] - places) / width + 0.5, 0.0, 1.0) @ areas
+            edge = float(np.interp(logistic(x[1]), covered, depths))
+            places = np.concatenate([[-0.5 * width], places])
+            shares = np.concatenate([[0.0], freeing_shares(areas), [1.0]])
             n_free = min(int((places <= edge).sum()), len(places) - 1) - 1
             more = (edge - places[n_free]) / max(float(places[n_free + 1] - places[n_free]), 1e-12)
             more = float(np.clip(more, 0.0, 1.0))
@@ -67,7 +78,8 @@ class DetachmentCause(Cause):
                 sets.append((weight, (freed,) if count else ()))
             return sets
 
-        return knobs(
+        turns, shares = azimuth + np.array(TURNS), [logit(share, LEAST_SHARE) for share in STARTS]
+        found = knobs(
             [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)],
             lambda x, young: (effect(x),),
             lambda x, young: {
@@ -77,6 +89,7 @@ class DetachmentCause(Cause):
             },
             between,
         )
+        return replace(found, starts=np.array([(turn, share) for turn in turns for share in shares]))
 
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""
