@@ -114,7 +114,7 @@ def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | Non
     Returns
     -------
     ndarray of float64, shape (size,), or None
-        mm and mN. None with memory or friction: such frames take minutes on a fine mesh, and what a body remembers
+        mm and mN. None where the material remembers: such frames take minutes on a fine mesh, and what a body remembers
         of a load has the error of the load's own answer, which the believed model's correction carries.
 
     Raises

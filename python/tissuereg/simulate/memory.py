@@ -148,7 +148,9 @@ def solve_through_time(
         _refuse_overlap(group)
         told = [frames_of_own(experiment, case) for case in group]
         fewer = [_only(case, first) for case, (first, _) in zip(group, told, strict=True)]
-        guides = near and {case.name: near[case.name][first] for case, (first, _) in zip(group, told, strict=True)}
+        guides = None
+        if near is not None:
+            guides = {case.name: near[case.name][first] for case, (first, _) in zip(group, told, strict=True)}
         report = None if progress is None else _counting(progress, done, told)
         found = _solve_group(experiment, fewer, element, tolerance, threads, guides, rigs, report)
         for case, (_, of_frame) in zip(group, told, strict=True):

@@ -302,9 +302,9 @@ def _by_load(
     if not goes_through_time(worked):
         report = Progress(progress, sum(len(case.times) for case in cases))
         return _elastic(fine, cases, "tet10", threads, report, "frames", near)
-    cases = _with_those_before(fine, cases)
+    cases = [worked.cases[case.name] for case in _with_those_before(fine, cases)]
     near = {} if near is None else near
-    first = [case for case in cases if case.name not in near]
+    first = [case for case in cases if len(near.get(case.name, ())) != len(first_frames(case))]
     report = Progress(progress, sum(len(case.times) for case in (*cases, *first)))
     if first:
         _elastic(_without_time(fine), first, "tet10", threads, report, "elastic frames", near)
@@ -328,10 +328,10 @@ def _remembering(
     `near` holds fields in the distinct states of models without memory.
     """
     cases = [ready.cases[case.name] for case in cases]
-    guides = near and {case.name: near[case.name][distinct_states(case)[1]] for case in cases}
-    settings: dict[str, Any] = {"element": element, "near": guides}
+    settings: dict[str, Any] = {"element": element}
     if near is not None:
-        settings["tolerance"] = TOLERANCE
+        guides = {case.name: near[case.name][distinct_states(case)[1]] for case in cases}
+        settings |= {"near": guides, "tolerance": TOLERANCE}
     if is_carried(ready):
         return solve_through_time(ready, cases, threads=threads, progress=report.of("history"), **settings)
     share = max(1, threads // max(len(cases), 1))
