@@ -7,13 +7,14 @@ derivative is carried from step to step by Broyden's update, and taken anew wher
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES, Knobs, Values, Variant
+from tissuereg.diagnose.causes.base import Mixture
 from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.noise import Noise
@@ -298,7 +299,7 @@ def slices_of(parts: Sequence[Part]) -> list[slice]:
     return found
 
 
-def at_believed_modulus(target: Target, found: Fit) -> tuple[list[Effect], FloatArray]:
+def at_believed_modulus(target: Target, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
     """Return the effects of a fit, and what the user's mesh says of them, at the believed modulus.
 
     Parameters
@@ -310,7 +311,7 @@ def at_believed_modulus(target: Target, found: Fit) -> tuple[list[Effect], Float
 
     Returns
     -------
-    tuple of list of Effect and ndarray of float64, shape (size,)
+    tuple of tuple of Effect and ndarray of float64, shape (size,)
         The latter in mm and mN.
 
     Raises
@@ -322,22 +323,8 @@ def at_believed_modulus(target: Target, found: Fit) -> tuple[list[Effect], Float
     """
     x = found.x.copy()
     x[0] = 0.0
-    effects = [
-        effect
-        for part, mine in zip(found.parts, found.slices(), strict=True)
-        for effect in part.knobs.effects(x[mine], target.bench.young)
-    ]
+    effects = replace(found, x=x).effects(target.bench.young)
     return effects, _Solver(target, found.parts).uncorrected(x)
-
-
-def mixed(parts: Sequence[Part], x: FloatArray, young: float) -> list[tuple[float, list[Effect]]]:
-    """Return weights, one in all, and sets of effects whose answers a user's mesh gives for coordinates (k,)."""
-    mixture: list[tuple[float, list[Effect]]] = [(1.0, [])]
-    for part, mine in zip(parts, slices_of(parts), strict=True):
-        if part.knobs.columns is None:
-            own = part.knobs.mixture(x[mine], young)
-            mixture = [(a * b, [*before, *more]) for a, before in mixture for b, more in own if b > 0.0]
-    return mixture
 
 
 class _Solver:
@@ -388,9 +375,15 @@ class _Solver:
         """Return the modulus over the believed one."""
         return float(np.exp(np.clip(x[0], -3.0, 3.0)))
 
-    def mixture(self, x: FloatArray) -> list[tuple[float, list[Effect]]]:
+    def mixture(self, x: FloatArray) -> Mixture:
         """Return what all parts that are more than columns are between."""
-        return mixed(self.parts, x, self.target.bench.young * (1.0 if self.scales else self.factor(x)))
+        young = self.target.bench.young * (1.0 if self.scales else self.factor(x))
+        mixture: Mixture = [(1.0, ())]
+        for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
+            if part.knobs.columns is None:
+                own = part.knobs.mixture(x[mine], young)
+                mixture = [(a * b, (*before, *more)) for a, before in mixture for b, more in own if b > 0.0]
+        return mixture
 
     def start_from(self, x: FloatArray) -> None:
         """Seek what follows near what was just predicted."""

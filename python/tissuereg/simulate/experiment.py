@@ -257,20 +257,19 @@ def _solve_elastic(
     """Return the frames of a case, each on its own and all in parallel."""
     simulator = believed.simulator
     _, state_of = distinct_states(case)
-    loads = [believed.loads[frame] for frame in first_frames(case)]
+    loads = [believed.loads[frame] for frame in first_frames(state_of)]
     report = None if progress is None else (lambda n: progress(n * len(state_of) // len(loads)))
     materials = [experiment.material] * len(loads)
     found = simulator.solve_many(loads, materials, tolerance=tolerance, threads=threads, progress=report)
-    why = dict(found.failed)
-    failed = [(frame, why[state]) for frame, state in enumerate(state_of) if state in why]
-    if len(failed) == len(case.times):
-        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
+    if len(found.failed) == len(loads):
+        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {found.failed[0][1]}"
         raise ConvergenceError(message, where=case.name)
     forces = {
-        pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)[state_of]
+        pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)
         for pad in pads_of(experiment, case)
     }
-    return SolvedCase(found.displacement[state_of], forces, failed, found.all_displacement[state_of])
+    solved = SolvedCase(found.displacement, forces, found.failed, found.all_displacement)
+    return solved.at_every_frame(state_of)
 
 
 def _loads(

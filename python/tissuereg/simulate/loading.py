@@ -74,20 +74,9 @@ def distinct_states(case: Case) -> tuple[FloatArray, IntArray]:
     return table[first[order]], rank[inverse.ravel()]
 
 
-def first_frames(case: Case) -> IntArray:
-    """Return the frames in which the `distinct_states` of a case first appear.
-
-    Parameters
-    ----------
-    case : Case
-        With what is given to its actuators.
-
-    Returns
-    -------
-    ndarray of int64, shape (n_states,)
-        Increasing.
-    """
-    return np.unique(distinct_states(case)[1], return_index=True)[1]
+def first_frames(of_frame: IntArray) -> IntArray:
+    """Return the frames in which states first appear, shape (n_states,), from that of every frame."""
+    return np.unique(of_frame, return_index=True)[1]
 
 
 def _patch(experiment: Experiment, pad: Actuator) -> tuple[IntArray, float]:

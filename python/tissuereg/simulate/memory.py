@@ -19,7 +19,7 @@ from tissuereg.experiment import Case, Experiment
 from tissuereg.load import Load
 from tissuereg.simulate import behaviour
 from tissuereg.simulate.frames import Pad, Rigs, solve_frames
-from tissuereg.simulate.loading import distinct_states, hangs_already, pads_of, traction_of, weight_of
+from tissuereg.simulate.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
 
 #: Times of relaxation in each of the four steps in which a body that stands comes to rest. A step takes strain to grow
 #: linearly, so each leaves about 1/30 of what it has to creep.
@@ -55,6 +55,17 @@ class SolvedCase:
     forces: dict[str, FloatArray]
     failed: list[tuple[int, str]]
     all_displacement: FloatArray
+
+    def at_every_frame(self, of_frame: IntArray) -> "SolvedCase":
+        """Return a case of more frames, each of which is equal to one of these, whose number `of_frame` (n,) holds."""
+        why = dict(self.failed)
+        every = self.all_displacement[of_frame]
+        return SolvedCase(
+            every[:, : self.displacement.shape[1]],
+            {name: force[of_frame] for name, force in self.forces.items()},
+            [(frame, why[solved]) for frame, solved in enumerate(of_frame.tolist()) if solved in why],
+            every,
+        )
 
 
 def goes_through_time(experiment: Experiment) -> bool:
@@ -154,7 +165,7 @@ def solve_through_time(
         report = None if progress is None else _counting(progress, done, told)
         found = _solve_group(experiment, fewer, element, tolerance, threads, guides, rigs, report)
         for case, (_, of_frame) in zip(group, told, strict=True):
-            solved[case.name] = _at_every_frame(found[case.name], of_frame)
+            solved[case.name] = found[case.name].at_every_frame(of_frame)
         done += sum(len(case.times) for case in group)
     return {case.name: solved[case.name] for case in cases}
 
@@ -181,7 +192,7 @@ def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArra
     of_frame = distinct_states(case)[1]
     if is_carried(experiment):
         of_frame = np.cumsum(np.diff(of_frame, prepend=of_frame[0]) != 0)
-    return np.unique(of_frame, return_index=True)[1], of_frame
+    return first_frames(of_frame), of_frame
 
 
 def _only(case: Case, frames: IntArray) -> Case:
@@ -191,18 +202,6 @@ def _only(case: Case, frames: IntArray) -> Case:
         times=case.times[frames],
         displacements={name: motion[frames] for name, motion in case.displacements.items()},
         applied_forces={name: force[frames] for name, force in case.applied_forces.items()},
-    )
-
-
-def _at_every_frame(found: SolvedCase, of_frame: IntArray) -> SolvedCase:
-    """Return a case with the frames that are equal to solved ones."""
-    why = dict(found.failed)
-    every = found.all_displacement[of_frame]
-    return SolvedCase(
-        every[:, : found.displacement.shape[1]],
-        {name: force[of_frame] for name, force in found.forces.items()},
-        [(frame, why[solved]) for frame, solved in enumerate(of_frame.tolist()) if solved in why],
-        every,
     )
 
 

@@ -14,6 +14,9 @@ from tissuereg.effects import Effect
 #: Parameters as an answer gives them: numbers, lists of numbers, names.
 Values = dict[str, Any]
 
+#: Weights, one in all, and sets of effects whose answers they belong to.
+Mixture = list[tuple[float, tuple[Effect, ...]]]
+
 
 @dataclass(frozen=True, eq=False)
 class Variant:
@@ -71,10 +74,10 @@ class Knobs:
     values: Callable[[FloatArray, float], Values]
     step: FloatArray
     columns: FloatArray | None = None
-    between: Callable[[FloatArray, float], list[tuple[float, tuple[Effect, ...]]]] | None = None
+    between: Callable[[FloatArray, float], Mixture] | None = None
     starts: FloatArray | None = None
 
-    def mixture(self, x: FloatArray, young: float) -> list[tuple[float, tuple[Effect, ...]]]:
+    def mixture(self, x: FloatArray, young: float) -> Mixture:
         """Return weights, one in all, and effects whose answers the user's mesh gives for coordinates (k,)."""
         return [(1.0, self.effects(x, young))] if self.between is None else self.between(x, young)
 
@@ -151,11 +154,10 @@ def knobs(
     coordinates: Iterable[tuple[float, float, float, float]],
     effects: Callable[[FloatArray, float], tuple[Effect, ...]],
     values: Callable[[FloatArray, float], Values],
-    between: Callable[[FloatArray, float], list[tuple[float, tuple[Effect, ...]]]] | None = None,
 ) -> Knobs:
     """Return knobs from rows of start, prior mean, prior deviation and step."""
     start, mean, deviation, step = np.array(list(coordinates), np.float64).T
-    return Knobs(start, mean, deviation, effects, values, step, between=between)
+    return Knobs(start, mean, deviation, effects, values, step)
 
 
 def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:

@@ -8,8 +8,8 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
-from tissuereg.effects import Detachment, Effect
+from tissuereg.diagnose.causes.base import Cause, Knobs, Mixture, Values, Variant, knobs, logistic, logit
+from tissuereg.effects import Detachment
 from tissuereg.effects.supports import freeing_shares, node_areas
 
 #: Directions that are tried for shares of the boundary's area: a small part of a rim is missed between two of them.
@@ -51,7 +51,7 @@ class DetachmentCause(Cause):
         """
         name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
         azimuth = float(variant.settings["azimuth"])
-        boundary = next(boundary for boundary in bench.experiment.boundaries if boundary.name == name)
+        boundary = Detachment(boundary=name, azimuth_deg=azimuth, share=share).held_by(bench.experiment)
         width = float(np.sqrt(node_areas(bench.experiment.mesh, boundary.nodes).mean()))
         # What gives way grows faster than its area.
         start = logit(share * float(np.clip(amplitudes[0], 0.1, 4.0)) ** 0.5, LEAST_SHARE)
@@ -59,7 +59,7 @@ class DetachmentCause(Cause):
         def effect(x: FloatArray) -> Detachment:
             return Detachment(boundary=name, azimuth_deg=float(x[0]), share=logistic(x[1]))
 
-        def between(x: FloatArray, young: float) -> list[tuple[float, tuple[Effect, ...]]]:
+        def between(x: FloatArray, young: float) -> Mixture:
             places, areas = effect(x).edges(bench.experiment.mesh, boundary.nodes)
             # Each node's area is spread over its width, so that the edge goes on evenly as the share grows.
             depths = np.linspace(-0.5 * width, places[-1] + 0.5 * width, DEPTHS)
@@ -70,7 +70,7 @@ class DetachmentCause(Cause):
             n_free = min(int((places <= edge).sum()), len(places) - 1) - 1
             more = (edge - places[n_free]) / max(float(places[n_free + 1] - places[n_free]), 1e-12)
             more = float(np.clip(more, 0.0, 1.0))
-            sets: list[tuple[float, tuple[Effect, ...]]] = []
+            sets: Mixture = []
             for weight, count in ((1.0 - more, n_free), (more, n_free + 1)):
                 # Midway to where the next node would be free.
                 own = 0.5 * float(shares[count] + shares[count + 1])
@@ -87,9 +87,8 @@ class DetachmentCause(Cause):
                 "azimuth_deg": float(x[0]),
                 "share": logistic(x[1]),
             },
-            between,
         )
-        return replace(found, starts=np.array([(turn, share) for turn in turns for share in shares]))
+        return replace(found, between=between, starts=np.array([(turn, share) for turn in turns for share in shares]))
 
     def sentence(self, values: Values) -> str:
         """Return the finding in plain words."""

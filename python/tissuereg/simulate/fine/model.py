@@ -152,7 +152,7 @@ class FineModel:
             if warm and (self._near is None or self._near[0] is not fine.mesh):
                 self._near = (fine.mesh, {})
             near = self._near[1] if warm and self._near is not None else None
-            readings = _by_load(fine, wanted, threads, near, progress)
+            readings = _by_load(fine, worked, wanted, threads, near, progress)
         answers = {}
         for case in wanted:
             said = readings[case.name]
@@ -175,14 +175,15 @@ class FineModel:
         progress: Callable[[int, int], None] | None,
     ) -> dict[str, Reading]:
         """Return cases that go through time, in ten-node elements or corrected by their elastic answers."""
-        through = _with_those_before(fine, cases)
-        n_frames = sum(len(case.times) for case in cases)
-        report = Progress(progress, sum(len(case.times) for case in through) + (0 if fully else 2 * n_frames))
         # Four-node elements lock where ten-node ones do not; there their averaged kin stand in.
         locks = float(extended(fine, "tet4").material.poisson_array.max()) > _LOCKS_ABOVE
         rough = "tet4-averaged" if locks else "tet4"
         element = "tet10" if fully else rough
-        solved = _remembering(extended(fine, element), through, element, threads, report)
+        worked = extended(fine, element)
+        through = _with_those_before(worked, cases)
+        n_frames = sum(len(case.times) for case in cases)
+        report = Progress(progress, sum(len(case.times) for case in through) + (0 if fully else 2 * n_frames))
+        solved = _remembering(worked, through, element, threads, report)
         reader = Reader(fine, quadratic=fully)
         readings = {case.name: reader.read(solved[case.name]) for case in cases}
         if fully:
@@ -271,23 +272,24 @@ def _elastic(
         begin = None if near is None else near.get(case.name)
         solved = solve_states(ready, moved, element=element, threads=share, near=begin, progress=told)
         if near is not None:
-            near[case.name] = solved.all_displacement[first_frames(moved)]
+            near[case.name] = solved.all_displacement[first_frames(distinct_states(moved)[1])]
         return reader.read(solved)
 
     with ThreadPoolExecutor(max_workers=threads) as pool:
         return dict(zip([case.name for case in cases], pool.map(read, cases), strict=True))
 
 
-def _with_those_before(fine: Experiment, cases: Sequence[Case]) -> list[Case]:
-    """Return cases with all that they depend on."""
-    if not is_carried(extended(fine, "tet10")):
-        return list(cases)
+def _with_those_before(worked: Experiment, cases: Sequence[Case]) -> list[Case]:
+    """Return cases with all that they depend on, effects worked in."""
+    if not is_carried(worked):
+        return [worked.cases[case.name] for case in cases]
     last = max(float(case.times[0]) for case in cases)
-    return [case for case in fine.cases.values() if case.times[0] <= last]
+    return [case for case in worked.cases.values() if case.times[0] <= last]
 
 
 def _by_load(
     fine: Experiment,
+    worked: Experiment,
     cases: Sequence[Case],
     threads: int,
     near: Fields | None,
@@ -295,23 +297,23 @@ def _by_load(
 ) -> dict[str, Reading]:
     """Return cases without memory in ten-node elements, from fields near by where given; they leave theirs there.
 
-    On springs, with friction, or where the mesh hangs in its weight already, a body that does without is solved first:
-    its change from state to state leads to these in a sixth of the time.
+    `worked` has the effects of `fine` worked in. On springs, with friction, or where the mesh hangs already,
+    a body that does without is solved first: its change from state to state leads to these in a sixth of the time.
     """
-    worked = extended(fine, "tet10")
     if not goes_through_time(worked):
         report = Progress(progress, sum(len(case.times) for case in cases))
         return _elastic(fine, cases, "tet10", threads, report, "frames", near)
-    cases = [worked.cases[case.name] for case in _with_those_before(fine, cases)]
+    cases = _with_those_before(worked, cases)
+    states = {case.name: distinct_states(case)[1] for case in cases}
     near = {} if near is None else near
-    first = [case for case in cases if len(near.get(case.name, ())) != len(first_frames(case))]
+    first = [case for case in cases if len(near.get(case.name, ())) != len(first_frames(states[case.name]))]
     report = Progress(progress, sum(len(case.times) for case in (*cases, *first)))
     if first:
         _elastic(_without_time(fine), first, "tet10", threads, report, "elastic frames", near)
     solved = _remembering(worked, cases, "tet10", threads, report, near)
     reader = Reader(fine, quadratic=True)
     for case in cases:
-        near[case.name] = solved[case.name].all_displacement[first_frames(case)]
+        near[case.name] = solved[case.name].all_displacement[first_frames(states[case.name])]
     return {case.name: reader.read(solved[case.name]) for case in cases}
 
 
@@ -327,7 +329,6 @@ def _remembering(
 
     `near` holds fields in the distinct states of models without memory.
     """
-    cases = [ready.cases[case.name] for case in cases]
     settings: dict[str, Any] = {"element": element}
     if near is not None:
         guides = {case.name: near[case.name][distinct_states(case)[1]] for case in cases}
