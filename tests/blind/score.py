@@ -14,6 +14,7 @@ import numpy as np
 from blind.compare import comparison, made, read_methods
 from blind.materialise import case_names
 from blind.scored import (
+    SEEN,
     Scored,
     clear_singles,
     gains,
@@ -21,6 +22,7 @@ from blind.scored import (
     of_kind,
     read_predictions,
     scored,
+    seen,
     singles,
     wilson,
 )
@@ -56,7 +58,7 @@ def rows(cases: list[Scored], oracle: dict[str, dict], without: dict[str, list[S
     without : dict
         Scored cases of a hidden id, diagnosed with that id out of the catalogue, by id.
     """
-    table = [*_null_rows(cases), *_single_rows(cases), *_outside_rows(cases, without)]
+    table = [*_null_rows(cases), *_single_rows(cases, oracle), *_outside_rows(cases, without)]
     table += [*_gain_rows(cases, oracle), *_pair_rows(cases), *_probability_rows(cases), *_tied_rows(cases)]
     return table
 
@@ -77,10 +79,18 @@ def _null_rows(cases):
         yield _count(f"false alarms, noise {noise}", (bool(c.ids) for c in some), "", 1.0, at_least=False)
 
 
-def _single_rows(cases):
+def _single_rows(cases, oracle):
     every, clear = singles(cases), clear_singles(cases)
+    told = [c for c in clear if c.case in oracle]
     yield _count("singles, d >= 8, separable: right group", (c.right for c in clear), ">= 90 %", 0.9)
     yield _count("the same, exact", (c.exact for c in clear), ">= 80 %", 0.8)
+    yield _count(
+        f"right group, where a fit that is told the cause gains {SEEN:g} nats",
+        (c.right for c in seen(told, oracle)),
+        "",
+        0.0,
+        note=f"{len(told) - len(seen(told, oracle))} of {len(told)} told fits gain less",
+    )
     high = [c for c in clear if c.truth["detectability"] >= 20]
     yield _count("singles, d >= 21, separable: right group", (c.right for c in high), ">= 97 %", 0.97)
     eight = [c for c in every if c.truth["level"] == 8.0]
@@ -232,15 +242,19 @@ def report(
         "",
         "## Power: right group by detectability",
         "",
-        "| cause | " + " | ".join(f"{x:g}" for x in levels) + " |",
-        "|---|" + "---|" * len(levels),
+        f"Last column: told the cause, from d = 8 on, a fit gains {SEEN:g} nats by it in so many of those asked.",
+        "",
+        "| cause | " + " | ".join(f"{x:g}" for x in levels) + " | told |",
+        "|---|" + "---|" * (len(levels) + 1),
     ]
     for cause, row in sorted(table.items()):
+        told = [c for c in clear_singles(cases) if c.truth["cause"][0] == cause and c.case in oracle]
         cells = [f"{row[x][0]}/{row[x][1]}" if x in row else "" for x in levels]
+        cells.append(f"{len(seen(told, oracle))}/{len(told)}" if told else "")
         lines.append(f"| {cause} | " + " | ".join(cells) + " |")
     every = [tuple(sum(row[x][k] for row in table.values() if x in row) for k in (0, 1)) for x in levels]
     cells = [f"{h}/{n} ({100 * wilson(h, n)[0]:.0f}-{100 * wilson(h, n)[1]:.0f} %)" for h, n in every]
-    lines.append("| all | " + " | ".join(cells) + " |")
+    lines.append("| all | " + " | ".join(cells) + " | |")
     lines += ["", "## What was answered", "", "| hidden | answered |", "|---|---|"]
     for hidden, counts in sorted(confusion(cases).items()):
         lines.append(f"| {hidden} | " + ", ".join(f"{what} {n}" for what, n in counts.most_common()) + " |")

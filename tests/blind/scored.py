@@ -18,6 +18,9 @@ from blind.materialise import DATA
 #: Fall of the sum of squares on what was held out, below which there is nothing to gain.
 LEAST_TO_GAIN = 9.0
 
+#: Nats that a fit which is told the cause must gain for the effect to be seen: the diagnoser's least threshold.
+SEEN = 6.0
+
 NAMED = ("named", "group")
 
 
@@ -107,6 +110,12 @@ def singles(cases: list[Scored]) -> list[Scored]:
 def clear_singles(cases: list[Scored]) -> list[Scored]:
     """Return those of them that are to be named: large enough, and separable."""
     return [c for c in singles(cases) if c.truth["detectability"] >= 7.8 and c.truth["separable"]]
+
+
+def seen(cases: list[Scored], oracle: dict[str, dict]) -> list[Scored]:
+    """Return the cases whose causes a fit that is told them gains enough by, beside all that is uncertain anyway."""
+    told = {name: sum(cause["log_bayes_factor"] for cause in said["causes"]) for name, said in oracle.items()}
+    return [case for case in cases if told.get(case.case, 0.0) >= SEEN]
 
 
 def held_out(case: Scored) -> dict:

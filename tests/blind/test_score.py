@@ -76,6 +76,16 @@ def test_weak_and_inseparable_effects_do_not_count_as_separable():
     assert counted(cases, "wrong group named, all singles") == (0, 3)
 
 
+def test_an_effect_is_seen_where_a_fit_that_is_told_it_gains_by_it():
+    cases = [Scored("b1", truth(), named("layer")), *(Scored(f"b{i}", truth(), CONSISTENT) for i in (2, 3, 4))]
+    nats = {"b1": 80.0, "b2": 7.0, "b3": 2.0}
+    oracle = {name: {"causes": [{"id": "layer", "log_bayes_factor": gain}]} for name, gain in nats.items()}
+    row = figure(cases, "right group, where a fit that is told the cause gains 6 nats", oracle=oracle)
+    assert (row.hits, row.n) == (1, 2)
+    assert row.note == "1 of 3 told fits gain less"
+    assert "| layer | 1/4 | 2/3 |" in report(cases, oracle, {}, {})
+
+
 def test_an_effect_outside_the_catalogue_is_unexplained_or_misnamed():
     outside = truth("outside", (), outside=["?"], group_ok=[])
     cases = [
