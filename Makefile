@@ -12,7 +12,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: blind blind-quick blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: blind blind-quick blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -24,6 +24,7 @@ help:
 	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls; make blind: all of it -> docs/blind.md"
 	@echo "make blind-beside    fits that are told, rivals and ablations on the same cases (each alone: blind-oracle,"
 	@echo "                     blind-without, blind-rivals, blind-ablations; JOBS=2 side by side, TIER=quick fewer cases)"
+	@echo "make blind-sizes     how large what is uncertain must be, on its nulls that have been answered"
 	@echo "make blind-data      its data, made by a foreign solver (hours; resumable; ONE=name: one, compared)"
 	@echo "make bench           times by stage -> benchmarks/results/"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
@@ -109,6 +110,11 @@ blind-oracle blind-without blind-rivals blind-ablations blind-beside: $(VENV)/.i
 	$(BLIND).score $(BLIND_OUT)/predictions --list-oracle $(BLIND_OUT)/oracle.txt --list-without $(BLIND_OUT)/without.txt
 	$(BLIND).run --tier $(TIER) --jobs $(JOBS) \
 		--methods $(if $(filter %beside,$@),oracle without rivals ablations,$(@:blind-%=%))
+	$(BLIND).score $(BLIND_OUT)/predictions --out docs/blind.md
+
+# How large the nuisances must be, on the nulls among the answers.
+blind-sizes: $(VENV)/.installed-dev
+	$(BLIND).sizes $(BLIND_OUT)/predictions
 	$(BLIND).score $(BLIND_OUT)/predictions --out docs/blind.md
 
 # Foreign solves that are missing, by scikit-fem (and pypardiso, where it is there), then the cases; ONE=name: one, compared.

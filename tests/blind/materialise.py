@@ -3,6 +3,7 @@
 Reads no answers. A case tells what is measured and believed, and nothing else.
 """
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -48,6 +49,17 @@ def materialise(case: str, folder: Path, cases: Path = CASES) -> Path:
         _write(folder / "forces.csv", "actuator", "mN", pushed, times[loaded], pushed, forces[:, None], 2)
     with np.load(MESHES / mesh) as stored:
         _write_mesh(folder / "mesh.vtu", stored["nodes"], stored["tets"])
+    return folder
+
+
+def folder_of(case: str, work: Path) -> Path:
+    """Return the experiment folder of a stored case below a work folder, written once, whole or not at all."""
+    folder = work / "cases" / case
+    if not folder.exists():
+        partial = folder.with_suffix(".part")
+        shutil.rmtree(partial, ignore_errors=True)
+        materialise(case, partial)
+        partial.rename(folder)
     return folder
 
 

@@ -15,7 +15,6 @@ import multiprocessing
 import multiprocessing.process
 import os
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -28,7 +27,7 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
-from blind.materialise import DATA, case_names, materialise
+from blind.materialise import DATA, case_names, folder_of
 
 TIERS = DATA / "tiers.json"
 BUILD = Path("build") / "blind"
@@ -96,12 +95,7 @@ def diagnose(question: Question, work: Path, threads: int = 0) -> dict:
     kept = question.kept
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
-    folder = work / "cases" / question.case
-    if not folder.exists():
-        partial = folder.with_suffix(".part")
-        shutil.rmtree(partial, ignore_errors=True)
-        materialise(question.case, partial)
-        partial.rename(folder)
+    folder = folder_of(question.case, work)
     begun = time.perf_counter()
     try:
         answer = _asked(question, folder, work / "out" / question.case, threads)

@@ -5,6 +5,7 @@ Cases without a prediction are not scored. Counts come with 95 % Wilson interval
 """
 
 import argparse
+import json
 from collections import Counter, defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -224,6 +225,7 @@ def report(
     without: dict[str, list[Scored]],
     methods: dict[str, list[Scored]],
     note: str = "",
+    sizes: dict | None = None,
 ) -> str:
     """Return all tables in Markdown, with a note on how the answers were made."""
     lines = [
@@ -260,14 +262,35 @@ def report(
         lines.append(f"| {hidden} | " + ", ".join(f"{what} {n}" for what, n in counts.most_common()) + " |")
     if methods:
         lines += ["", "## Rivals and ablations on the same cases", "", *comparison(cases, methods, oracle)]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines + _sizes_table(sizes)) + "\n"
+
+
+def _sizes_table(sizes):
+    if sizes is None:
+        return []
+    lines = [
+        "",
+        "## How large what is uncertain must be",
+        "",
+        f"Prior deviations of the nuisances under which {sizes['nulls']} nulls are likeliest, over those in use: below "
+        "1 too much is taken for uncertain, and weak effects are lost in it.",
+        "",
+        "| kind | factor | within 2 nats | gain in nats |",
+        "|---|---|---|---|",
+    ]
+    for kind, found in sorted(sizes["sizes"].items()):
+        likely = f"{found['low']:.2f}-{found['high']:.2f}"
+        lines.append(f"| {kind} | {found['factor']:.2f} | {likely} | {found['gain_nats']:.1f} |")
+    return lines
 
 
 def main() -> None:
     """Score a folder of predictions."""
     parser = argparse.ArgumentParser(prog="python -m blind.score", description=__doc__)
     parser.add_argument(
-        "predictions", type=Path, help="CASE.json; the same in oracle/, without/, rivals/NAME/, ablations/NAME/"
+        "predictions",
+        type=Path,
+        help="CASE.json; the same in oracle/, without/, rivals/NAME/, ablations/NAME/; sizes.json of blind.sizes",
     )
     parser.add_argument("--out", type=Path, help="Markdown file; standard output if absent")
     parser.add_argument("--list-oracle", type=Path, help="write CASE ID,ID of what a told fit would be given, and stop")
@@ -287,7 +310,9 @@ def main() -> None:
     for case in scored(read_predictions(options.predictions / "without")):
         without[case.truth["cause"][0]].append(case)
     oracle = read_predictions(options.predictions / "oracle")
-    text = report(cases, oracle, dict(without), read_methods(options.predictions), options.note)
+    kept = options.predictions / "sizes.json"
+    sizes = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else None
+    text = report(cases, oracle, dict(without), read_methods(options.predictions), options.note, sizes)
     if options.out:
         options.out.write_text(text, encoding="utf-8")
     else:

@@ -1,0 +1,127 @@
+"""How large what is uncertain must be, on effect-free data: ``python -m blind.sizes PREDICTIONS``.
+
+Evidence that a cause must beat falls as the nuisances of `tissuereg.diagnose` grow; whether they are larger than need
+be tells whether weak effects could be seen. The factor on the prior deviations of every kind is sought under which the
+residuals of all nulls that have been answered are likeliest, the other kinds as they are: 1 is right, below 1 too much
+is taken for uncertain. Kept in ``PREDICTIONS/sizes.json``, which `blind.score` shows.
+"""
+
+import argparse
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from blind.materialise import folder_of
+from blind.run import BUILD
+from blind.scored import of_kind, read_predictions, scored
+from tissuereg.diagnose import run
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.correction import make_correction
+from tissuereg.diagnose.evidence import Null
+from tissuereg.diagnose.fit import Target, fit
+from tissuereg.diagnose.noise import estimate_noise
+from tissuereg.diagnose.nuisances import make_nuisances
+from tissuereg.diagnose.refined import path_of, refined_predictions
+from tissuereg.diagnose.signals import Layout
+from tissuereg.io.experiments import read_experiment
+
+#: Factors that are tried.
+FACTORS = np.geomspace(0.25, 4.0, 49)
+
+#: Factors that cost no more than this are in the range, nats: two standard deviations.
+IN_RANGE = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Needs:
+    """What the likelihood of one case's nuisances hangs on.
+
+    Attributes
+    ----------
+    kinds : ndarray of str, shape (n,)
+        Of every nuisance.
+    inner : ndarray of float64, shape (n, n)
+        Inner products of the whitened columns.
+    along : ndarray of float64, shape (n,)
+        Those with what the believed model leaves.
+    """
+
+    kinds: np.ndarray
+    inner: np.ndarray
+    along: np.ndarray
+
+    def log_likelihood(self, factors: np.ndarray) -> float:
+        """Return that of prior deviations that are factors (n,) of the present ones, up to a constant."""
+        inner = np.eye(len(factors)) + factors[:, None] * self.inner * factors
+        along = factors * self.along
+        return float(0.5 * along @ np.linalg.solve(inner, along) - 0.5 * np.linalg.slogdet(inner)[1])
+
+
+def needs_of(folder: Path, threads: int = 0) -> Needs:
+    """Return what one experiment tells of the nuisances, the modulus fitted beside them."""
+    experiment = read_experiment(folder)
+    layout = Layout(experiment)
+    noise = estimate_noise(experiment, layout)
+    bench = Bench(experiment, layout, threads=threads)
+    fine, others = refined_predictions(bench, path_of(experiment))
+    correction = make_correction(layout, bench.base, fine)
+    nuisances = make_nuisances(bench, others - fine)
+    correction = run._at_modulus(bench, noise, correction, nuisances)
+    kept = nuisances.but("stiffness")
+    white = noise.whitened(correction.of_columns(nuisances.columns[kept]), layout)
+    left = fit(Target(bench, noise, correction, Null(white)), []).residual
+    pads = {pad for part in layout.parts for pad in part.pads}
+    names = np.array(nuisances.names)[kept]
+    return Needs(np.array([kind_of(name, pads) for name in names]), white @ white.T, white @ left)
+
+
+def kind_of(name: str, pads: set[str]) -> str:
+    """Return the kind of a nuisance: its first word, the mesh's error in forces and in markers apart."""
+    words = name.split()
+    if words[0] != "mesh":
+        return words[0]
+    return "mesh, forces" if words[-2] in pads else "mesh, markers"
+
+
+def sizes_of(needs: list[Needs]) -> dict[str, dict[str, float]]:
+    """Return for every kind the likeliest factor, and the lowest and highest that are hardly less likely."""
+    found = {}
+    for kind in sorted({kind for case in needs for kind in case.kinds}):
+        logs = np.array([_together(needs, kind, factor) for factor in FACTORS])
+        likely = FACTORS[logs >= logs.max() - IN_RANGE]
+        found[kind] = {
+            "factor": float(FACTORS[logs.argmax()]),
+            "low": float(likely.min()),
+            "high": float(likely.max()),
+            "gain_nats": float(logs.max() - _together(needs, kind, 1.0)),
+        }
+    return found
+
+
+def _together(needs: list[Needs], kind: str, factor: float) -> float:
+    return sum(case.log_likelihood(np.where(case.kinds == kind, factor, 1.0)) for case in needs)
+
+
+def main() -> None:
+    """Look at the nulls of a folder of predictions and keep what they ask for."""
+    parser = argparse.ArgumentParser(prog="python -m blind.sizes", description=__doc__)
+    parser.add_argument("predictions", type=Path, help="folder of answers; only nulls among them are looked at")
+    parser.add_argument("--work", type=Path, default=BUILD)
+    parser.add_argument("--threads", type=int, default=0)
+    options = parser.parse_args()
+    os.environ.setdefault("TISSUEREG_CACHE", str((options.work / "cache").resolve()))
+    needs = []
+    nulls = of_kind(scored(read_predictions(options.predictions)), "null")
+    for number, null in enumerate(nulls, start=1):
+        needs.append(needs_of(folder_of(null.case, options.work), options.threads))
+        print(f"{number}/{len(nulls)} {null.case}", flush=True)
+    kept = options.predictions / "sizes.json"
+    kept.write_text(json.dumps({"nulls": len(nulls), "sizes": sizes_of(needs)}, indent=1) + "\n", encoding="utf-8")
+    print(kept.read_text(encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    main()

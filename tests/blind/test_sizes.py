@@ -1,0 +1,54 @@
+"""The sizes that effect-free data ask for: found again where they are known."""
+
+import numpy as np
+import pytest
+
+from blind.score import report
+from blind.sizes import Needs, kind_of, sizes_of
+
+
+def drawn(true, generator, size=40):
+    """Return a case whose nuisances, two of each kind, are `true` times their prior deviations."""
+    kinds = np.repeat(list(true), 2)
+    columns = generator.standard_normal((len(kinds), size))
+    amplitudes = np.array([true[kind] for kind in kinds]) * generator.standard_normal(len(kinds))
+    left = amplitudes @ columns + generator.standard_normal(size)
+    return Needs(kinds, columns @ columns.T, columns @ left)
+
+
+def test_sizes_are_found_again():
+    rng = np.random.default_rng(3)
+    true = {"frame": 1.0, "rim": 2.5, "gain": 0.4}
+    found = sizes_of([drawn(true, rng) for _ in range(40)])
+    for kind, size in found.items():
+        # Ranges are of two standard deviations; this is one of four.
+        assert size["low"] ** 2 / size["factor"] < true[kind] < size["high"] ** 2 / size["factor"], kind
+        assert size["high"] / size["low"] < 1.7, kind
+    assert found["rim"]["gain_nats"] > 20.0
+
+
+def test_likelihood_is_that_of_the_whole_covariance():
+    rng = np.random.default_rng(4)
+    columns, left = rng.standard_normal((3, 7)), rng.standard_normal(7)
+    needs = Needs(np.array(["a", "a", "b"]), columns @ columns.T, columns @ left)
+
+    def dense(factors):
+        covariance = np.eye(7) + (factors[:, None] * columns).T @ (factors[:, None] * columns)
+        return -0.5 * left @ np.linalg.solve(covariance, left) - 0.5 * np.linalg.slogdet(covariance)[1]
+
+    some, others = np.array([1.0, 2.0, 0.3]), np.ones(3)
+    change = needs.log_likelihood(some) - needs.log_likelihood(others)
+    assert change == pytest.approx(dense(some) - dense(others), abs=1e-10)
+
+
+def test_forces_and_markers_of_the_mesh_are_told_apart():
+    pads = {"push_x"}
+    assert kind_of("mesh push_x push_x 2", pads) == "mesh, forces"
+    assert kind_of("mesh push_x 2 0", pads) == "mesh, markers"
+    assert kind_of("rim push_x P3 1", pads) == "rim"
+
+
+def test_the_report_shows_what_was_found():
+    sizes = {"nulls": 9, "sizes": {"rim": {"factor": 1.31, "low": 1.2, "high": 1.46, "gain_nats": 10.4}}}
+    assert "| rim | 1.31 | 1.20-1.46 | 10.4 |" in report([], {}, {}, {}, sizes=sizes)
+    assert "uncertain" not in report([], {}, {}, {})
