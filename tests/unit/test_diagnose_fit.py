@@ -20,6 +20,7 @@ from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import recorrected, settled
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
+from tissuereg.diagnose.run import group_of
 from tissuereg.diagnose.screen import Screened
 from tissuereg.diagnose.search import Candidate, Search, Step, _fit_forms
 from tissuereg.diagnose.signals import Layout
@@ -254,6 +255,18 @@ def test_candidates_close_to_the_one_found_are_counted_from_its_own_round():
     step = Step({}, candidates, Candidate("layer", None, 300.0, None), None)
     assert [c.id for c in step.close(8.0)] == ["fibre"]
     assert replace(step, found=None).close(8.0) == []
+
+
+def grouped(threshold, **gains):
+    candidates = [Candidate(name, None, gain, None) for name, gain in gains.items()]
+    return group_of(Step({}, candidates, candidates[0], None), threshold)
+
+
+def test_a_group_holds_what_passes_the_threshold_or_is_a_tenth_as_likely():
+    # Tempered by two, a tenth as likely is 4.6 nats.
+    assert grouped(6.0, mooney=7.9, asymmetry=5.8, layer=3.4, fibre=3.2) == ("mooney", "asymmetry", "layer")
+    assert grouped(6.0, latency=20.0, rate=14.0, softening=13.0, layer=11.9) == ("latency", "rate", "softening")
+    assert grouped(15.0, latency=20.0, rate=14.0, scale=11.0) == ("latency",)
 
 
 def test_figures_are_given_of_cases_where_the_others_tell_what_the_cause_does(of_two):

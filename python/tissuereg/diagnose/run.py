@@ -48,6 +48,9 @@ STIFFNESS = 3.0
 #: Ids in one group at most.
 MOST_IN_GROUP = 3
 
+#: A cause is in the group of the one found if it passes the threshold too, or is this share as likely.
+AS_LIKELY = 0.1
+
 #: Log Bayes factors are divided by this before they become probabilities: the models of mesh error and noise are not
 #: exact.
 TEMPER = 2.0
@@ -152,13 +155,12 @@ def _findings(target: Target, found: Search, thresholds: Mapping[str, float]) ->
         assert top is not None  # of those steps
         # Parameters are those of the model with all causes found.
         values, deviations = found.final.values(part, young)
-        close = [other.id for other in step.close(0.5 * SEPARABLE**2) if other.gain > thresholds[top.id]]
         chances = _chances(step)
         asked = asked_of(thresholds, further=part > 0)
         findings.append(
             Finding(
                 id=top.id,
-                group=(top.id, *close)[:MOST_IN_GROUP],
+                group=group_of(step, thresholds[top.id]),
                 probability=chances.get(top.id, 0.0),
                 log_bayes_factor=top.gain,
                 threshold=asked[top.id],
@@ -170,6 +172,28 @@ def _findings(target: Target, found: Search, thresholds: Mapping[str, float]) ->
         )
     stiff = _stiffness(target, found)
     return ([stiff] if stiff is not None else []) + findings
+
+
+def group_of(step: Step, threshold: float) -> tuple[str, ...]:
+    """Return the cause that a step found, and those that cannot be told from it, likeliest first.
+
+    Parameters
+    ----------
+    step : Step
+        With a cause found.
+    threshold : float
+        Of that cause, nats.
+
+    Returns
+    -------
+    tuple of str
+        `MOST_IN_GROUP` ids at most.
+    """
+    top = step.found
+    assert top is not None  # as asked
+    as_likely = step.close(-TEMPER * np.log(AS_LIKELY))
+    close = [c.id for c in step.close(0.5 * SEPARABLE**2) if c.gain > threshold or c in as_likely]
+    return (top.id, *close)[:MOST_IN_GROUP]
 
 
 def _gains(step: Step) -> dict[str, float]:
