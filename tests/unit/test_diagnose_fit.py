@@ -20,8 +20,8 @@ from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import recorrected, settled
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
-from tissuereg.diagnose.run import group_of
-from tissuereg.diagnose.screen import Screened
+from tissuereg.diagnose.run import LOOK_ALIKE, _chances, group_of
+from tissuereg.diagnose.screen import UNKNOWN, Screened
 from tissuereg.diagnose.search import Candidate, Search, Step, _fit_forms
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import ActuatorOffset, Detachment, Latency, Mooney, Poisson, Relaxation
@@ -267,6 +267,15 @@ def test_a_group_holds_what_passes_the_threshold_or_is_a_tenth_as_likely():
     assert grouped(6.0, mooney=7.9, asymmetry=5.8, layer=3.4, fibre=3.2) == ("mooney", "asymmetry", "layer")
     assert grouped(6.0, latency=20.0, rate=14.0, softening=13.0, layer=11.9) == ("latency", "rate", "softening")
     assert grouped(15.0, latency=20.0, rate=14.0, scale=11.0) == ("latency",)
+
+
+def test_of_every_causes_probability_a_share_goes_to_what_looks_like_it():
+    screened = {name: Screened(gain, None, np.empty(0)) for name, gain in (("layer", 1.0), (UNKNOWN, 0.0))}
+    found = Candidate("mooney", None, 300.0, None)
+    chances = _chances(Step(screened, [found], None, None))
+    assert sum(chances.values()) == pytest.approx(1.0)
+    assert chances["mooney"] == pytest.approx(1.0 - LOOK_ALIKE)
+    assert chances[UNKNOWN] == pytest.approx(LOOK_ALIKE)
 
 
 def test_figures_are_given_of_cases_where_the_others_tell_what_the_cause_does(of_two):

@@ -55,6 +55,10 @@ AS_LIKELY = 0.1
 #: exact.
 TEMPER = 2.0
 
+#: Share of a cause's probability that goes to something outside the catalogue that looks like it, which no evidence
+#: tells: of 159 findings surer than 0.8 on the blind bench seven were such effects.
+LOOK_ALIKE = 0.04
+
 
 def diagnose_body(
     experiment: Experiment,
@@ -208,7 +212,10 @@ def _chances(step: Step) -> dict[str, float]:
     if step.found is not None:
         # A proof on held-out data has told cause and patch apart.
         gains[UNKNOWN] = min(gains[UNKNOWN], step.found.gain - float(_margin(step)))
-    return probabilities(gains, TEMPER)
+    chances = probabilities(gains, TEMPER)
+    own = {name: chances[name] for name in CAUSES if name in chances}
+    unknown = chances[UNKNOWN] + LOOK_ALIKE * sum(own.values())
+    return {**chances, **{name: (1.0 - LOOK_ALIKE) * chance for name, chance in own.items()}, UNKNOWN: unknown}
 
 
 def _margin(step: Step) -> float:
@@ -230,7 +237,7 @@ def _stiffness(target: Target, found: Search) -> Finding | None:
     return Finding(
         id="stiffness",
         group=("stiffness",),
-        probability=float(1.0 / (1.0 + np.exp(-gain / TEMPER))),
+        probability=float((1.0 - LOOK_ALIKE) / (1.0 + np.exp(-gain / TEMPER))),
         log_bayes_factor=0.5 * excess**2,
         threshold=0.5 * STIFFNESS**2,
         parameters=values,
