@@ -62,12 +62,24 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     bank = {"mooney": list(CAUSES["mooney"].variants(target.bench))}
     screened = Screened(10.0, bank["mooney"][0], np.ones(1))
     base = fit(target, [])
-    found = _fit_forms(target, SimpleNamespace(bank=bank), screened, base, "mooney", base.log_evidence)
+    found = _fit_forms(target, SimpleNamespace(bank=bank), screened, base, "mooney", base.log_evidence)[0]
     values, deviations = found.values(0, 1.0)
     assert (values["law"], values["volumetric"]) == ("mooney-rivlin", form)
     assert abs(values["share"] - 0.5) < 4.0 * deviations["share"]
     (effect,) = found.effects(target.bench.young)
     assert effect.volumetric == form
+
+
+def test_of_several_forms_the_one_is_taken_that_is_likelier_with_the_mesh_put_right(monkeypatch):
+    search = import_module("tissuereg.diagnose.search")
+    coarse = [SimpleNamespace(form="log", log_evidence=-10.0), SimpleNamespace(form="coupled", log_evidence=-17.0)]
+    right = {"log": SimpleNamespace(log_evidence=-32.0), "coupled": SimpleNamespace(log_evidence=-2.0)}
+    monkeypatch.setattr(search, "_fit_forms", lambda *_: coarse)
+    monkeypatch.setattr(search, "settled", lambda target, fitted, progress: (fitted.form, right[fitted.form]))
+    believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
+    screened = {"mooney": Screened(70.0, None, np.empty(0))}
+    (found,) = search._refit(None, None, screened, believed, {"mooney": 6.0}, None)
+    assert (found.target, found.fit, found.gain) == ("coupled", right["coupled"], 98.0)
 
 
 def test_a_fit_finds_modulus_and_causes_within_their_deviations(of_two):

@@ -238,42 +238,50 @@ def _refit(
         if screened[name].log_bayes_factor > likely * asked[name]
         and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
     ]
-    found: list[Candidate] = []
+    fits: dict[str, list[Fit]] = {}
     for name in chosen:
         if progress is not None:
             progress(f"fit {' + '.join([*current.ids, name])}")
-        best_fit = max((c.fit.log_evidence for c in found), default=-np.inf)
+        best_fit = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
         least = max(best_fit - PUT_RIGHT, current.log_evidence + asked[name])
-        fitted = _fit_forms(target, screen, screened[name], current, name, least)
-        if fitted is not None:
-            found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, target))
-    top = max((candidate.gain for candidate in found), default=-np.inf)
-    for place, candidate in enumerate(found):
-        if candidate.gain > max(top - PUT_RIGHT, likely * asked[candidate.id]):
-            own, fitted = settled(target, candidate.fit, progress=progress)
-            found[place] = Candidate(candidate.id, fitted, fitted.log_evidence - current.log_evidence, own)
+        forms = _fit_forms(target, screen, screened[name], current, name, least)
+        if forms:
+            fits[name] = forms
+    top = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
+    found = []
+    for name, forms in fits.items():
+        least = max(top - PUT_RIGHT, current.log_evidence + likely * asked[name])
+        own, fitted = target, forms[0]
+        likely_forms = [form for form in forms if form.log_evidence > least]
+        if likely_forms:
+            own, fitted = max(
+                (settled(target, form, progress=progress) for form in likely_forms), key=lambda put: put[1].log_evidence
+            )
+        found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, own))
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
-def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit, name: str, least: float) -> Fit | None:
-    """Return the fit of a cause's likeliest hypothesis, or of an alternative to it that is better.
+def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit, name: str, least: float) -> list[Fit]:
+    """Return the fits of a cause's likeliest hypothesis and of the alternatives to it, likeliest first.
 
-    Fits that will not reach `least`, a log evidence, end early.
+    Those are left out that the mesh's error, put right, makes no likelier than the best one. Fits that will not reach
+    `least`, a log evidence, end early.
     """
     variant = screened.best
     assert variant is not None  # only the generic rival has none
     alternatives = CAUSES[name].alternatives(target.bench, variant)
     choices = choices_of(name, screen.bank[name]) * (1 + len(alternatives))
-    best: Fit | None = None
+    fits: list[Fit] = []
+    best = -np.inf
     for form in (variant, *alternatives):
         knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
         parts = [*current.parts, Part(name, form, knobs)]
-        bar = least if best is None else max(least, best.log_evidence)
         start = best_start(target, parts, current.x)
-        fitted = fit(target, parts, start=start, choices=choices, hopeless=-bar)
-        if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
-            best = fitted
-    return best
+        fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - PUT_RIGHT))
+        if fitted is not None:
+            fits.append(fitted)
+            best = max(best, fitted.log_evidence)
+    return sorted((f for f in fits if f.log_evidence > best - PUT_RIGHT), key=lambda fitted: -fitted.log_evidence)
 
 
 def asked_of(thresholds: Mapping[str, float], *, further: bool) -> dict[str, float]:
