@@ -18,12 +18,12 @@ from tissuereg.diagnose.bank import make_bank
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.correction import Correction, make_correction
 from tissuereg.diagnose.evidence import Null, fit_amplitudes
+from tissuereg.diagnose.findings import MOST_IN_GROUP
 from tissuereg.diagnose.generic import generic_columns
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import make_nuisances
 from tissuereg.diagnose.proof import Linear
 from tissuereg.diagnose.refined import path_of, refined_predictions
-from tissuereg.diagnose.run import MOST_IN_GROUP
 from tissuereg.diagnose.search import MOST_CAUSES, SEPARABLE
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import EFFECTS

@@ -17,14 +17,10 @@ import numpy as np
 from blind.materialise import folder_of
 from blind.run import BUILD
 from blind.scored import of_kind, read_predictions, scored
-from tissuereg.diagnose import run
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.correction import make_correction
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import Target, fit
+from tissuereg.diagnose.fit import fit
 from tissuereg.diagnose.noise import estimate_noise
-from tissuereg.diagnose.nuisances import make_nuisances
-from tissuereg.diagnose.refined import path_of, refined_predictions
+from tissuereg.diagnose.run import make_believed
 from tissuereg.diagnose.signals import Layout
 from tissuereg.io.experiments import read_experiment
 
@@ -66,15 +62,11 @@ def needs_of(folder: Path, threads: int = 0) -> Needs:
     layout = Layout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, threads=threads)
-    fine, others = refined_predictions(bench, path_of(experiment))
-    correction = make_correction(layout, bench.base, fine)
-    nuisances = make_nuisances(bench, others - fine)
-    correction = run._at_modulus(bench, noise, correction, nuisances)
-    kept = nuisances.but("stiffness")
-    white = noise.whitened(correction.of_columns(nuisances.columns[kept]), layout)
-    left = fit(Target(bench, noise, correction, Null(white)), []).residual
+    believed = make_believed(bench, noise)
+    white = believed.target.null.nuisances
+    left = fit(believed.target, []).residual
     pads = {pad for part in layout.parts for pad in part.pads}
-    names = np.array(nuisances.names)[kept]
+    names = [name for name in believed.nuisances.names if name != "stiffness"]
     return Needs(np.array([kind_of(name, pads) for name in names]), white @ white.T, white @ left)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from blind import variants
 from blind.materialise import CASES, case_names, materialise
-from tissuereg.diagnose import bank, run, search
+from tissuereg.diagnose import bank, findings, run, search
 from tissuereg.diagnose.causes import CAUSES, Variant
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.nuisances import Nuisances
@@ -24,12 +24,17 @@ def experiment(tmp_path_factory):
     return read_experiment(materialise(case, tmp_path_factory.mktemp("case")))
 
 
+#: Modules in which variants replace names.
+MODULES = {"run": run, "search": search, "findings": findings}
+
+
 def seen_by(monkeypatch, variant, told=()):
     """Return the modules' names and the catalogue as a variant shows them to a diagnosis."""
     seen = {}
 
     def look(experiment, threads):
-        seen.update(run=dict(vars(run)), search=dict(vars(search)), ids=list(CAUSES), experiment=experiment)
+        modules = {name: dict(vars(module)) for name, module in MODULES.items()}
+        seen.update(**modules, ids=list(CAUSES), experiment=experiment)
         return {}
 
     monkeypatch.setattr(variants, "answer", look)
@@ -39,7 +44,7 @@ def seen_by(monkeypatch, variant, told=()):
 
 
 def names_now():
-    return dict(vars(run)), dict(vars(search)), list(CAUSES.items())
+    return {name: dict(vars(module)) for name, module in MODULES.items()}, list(CAUSES.items())
 
 
 @pytest.mark.parametrize(
@@ -54,7 +59,7 @@ def names_now():
 def test_an_ablation_replaces_one_step_and_puts_it_back(variant, module, name, monkeypatch):
     before = names_now()
     seen = getattr(seen_by(monkeypatch, variant), module)
-    plain = before[0] if module == "run" else before[1]
+    plain = before[0][module]
     assert [key for key in plain if seen[key] is not plain[key]] == [name]
     assert names_now() == before
 
@@ -68,7 +73,7 @@ def test_oracle_and_without_see_their_catalogues_and_put_all_back(monkeypatch):
     assert seen_by(monkeypatch, variants.oracle, ("inclusion", "inclusion")).search["_repeats"]("inclusion")
     lacking = seen_by(monkeypatch, variants.without, ("stiffness",))
     assert lacking.ids == [name for name in CAUSES if name != "stiffness"]
-    assert lacking.run["_stiffness"](None, None) is None
+    assert lacking.findings["_stiffness"](None, None) is None
     assert names_now() == before
 
 

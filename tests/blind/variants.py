@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from blind.heldout import by_block
-from tissuereg.diagnose import diagnose, recorrect, run, search
+from tissuereg.diagnose import diagnose, findings, recorrect, run, search
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.nuisances import Nuisances
@@ -108,7 +108,7 @@ def catalogue(ids: Collection[str]) -> Iterator[None]:
         if "stiffness" in CAUSES:
             yield
             return
-        with patch.object(run, "_stiffness", lambda *_: None):
+        with patch.object(findings, "_stiffness", lambda *_: None):
             yield
 
 

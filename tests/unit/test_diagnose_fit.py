@@ -13,6 +13,7 @@ from tissuereg.diagnose.causes import CAUSES, Variant
 from tissuereg.diagnose.causes.base import knobs
 from tissuereg.diagnose.correction import Correction, make_correction
 from tissuereg.diagnose.evidence import Null
+from tissuereg.diagnose.findings import LOOK_ALIKE, _chances, group_of
 from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, best_start, fit
 from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.nuisances import RIM_ERROR, _rim_sizes
@@ -20,7 +21,6 @@ from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import recorrected, settled
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
-from tissuereg.diagnose.run import LOOK_ALIKE, _chances, group_of
 from tissuereg.diagnose.screen import UNKNOWN, Screened
 from tissuereg.diagnose.search import Candidate, Search, Step, _fit_forms
 from tissuereg.diagnose.signals import Layout
