@@ -83,14 +83,15 @@ def _null_rows(cases):
 def _single_rows(cases, oracle):
     every, clear = singles(cases), clear_singles(cases)
     told = [c for c in clear if c.case in oracle]
+    visible = seen(told, oracle)
     yield _count("singles, d >= 8, separable: right group", (c.right for c in clear), ">= 90 %", 0.9)
     yield _count("the same, exact", (c.exact for c in clear), ">= 80 %", 0.8)
     yield _count(
         f"right group, where a fit that is told the cause gains {SEEN:g} nats",
-        (c.right for c in seen(told, oracle)),
+        (c.right for c in visible),
         "",
         0.0,
-        note=f"{len(told) - len(seen(told, oracle))} of {len(told)} told fits gain less",
+        note=f"{len(told) - len(visible)} of {len(told)} told fits gain less",
     )
     high = [c for c in clear if c.truth["detectability"] >= 20]
     yield _count("singles, d >= 21, separable: right group", (c.right for c in high), ">= 97 %", 0.97)
@@ -249,10 +250,11 @@ def report(
         "| cause | " + " | ".join(f"{x:g}" for x in levels) + " | told |",
         "|---|" + "---|" * (len(levels) + 1),
     ]
+    told = [c for c in clear_singles(cases) if c.case in oracle]
+    n_told, n_seen = (Counter(c.truth["cause"][0] for c in some) for some in (told, seen(told, oracle)))
     for cause, row in sorted(table.items()):
-        told = [c for c in clear_singles(cases) if c.truth["cause"][0] == cause and c.case in oracle]
         cells = [f"{row[x][0]}/{row[x][1]}" if x in row else "" for x in levels]
-        cells.append(f"{len(seen(told, oracle))}/{len(told)}" if told else "")
+        cells.append(f"{n_seen[cause]}/{n_told[cause]}" if n_told[cause] else "")
         lines.append(f"| {cause} | " + " | ".join(cells) + " |")
     every = [tuple(sum(row[x][k] for row in table.values() if x in row) for k in (0, 1)) for x in levels]
     cells = [f"{h}/{n} ({100 * wilson(h, n)[0]:.0f}-{100 * wilson(h, n)[1]:.0f} %)" for h, n in every]

@@ -7,7 +7,6 @@ is taken for uncertain. Kept in ``PREDICTIONS/sizes.json``, which `blind.score` 
 """
 
 import argparse
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +17,13 @@ from blind.materialise import folder_of
 from blind.run import BUILD
 from blind.scored import of_kind, read_predictions, scored
 from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.evidence import fit_amplitudes
 from tissuereg.diagnose.fit import fit
 from tissuereg.diagnose.noise import estimate_noise
 from tissuereg.diagnose.run import make_believed
 from tissuereg.diagnose.signals import Layout
 from tissuereg.io.experiments import read_experiment
+from tissuereg.io.json import write_json
 
 #: Factors that are tried.
 FACTORS = np.geomspace(0.25, 4.0, 49)
@@ -39,21 +40,19 @@ class Needs:
     ----------
     kinds : ndarray of str, shape (n,)
         Of every nuisance.
-    inner : ndarray of float64, shape (n, n)
-        Inner products of the whitened columns.
-    along : ndarray of float64, shape (n,)
-        Those with what the believed model leaves.
+    columns : ndarray of float64, shape (n, size)
+        Whitened, times prior deviations.
+    left : ndarray of float64, shape (size,)
+        What the believed model leaves, whitened.
     """
 
     kinds: np.ndarray
-    inner: np.ndarray
-    along: np.ndarray
+    columns: np.ndarray
+    left: np.ndarray
 
     def log_likelihood(self, factors: np.ndarray) -> float:
         """Return that of prior deviations that are factors (n,) of the present ones, up to a constant."""
-        inner = np.eye(len(factors)) + factors[:, None] * self.inner * factors
-        along = factors * self.along
-        return float(0.5 * along @ np.linalg.solve(inner, along) - 0.5 * np.linalg.slogdet(inner)[1])
+        return fit_amplitudes(self.left, factors[:, None] * self.columns).log_bayes_factor
 
 
 def needs_of(folder: Path, threads: int = 0) -> Needs:
@@ -63,11 +62,12 @@ def needs_of(folder: Path, threads: int = 0) -> Needs:
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, threads=threads)
     believed = make_believed(bench, noise)
-    white = believed.target.null.nuisances
-    left = fit(believed.target, []).residual
+    # In the space that the nuisances span there are as many numbers as columns; nothing else matters here.
+    basis, along = np.linalg.qr(believed.target.null.nuisances.T)
+    left = fit(believed.target, []).residual @ basis
     pads = {pad for part in layout.parts for pad in part.pads}
     names = [name for name in believed.nuisances.names if name != "stiffness"]
-    return Needs(np.array([kind_of(name, pads) for name in names]), white @ white.T, white @ left)
+    return Needs(np.array([kind_of(name, pads) for name in names]), along.T, left)
 
 
 def kind_of(name: str, pads: set[str]) -> str:
@@ -111,7 +111,7 @@ def main() -> None:
         needs.append(needs_of(folder_of(null.case, options.work), options.threads))
         print(f"{number}/{len(nulls)} {null.case}", flush=True)
     kept = options.predictions / "sizes.json"
-    kept.write_text(json.dumps({"nulls": len(nulls), "sizes": sizes_of(needs)}, indent=1) + "\n", encoding="utf-8")
+    write_json(kept, {"nulls": len(nulls), "sizes": sizes_of(needs)})
     print(kept.read_text(encoding="utf-8"))
 
 

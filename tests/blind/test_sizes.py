@@ -13,7 +13,7 @@ def drawn(true, generator, size=40):
     columns = generator.standard_normal((len(kinds), size))
     amplitudes = np.array([true[kind] for kind in kinds]) * generator.standard_normal(len(kinds))
     left = amplitudes @ columns + generator.standard_normal(size)
-    return Needs(kinds, columns @ columns.T, columns @ left)
+    return Needs(kinds, columns, left)
 
 
 def test_sizes_are_found_again():
@@ -30,7 +30,7 @@ def test_sizes_are_found_again():
 def test_likelihood_is_that_of_the_whole_covariance():
     rng = np.random.default_rng(4)
     columns, left = rng.standard_normal((3, 7)), rng.standard_normal(7)
-    needs = Needs(np.array(["a", "a", "b"]), columns @ columns.T, columns @ left)
+    needs = Needs(np.array(["a", "a", "b"]), columns, left)
 
     def dense(factors):
         covariance = np.eye(7) + (factors[:, None] * columns).T @ (factors[:, None] * columns)

@@ -251,12 +251,8 @@ def _refit(
     found = []
     for name, forms in fits.items():
         least = max(top - PUT_RIGHT, current.log_evidence + likely * asked[name])
-        own, fitted = target, forms[0]
-        likely_forms = [form for form in forms if form.log_evidence > least]
-        if likely_forms:
-            own, fitted = max(
-                (settled(target, form, progress=progress) for form in likely_forms), key=lambda put: put[1].log_evidence
-            )
+        put_right = (settled(target, form, progress=progress) for form in forms if form.log_evidence > least)
+        own, fitted = max(put_right, key=lambda pair: pair[1].log_evidence, default=(target, forms[0]))
         found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, own))
     return sorted(found, key=lambda candidate: -candidate.gain)
 
@@ -264,8 +260,8 @@ def _refit(
 def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit, name: str, least: float) -> list[Fit]:
     """Return the fits of a cause's likeliest hypothesis and of the alternatives to it, likeliest first.
 
-    Those are left out that the mesh's error, put right, makes no likelier than the best one. Fits that will not reach
-    `least`, a log evidence, end early.
+    Fits end early that will not reach `least`, a log evidence, or that the mesh's error, put right, makes no likelier
+    than the best one.
     """
     variant = screened.best
     assert variant is not None  # only the generic rival has none
@@ -281,7 +277,7 @@ def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit,
         if fitted is not None:
             fits.append(fitted)
             best = max(best, fitted.log_evidence)
-    return sorted((f for f in fits if f.log_evidence > best - PUT_RIGHT), key=lambda fitted: -fitted.log_evidence)
+    return sorted(fits, key=lambda fitted: -fitted.log_evidence)
 
 
 def asked_of(thresholds: Mapping[str, float], *, further: bool) -> dict[str, float]:
