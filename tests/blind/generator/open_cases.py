@@ -1,8 +1,8 @@
-"""Open cases for tuning: ``python -m blind.generator.open_cases LEVEL DIR`` (with ``tests`` on the path).
+"""Open cases for tuning: ``python -m blind.generator.open_cases LEVEL DIR [fine]`` (with ``tests`` on the path).
 
 One experiment folder for every effect of the catalogue that has been solved, of detectability LEVEL, with the truth in
-``DIR/truth.json``. Their markers, noise and sizes are drawn from seeds of their own, so they tell nothing of a sealed
-case; they share its solves.
+``DIR/truth.json``; the user's mesh has about 600 nodes, or 4,000 (fine). Their markers, noise and sizes are drawn from
+seeds of their own, so they tell nothing of a sealed case; they share its solves.
 """
 
 import json
@@ -22,13 +22,14 @@ SEEDS = 900_000
 TOLD = ("cause", "own_form", "detectability", "group_ok", "separable", "std_mm", "parameters", "effect_rms_mm")
 
 
-def make_open_cases(level, folder, rigs=(0, 1), report=print):
+def make_open_cases(level, folder, rigs=(0, 1), report=print, mesh=0):
     """Write the experiment folders and return the truth by name."""
     truth = {}
     for index, effect in enumerate(hidden("catalogue")):
         for rig in rigs:
             name = f"{effect.id}_{index}_{rig}"
-            plan = Plan(name, SEEDS + 37 * index + rig + int(level), rig, "single", (("catalogue", index),), level)
+            seed = SEEDS + 37 * index + rig + int(level)
+            plan = Plan(name, seed, rig, "single", (("catalogue", index),), level, mesh=mesh)
             try:
                 experiment = make(plan)
             except NotReadyError:
@@ -46,6 +47,6 @@ def make_open_cases(level, folder, rigs=(0, 1), report=print):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3:
-        sys.exit("usage: python -m blind.generator.open_cases LEVEL DIR")
-    make_open_cases(float(sys.argv[1]), Path(sys.argv[2]))
+    if len(sys.argv) not in (3, 4) or sys.argv[3:] not in ([], ["fine"]):
+        sys.exit("usage: python -m blind.generator.open_cases LEVEL DIR [fine]")
+    make_open_cases(float(sys.argv[1]), Path(sys.argv[2]), mesh=-1 if sys.argv[3:] else 0)
