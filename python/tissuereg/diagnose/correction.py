@@ -18,6 +18,8 @@ class OfEffect:
     ----------
     base : ndarray of float64, shape (size,)
         The believed model on the user's mesh, mm and mN.
+    change : ndarray of float64, shape (size,)
+        What the effect changes there.
     along : ndarray of float64, shape (size,)
         Times a change it gives how much of the effect that is: 0 for the believed model, 1 for the effect itself.
     difference : ndarray of float64, shape (size,)
@@ -25,12 +27,21 @@ class OfEffect:
     """
 
     base: FloatArray
+    change: FloatArray
     along: FloatArray
     difference: FloatArray
 
+    def share(self, coarse: FloatArray) -> FloatArray:
+        """Return how much of the effect predictions (..., size) of the user's mesh have, at the believed modulus."""
+        return np.asarray((coarse - self.base) @ self.along)
+
     def at(self, coarse: FloatArray) -> FloatArray:
-        """Return what is missing in predictions (..., size) of the user's mesh at the believed modulus."""
-        return np.asarray(((coarse - self.base) @ self.along)[..., None] * self.difference)
+        """Return what is missing in such predictions (..., size)."""
+        return np.asarray(self.share(coarse)[..., None] * self.difference)
+
+    def other(self, coarse: FloatArray) -> FloatArray:
+        """Return what such predictions (..., size) change that is no multiple of the effect."""
+        return np.asarray(coarse - self.base - self.share(coarse)[..., None] * self.change)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +97,13 @@ class Correction:
         Correction
             Itself where the effect changes nothing.
         """
-        weighed = (coarse - base) / std**2
-        power = float(weighed @ (coarse - base))
+        change = coarse - base
+        weighed = change / std**2
+        power = float(weighed @ change)
         if power == 0.0:
             return self
         plain = replace(self, of_effect=None)
-        return replace(plain, of_effect=OfEffect(base, weighed / power, fine - plain.corrected(coarse)))
+        return replace(plain, of_effect=OfEffect(base, change, weighed / power, fine - plain.corrected(coarse)))
 
     def _mapped(self, flat: FloatArray) -> FloatArray:
         carried: FloatArray = flat.copy()
