@@ -82,6 +82,18 @@ def test_of_several_forms_the_one_is_taken_that_is_likelier_with_the_mesh_put_ri
     assert (found.target, found.fit, found.gain) == ("coupled", right["coupled"], 98.0)
 
 
+@pytest.mark.parametrize(("seen", "gain"), [(7.0, 30.0), (5.0, 1.0)])
+def test_what_screening_sees_and_a_fit_loses_has_its_mesh_put_right(monkeypatch, seen, gain):
+    search = import_module("tissuereg.diagnose.search")
+    lost, right = SimpleNamespace(log_evidence=-99.0), SimpleNamespace(log_evidence=-70.0)
+    monkeypatch.setattr(search, "_fit_forms", lambda *_: [lost])
+    monkeypatch.setattr(search, "settled", lambda target, fitted, progress: (target, right))
+    believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
+    screened = {"sliding": Screened(seen, None, np.empty(0))}
+    (found,) = search._refit(None, None, screened, believed, {"sliding": 6.0}, None)
+    assert found.gain == gain
+
+
 def test_a_fit_finds_modulus_and_causes_within_their_deviations(of_two):
     found = fit(of_two, [part(of_two, "poisson"), part(of_two, "latency")])
     assert abs(found.young(1.0) - YOUNG) < 4.0 * YOUNG * np.sqrt(found.covariance[0, 0])

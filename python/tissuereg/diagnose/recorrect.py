@@ -24,8 +24,8 @@ from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, M
 #: Nats by which the mesh's error in its causes, once put right, may make a fit better.
 PUT_RIGHT = 30.0
 
-#: Noise deviations of the mesh's error that a fit may have moved away from, and most rounds in which it is put right.
-LEFT, MOST_ROUNDS = 2.0, 8
+#: Noise deviations of the mesh's error that a fit may have moved away from, and rounds in which it is put right.
+LEFT, MOST_ROUNDS = 1.0, 6
 
 
 def settled(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> tuple[Target, Fit]:

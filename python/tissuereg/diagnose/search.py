@@ -250,7 +250,9 @@ def _refit(
     top = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
     found = []
     for name, forms in fits.items():
-        least = max(top - PUT_RIGHT, current.log_evidence + likely * asked[name])
+        # A fit may lose on the user's mesh what screening saw: friction there lets too much slip in other places.
+        seen = screened[name].log_bayes_factor >= asked[name]
+        least = top - PUT_RIGHT if seen else max(top - PUT_RIGHT, current.log_evidence + likely * asked[name])
         put_right = (settled(target, form, progress=progress) for form in forms if form.log_evidence > least)
         own, fitted = max(put_right, key=lambda pair: pair[1].log_evidence, default=(target, forms[0]))
         found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, own))
