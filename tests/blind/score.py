@@ -283,6 +283,13 @@ def _sizes_table(sizes):
     for kind, found in sorted(sizes["sizes"].items()):
         likely = f"{found['low']:.2f}-{found['high']:.2f}"
         lines.append(f"| {kind} | {found['factor']:.2f} | {likely} | {found['gain_nats']:.1f} |")
+    if "forces" in sizes:
+        along, across, noise = (100 * sizes["forces"][key] for key in ("along", "across", "noise"))
+        lines += [
+            "",
+            f"With the modulus fitted, pads' forces of these nulls are off by {along:.2f} % of their largest along the "
+            f"force and by {across:.2f} % across it, of which noise is {noise:.2f} % (rms; means of loaded frames).",
+        ]
     return lines
 
 

@@ -3,12 +3,13 @@
 Evidence that a cause must beat falls as the nuisances of `tissuereg.diagnose` grow; whether they are larger than need
 be tells whether weak effects could be seen. The factor on the prior deviations of every kind is sought under which the
 residuals of all nulls that have been answered are likeliest, the other kinds as they are: 1 is right, below 1 too much
-is taken for uncertain. Kept in ``PREDICTIONS/sizes.json``, which `blind.score` shows.
+is taken for uncertain. How far forces are off is told too. Kept in ``PREDICTIONS/sizes.json``, which `blind.score`
+shows.
 """
 
 import argparse
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.evidence import fit_amplitudes
 from tissuereg.diagnose.fit import fit
 from tissuereg.diagnose.noise import estimate_noise
+from tissuereg.diagnose.patterns import load_history
 from tissuereg.diagnose.run import make_believed
 from tissuereg.diagnose.signals import Layout
 from tissuereg.io.experiments import read_experiment
@@ -44,11 +46,14 @@ class Needs:
         Whitened, times prior deviations.
     left : ndarray of float64, shape (size,)
         What the believed model leaves, whitened.
+    forces : ndarray of float64, shape (n, 3)
+        Of every pad at work, see `force_errors`.
     """
 
     kinds: np.ndarray
     columns: np.ndarray
     left: np.ndarray
+    forces: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def log_likelihood(self, factors: np.ndarray) -> float:
         """Return that of prior deviations that are factors (n,) of the present ones, up to a constant."""
@@ -64,10 +69,44 @@ def needs_of(folder: Path, threads: int = 0) -> Needs:
     believed = make_believed(bench, noise)
     # In the space that the nuisances span there are as many numbers as columns; nothing else matters here.
     basis, along = np.linalg.qr(believed.target.null.nuisances.T)
-    left = fit(believed.target, []).residual @ basis
+    fitted = fit(believed.target, [])
+    left = fitted.residual @ basis
     pads = {pad for part in layout.parts for pad in part.pads}
     names = [name for name in believed.nuisances.names if name != "stiffness"]
-    return Needs(np.array([kind_of(name, pads) for name in names]), along.T, left)
+    kinds = np.array([kind_of(name, pads) for name in names])
+    return Needs(kinds, along.T, left, force_errors(layout, fitted.prediction, bench.base, noise.force_std))
+
+
+def force_errors(layout: Layout, predicted: np.ndarray, base: np.ndarray, std: float) -> np.ndarray:
+    """Return how far pads' forces are off, over the largest one of their case.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of all that was measured.
+    predicted, base : ndarray of float64, shape (size,)
+        What the fitted model says, and the believed one on the user's mesh, mm and mN.
+    std : float
+        Of a force's noise, mN.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 3)
+        A row a case and pad: mean over the frames under more than half of the load along the pad's force, the same
+        across it (over each of two directions), and the deviation of such a mean by noise alone.
+    """
+    rows = []
+    for part in layout.parts:
+        loaded = load_history(part, base) > 0.5
+        for pad in range(len(part.pads) if loaded.any() else 0):
+            force = part.forces(predicted)[loaded, pad]
+            off = np.nanmean(part.forces(layout.measured)[loaded, pad] - force, axis=0)
+            direction = force.sum(axis=0) / np.linalg.norm(force.sum(axis=0))
+            along = float(off @ direction)
+            across = float(np.linalg.norm(off - along * direction)) / np.sqrt(2.0)
+            largest = np.linalg.norm(force, axis=1).max()
+            rows.append(np.array([along, across, std / np.sqrt(loaded.sum())]) / largest)
+    return np.array(rows).reshape(-1, 3)
 
 
 def kind_of(name: str, pads: set[str]) -> str:
@@ -111,7 +150,9 @@ def main() -> None:
         needs.append(needs_of(folder_of(null.case, options.work), options.threads))
         print(f"{number}/{len(nulls)} {null.case}", flush=True)
     kept = options.predictions / "sizes.json"
-    write_json(kept, {"nulls": len(nulls), "sizes": sizes_of(needs)})
+    rms = np.sqrt((np.concatenate([case.forces for case in needs]) ** 2).mean(axis=0)) if needs else np.zeros(3)
+    forces = dict(zip(("along", "across", "noise"), rms.tolist(), strict=True))
+    write_json(kept, {"nulls": len(nulls), "sizes": sizes_of(needs), "forces": forces})
     print(kept.read_text(encoding="utf-8"))
 
 

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from blind.score import report
-from blind.sizes import Needs, kind_of, sizes_of
+from blind.sizes import Needs, force_errors, kind_of, sizes_of
+from support.rigs import STROKE, rig
+from tissuereg.diagnose.signals import Layout
 
 
 def drawn(true, generator, size=40):
@@ -48,7 +50,24 @@ def test_forces_and_markers_of_the_mesh_are_told_apart():
     assert kind_of("rim push_x P3 1", pads) == "rim"
 
 
+def test_errors_of_forces_are_told_along_and_across_them():
+    layout = Layout(rig())
+    base = np.zeros(layout.size)
+    for part in layout.parts:
+        load = np.zeros(part.n_frames) if part.name == "rest" else STROKE
+        part.markers(base)[..., 2] = -load[:, None]
+        for pad in range(len(part.pads)):
+            part.forces(base)[:, pad, 2] = -200.0 * load
+            part.forces(layout.measured)[:, pad] = part.forces(base)[:, pad] + load[:, None] * [0.0, 4.0, -2.0]
+    found = force_errors(layout, base, base, 3.0)
+    # Frames with half of the load are not looked at.
+    loaded = (STROKE > 0.5).sum()
+    np.testing.assert_allclose(found, [[0.01, 0.02 / np.sqrt(2.0), 3.0 / np.sqrt(loaded) / 200.0]] * 2)
+
+
 def test_the_report_shows_what_was_found():
     sizes = {"nulls": 9, "sizes": {"rim": {"factor": 1.31, "low": 1.2, "high": 1.46, "gain_nats": 10.4}}}
     assert "| rim | 1.31 | 1.20-1.46 | 10.4 |" in report([], {}, {}, {}, sizes=sizes)
     assert "uncertain" not in report([], {}, {}, {})
+    sizes["forces"] = {"along": 0.0123, "across": 0.004, "noise": 0.001}
+    assert "off by 1.23 % of their largest along the force and by 0.40 %" in report([], {}, {}, {}, sizes=sizes)
