@@ -12,7 +12,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: blind blind-quick blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: blind blind-quick blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -22,6 +22,7 @@ help:
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
 	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls; make blind: all of it -> docs/blind.md"
+	@echo "make blind-fine      its 24 cases of 4,000 nodes -> docs/blind-fine.md (an hour and a half)"
 	@echo "make blind-beside    fits that are told, rivals and ablations on the same cases (each alone: blind-oracle,"
 	@echo "                     blind-without, blind-rivals, blind-ablations; JOBS=2 side by side, TIER=quick fewer cases)"
 	@echo "make blind-sizes     how large what is uncertain must be, on its nulls that have been answered"
@@ -104,6 +105,14 @@ BLIND_OUT := build/blind
 blind-quick blind: $(VENV)/.installed-dev
 	$(BLIND).run --tier $(if $(filter blind,$@),all,quick) --jobs $(JOBS)
 	$(BLIND).score $(BLIND_OUT)/predictions --out docs/blind.md
+
+# The 24 cases of 4,000 nodes alone, with told fits and the sizes of what is uncertain.
+blind-fine: $(VENV)/.installed-dev
+	$(BLIND).run --tier fine --jobs $(JOBS) --predictions $(BLIND_OUT)/fine
+	$(BLIND).score $(BLIND_OUT)/fine --list-oracle $(BLIND_OUT)/oracle.txt
+	$(BLIND).run --tier fine --jobs $(JOBS) --methods oracle --predictions $(BLIND_OUT)/fine
+	$(BLIND).sizes $(BLIND_OUT)/fine
+	$(BLIND).score $(BLIND_OUT)/fine --out docs/blind-fine.md
 
 # Beside it, after it: what a fit is told comes from the answers of cases that it has answered.
 blind-oracle blind-without blind-rivals blind-ablations blind-beside: $(VENV)/.installed-dev
