@@ -27,6 +27,9 @@ PUT_RIGHT = 30.0
 #: Noise deviations of the mesh's error that a fit may have moved away from, and rounds in which it is put right.
 LEFT, MOST_ROUNDS = 1.0, 6
 
+#: What a model with some effects may raise.
+FAILURES = (ConvergenceError, ExperimentError, MaterialError, MeshError, SupportError)
+
 
 def settled(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> tuple[Target, Fit]:
     """Return a target whose correction is right for a fitted model too, and the fit to it.
@@ -73,7 +76,11 @@ def _left(target: Target, found: Fit) -> float:
     put_right = target.correction.of_effect
     if put_right is None:
         return 0.0
-    other = put_right.other(at_believed_modulus(target, found)[1])
+    try:
+        other = put_right.other(at_believed_modulus(target, found)[1])
+    except FAILURES:
+        # A fit comes near step by step; what was put right there stands.
+        return 0.0
     left, error, effect = (
         float(np.linalg.norm(target.null.reduced(target.white(np.where(target.bench.layout.seen, flat, 0.0)))))
         for flat in (other, put_right.difference, put_right.change)
@@ -109,7 +116,7 @@ def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] |
     try:
         effects, coarse = at_believed_modulus(target, found)
         fine = refined_effects(bench, effects)
-    except (ConvergenceError, ExperimentError, MaterialError, MeshError, SupportError):
+    except FAILURES:
         return target
     if fine is None:
         return target
