@@ -101,30 +101,29 @@ JOBS ?= 1
 TIER ?= all
 BLIND := PYTHONPATH=tests $(BIN)/python -m blind
 BLIND_OUT := build/blind
+BLIND_ANSWERS := $(BLIND_OUT)/predictions
+BLIND_TABLE := docs/blind.md
 
 blind-quick blind: $(VENV)/.installed-dev
-	$(BLIND).run --tier $(if $(filter blind,$@),all,quick) --jobs $(JOBS)
-	$(BLIND).score $(BLIND_OUT)/predictions --out docs/blind.md
+	$(BLIND).run --tier $(if $(filter blind,$@),all,quick) --jobs $(JOBS) --predictions $(BLIND_ANSWERS)
+	$(BLIND).score $(BLIND_ANSWERS) --out $(BLIND_TABLE)
 
 # The 24 cases of 4,000 nodes alone, with told fits and the sizes of what is uncertain.
 blind-fine: $(VENV)/.installed-dev
 	$(BLIND).run --tier fine --jobs $(JOBS) --predictions $(BLIND_OUT)/fine
-	$(BLIND).score $(BLIND_OUT)/fine --list-oracle $(BLIND_OUT)/oracle.txt
-	$(BLIND).run --tier fine --jobs $(JOBS) --methods oracle --predictions $(BLIND_OUT)/fine
-	$(BLIND).sizes $(BLIND_OUT)/fine
-	$(BLIND).score $(BLIND_OUT)/fine --out docs/blind-fine.md
+	$(MAKE) blind-oracle blind-sizes TIER=fine BLIND_ANSWERS=$(BLIND_OUT)/fine BLIND_TABLE=docs/blind-fine.md
 
 # Beside it, after it: what a fit is told comes from the answers of cases that it has answered.
 blind-oracle blind-without blind-rivals blind-ablations blind-beside: $(VENV)/.installed-dev
-	$(BLIND).score $(BLIND_OUT)/predictions --list-oracle $(BLIND_OUT)/oracle.txt --list-without $(BLIND_OUT)/without.txt
-	$(BLIND).run --tier $(TIER) --jobs $(JOBS) \
+	$(BLIND).score $(BLIND_ANSWERS) --list-oracle $(BLIND_OUT)/oracle.txt --list-without $(BLIND_OUT)/without.txt
+	$(BLIND).run --tier $(TIER) --jobs $(JOBS) --predictions $(BLIND_ANSWERS) \
 		--methods $(if $(filter %beside,$@),oracle without rivals ablations,$(@:blind-%=%))
-	$(BLIND).score $(BLIND_OUT)/predictions --out docs/blind.md
+	$(BLIND).score $(BLIND_ANSWERS) --out $(BLIND_TABLE)
 
 # How large the nuisances must be, on the nulls among the answers.
 blind-sizes: $(VENV)/.installed-dev
-	$(BLIND).sizes $(BLIND_OUT)/predictions
-	$(BLIND).score $(BLIND_OUT)/predictions --out docs/blind.md
+	$(BLIND).sizes $(BLIND_ANSWERS)
+	$(BLIND).score $(BLIND_ANSWERS) --out $(BLIND_TABLE)
 
 # Foreign solves that are missing, by scikit-fem (and pypardiso, where it is there), then the cases; ONE=name: one, compared.
 blind-data: $(VENV)/.installed-dev

@@ -150,9 +150,11 @@ def main() -> None:
         needs.append(needs_of(folder_of(null.case, options.work), options.threads))
         print(f"{number}/{len(nulls)} {null.case}", flush=True)
     kept = options.predictions / "sizes.json"
-    rms = np.sqrt((np.concatenate([case.forces for case in needs]) ** 2).mean(axis=0)) if needs else np.zeros(3)
-    forces = dict(zip(("along", "across", "noise"), rms.tolist(), strict=True))
-    write_json(kept, {"nulls": len(nulls), "sizes": sizes_of(needs), "forces": forces})
+    found = {"nulls": len(nulls), "sizes": sizes_of(needs)}
+    if needs:
+        rms = np.sqrt((np.concatenate([case.forces for case in needs]) ** 2).mean(axis=0))
+        found["forces"] = dict(zip(("along", "across", "noise"), rms.tolist(), strict=True))
+    write_json(kept, found)
     print(kept.read_text(encoding="utf-8"))
 
 

@@ -183,9 +183,9 @@ def test_an_effect_that_becomes_another_one_is_put_right_again():
     better, again = settled(target, found)
 
     def left(corrected, fitted):
-        true = refined_effects(target.bench, at_believed_modulus(target, fitted)[0])
-        coarse = at_believed_modulus(target, fitted)[1]
-        return float(np.linalg.norm(target.white(corrected.correction.corrected(coarse) - true)))
+        effects, coarse = at_believed_modulus(target, fitted)
+        missed = corrected.correction.corrected(coarse) - refined_effects(target.bench, effects)
+        return float(np.linalg.norm(target.white(missed)))
 
     assert left(once, first) > 2.0 * LEFT
     assert left(better, again) < LEFT

@@ -38,6 +38,9 @@ SHARES = (1.0, 0.4, 0.15, 0.05)
 #: A step moves no knob by more than this many prior deviations.
 LONGEST = 1.5
 
+#: What the user's mesh may raise where a model has no answer.
+NO_ANSWER = (ConvergenceError, ExperimentError, MaterialError, SupportError)
+
 #: Effects whose answer is no multiple of the modulus.
 ABSOLUTE = ("gravity", "reference", "stiffness")
 
@@ -348,7 +351,7 @@ class _Solver:
     def predict(self, x: FloatArray) -> FloatArray | None:
         try:
             found = self.uncorrected(x)
-        except (ConvergenceError, ExperimentError, MaterialError, SupportError):
+        except NO_ANSWER:
             return None
         return self.target.correction.corrected(found, self.factor(x))
 

@@ -16,19 +16,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissuereg.diagnose.fit import ABSOLUTE, Fit, Target, at_believed_modulus, fit
+from tissuereg.diagnose.fit import ABSOLUTE, NO_ANSWER, Fit, Target, at_believed_modulus, fit
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.effects import EFFECTS, ChainEffect
-from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, MeshError, SupportError
+from tissuereg.errors import MeshError
 
 #: Nats by which the mesh's error in its causes, once put right, may make a fit better.
 PUT_RIGHT = 30.0
 
 #: Noise deviations of the mesh's error that a fit may have moved away from, and rounds in which it is put right.
 LEFT, MOST_ROUNDS = 1.0, 6
-
-#: What a model with some effects may raise.
-FAILURES = (ConvergenceError, ExperimentError, MaterialError, MeshError, SupportError)
 
 
 def settled(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> tuple[Target, Fit]:
@@ -78,7 +75,7 @@ def _left(target: Target, found: Fit) -> float:
         return 0.0
     try:
         other = put_right.other(at_believed_modulus(target, found)[1])
-    except FAILURES:
+    except NO_ANSWER:
         # A fit comes near step by step; what was put right there stands.
         return 0.0
     left, error, effect = (
@@ -116,7 +113,7 @@ def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] |
     try:
         effects, coarse = at_believed_modulus(target, found)
         fine = refined_effects(bench, effects)
-    except FAILURES:
+    except (*NO_ANSWER, MeshError):
         return target
     if fine is None:
         return target
