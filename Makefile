@@ -12,7 +12,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: blind blind-quick blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -21,10 +21,11 @@ help:
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
-	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls; make blind: all of it -> docs/blind.md"
-	@echo "make blind-fine      its 24 cases of 4,000 nodes -> docs/blind-fine.md (an hour and a half)"
-	@echo "make blind-beside    fits that are told, rivals and ablations on the same cases (each alone: blind-oracle,"
-	@echo "                     blind-without, blind-rivals, blind-ablations; JOBS=2 side by side, TIER=quick fewer cases)"
+	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls -> docs/blind-quick.md"
+	@echo "make blind           all of it: 342 cases (make blind-full) -> docs/blind.md, 24 of 4,000 nodes (make blind-fine)"
+	@echo "                     -> docs/blind-fine.md; hours; JOBS=2: two cases side by side"
+	@echo "make blind-beside    after it: fits that are told, rivals and ablations on the same cases (each alone: blind-oracle,"
+	@echo "                     blind-without, blind-rivals, blind-ablations; TIER=quick or fine: of that tier)"
 	@echo "make blind-sizes     how large what is uncertain must be, on its nulls that have been answered"
 	@echo "make blind-data      its data, made by a foreign solver (hours; resumable; ONE=name: one, compared)"
 	@echo "make bench           times by stage -> benchmarks/results/"
@@ -96,22 +97,22 @@ test-training: training
 beam: $(VENV)/.installed-dev
 	$(BIN)/python examples/beam.py --data $(DATA)/beam
 
-# The blind test bench (tests/blind/README.md): a run that was stopped goes on.
+# The blind test bench (tests/blind/README.md): a run that was stopped goes on. Every tier has its answers and its table.
 JOBS ?= 1
-TIER ?= all
+TIER ?= full
 BLIND := PYTHONPATH=tests $(BIN)/python -m blind
 BLIND_OUT := build/blind
-BLIND_ANSWERS := $(BLIND_OUT)/predictions
-BLIND_TABLE := docs/blind.md
+BLIND_ANSWERS = $(BLIND_OUT)/$(TIER)
+BLIND_TABLE = docs/blind$(patsubst %,-%,$(filter-out full,$(TIER))).md
 
-blind-quick blind: $(VENV)/.installed-dev
-	$(BLIND).run --tier $(if $(filter blind,$@),all,quick) --jobs $(JOBS) --predictions $(BLIND_ANSWERS)
+blind:
+	$(MAKE) blind-full
+	$(MAKE) blind-fine
+
+blind-quick blind-full blind-fine: override TIER = $(@:blind-%=%)
+blind-quick blind-full blind-fine: $(VENV)/.installed-dev
+	$(BLIND).run --tier $(TIER) --jobs $(JOBS) --predictions $(BLIND_ANSWERS)
 	$(BLIND).score $(BLIND_ANSWERS) --out $(BLIND_TABLE)
-
-# The 24 cases of 4,000 nodes alone, with told fits and the sizes of what is uncertain.
-blind-fine: $(VENV)/.installed-dev
-	$(BLIND).run --tier fine --jobs $(JOBS) --predictions $(BLIND_OUT)/fine
-	$(MAKE) blind-oracle blind-sizes TIER=fine BLIND_ANSWERS=$(BLIND_OUT)/fine BLIND_TABLE=docs/blind-fine.md
 
 # Beside it, after it: what a fit is told comes from the answers of cases that it has answered.
 blind-oracle blind-without blind-rivals blind-ablations blind-beside: $(VENV)/.installed-dev
