@@ -6,6 +6,7 @@ writes ``python/tissuereg/phantom/data/{body,truth}.npz``: the mesh that users s
 mesh on which the phantom's "measurement" is made. They share the surface, no inner node.
 """
 
+import argparse
 import itertools
 from pathlib import Path
 
@@ -62,6 +63,9 @@ def tetrahedra(points: np.ndarray, triangles: np.ndarray, edge_length_share: flo
 
 def main() -> None:
     """Write both meshes."""
+    description, _, epilog = (__doc__ or "").partition("\n")
+    formatter = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=description, epilog=epilog, formatter_class=formatter).parse_args()
     surface = breast_surface()
     for name, share in EDGE_LENGTH_SHARE.items():
         nodes, tets = tetrahedra(*surface, share)

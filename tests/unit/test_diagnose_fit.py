@@ -70,27 +70,27 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     assert effect.volumetric == form
 
 
-def test_of_several_forms_the_one_is_taken_that_is_likelier_with_the_mesh_put_right(monkeypatch):
+def refitted(monkeypatch, cause, seen, fits, settled):
+    """Return what becomes of a cause's fits, beside a believed model of -100 nats, of which six are asked."""
     search = import_module("tissuereg.diagnose.search")
+    monkeypatch.setattr(search, "_fit_forms", lambda *_: fits)
+    monkeypatch.setattr(search, "settled", lambda target, fitted, progress: settled(target, fitted))
+    believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
+    (found,) = search._refit(None, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0}, None)
+    return found
+
+
+def test_of_several_forms_the_one_is_taken_that_is_likelier_with_the_mesh_put_right(monkeypatch):
     coarse = [SimpleNamespace(form="log", log_evidence=-10.0), SimpleNamespace(form="coupled", log_evidence=-17.0)]
     right = {"log": SimpleNamespace(log_evidence=-32.0), "coupled": SimpleNamespace(log_evidence=-2.0)}
-    monkeypatch.setattr(search, "_fit_forms", lambda *_: coarse)
-    monkeypatch.setattr(search, "settled", lambda target, fitted, progress: (fitted.form, right[fitted.form]))
-    believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
-    screened = {"mooney": Screened(70.0, None, np.empty(0))}
-    (found,) = search._refit(None, None, screened, believed, {"mooney": 6.0}, None)
+    found = refitted(monkeypatch, "mooney", 70.0, coarse, lambda _, fitted: (fitted.form, right[fitted.form]))
     assert (found.target, found.fit, found.gain) == ("coupled", right["coupled"], 98.0)
 
 
 @pytest.mark.parametrize(("seen", "gain"), [(7.0, 30.0), (5.0, 1.0)])
 def test_what_screening_sees_and_a_fit_loses_has_its_mesh_put_right(monkeypatch, seen, gain):
-    search = import_module("tissuereg.diagnose.search")
     lost, right = SimpleNamespace(log_evidence=-99.0), SimpleNamespace(log_evidence=-70.0)
-    monkeypatch.setattr(search, "_fit_forms", lambda *_: [lost])
-    monkeypatch.setattr(search, "settled", lambda target, fitted, progress: (target, right))
-    believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
-    screened = {"sliding": Screened(seen, None, np.empty(0))}
-    (found,) = search._refit(None, None, screened, believed, {"sliding": 6.0}, None)
+    found = refitted(monkeypatch, "sliding", seen, [lost], lambda target, _: (target, right))
     assert found.gain == gain
 
 
