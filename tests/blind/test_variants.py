@@ -69,6 +69,8 @@ def test_oracle_and_without_see_their_catalogues_and_put_all_back(monkeypatch):
     told = seen_by(monkeypatch, variants.oracle, ("relaxation", "inclusion"))
     assert told.ids == ["inclusion", "relaxation"]
     assert told.search["MOST_CAUSES"] == 2
+    # What is told is never taken back for what it leaves.
+    assert told.run["MISFIT"] <= 0.0
     assert not told.search["_repeats"]("inclusion")
     assert seen_by(monkeypatch, variants.oracle, ("inclusion", "inclusion")).search["_repeats"]("inclusion")
     lacking = seen_by(monkeypatch, variants.without, ("stiffness",))
