@@ -33,12 +33,9 @@ from tissuereg.experiment import Experiment
 #: Misfit less likely than this is one.
 MISFIT = 0.01
 
-#: Causes that leave a misfit must explain this share of what the believed model leaves, or nothing is named.
+#: Causes that leave a misfit must explain this share of what the believed model leaves, of all of it and where it
+#: stands out most, or nothing is named.
 EXPLAINED = 0.5
-
-#: A misfit less likely than this is clear: that share must be explained where it stands out most, too. What a mesh
-#: leaves of a strong effect is less clear.
-CLEAR = 0.001
 
 
 def diagnose_body(
@@ -67,8 +64,7 @@ def diagnose_body(
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, found, nulls.thresholds)
-    share = min(misfit.explained, misfit.explained_there) if misfit.p < CLEAR else misfit.explained
-    if misfit.p < MISFIT and share < EXPLAINED:
+    if misfit.p < MISFIT and min(misfit.explained, misfit.explained_there) < EXPLAINED:
         # What was found is at best the nearest thing to what is there.
         findings, found = [], found.taken_back(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
