@@ -5,8 +5,9 @@ import pytest
 
 from support.rigs import rig
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.misfit import Battery, smooth_subspaces
+from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.run import _stands
 from tissuereg.diagnose.signals import Layout
 
 N_NULLS = 300
@@ -65,3 +66,11 @@ def test_the_explained_share_is_that_where_the_rest_stands_out(subspaces, nulls)
     assert misfit.explained == pytest.approx(1.0 - 0.8**2, abs=0.05)
     # What was added by a model was not explained.
     assert battery.judge(noise, noise + 80.0 * pattern, nulls).explained_there <= 0.0
+
+
+@pytest.mark.parametrize(
+    ("p", "of_all", "there", "named"),
+    [(0.02, 0.0, 0.0, True), (0.005, 0.9, 0.8, True), (0.005, 1.0, 0.3, False), (0.005, 0.4, 0.8, False)],
+)
+def test_what_leaves_a_misfit_is_named_where_it_explains_half_of_all_and_of_the_worst(p, of_all, there, named):
+    assert _stands(Misfit(p, of_all, there)) == named

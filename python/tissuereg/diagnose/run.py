@@ -18,7 +18,7 @@ from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.findings import candidates_of, findings_of
 from tissuereg.diagnose.fit import Target, fit
 from tissuereg.diagnose.generic import generic_columns
-from tissuereg.diagnose.misfit import Battery, smooth_subspaces
+from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnose.nulls import draw_nulls
@@ -64,7 +64,7 @@ def diagnose_body(
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, found, nulls.thresholds)
-    if misfit.p < MISFIT and min(misfit.explained, misfit.explained_there) < EXPLAINED:
+    if not _stands(misfit):
         # What was found is at best the nearest thing to what is there.
         findings, found = [], found.taken_back(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
@@ -172,6 +172,11 @@ def _with_targets(findings: list[Finding], experiment: Experiment, extended: Exp
         "target_rms_named_mm": target_rms(extended, threads),
     }
     return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
+
+
+def _stands(misfit: Misfit) -> bool:
+    """Say whether what was found may be named: it leaves no misfit, or explains enough of one."""
+    return misfit.p >= MISFIT or min(misfit.explained, misfit.explained_there) >= EXPLAINED
 
 
 def _verdict(findings: list[Finding], misfit: float) -> str:
