@@ -22,7 +22,7 @@ help:
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
 	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls -> docs/blind-quick.md"
-	@echo "make blind           all of it: 342 cases (make blind-full) -> docs/blind.md, 24 of 4,000 nodes (make blind-fine)"
+	@echo "make blind           all of it: 514 cases of 600 nodes (make blind-full) -> docs/blind.md, 24 of 4,000 (make blind-fine)"
 	@echo "                     -> docs/blind-fine.md; hours; JOBS=2: two cases side by side"
 	@echo "make blind-beside    after it: fits that are told, rivals and ablations on the same cases (each alone: blind-oracle,"
 	@echo "                     blind-without, blind-rivals, blind-ablations; TIER=quick or fine: of that tier)"
