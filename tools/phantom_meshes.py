@@ -63,9 +63,8 @@ def tetrahedra(points: np.ndarray, triangles: np.ndarray, edge_length_share: flo
 
 def main() -> None:
     """Write both meshes."""
-    description, _, epilog = (__doc__ or "").partition("\n")
     formatter = argparse.RawDescriptionHelpFormatter
-    argparse.ArgumentParser(description=description, epilog=epilog, formatter_class=formatter).parse_args()
+    argparse.ArgumentParser(description=__doc__, formatter_class=formatter).parse_args()
     surface = breast_surface()
     for name, share in EDGE_LENGTH_SHARE.items():
         nodes, tets = tetrahedra(*surface, share)
