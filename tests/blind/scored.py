@@ -1,4 +1,4 @@
-"""Predictions beside the sealed answers. The answers are opened here and nowhere else.
+"""Predictions beside the sealed answers. Nothing else that is scored or tested opens the answers.
 
 They are opened for cases whose prediction is written, and each is checked against its seal. Right group: the id or
 group of every finding meets the ids that the answer accepts. Wrong group: a finding that meets none of them.
@@ -22,6 +22,9 @@ LEAST_TO_GAIN = 9.0
 SEEN = 6.0
 
 NAMED = ("named", "group")
+
+#: Causes whose other form was no law of the fit when the bench was sealed, and is one since.
+OWNED_SINCE = ("asymmetry", "mooney", "sliding", "softening", "stiffening")
 
 
 @dataclass
@@ -53,6 +56,15 @@ class Scored:
     def exact(self) -> bool:
         """Whether the hidden ids, and nothing else, are named first."""
         return sorted(self.ids) == sorted(self.truth["cause"])
+
+    @property
+    def foreign(self) -> bool:
+        """Whether the one hidden effect has a form that the fit does not own."""
+        cause = self.truth["cause"][0]
+        if cause == "stiffening":
+            # Sealed as owned; the fit tries Fung and Yeoh.
+            return self.truth["parameters"][cause]["law"] == "veronda-westmann"
+        return not self.truth["own_form"] and cause not in OWNED_SINCE
 
 
 def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:

@@ -164,8 +164,32 @@ def test_a_tied_cause_wants_its_group_and_no_more_than_three_ids():
         Scored("b1", tied, named("poisson", group=["poisson", "layer"])),
         Scored("b2", tied, named("layer")),
         Scored("b3", tied, named("layer", group=["layer", "a", "b", "c"])),
+        Scored("b4", tied, named("layer", group=["layer", "a"])),
     ]
-    assert counted(cases, "tied causes: the group named") == (1, 3)
+    row = figure(cases, "tied causes: a group that holds the hidden one")
+    assert (row.hits, row.n, row.note) == (2, 4, "1 of these groups hold tied ids alone")
+
+
+def test_a_goal_is_met_where_the_whole_interval_meets_it():
+    nulls = [Scored(f"b{k}", truth("null", (), group_ok=[]), CONSISTENT) for k in range(203)]
+    assert figure(nulls, "false alarms on nulls").met == "yes"
+    assert figure(nulls[:97], "false alarms on nulls").met == "count"
+    assert figure(nulls, "nulls answered consistent").met == "yes"
+    assert figure(nulls[:10], "nulls answered consistent").met == "count"
+    alarmed = [Scored("b1", truth("null", (), group_ok=[]), named("layer")), *nulls[:20]]
+    assert figure(alarmed, "false alarms on nulls").met == "no"
+    assert figure(nulls, "false alarms, noise ar1").met == ""
+
+
+def test_a_form_that_the_fit_has_by_now_is_not_foreign():
+    def form(cause, **parameters):
+        told = {**truth("single", (cause,)), "own_form": cause == "stiffening", "parameters": {cause: parameters}}
+        return Scored("b1", told, CONSISTENT)
+
+    assert not form("mooney", law="mooney-rivlin").foreign
+    assert form("rate", power=0.6).foreign
+    assert not form("stiffening", law="fung").foreign
+    assert form("stiffening", law="veronda-westmann").foreign
 
 
 def test_a_stated_probability_is_held_against_the_group():
