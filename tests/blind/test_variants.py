@@ -75,7 +75,7 @@ def test_oracle_and_without_see_their_catalogues_and_put_all_back(monkeypatch):
     assert seen_by(monkeypatch, variants.oracle, ("inclusion", "inclusion")).search["_repeats"]("inclusion")
     lacking = seen_by(monkeypatch, variants.without, ("stiffness",))
     assert lacking.ids == [name for name in CAUSES if name != "stiffness"]
-    assert lacking.findings["_stiffness"](None, None) is None
+    assert lacking.findings["modulus_finding"](None, None, None) is None
     assert names_now() == before
 
 

@@ -7,7 +7,7 @@ from support.rigs import rig
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise
-from tissuereg.diagnose.run import _stands
+from tissuereg.diagnose.run import _stands, _verdict
 from tissuereg.diagnose.signals import Layout
 
 N_NULLS = 300
@@ -74,3 +74,9 @@ def test_the_explained_share_is_that_where_the_rest_stands_out(subspaces, nulls)
 )
 def test_what_leaves_a_misfit_is_named_where_it_explains_half_of_all_and_of_the_worst(p, of_all, there, named):
     assert _stands(Misfit(p, of_all, there)) == named
+
+
+def test_what_was_taken_back_is_not_consistent_whatever_is_left_without_it():
+    assert _verdict([], 0.3, taken_back=False) == "consistent"
+    assert _verdict([], 0.3, taken_back=True) == "unexplained"
+    assert _verdict([], 0.003, taken_back=False) == "unexplained"

@@ -123,7 +123,7 @@ def test_stiffening_far_beyond_the_bank_is_fitted():
     variant = max(
         (v for v in cause.variants(bench) if v.settings["law"] == "fung"), key=lambda v: float(v.settings["size"])
     )
-    part = Part("stiffening", variant, cause.knobs(bench, variant, np.ones(1)))
+    part = Part("stiffening", cause.knobs(bench, variant, np.ones(1)))
     found = fit(target, [part])
     assert found is not None
     assert found.values(0, bench.young)[0]["b"] == pytest.approx(90.0, rel=0.03)

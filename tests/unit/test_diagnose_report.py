@@ -93,7 +93,7 @@ def made_up(believed, findings=(), effects=(), **changes):
     final, steps = base, []
     screened = {"inclusion": Screened(123.4, None, np.ones(1)), "unknown": Screened(12.5, None, np.empty(0))}
     for number, one in enumerate(findings):
-        part = Part(one.id, None, None)
+        part = Part(one.id, None)
         final = fitted(layout, noise, (*final.parts, part), errors[1] / (number + 1))
         found = Candidate(one.id, final, one.log_bayes_factor, None)
         screened = {"unknown": screened["unknown"], one.id: Screened(9.0, None, np.ones(1))}

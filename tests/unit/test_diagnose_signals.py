@@ -7,6 +7,7 @@ import pytest
 from scipy import sparse
 
 from support.rigs import rig
+from tissuereg.diagnose.bank import fingerprint
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.causes.base import Variant
@@ -48,6 +49,23 @@ def test_what_goes_in_comes_out_of_the_flat_vector():
     assert layout.of_markers().sum() == 3 * 6 * (8 + 5 + 5)
     assert layout.size == 3 * 6 * 18 + 2 * 3 * 5
     assert np.array_equal(layout["in"].forces(layout.times())[:, 0, 0], case.times)
+
+
+def test_the_file_of_forces_may_name_actuators_in_any_order():
+    # Banks are kept by what is believed and done: what is measured must come in the same places every time.
+    experiment = rig()
+    case = experiment.cases["in"]
+    both = {"side": case.forces["side"], "top": 2.0 * case.forces["side"]}
+    moved = {**case.displacements, "top": np.zeros((len(case.times), 3))}
+    pair = [
+        replace(
+            experiment, cases={"in": replace(case, displacements=moved, forces={name: both[name] for name in order})}
+        )
+        for order in (("side", "top"), ("top", "side"))
+    ]
+    assert fingerprint(pair[0], "tet4") == fingerprint(pair[1], "tet4")
+    assert [Layout(one)["in"].pads for one in pair] == [("top", "side"), ("top", "side")]
+    assert np.array_equal(*(Layout(one).measured for one in pair))
 
 
 def test_an_experiment_without_measurements_is_refused():

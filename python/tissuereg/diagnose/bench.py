@@ -10,11 +10,10 @@ import numpy as np
 from scipy import sparse
 
 from tissuereg._arrays import FloatArray
-from tissuereg.diagnose.predictor import Predictor
+from tissuereg.diagnose.predictor import NO_ANSWER, Predictor
 from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.tangents import State, Tangents
 from tissuereg.effects import Effect, extended
-from tissuereg.errors import ConvergenceError, ExperimentError, SupportError
 from tissuereg.experiment import Experiment
 from tissuereg.simulate.fine import FineModel
 from tissuereg.simulate.memory import goes_through_time
@@ -115,7 +114,7 @@ class Bench:
         def one(effects: Sequence[Effect]) -> FloatArray | None:
             try:
                 return self.predictor.predict(effects, threads=1) - base
-            except (ConvergenceError, ExperimentError, SupportError):
+            except NO_ANSWER:
                 return None
 
         return self.side_by_side(one, tried)

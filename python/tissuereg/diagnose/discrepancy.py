@@ -6,7 +6,6 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.fit import Fit
-from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.signals import Layout
 
 #: Markers that are named, and how far above the others in noise deviations they lie.
@@ -14,15 +13,13 @@ MOST_MARKERS = 5
 ABOVE = 1.3
 
 
-def describe(layout: Layout, noise: Noise, base: Fit, final: Fit) -> dict[str, Any]:
+def describe(layout: Layout, base: Fit, final: Fit) -> dict[str, Any]:
     """Return the discrepancy of the believed model, modulus fitted.
 
     Parameters
     ----------
     layout : Layout
         Order of the data.
-    noise : Noise
-        Of the measurement.
     base, final : Fit
         The believed model, and with all causes found.
 

@@ -38,11 +38,6 @@ class Null:
         """Return C0^-1/2 times whitened vectors (..., size)."""
         return np.asarray(white - ((white @ self._modes.T) * self._shrink) @ self._modes)
 
-    def fitted(self, white: FloatArray) -> FloatArray:
-        """Return the amplitudes of the nuisances that a residual (size,) asks for, in prior deviations."""
-        inner = np.eye(len(self.nuisances)) + self.nuisances @ self.nuisances.T
-        return np.asarray(np.linalg.solve(inner, self.nuisances @ white))
-
 
 @dataclass(frozen=True, eq=False)
 class Amplitudes:
@@ -54,16 +49,13 @@ class Amplitudes:
         Against the null.
     mean : ndarray of float64, shape (p,)
         In prior deviations.
-    covariance : ndarray of float64, shape (p, p)
-        The same squared.
     """
 
     log_bayes_factor: float
     mean: FloatArray
-    covariance: FloatArray
 
 
-def fit_amplitudes(residual: FloatArray, columns: FloatArray, *, positive: bool = False) -> Amplitudes:
+def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
     """Return a cause's evidence and amplitudes.
 
     Parameters
@@ -72,23 +64,17 @@ def fit_amplitudes(residual: FloatArray, columns: FloatArray, *, positive: bool 
         Reduced (`Null.reduced`).
     columns : ndarray of float64, shape (p, size)
         Reduced, times prior deviations.
-    positive : bool
-        Whether the one amplitude cannot be negative: its prior is a half of the normal one.
 
     Returns
     -------
     Amplitudes
-        Mean and covariance are those of the whole normal prior.
     """
     inner = np.eye(len(columns)) + columns @ columns.T
     factor = cho_factor(inner, lower=True)
     along = columns @ residual
     mean = cho_solve(factor, along)
     log_factor = float(0.5 * along @ mean - np.log(np.diag(factor[0])).sum())
-    covariance = cho_solve(factor, np.eye(len(columns)))
-    if positive:
-        log_factor += float(np.log(2.0) + norm.logcdf(mean[0] / np.sqrt(covariance[0, 0])))
-    return Amplitudes(log_factor, mean, covariance)
+    return Amplitudes(log_factor, mean)
 
 
 class Blocks:
@@ -99,7 +85,7 @@ class Blocks:
     columns : ndarray of float32, shape (n_blocks, p, size)
         Reduced, times prior deviations.
     positive : bool
-        As in `fit_amplitudes`; p = 1.
+        Whether the one amplitude (p = 1) cannot be negative: its prior is a half of the normal one.
     """
 
     def __init__(self, columns: FloatArray, *, positive: bool = False) -> None:

@@ -5,16 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.answer import Finding
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.fit import Target
-from tissuereg.diagnose.proof import BEFORE, BELIEVED, GENERIC, NAMED
+from tissuereg.diagnose.modulus import modulus_finding
+from tissuereg.diagnose.proof import GENERIC, NAMED, held_out_figures
 from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
 from tissuereg.diagnose.search import SEPARABLE, Search, Step, asked_of
-
-#: The modulus is a finding beyond this many prior deviations.
-STIFFNESS = 3.0
 
 #: Ids in one group at most.
 MOST_IN_GROUP = 3
@@ -31,13 +28,15 @@ TEMPER = 2.0
 LOOK_ALIKE = 0.04
 
 
-def findings_of(target: Target, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
+def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
     """Return what a search has found, the modulus among it where it lies beyond its prior.
 
     Parameters
     ----------
     target : Target
         What was fitted.
+    screen : Screen
+        All hypotheses, the generic rival among them.
     found : Search
         All rounds.
     thresholds : mapping of str to float
@@ -57,6 +56,8 @@ def findings_of(target: Target, found: Search, thresholds: Mapping[str, float]) 
         values, deviations = found.final.values(part, young)
         chances = _chances(step)
         asked = asked_of(thresholds, further=part > 0)
+        assert step.proof is not None  # found causes were proved
+        assert step.figures is not None
         findings.append(
             Finding(
                 id=top.id,
@@ -66,11 +67,11 @@ def findings_of(target: Target, found: Search, thresholds: Mapping[str, float]) 
                 threshold=asked[top.id],
                 parameters=values,
                 deviations=deviations,
-                held_out=_held_out(target, step),
+                held_out=held_out_figures(target.bench.layout, target.noise, step.proof, step.figures),
                 sentence=CAUSES[top.id].sentence(values),
             )
         )
-    stiff = _stiffness(target, found)
+    stiff = modulus_finding(target, screen, found, look_alike=LOOK_ALIKE, temper=TEMPER)
     return ([stiff] if stiff is not None else []) + findings
 
 
@@ -150,52 +151,3 @@ def _margin(step: Step) -> float:
     assert step.proof is not None  # found causes were proved
     density = step.proof.log_density.sum(axis=1)
     return float(density[NAMED] - density[GENERIC])
-
-
-def _stiffness(target: Target, found: Search) -> Finding | None:
-    """Return the modulus as a finding where it lies beyond its prior and the data tell it."""
-    final, believed = found.final, target.bench.young
-    excess = float(np.expm1(final.x[0])) / target.bench.young_spread
-    spread = float(np.sqrt(final.covariance[0, 0])) / target.bench.young_spread
-    if abs(excess) < STIFFNESS or spread > 0.3 or "stiffness" in final.ids:
-        return None
-    young = final.young(believed)
-    values = {"young_kpa": young}
-    gain = 0.5 * (excess**2 - STIFFNESS**2)
-    return Finding(
-        id="stiffness",
-        group=("stiffness",),
-        probability=float((1.0 - LOOK_ALIKE) / (1.0 + np.exp(-gain / TEMPER))),
-        log_bayes_factor=0.5 * excess**2,
-        threshold=0.5 * STIFFNESS**2,
-        parameters=values,
-        deviations={"young_kpa": young * float(np.sqrt(final.covariance[0, 0]))},
-        held_out={},
-        sentence=CAUSES["stiffness"].sentence(values),
-    )
-
-
-def _held_out(target: Target, step: Step) -> dict[str, object]:
-    """Return the figures of a finding's proof: residuals in mm, and over their noise with forces."""
-    assert step.proof is not None  # found causes were proved
-    assert step.figures is not None
-    layout, noise = target.bench.layout, target.noise
-    markers = layout.of_markers() & layout.seen
-    chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in step.figures.left]
-    typical = float(noise.marker_std.mean())
-    rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in step.figures.left]
-    return {
-        "rms_base_mm": rms[BELIEVED],
-        "rms_named_mm": rms[NAMED],
-        "rms_generic_mm": rms[GENERIC],
-        "noise_mm": typical,
-        "chi_base": chi[BELIEVED],
-        "chi_named": chi[NAMED],
-        "chi_generic": chi[GENERIC],
-        "log_density_gain": float(step.proof.log_density[NAMED].sum() - step.proof.log_density[BEFORE].sum()),
-        "cases": list(step.figures.blocks),
-    }
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -18,9 +18,8 @@ from tissuereg.diagnose.causes.base import Mixture
 from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.noise import Noise
-from tissuereg.diagnose.predictor import Solved
+from tissuereg.diagnose.predictor import NO_ANSWER, Solved
 from tissuereg.effects import Effect
-from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
 
 #: Iterations at most, and the decrease of the objective below which the fit stands still.
 MOST_ITERATIONS = 12
@@ -37,9 +36,6 @@ SHARES = (1.0, 0.4, 0.15, 0.05)
 
 #: A step moves no knob by more than this many prior deviations.
 LONGEST = 1.5
-
-#: What the user's mesh may raise where a model has no answer.
-NO_ANSWER = (ConvergenceError, ExperimentError, MaterialError, SupportError)
 
 #: Effects whose answer is no multiple of the modulus.
 ABSOLUTE = ("gravity", "reference", "stiffness")
@@ -76,7 +72,6 @@ class Part:
     """One cause in a fit."""
 
     id: str
-    variant: Variant
     knobs: Knobs
 
 

@@ -7,7 +7,7 @@ from functools import cached_property
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import ChainEffect, Effect, extended, seen_markers
-from tissuereg.errors import ConvergenceError
+from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
 from tissuereg.experiment import Experiment
 from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.experiment import Simulators, solve_cases
@@ -16,6 +16,9 @@ from tissuereg.simulate.memory import goes_through_time
 
 #: Residual over load. It leaves some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
 TOLERANCE = 1e-5
+
+#: What a model without an answer on the user's mesh raises.
+NO_ANSWER = (ConvergenceError, ExperimentError, MaterialError, SupportError)
 
 #: Solved models that are kept for others that differ in the tracker alone.
 MOST_SOLVED = 4

@@ -12,6 +12,7 @@ import numpy as np
 
 from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.diagnose.fit import Fit, Target
+from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.signals import CasePart, Layout
 
 #: A cause is proved on a case only where the others tell its knobs: to this share of their prior variance.
@@ -155,6 +156,40 @@ def figure_blocks(layout: Layout, slopes: FloatArray, change: FloatArray) -> dic
     return _blocks(layout, change**2, told)
 
 
+def held_out_figures(layout: Layout, noise: Noise, proof: HeldOut, figures: HeldOut) -> dict[str, object]:
+    """Return what a finding's proof says: residuals in mm, and over their noise with forces.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the data.
+    noise : Noise
+        Of the measurement.
+    proof, figures : HeldOut
+        On what the density was proved, and on what can be guessed; rows as this module names them.
+
+    Returns
+    -------
+    dict
+        ``held_out`` of the answer.
+    """
+    markers = layout.of_markers() & layout.seen
+    chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in figures.left]
+    typical = float(noise.marker_std.mean())
+    rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in figures.left]
+    return {
+        "rms_base_mm": rms[BELIEVED],
+        "rms_named_mm": rms[NAMED],
+        "rms_generic_mm": rms[GENERIC],
+        "noise_mm": typical,
+        "chi_base": chi[BELIEVED],
+        "chi_named": chi[NAMED],
+        "chi_generic": chi[GENERIC],
+        "log_density_gain": float(proof.log_density[NAMED].sum() - proof.log_density[BEFORE].sum()),
+        "cases": list(figures.blocks),
+    }
+
+
 def frame_blocks(layout: Layout, part: CasePart) -> dict[str, BoolArray]:
     """Return blocks of frames of one case; every block holds frames from all through it."""
     blocks = {}
@@ -181,3 +216,7 @@ def _spread(slopes: FloatArray, mask: BoolArray) -> FloatArray:
     """Return the covariance of knobs, over prior deviations, that data without a block leave."""
     others = slopes[:, ~mask]
     return np.asarray(np.linalg.inv(np.eye(len(slopes)) + others @ others.T))
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -16,7 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissuereg.diagnose.fit import ABSOLUTE, NO_ANSWER, Fit, Target, at_believed_modulus, fit
+from tissuereg.diagnose.fit import ABSOLUTE, Fit, Target, at_believed_modulus, fit
+from tissuereg.diagnose.predictor import NO_ANSWER
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.effects import EFFECTS, ChainEffect
 from tissuereg.errors import MeshError

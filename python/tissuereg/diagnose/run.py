@@ -63,25 +63,26 @@ def diagnose_body(
     battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise))
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
-    findings = findings_of(target, found, nulls.thresholds)
-    if not _stands(misfit):
+    findings = findings_of(target, screen, found, nulls.thresholds)
+    taken_back = bool(findings) and not _stands(misfit)
+    if taken_back:
         # What was found is at best the nearest thing to what is there.
         findings, found = [], found.taken_back(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
-    verdict = _verdict(findings, misfit.p)
+    verdict = _verdict(findings, misfit.p, taken_back=taken_back)
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
     if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
         if not any(isinstance(effect, Stiffness) for effect in effects):
             effects = (Stiffness(young_kpa=young), *effects)
     extended = replace(experiment, effects=(*experiment.effects, *effects))
-    findings = _with_targets(findings, experiment, extended, threads)
+    findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
     return Diagnosis(
         verdict=verdict,
         findings=tuple(findings),
         candidates=candidates_of(screen, found.steps[0]),
         p_misfit=misfit.p,
-        discrepancy=describe(layout, noise, found.base, found.final),
+        discrepancy=describe(layout, found.base, found.final),
         extended=extended,
         next_experiment=advise(target, found.steps, findings),
         seed=seed,
@@ -163,13 +164,15 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
     return correction if found is None else replace(correction, modulus=found.young(1.0))
 
 
-def _with_targets(findings: list[Finding], experiment: Experiment, extended: Experiment, threads: int) -> list[Finding]:
+def _with_targets(
+    findings: list[Finding], experiment: Experiment, extended: Experiment, *, element: str, threads: int
+) -> list[Finding]:
     """Return findings with what they gain, all together, at inner targets; as they are where there are none."""
     if not findings or not experiment.targets:
         return findings
     gains = {
-        "target_rms_base_mm": target_rms(experiment, threads),
-        "target_rms_named_mm": target_rms(extended, threads),
+        "target_rms_base_mm": target_rms(experiment, element=element, threads=threads),
+        "target_rms_named_mm": target_rms(extended, element=element, threads=threads),
     }
     return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
 
@@ -179,7 +182,7 @@ def _stands(misfit: Misfit) -> bool:
     return misfit.p >= MISFIT or min(misfit.explained, misfit.explained_there) >= EXPLAINED
 
 
-def _verdict(findings: list[Finding], misfit: float) -> str:
+def _verdict(findings: list[Finding], misfit: float, *, taken_back: bool) -> str:
     if not findings:
-        return "consistent" if misfit > MISFIT else "unexplained"
+        return "consistent" if misfit >= MISFIT and not taken_back else "unexplained"
     return "group" if any(len(finding.group) > 1 for finding in findings) else "named"

@@ -273,7 +273,7 @@ def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit,
     best = -np.inf
     for form in (variant, *alternatives):
         knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
-        parts = [*current.parts, Part(name, form, knobs)]
+        parts = [*current.parts, Part(name, knobs)]
         start = best_start(target, parts, current.x)
         fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - PUT_RIGHT))
         if fitted is not None:
@@ -311,7 +311,7 @@ def _seen(target: Target, current: Fit, candidate: Candidate, part: int) -> tupl
 
 def _beside(target: Target, screen: Screen, base: Fit, current: Fit) -> list[Linear]:
     """Return what any cause is held against: the model before it, the generic rival beside that, the believed one."""
-    rival = linear_model(target, current, _rival(screen, target, current))
+    rival = linear_model(target, current, rival_columns(screen, target, current))
     return [linear_model(target, current), rival, linear_model(target, base)]
 
 
@@ -320,8 +320,8 @@ def _models(target: Target, beside: list[Linear], candidate: Candidate) -> list[
     return [before, linear_model(target, candidate.fit), *others]
 
 
-def _rival(screen: Screen, target: Target, current: Fit) -> FloatArray:
-    """Return the generic rival's columns, whitened, of the size that the data favour."""
+def rival_columns(screen: Screen, target: Target, current: Fit) -> FloatArray:
+    """Return the generic rival's columns beside a fit, whitened (p, size), of the size that the data favour."""
     reduced = target.null.reduced(current.residual)
     gains = [fit_amplitudes(reduced, target.null.reduced(columns)).log_bayes_factor for columns in screen.generic_white]
     return np.asarray(screen.generic_white[int(np.argmax(gains))])

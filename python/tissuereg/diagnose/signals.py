@@ -90,7 +90,9 @@ class Layout:
         self.reference = experiment.marker_reference
         parts, at = [], 0
         for name, case in experiment.cases.items():
-            pads = tuple(pad for pad in case.forces if pad in case.displacements)
+            # The actuators' order, whatever that of the file of forces is: banks are kept by it.
+            known = case.forces.keys() & case.displacements.keys()
+            pads = tuple(pad.name for pad in experiment.actuators if pad.name in known)
             part = CasePart(name, case.times, pads, at, len(self.marker_names))
             parts.append(part)
             at = part.end

@@ -7,13 +7,15 @@ from tissuereg.experiment import Experiment
 from tissuereg.simulate.experiment import simulate_experiment
 
 
-def target_rms(experiment: Experiment, threads: int = 0) -> float | None:
+def target_rms(experiment: Experiment, *, element: str, threads: int) -> float | None:
     """Return how far an experiment's model is from its measured targets.
 
     Parameters
     ----------
     experiment : Experiment
         With its effects; the user's mesh, uncorrected.
+    element : str
+        Elements to use, as `simulate_experiment` takes it.
     threads : int
         Threads to use; 0 takes all cores.
 
@@ -26,7 +28,7 @@ def target_rms(experiment: Experiment, threads: int = 0) -> float | None:
     if not measured:
         return None
     try:
-        answers = simulate_experiment(experiment, threads=threads)
+        answers = simulate_experiment(experiment, element=element, threads=threads)
     except TissueRegError:  # a model without equilibrium says nothing of its targets
         return None
     left = [answers[case].targets[name] - found for case, of in measured.items() for name, found in of.items()]

@@ -37,8 +37,8 @@ class Outcome:
     ----------
     verdict : {"named", "group", "consistent", "unexplained"}
         In a word.
-    none, known : Hypothesis
-        What is believed, and that with the causes found.
+    known : Hypothesis
+        What is believed with the causes found.
     believed : Fit
         What is believed, fitted as a user would.
     refined : Refined or None
@@ -66,7 +66,6 @@ class Outcome:
     """
 
     verdict: str
-    none: Hypothesis
     known: Hypothesis
     believed: Fit
     refined: Refined | None
@@ -128,7 +127,6 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     patch = foretold(bench, none.fit, patch_share=generic.fit.share)
     return Outcome(
         verdict,
-        none,
         known,
         believed,
         handed_on,

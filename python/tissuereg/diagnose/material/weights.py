@@ -30,13 +30,10 @@ class Weights:
         ``U^T L^-1``, 1/kPa.
     spectrum : ndarray of float64, shape (n,)
         ``Lambda``.
-    log_det : float
-        Of the noise's covariance, halved.
     """
 
     whitener: FloatArray
     spectrum: FloatArray
-    log_det: float
 
     def whitened(self, residual: FloatArray, share: float = 0.0) -> FloatArray:
         """Return residuals in units of their standard deviation.
@@ -78,7 +75,7 @@ def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
     factor = np.linalg.cholesky(noise)
     inverse = np.linalg.inv(factor)
     spectrum, vectors = np.linalg.eigh(inverse @ generic @ inverse.T)
-    return Weights(vectors.T @ inverse, np.maximum(spectrum, 0.0), float(np.log(np.diag(factor)).sum()))
+    return Weights(vectors.T @ inverse, np.maximum(spectrum, 0.0))
 
 
 def generic_covariance(data: Data) -> FloatArray:

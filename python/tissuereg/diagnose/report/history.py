@@ -12,7 +12,7 @@ from tissuereg.report.markup import escape
 
 if TYPE_CHECKING:
     from tissuereg.diagnose.answer import Diagnosis
-    from tissuereg.diagnose.signals import CasePart, Layout
+    from tissuereg.diagnose.signals import CasePart
     from tissuereg.experiment import Case
 
 #: Share of frames of noise alone that lie in the band.
@@ -83,9 +83,8 @@ def curves(found: "Diagnosis") -> dict[str, list[Curve]]:
 def histories(found: "Diagnosis") -> str:
     """Return the charts of all cases, HTML."""
     cases = found.extended.cases
-    layout: Layout = found.details["layout"]
     parts = [
-        f"<h3>{escape(name)}</h3>" + _chart(name, several, _load(cases[name], layout[name]))
+        f"<h3>{escape(name)}</h3>" + _chart(name, several, _load(cases[name]))
         for name, several in curves(found).items()
         if several
     ]
@@ -104,7 +103,7 @@ def _curve(title: str, part: "CasePart", before: FloatArray, after: FloatArray, 
     return Curve(title, part.times, chi(before), chi(after), low, high)
 
 
-def _load(case: "Case", part: "CasePart") -> dict[str, FloatArray]:
+def _load(case: "Case") -> dict[str, FloatArray]:
     """Return what every actuator of a case does, as a length over its largest, which its name tells."""
     said = {}
     for given, unit in ((case.displacements, "mm"), (case.applied_forces, "mN")):
