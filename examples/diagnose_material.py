@@ -137,7 +137,7 @@ def study_file(name: str, curve: Curve, out: Path) -> dict[str, object]:
     test = MaterialTest(curve.mode, curve.amounts, curve.stress)
     row: dict[str, object] = {"file": name, "verdict": diagnosis.verdict}
     row["neo_hookean_kpa"] = fit_law([test], "neo-hookean", weighting="plain").standard_error
-    if diagnosis.extended is not None:
+    if diagnosis.answer["causes"]:
         n_parameters = len(diagnosis.outcome.refined.fit.x)
         row["extended_kpa"] = standard_error(curve, predicted_stresses(diagnosis.extended)[0], n_parameters)
         laws = [cause for cause in diagnosis.extended.effects if hasattr(cause, "law")]
@@ -163,7 +163,7 @@ def study_rates(data: Path, out: Path) -> list[dict[str, object]]:
         row = told(f"without {unseen.rate:g}/s", diagnosis)
         base = MaterialExperiment("unseen", out, neo_hookean(others), None, None, (unseen,))
         models = {"neo_hookean": base}
-        if diagnosis.extended is not None:
+        if diagnosis.answer["causes"]:
             extended = diagnosis.extended
             models["extended"] = MaterialExperiment(
                 "unseen", out, extended.material, None, None, (unseen,), extended.effects

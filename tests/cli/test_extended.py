@@ -1,5 +1,6 @@
 """The commands read an experiment with effects like any other, from the folder in which it was written."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 
 import tissuereg as tr
 from support.files import run, run_json, write_experiment
+from support.material_curves import believed, in_modes
 from tissuereg.effects import ActuatorGain, ActuatorOffset, MarkerSwap, Relaxation, Sliding
 from tissuereg.io.cases import read_histories
+from tissuereg.io.material_experiments import write_material_experiment, write_test_table
 
 
 @pytest.fixture
@@ -85,3 +88,30 @@ def test_a_diagnosis_without_measurements_is_bad_input(tmp_path, capsys):
     assert "markers" in said["message"]
     assert not (tmp_path / "out").exists()
     assert "Traceback" not in err
+
+
+def test_a_diagnosis_never_replaces_the_model_that_it_diagnoses(folder, capsys):
+    file = extended(folder, ActuatorGain(actuator="push", gain=2.0))
+    before = file.read_bytes()
+    code, said, _ = run_json(capsys, "diagnose", file, "--out", file.parent, "--quiet")
+    assert code == 2
+    assert "must not replace an input" in said["message"]
+    assert file.read_bytes() == before
+
+
+def test_a_material_test_is_diagnosed_by_the_same_command(tmp_path, capsys):
+    curves = in_modes(np.random.default_rng(4), ("ogden", -10.0))
+    write_test_table(tmp_path / "test.csv", curves)
+    write_material_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
+    code, said, _ = run_json(capsys, "diagnose", tmp_path, "--element", "tet10", "--quiet")
+    assert (code, said["where"]) == (2, "--element")
+    out = tmp_path / "out"
+    code, said, _ = run_json(capsys, "diagnose", tmp_path, "--out", out, "--quiet")
+    assert code == 0
+    assert [cause["id"] for cause in said["causes"]] == ["asymmetry"]
+    kept = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    assert {"seconds", "threads", "machine", "versions"} <= set(kept)
+    assert {key: kept[key] for key in ("causes", "verdict")} == {key: said[key] for key in ("causes", "verdict")}
+    assert (out / "report.html").exists()
+    code, said, _ = run_json(capsys, "diagnose", out / said["extended_model"], "--quiet")
+    assert (code, said["verdict"], said["extended_model"]) == (0, "consistent", None)

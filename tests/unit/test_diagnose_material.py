@@ -7,6 +7,7 @@ import pytest
 
 import support.material_curves as made
 from support.material_curves import believed, elastic, histories, in_modes
+from support.pages import assert_sound_page
 from tissuereg.diagnose.material import diagnose_material, predicted_stresses
 from tissuereg.diagnose.material.noise import noise_of
 from tissuereg.diagnose.material.scene import scene_of
@@ -98,8 +99,7 @@ def test_an_effect_outside_the_catalogue_gets_no_name(way):
     diagnosis = diagnose_material(believed(curves))
     assert diagnosis.verdict == "unexplained"
     assert diagnosis.answer["causes"] == []
-    assert diagnosis.answer["extended_model"] is None
-    assert diagnosis.extended is None
+    assert diagnosis.extended is diagnosis.experiment
     assert diagnosis.answer["p_misfit"] < 0.01
 
 
@@ -134,9 +134,16 @@ def test_the_answer_is_json_and_the_extended_model_is_read_and_run(tmp_path):
     write_test_table(tmp_path / "test.csv", curves)
     write_material_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
     diagnosis = diagnose_material(read_material_experiment(tmp_path))
-    diagnosis.save(tmp_path / "out")
+    diagnosis.save(tmp_path / "out", {"seconds": {"total": 1.0}})
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert_sound_page(page)
+    for mode in ("tension", "compression", "simple-shear"):
+        assert f"Curves in {mode}" in page
+    assert page.count("stroke='#c2571a'") == page.count("stroke='#1f5fa8'") == len(curves)
+    assert "alpha" in page
     told = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert told["schema"] == "tissuereg.diagnosis/1"
+    assert told["seconds"] == {"total": 1.0}
     assert {"verdict", "causes", "candidates", "p_misfit", "discrepancy", "next_experiment", "seed", "versions"} <= set(
         told
     )
@@ -147,6 +154,19 @@ def test_the_answer_is_json_and_the_extended_model_is_read_and_run(tmp_path):
         assert np.sqrt(np.mean((stress - curve.stress) ** 2)) < 0.015 * np.abs(curve.stress).max()
     # What was found is now believed: nothing more is wrong.
     assert diagnose_material(extended).verdict == "consistent"
+
+
+def test_what_names_nothing_hands_on_what_is_believed(tmp_path):
+    curves = in_modes(np.random.default_rng(12), PLAIN)
+    write_test_table(tmp_path / "test.csv", curves)
+    write_material_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")
+    diagnosis = diagnose_material(read_material_experiment(tmp_path))
+    assert diagnosis.verdict == "consistent"
+    out = diagnosis.save(tmp_path / "out")
+    assert_sound_page((out / "report.html").read_text(encoding="utf-8"))
+    again = read_material_experiment(out / "experiment.extended.toml")
+    assert again.effects == ()
+    assert again.material.digest() == diagnosis.experiment.material.digest()
 
 
 def test_the_same_call_gives_the_same_answer():

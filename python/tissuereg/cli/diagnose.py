@@ -2,15 +2,19 @@
 
 import argparse
 import sys
+from pathlib import Path
 from typing import Any
 
-from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import add_common, command_parser
+from tissuereg.cli.common import Outcome, Stopwatch, envelope, seconds_line
+from tissuereg.cli.options import UsageError, add_common, command_parser, refuse_overwriting
 
 _DETAILS = (
     "EXPERIMENT is a folder (or its .toml). OUT gets diagnosis.json, experiment.extended.toml (the believed experiment "
-    "with the findings as effects; simulate, register and diagnose read it) and report.html."
+    "with its modulus as fitted and the findings as effects; simulate, register and diagnose read it, diagnose alone "
+    "that of a material test) and report.html. The bank of causes is kept for the next experiment of a mesh and rig."
 )
+
+_WRITTEN = ("diagnosis.json", "experiment.extended.toml", "report.html")
 
 
 def add_parser(commands: Any) -> None:
@@ -26,7 +30,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("experiment", metavar="EXPERIMENT", help="experiment folder or file")
     parser.add_argument("--out", metavar="OUT", help="folder for the results")
     text = "elements of the believed model of a body (default: tet4)"
-    parser.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], default="tet4", help=text)
+    parser.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
     parser.add_argument("--no-cache", action="store_true", help="make the bank of causes anew, keep nothing")
     add_common(parser, seed="seed of all chance (default: 0)")
     parser.set_defaults(run=run)
@@ -51,6 +55,7 @@ def run(args: argparse.Namespace) -> Outcome:
     from tissuereg.io.material_experiments import read_material_experiment
 
     if args.out is not None:
+        refuse_overwriting([Path(args.out) / name for name in _WRITTEN], [args.experiment])
         check_folder_target(args.out)
     clock = Stopwatch()
 
@@ -62,17 +67,23 @@ def run(args: argparse.Namespace) -> Outcome:
         "seed": args.seed or 0,
         "threads": args.threads,
         "keep": not args.no_cache,
-        "element": args.element,
+        "element": args.element or "tet4",
     }
-    read = read_material_experiment if is_material_test(args.experiment) else read_experiment
-    experiment = read(args.experiment)
+    is_test = is_material_test(args.experiment)
+    if is_test and args.element is not None:
+        message = "--element must be left out for a material test, which has no elements"
+        raise UsageError(message, where="--element")
+    experiment = read_material_experiment(args.experiment) if is_test else read_experiment(args.experiment)
     clock.lap("read")
     found = diagnose(experiment, progress=told, **settings)
     clock.lap("diagnose")
-    if args.out is not None:
-        found.save(args.out)
+    answer = found.to_json()
+    if args.out is None:
+        answer["extended_model"] = None
+    else:
+        found.save(args.out, {**envelope(args.threads), "seconds": clock.seconds})
         clock.lap("write")
-    return _outcome(found.to_json(), clock, args)
+    return _outcome(answer, clock, args)
 
 
 def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace) -> Outcome:

@@ -152,13 +152,15 @@ class Diagnosis:
 
         return write_report(self, Path(path))
 
-    def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``.
+    def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
+        """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``, all or none.
 
         Parameters
         ----------
         folder : path-like
             Files of these names in it are replaced, others stay.
+        extra : mapping, optional
+            Entries added to the JSON, or put over its own.
 
         Returns
         -------
@@ -174,7 +176,7 @@ class Diagnosis:
         """
         from tissuereg.diagnose.files import write_diagnosis
 
-        return write_diagnosis(self, Path(folder))
+        return write_diagnosis(self, Path(folder), extra or {})
 
 
 def _pairs(values: Values, deviations: Values) -> dict[str, Any]:

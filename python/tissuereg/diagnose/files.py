@@ -1,7 +1,8 @@
 """The folder of a diagnosis: answer, extended model, report; whole or not at all."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tissuereg.diagnose.report.page import write_report
 from tissuereg.io.atomic import atomic_folder
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from tissuereg.diagnose.answer import Diagnosis
 
 
-def write_diagnosis(found: "Diagnosis", out: Path) -> Path:
+def write_diagnosis(found: "Diagnosis", out: Path, extra: Mapping[str, Any]) -> Path:
     """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``.
 
     Parameters
@@ -21,6 +22,8 @@ def write_diagnosis(found: "Diagnosis", out: Path) -> Path:
         The answer.
     out : Path
         Folder; files of these names in it are replaced, others stay.
+    extra : mapping
+        Entries added to the JSON, or put over its own.
 
     Returns
     -------
@@ -35,7 +38,7 @@ def write_diagnosis(found: "Diagnosis", out: Path) -> Path:
         If the folder cannot be written.
     """
     with atomic_folder(out) as folder:
-        write_json(folder / "diagnosis.json", found.to_json())
+        write_json(folder / "diagnosis.json", {**found.to_json(), **extra})
         # Paths in the model lead from the folder's final place.
         write_experiment(found.extended, folder / "experiment.extended.toml", seen_from=out)
         write_report(found, folder / "report.html", seen_from=out)

@@ -14,7 +14,7 @@ from tissuereg.effects.history import Rate, Relaxation, Set, Softening
 from tissuereg.errors import ExperimentError, FormatError, MaterialError
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.toml import Table, read_toml
-from tissuereg.io.toml_text import write_toml
+from tissuereg.io.toml_text import toml_text, write_toml
 from tissuereg.material import SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.material_experiment import HELD_OUT, TEST_MODES, Curve, MaterialExperiment
 
@@ -70,7 +70,9 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
     return MaterialExperiment(name, folder, material, young_std, poisson_std, curves, effects, hold_out, stress_std)
 
 
-def write_material_experiment(experiment: MaterialExperiment, path: str | os.PathLike[str]) -> None:
+def write_material_experiment(
+    experiment: MaterialExperiment, path: str | os.PathLike[str], *, seen_from: str | os.PathLike[str] | None = None
+) -> None:
     """Write an experiment file that `read_material_experiment` reads back; its ``test.csv`` stays where it is.
 
     Parameters
@@ -79,6 +81,8 @@ def write_material_experiment(experiment: MaterialExperiment, path: str | os.Pat
         Beliefs and effects may have been changed since it was read.
     path : path-like
         The file, ``experiment.extended.toml`` say.
+    seen_from : path-like, optional
+        Folder in which the file will be read, where it is written elsewhere first; need not exist.
 
     Raises
     ------
@@ -87,7 +91,34 @@ def write_material_experiment(experiment: MaterialExperiment, path: str | os.Pat
     OutputError
         If the file cannot be written there.
     """
-    folder = Path(path).absolute().parent
+    write_toml(path, _content(experiment, Path(path).parent if seen_from is None else Path(seen_from)))
+
+
+def material_experiment_text(experiment: MaterialExperiment, folder: str | os.PathLike[str]) -> str:
+    """Return what `write_material_experiment` writes for a folder.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        As there.
+    folder : path-like
+        In which the file is to be read; need not exist.
+
+    Returns
+    -------
+    str
+        TOML.
+
+    Raises
+    ------
+    ExperimentError
+        As there.
+    """
+    return toml_text(_content(experiment, Path(folder)))
+
+
+def _content(experiment: MaterialExperiment, folder: Path) -> dict[str, Any]:
+    folder = folder.absolute()
     material = experiment.material
     young, poisson = material.young_array, material.poisson_array
     if young.size != 1 or poisson.size != 1:
@@ -109,7 +140,7 @@ def write_material_experiment(experiment: MaterialExperiment, path: str | os.Pat
     if test:
         content["test"] = test
     content["effect"] = [effect.table() for effect in experiment.effects]
-    write_toml(path, {key: value for key, value in content.items() if value != []})
+    return {key: value for key, value in content.items() if value != []}
 
 
 def write_test_table(path: str | os.PathLike[str], curves: Iterable[Curve]) -> None:

@@ -1,19 +1,21 @@
 """What a believed law gets wrong in material tests: found, named, proved on held-out data, and put right.
 
 `diagnose_material` is the whole path: `noise` (what curves do by themselves), `hypothesis` (causes fitted, evidence),
-`nulls` (what chance does), `search` (race, proof, groups), `verdict`, `answer`, `extend`. One file a cause family in
-`causes`; the stress of a model along a curve is `history.stress_of`.
+`nulls` (what chance does), `search` (race, proof, groups), `verdict`, `answer`, `extend`, `report`. One file a cause
+family in `causes`; the stress of a model along a curve is `history.stress_of`.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tissuereg.diagnose.material.answer import EXTENDED_FILE, answer_of
 from tissuereg.diagnose.material.extend import extended, predicted_stresses
+from tissuereg.diagnose.material.report import material_page
 from tissuereg.diagnose.material.verdict import Outcome, find_out
+from tissuereg.io.atomic import atomic_folder
 from tissuereg.io.json import write_json
 from tissuereg.io.material_experiments import write_material_experiment
 from tissuereg.material_experiment import MaterialExperiment
@@ -29,14 +31,17 @@ class MaterialDiagnosis:
     ----------
     answer : dict
         Schema ``tissuereg.diagnosis/1``, of JSON's types.
-    extended : MaterialExperiment or None
-        With the causes found as effects; None where none was named.
+    experiment : MaterialExperiment
+        Believed and measured.
+    extended : MaterialExperiment
+        With the causes found as effects; the same where none was named.
     outcome : Outcome
         All figures, for further work in Python.
     """
 
     answer: dict[str, Any]
-    extended: MaterialExperiment | None
+    experiment: MaterialExperiment
+    extended: MaterialExperiment
     outcome: Outcome
 
     @property
@@ -48,13 +53,15 @@ class MaterialDiagnosis:
         """Return the answer as JSON's types."""
         return self.answer
 
-    def save(self, folder: str | os.PathLike[str]) -> Path:
-        """Write ``diagnosis.json`` and, where a cause was named, ``experiment.extended.toml``.
+    def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
+        """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``, all or none.
 
         Parameters
         ----------
         folder : path-like
-            Made where it is absent.
+            Files of these names in it are replaced, others stay.
+        extra : mapping, optional
+            Entries added to the JSON, or put over its own.
 
         Returns
         -------
@@ -67,10 +74,11 @@ class MaterialDiagnosis:
             If it cannot be written there.
         """
         place = Path(folder)
-        place.mkdir(parents=True, exist_ok=True)
-        write_json(place / "diagnosis.json", self.answer)
-        if self.extended is not None:
-            write_material_experiment(self.extended, place / EXTENDED_FILE)
+        with atomic_folder(place) as draft:
+            write_json(draft / "diagnosis.json", {**self.answer, **(extra or {})})
+            # Paths in the model lead from the folder's final place.
+            write_material_experiment(self.extended, draft / EXTENDED_FILE, seen_from=place)
+            (draft / "report.html").write_text(material_page(self, place), encoding="utf-8")
         return place
 
 
@@ -116,5 +124,5 @@ def diagnose_material(
     """
     outcome = find_out(experiment, seed, progress or (lambda message: None))
     answer = answer_of(experiment, outcome, seed)
-    found = None if outcome.refined is None else extended(experiment, outcome.refined.fit)
-    return MaterialDiagnosis(answer, found, outcome)
+    found = experiment if outcome.refined is None else extended(experiment, outcome.refined.fit)
+    return MaterialDiagnosis(answer, experiment, found, outcome)

@@ -78,7 +78,7 @@ def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> di
             "along_curve": outcome.noise.along,
             "repeats": outcome.noise.repeats,
         },
-        "extended_model": EXTENDED_FILE if outcome.findings else None,
+        "extended_model": EXTENDED_FILE,
         "next_experiment": _next(experiment, outcome),
         "sentences": _sentences(outcome),
         "weighting": outcome.refined.weighting if outcome.refined else None,

@@ -1,0 +1,41 @@
+"""Checks that every HTML report must pass."""
+
+import re
+from html.parser import HTMLParser
+
+VOID = {"br", "input", "meta"}
+
+
+class Balance(HTMLParser):
+    """Notes elements that are not closed in the order in which they were opened, ids, and what is reached for."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.wrong, self.reaches = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        said = dict(attrs)
+        self.ids += [said["id"]] if "id" in said else []
+        self.reaches += [said[key] for key in ("src", "href", "action") if key in said]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        pass
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.wrong.append((tag, self.getpos()))
+
+
+def assert_sound_page(text, reaches=()):
+    """Check that a page is well formed, reaches for nothing but these files, and shows no number that is none."""
+    reader = Balance()
+    reader.feed(text)
+    assert (reader.wrong, reader.open) == ([], [])
+    assert len(set(reader.ids)) == len(reader.ids)
+    assert reader.reaches == list(reaches)
+    assert "http" not in text
+    assert "@import" not in text
+    assert "nan" not in re.findall(r"[\d.]+|nan", re.sub(r"<script.*", "", text, flags=re.DOTALL))
+    assert len(text) < 2_000_000
