@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
+from tissuereg.diagnose.chances import TEMPER, probabilities
 from tissuereg.diagnose.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
 from tissuereg.diagnose.nulls import LEAST_THRESHOLD, LEVEL, _thresholds
 from tissuereg.diagnose.proof import Linear, held_out
-from tissuereg.diagnose.screen import probabilities
 
 SIZE = 30
 
@@ -66,7 +66,7 @@ def test_log_mean_exp_survives_large_numbers():
 def test_probabilities_hold_none_and_sum_to_one():
     found = probabilities({"a": 3.0, "b": -800.0})
     assert sum(found.values()) == pytest.approx(1.0)
-    assert found["a"] / found[""] == pytest.approx(np.exp(3.0))
+    assert found["a"] / found[""] == pytest.approx(np.exp(3.0 / TEMPER))
 
 
 def test_a_held_out_block_is_predicted_by_the_conditional_gaussian(rng):

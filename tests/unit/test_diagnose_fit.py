@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from support.rigs import rig
+from support.targets import YOUNG, part, target_of
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.causes.base import knobs
-from tissuereg.diagnose.correction import Correction, make_correction
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.findings import LOOK_ALIKE, _chances, group_of
+from tissuereg.diagnose.chances import LOOK_ALIKE
+from tissuereg.diagnose.correction import make_correction
+from tissuereg.diagnose.findings import _chances, group_of
 from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, best_start, fit
 from tissuereg.diagnose.modulus import modulus_finding
-from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.nuisances import RIM_ERROR, _rim_sizes
 from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import LEFT, recorrected, settled
@@ -26,29 +26,6 @@ from tissuereg.diagnose.screen import UNKNOWN, Screened
 from tissuereg.diagnose.search import Candidate, Search, Step, _fit_forms
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import ActuatorOffset, Detachment, Latency, Mooney, Poisson, Relaxation, Sliding
-
-MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
-
-
-def target_of(*effects, marker_std=MARKER_STD, force_std=FORCE_STD, young=YOUNG) -> Target:
-    """Return what is fitted to data with effects, a stiffer body and noise."""
-    believed = rig()
-    truth = Bench(believed, Layout(believed)).predictor.predict(effects, young=young)
-    layout = Layout(believed)
-    rng = np.random.default_rng(1)
-    std = np.where(layout.of_markers(), marker_std, force_std)
-    layout.measured[:] = truth + std * rng.standard_normal(layout.size)
-    bench = Bench(believed, layout)
-    noise = Noise(np.full(len(layout.marker_names), marker_std), 0.0, 0.0, 0.0, 1.0, force_std, True)
-    same = Correction(layout)
-    return Target(bench, noise, same, Null(np.zeros((0, layout.size))))
-
-
-def part(target, name, amplitude=0.1, **settings):
-    """Return a cause where its fit begins."""
-    variants = [v for v in CAUSES[name].variants(target.bench) if settings.items() <= v.settings.items()]
-    amplitudes = np.full(len(variants[0].columns), amplitude)
-    return Part(name, CAUSES[name].knobs(target.bench, variants[0], amplitudes))
 
 
 @pytest.fixture(scope="module")
@@ -296,7 +273,7 @@ def test_a_modulus_far_beyond_its_prior_is_a_finding_that_is_proved():
     rng = np.random.default_rng(2)
     screen = SimpleNamespace(generic_white=[rng.standard_normal((8, target.bench.layout.size))])
     base = fit(target, [])
-    found = modulus_finding(target, screen, Search(base, base), look_alike=0.04, temper=2.0)
+    found = modulus_finding(target, screen, Search(base, base))
     assert found.parameters["young_kpa"] == pytest.approx(25.0, rel=0.02)
     assert found.probability > 0.9
     told = found.held_out
@@ -311,7 +288,7 @@ def test_a_modulus_far_beyond_its_prior_is_a_finding_that_is_proved():
 
 def test_a_modulus_within_its_prior_is_no_finding(of_two):
     base = fit(of_two, [])
-    assert modulus_finding(of_two, None, Search(base, base), look_alike=0.04, temper=2.0) is None
+    assert modulus_finding(of_two, None, Search(base, base)) is None
 
 
 def test_findings_that_are_taken_back_leave_the_believed_model(of_two):

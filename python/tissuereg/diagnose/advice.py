@@ -8,12 +8,18 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.answer import Finding
+from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.fit import Fit, Target
+from tissuereg.diagnose.nuisances import FORCE_LEFT, frame_columns
+from tissuereg.diagnose.patterns import force_columns
 from tissuereg.diagnose.predictor import Predictor
 from tissuereg.diagnose.search import Step
 from tissuereg.diagnose.signals import Layout
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment import Actuator, Case, Experiment
+
+#: Noise of a force that is not measured yet, mN.
+MEASURED_TO = 5.0
 
 #: Seconds of a stock case: up, hold, down; and of a long hold.
 UP, HOLD, LONG = 2.0, 6.0, 30.0
@@ -44,7 +50,13 @@ def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -
     -------
     dict or None
         ``action`` in words, ``separates`` pairs of ids, ``separability`` the least one of them: the length of what the
-        two fitted explanations differ by there, in units of noise. None where nothing is tied.
+        two fitted explanations differ by there, in units of noise, beside the tracker's frame, the modulus as it is
+        known by now, and the error of forces. None where nothing is tied, and where no pad is moved.
+
+    Notes
+    -----
+    An upper bound: explanations are taken as they are fitted, and the mesh's error in the markers of an action that was
+    never simulated on another mesh is not known.
     """
     fits: dict[str, Fit] = {}
     pairs = []
@@ -62,7 +74,7 @@ def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -
             told = {name: _said(target, fits[name], action) for name in {name for pair in pairs for name in pair}}
         except TissueRegError:  # an action without equilibrium is no advice
             continue
-        least = min(_apart(told[one], told[other]) for one, other in pairs)
+        least = min(_apart(target, action, told[one], told[other], fits[one]) for one, other in pairs)
         if best is None or least > best["separability"]:
             best = {"action": action.words, "separates": pairs, "separability": least}
     return best
@@ -86,7 +98,7 @@ def _actions(experiment: Experiment) -> list[_Action]:
         words = f"move {pad.name} as before, hold {LONG:.0f} s"
         actions.append(_Action(words, _case(experiment, pad, along, LONG), bool(experiment.force_std)))
         if experiment.force_std is None:
-            words = f"measure the force at {pad.name} to 5 mN, hold {HOLD:.0f} s"
+            words = f"measure the force at {pad.name} to {MEASURED_TO:g} mN, hold {HOLD:.0f} s"
             actions.append(_Action(words, _case(experiment, pad, along, HOLD), True))
     return actions
 
@@ -102,19 +114,30 @@ def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float
     return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))})
 
 
-def _said(target: Target, fit: Fit, action: _Action) -> FloatArray:
-    """Return what a fitted explanation says of an action, over the noise, the modulus' own direction last."""
+def _layout(target: Target, action: _Action) -> Layout:
     case = action.case if action.force else replace(action.case, forces={})
-    experiment = replace(target.bench.experiment, cases={"next": case}, rest_case=None)
-    layout = Layout(experiment)
+    return Layout(replace(target.bench.experiment, cases={"next": case}, rest_case=None))
+
+
+def _said(target: Target, fit: Fit, action: _Action) -> FloatArray:
+    """Return what a fitted explanation says of an action, mm and mN."""
+    layout = _layout(target, action)
+    experiment = replace(target.bench.experiment, cases={"next": action.case}, rest_case=None)
     predictor = Predictor(experiment, layout, element=target.bench.predictor.element)
-    factor = float(np.exp(fit.x[0]))
-    found = predictor.predict(fit.effects(target.bench.young), young=factor)
-    noise = float(target.noise.marker_std.mean())
-    force_std = target.noise.force_std if target.bench.experiment.force_std is not None else 5.0
-    return np.asarray(found / np.where(layout.of_markers(), noise, force_std))
+    return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
-def _apart(one: FloatArray, other: FloatArray) -> float:
-    """Return the length of a difference, in noise deviations."""
-    return float(np.linalg.norm(one - other))
+def _apart(target: Target, action: _Action, one: FloatArray, other: FloatArray, fit: Fit) -> float:
+    """Return the length of a difference, in noise deviations, beside what is uncertain whatever the cause."""
+    layout = _layout(target, action)
+    markers = layout.of_markers()
+    force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO
+    std = np.where(markers, float(target.noise.marker_std.mean()), force_std)
+    columns = [column for pair in frame_columns(layout, one) for column in pair]
+    if target.bench.scales_forces:
+        columns.append(np.where(markers, 0.0, one) * float(np.sqrt(fit.covariance[0, 0])))
+    for part in layout.parts:
+        for pad in range(len(part.pads)):
+            strength = np.linalg.norm(part.forces(one)[:, pad], axis=1)
+            columns += list(force_columns(layout, part, pad, FORCE_LEFT * strength))
+    return float(np.linalg.norm(Null(np.array(columns) / std).reduced((one - other) / std)))

@@ -7,10 +7,11 @@ import numpy as np
 
 from tissuereg.diagnose.answer import Finding
 from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.chances import LOOK_ALIKE, TEMPER, probabilities
 from tissuereg.diagnose.fit import Target
 from tissuereg.diagnose.modulus import modulus_finding
 from tissuereg.diagnose.proof import GENERIC, NAMED, held_out_figures
-from tissuereg.diagnose.screen import UNKNOWN, Screen, probabilities
+from tissuereg.diagnose.screen import UNKNOWN, Screen
 from tissuereg.diagnose.search import SEPARABLE, Search, Step, asked_of
 
 #: Ids in one group at most.
@@ -18,14 +19,6 @@ MOST_IN_GROUP = 3
 
 #: A cause is in the group of the one found if it passes the threshold too, or is this share as likely.
 AS_LIKELY = 0.1
-
-#: Log Bayes factors are divided by this before they become probabilities: the models of mesh error and noise are not
-#: exact.
-TEMPER = 2.0
-
-#: Share of a cause's probability that goes to something outside the catalogue that looks like it, which no evidence
-#: tells: of 159 findings surer than 0.8 on the blind bench seven were such effects.
-LOOK_ALIKE = 0.04
 
 
 def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
@@ -71,7 +64,7 @@ def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mappi
                 sentence=CAUSES[top.id].sentence(values),
             )
         )
-    stiff = modulus_finding(target, screen, found, look_alike=LOOK_ALIKE, temper=TEMPER)
+    stiff = modulus_finding(target, screen, found)
     return ([stiff] if stiff is not None else []) + findings
 
 
@@ -141,7 +134,7 @@ def _chances(step: Step) -> dict[str, float]:
     if step.found is not None:
         # A proof on held-out data has told cause and patch apart.
         gains[UNKNOWN] = min(gains[UNKNOWN], step.found.gain - float(_margin(step)))
-    chances = probabilities(gains, TEMPER)
+    chances = probabilities(gains)
     own = {name: chances[name] for name in CAUSES if name in chances}
     unknown = chances[UNKNOWN] + LOOK_ALIKE * sum(own.values())
     return {**chances, **{name: (1.0 - LOOK_ALIKE) * chance for name, chance in own.items()}, UNKNOWN: unknown}

@@ -8,6 +8,7 @@ import numpy as np
 from tissuereg.diagnose.answer import Finding
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.chances import LOOK_ALIKE, TEMPER
 from tissuereg.diagnose.fit import Target, fit
 from tissuereg.diagnose.proof import (
     BEFORE,
@@ -29,9 +30,7 @@ BEYOND, TOLD = 3.0, 0.3
 _PINNED = 1e-6
 
 
-def modulus_finding(
-    target: Target, screen: Screen, found: Search, *, look_alike: float, temper: float
-) -> Finding | None:
+def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | None:
     """Return the modulus as a finding where it lies beyond its prior, the data tell it, and it is proved.
 
     Parameters
@@ -42,10 +41,6 @@ def modulus_finding(
         It has the generic rival.
     found : Search
         With the causes found; their fit has the modulus.
-    look_alike : float
-        Share of the probability that goes to what is outside the catalogue.
-    temper : float
-        Log Bayes factors are divided by it.
 
     Returns
     -------
@@ -78,7 +73,7 @@ def modulus_finding(
     return Finding(
         id="stiffness",
         group=("stiffness",),
-        probability=float((1.0 - look_alike) / (1.0 + np.exp(-0.5 * (excess**2 - BEYOND**2) / temper))),
+        probability=float((1.0 - LOOK_ALIKE) / (1.0 + np.exp(-0.5 * (excess**2 - BEYOND**2) / TEMPER))),
         log_bayes_factor=0.5 * excess**2,
         threshold=0.5 * BEYOND**2,
         parameters=values,

@@ -1,4 +1,4 @@
-"""What is always fitted beside the causes and never named: modulus, frame, drift, error of the mesh."""
+"""What is always fitted beside the causes: modulus, frame, drift, gains, error of the mesh; small, and not named."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.faceting import faceting
 from tissuereg.diagnose.patterns import force_columns, load_history, marker_columns, smooth_patterns
-from tissuereg.diagnose.signals import CasePart
+from tissuereg.diagnose.signals import CasePart, Layout
 from tissuereg.effects import ActuatorGain
 from tissuereg.effects.base import rotation_from_vector
 from tissuereg.experiment import Experiment
@@ -80,16 +80,11 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
     """
     layout = bench.layout
     names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
-    middle = layout.reference.mean(axis=0)
     clock = layout.times()
     span = max(float(np.ptp(clock)), 1e-9)
-    for axis in range(3):
-        shift, turn, drift = (np.zeros(layout.size) for _ in range(3))
-        rotation = rotation_from_vector(tuple(FRAME_TURN * np.eye(3)[axis])) - np.eye(3)
+    for axis, (shift, turn) in enumerate(frame_columns(layout, bench.base)):
+        drift = np.zeros(layout.size)
         for part in layout.parts:
-            part.markers(shift)[..., axis] = FRAME_SHIFT
-            places = layout.reference + part.markers(bench.base)
-            part.markers(turn)[:] = (places - middle) @ rotation.T
             part.markers(drift)[..., axis] = DRIFT * (part.times[:, None] - clock.min()) / span
         names += [f"frame shift {axis}", f"frame turn {axis}", f"drift {axis}"]
         columns += [shift, turn, drift]
@@ -119,6 +114,26 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
         columns.append(column)
     kept = [i for i, column in enumerate(columns) if column.any()]
     return Nuisances(tuple(names[i] for i in kept), np.array([columns[i] for i in kept]))
+
+
+def frame_columns(layout: Layout, base: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield, axis by axis, what a shift of the tracker's frame and a turn of it change, each (size,), in mm.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the columns.
+    base : ndarray of float64, shape (size,)
+        Where the markers are: displacements, mm.
+    """
+    middle = layout.reference.mean(axis=0)
+    for axis in range(3):
+        shift, turn = np.zeros(layout.size), np.zeros(layout.size)
+        rotation = rotation_from_vector(tuple(FRAME_TURN * np.eye(3)[axis])) - np.eye(3)
+        for part in layout.parts:
+            part.markers(shift)[..., axis] = FRAME_SHIFT
+            part.markers(turn)[:] = (layout.reference + part.markers(base) - middle) @ rotation.T
+        yield shift, turn
 
 
 def _differ(errors: FloatArray) -> float:

@@ -1,6 +1,5 @@
 """Screening: the exact linear evidence of every hypothesis in the bank, and of the generic rival."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -122,24 +121,3 @@ class Screen:
             power = np.einsum("vs,vs->v", shift, shift, dtype=np.float64)
             return np.asarray(residuals.astype(np.float32) @ shift.T - 0.5 * power, np.float64)
         return blocks.log_bayes_factors(residuals)
-
-
-def probabilities(log_bayes_factors: Mapping[str, float], temper: float = 1.0) -> dict[str, float]:
-    """Return the probability of every cause, "none" among them under an empty name, all equally likely before.
-
-    Parameters
-    ----------
-    log_bayes_factors : mapping of str to float
-        Against none.
-    temper : float
-        Factors are divided by it: at 1 they are believed as they are.
-
-    Returns
-    -------
-    dict of str to float
-        Of sum 1.
-    """
-    names = ["", *log_bayes_factors]
-    logs = np.array([0.0, *log_bayes_factors.values()]) / temper
-    weights = np.exp(logs - logs.max())
-    return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))

@@ -40,7 +40,7 @@ def proved(found: "Diagnosis") -> str:
 
 
 def proofs_of(found: "Diagnosis") -> dict[int, "HeldOut"]:
-    """Return the proofs of findings by their number; a modulus beyond its prior has none."""
+    """Return the proofs of findings by their number; that of a modulus beyond its prior is no step's."""
     search = found.details.get("search")
     steps = [step for step in search.steps if step.found is not None] if search is not None else []
     # Findings stand in the order of the steps; only the modulus may stand before them.

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tissuereg.diagnose.chances import LOOK_ALIKE, TEMPER
 from tissuereg.diagnose.report.proved import gain_words
 from tissuereg.diagnose.report.ranking import chance, gloss, plain_name
 from tissuereg.diagnose.search import SEPARABLE
@@ -81,8 +82,8 @@ def ties(found: "Diagnosis") -> str:
         pairs = "; ".join(" from ".join(plain_name(name) for name in pair) for pair in advice["separates"])
         parts.append(
             f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(pairs)}: what the "
-            f"explanations predict there differs by {advice['separability']:.1f} noise deviations at least "
-            f"({SEPARABLE:.0f} are enough to tell).</p>"
+            f"explanations, as fitted, predict there differs by {advice['separability']:.1f} noise deviations beside "
+            f"the tracker's frame, the modulus and the error of forces ({SEPARABLE:.0f} tell the two apart).</p>"
         )
     return "\n".join(parts)
 
@@ -104,7 +105,9 @@ def assumed(found: "Diagnosis") -> str:
             f"the causes: {search.final.young(young):.4g} \u00b1 {spread:.2g} kPa."
         )
     items += [
-        "Probabilities hold among the causes of the catalogue, none, and a generic rival, all equally likely before.",
+        "Probabilities hold among the causes of the catalogue, none, and a generic rival, all equally likely before; "
+        f"log Bayes factors are divided by {TEMPER:g} first, because the models of noise and mesh are not exact, and "
+        f"{100 * LOOK_ALIKE:.0f} % of every cause's go to what is outside the catalogue and looks like it.",
         f"Seed of all chance: {found.seed}.",
         "Versions: " + ", ".join(f"{name} {version}" for name, version in found.versions.items()) + ".",
     ]
@@ -184,13 +187,16 @@ def _nuisances(found: "Diagnosis") -> list[str]:
     names = ["stiffness"] if nuisances is None else list(nuisances.names)
     kinds = {
         "stiffness": "Young's modulus within its belief",
-        "frame shift": "a shift of the tracker's frame",
-        "frame turn": "a turn of it",
+        "frame shift": "a small shift of the tracker's frame",
+        "frame turn": "a small turn of it",
         "drift": "a drift of the camera",
+        "gain": "small gains of the actuators, larger on a coarse mesh",
         "mesh": "the error of the mesh, which grows with the load",
+        "rim": "that of every marker near the rim of the pad at work",
+        "trial": "what trials of one case differ by",
     }
     said = [words for key, words in kinds.items() if any(name.startswith(key) for name in names)]
-    return [f"Always fitted beside the causes and never named: {_listed(said)}."]
+    return [f"Always fitted beside the causes: {_listed(said)}. What hides in these is not named."]
 
 
 def _either(names: list[str]) -> str:

@@ -1,0 +1,35 @@
+"""A small body with effects, as it is fitted."""
+
+import numpy as np
+
+from support.rigs import rig
+from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.correction import Correction
+from tissuereg.diagnose.evidence import Null
+from tissuereg.diagnose.fit import Part, Target
+from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.signals import Layout
+
+MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
+
+
+def target_of(*effects, marker_std=MARKER_STD, force_std=FORCE_STD, young=YOUNG) -> Target:
+    """Return what is fitted to data with effects, a stiffer body and noise."""
+    believed = rig()
+    truth = Bench(believed, Layout(believed)).predictor.predict(effects, young=young)
+    layout = Layout(believed)
+    rng = np.random.default_rng(1)
+    std = np.where(layout.of_markers(), marker_std, force_std)
+    layout.measured[:] = truth + std * rng.standard_normal(layout.size)
+    bench = Bench(believed, layout)
+    noise = Noise(np.full(len(layout.marker_names), marker_std), 0.0, 0.0, 0.0, 1.0, force_std, True)
+    same = Correction(layout)
+    return Target(bench, noise, same, Null(np.zeros((0, layout.size))))
+
+
+def part(target, name, amplitude=0.1, **settings):
+    """Return a cause where its fit begins."""
+    variants = [v for v in CAUSES[name].variants(target.bench) if settings.items() <= v.settings.items()]
+    amplitudes = np.full(len(variants[0].columns), amplitude)
+    return Part(name, CAUSES[name].knobs(target.bench, variants[0], amplitudes))
