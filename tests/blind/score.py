@@ -203,7 +203,7 @@ def _tied_rows(cases):
         len(c.groups) == 1 and 2 <= len(c.groups[0]) <= 3 and bool(set(c.truth["cause"]) & c.groups[0]) for c in tied
     ]
     pure = sum(flag and c.groups[0] <= set(c.truth["group_ok"]) for flag, c in zip(flags, tied, strict=True))
-    note = f"{pure} of these groups hold tied ids alone"
+    note = f"{pure} of these groups hold tied ids alone" if tied else ""
     yield _count("tied causes: a group that holds the hidden one", flags, ">= 90 %", 0.9, note=note)
 
 
@@ -235,8 +235,9 @@ def _weak(table):
     at_eight = {cause: row[8.0] for cause, row in sorted(table.items()) if 8.0 in row}
     weak = [f"{cause} ({hits} of {n})" for cause, (hits, n) in at_eight.items() if 2 * hits < n]
     absent = sorted(set(CAUSES) - set(table))
-    said = f"Fewer than half are named at d = 8 of: {', '.join(weak) or 'none'}."
-    return said + (f" Not among these cases at a stated level: {', '.join(absent)}." if absent else "")
+    said = [f"Fewer than half are named at d = 8 of: {', '.join(weak) or 'none'}."] if at_eight else []
+    said += [f"Not among these cases at a stated level: {', '.join(absent)}."] if absent else []
+    return " ".join(said)
 
 
 def report(

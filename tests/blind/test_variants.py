@@ -8,7 +8,7 @@ import pytest
 
 from blind import variants
 from blind.materialise import CASES, case_names, materialise
-from tissuereg.diagnose import bank, findings, run, search
+from tissuereg.diagnose import bank, candidates, findings, run, search
 from tissuereg.diagnose.causes import CAUSES, Variant
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.nuisances import Nuisances
@@ -25,7 +25,7 @@ def experiment(tmp_path_factory):
 
 
 #: Modules in which variants replace names.
-MODULES = {"run": run, "search": search, "findings": findings}
+MODULES = {"run": run, "search": search, "candidates": candidates, "findings": findings}
 
 
 def seen_by(monkeypatch, variant, told=()):
@@ -71,8 +71,8 @@ def test_oracle_and_without_see_their_catalogues_and_put_all_back(monkeypatch):
     assert told.search["MOST_CAUSES"] == 2
     # What is told is never taken back for what it leaves.
     assert told.run["MISFIT"] <= 0.0
-    assert not told.search["_repeats"]("inclusion")
-    assert seen_by(monkeypatch, variants.oracle, ("inclusion", "inclusion")).search["_repeats"]("inclusion")
+    assert not told.candidates["_repeats"]("inclusion")
+    assert seen_by(monkeypatch, variants.oracle, ("inclusion", "inclusion")).candidates["_repeats"]("inclusion")
     lacking = seen_by(monkeypatch, variants.without, ("stiffness",))
     assert lacking.ids == [name for name in CAUSES if name != "stiffness"]
     assert lacking.findings["modulus_finding"](None, None, None) is None

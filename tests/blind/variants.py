@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from blind.heldout import by_block
-from tissuereg.diagnose import diagnose, findings, recorrect, run, search
+from tissuereg.diagnose import candidates, diagnose, findings, recorrect, run, search
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.nuisances import Nuisances
@@ -62,7 +62,7 @@ def oracle(folder: Path, told: Collection[str], *, threads: int = 0) -> dict:
         patch.object(run, "draw_nulls", _then(run.draw_nulls, _without_threshold)),
         patch.object(run, "MISFIT", ANY_MISFIT),
         patch.object(search, "MOST_CAUSES", len(told)),
-        patch.object(search, "_repeats", lambda name: told.count(name) > 1),
+        patch.object(candidates, "_repeats", lambda name: told.count(name) > 1),
     ):
         return ours(folder, threads=threads)
 

@@ -8,8 +8,9 @@ import pytest
 from support.targets import part, target_of
 from tissuereg.diagnose.advice import _actions, _apart, _said, advise
 from tissuereg.diagnose.answer import Finding
+from tissuereg.diagnose.candidates import Candidate
 from tissuereg.diagnose.fit import fit
-from tissuereg.diagnose.search import Candidate, Step
+from tissuereg.diagnose.search import Step
 from tissuereg.effects import Poisson
 
 

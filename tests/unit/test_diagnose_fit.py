@@ -9,7 +9,9 @@ import pytest
 
 from support.rigs import rig
 from support.targets import YOUNG, part, target_of
+from tissuereg.diagnose import candidates
 from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.candidates import Candidate, _fit_forms
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.causes.base import knobs
 from tissuereg.diagnose.chances import LOOK_ALIKE
@@ -23,7 +25,7 @@ from tissuereg.diagnose.recorrect import LEFT, recorrected, settled
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
 from tissuereg.diagnose.screen import UNKNOWN, Screened
-from tissuereg.diagnose.search import Candidate, Search, Step, _fit_forms
+from tissuereg.diagnose.search import Search, Step
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import ActuatorOffset, Detachment, Latency, Mooney, Poisson, Relaxation, Sliding
 
@@ -50,11 +52,10 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
 
 def refitted(monkeypatch, cause, seen, fits, settled):
     """Return what becomes of a cause's fits, beside a believed model of -100 nats, of which six are asked."""
-    search = import_module("tissuereg.diagnose.search")
-    monkeypatch.setattr(search, "_fit_forms", lambda *_: fits)
-    monkeypatch.setattr(search, "settled", lambda target, fitted, progress: settled(target, fitted))
+    monkeypatch.setattr(candidates, "_fit_forms", lambda *_: fits)
+    monkeypatch.setattr(candidates, "settled", lambda target, fitted, progress: settled(target, fitted))
     believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
-    (found,) = search._refit(None, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0}, None)
+    (found,) = candidates.refitted(None, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0}, None)
     return found
 
 

@@ -16,6 +16,7 @@ from support.files import EXPERIMENT, TABLES, write_experiment
 from support.pages import assert_sound_page
 from tissuereg.diagnose.answer import Diagnosis, Finding
 from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.candidates import Candidate
 from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.fit import Fit, Part, Target
@@ -27,7 +28,7 @@ from tissuereg.diagnose.report.ranking import ranking
 from tissuereg.diagnose.report.scene import scene, script_text
 from tissuereg.diagnose.report.surface import drawn_surface
 from tissuereg.diagnose.screen import Screened
-from tissuereg.diagnose.search import Candidate, Search, Step
+from tissuereg.diagnose.search import Search, Step
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import Inclusion, MarkerSlip
 

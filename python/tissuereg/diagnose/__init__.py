@@ -73,6 +73,10 @@ def diagnose(
     ------
     ExperimentError
         If nothing was measured.
+    NoiseError
+        If forces were measured and their noise is neither stated nor told by rest frames.
+    MeshError
+        If the body cannot be meshed anew, finer.
     ConvergenceError
         If the believed model itself finds no equilibrium.
 

@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 
 from tissuereg.diagnose.answer import Finding
+from tissuereg.diagnose.candidates import asked_of
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.chances import LOOK_ALIKE, TEMPER, probabilities
 from tissuereg.diagnose.fit import Target
 from tissuereg.diagnose.modulus import modulus_finding
 from tissuereg.diagnose.proof import GENERIC, NAMED, held_out_figures
 from tissuereg.diagnose.screen import UNKNOWN, Screen
-from tissuereg.diagnose.search import SEPARABLE, Search, Step, asked_of
+from tissuereg.diagnose.search import SEPARABLE, Search, Step
 
 #: Ids in one group at most.
 MOST_IN_GROUP = 3

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg.diagnose.candidates import Candidate, asked_of, refitted
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.evidence import Null, fit_amplitudes
-from tissuereg.diagnose.fit import Fit, Part, Target, best_start, choices_of, fit
+from tissuereg.diagnose.fit import Fit, Target, fit
 from tissuereg.diagnose.nuisances import effect_nuisances
 from tissuereg.diagnose.proof import (
     BEFORE,
@@ -21,58 +22,20 @@ from tissuereg.diagnose.proof import (
     linear_model,
     proof_blocks,
 )
-from tissuereg.diagnose.recorrect import PUT_RIGHT, settled
 from tissuereg.diagnose.revise import exchanged, needed, without
-from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
+from tissuereg.diagnose.screen import Screen, Screened
 
 #: Causes in one answer at most.
 MOST_CAUSES = 3
 
-#: Candidates that are fitted: this many, and all within so many nats of the best.
-REFITTED = 4
-WITHIN = 10.0
-
-#: Shares of what a cause must pass that its linear evidence must reach to be fitted: alone, and beside others.
-LIKELY, LIKELY_FURTHER = 0.4, 0.5
-
 #: Two causes are told apart where their separability passes this; the evidence then differs by half its square.
 SEPARABLE = 4.0
-
-#: A further cause must pass this many times its threshold, and so many nats: what was found before has an error of a
-#: form unknown.
-FURTHER, LEAST_FURTHER = 1.5, 18.0
 
 #: Gain in log predictive density that a proof asks for.
 PROVED = 4.0
 
 #: Mates that are tried in the place of one of several causes: so many, and within so many nats of it.
 MOST_MATES, MATES_WITHIN = 2, 40.0
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A cause that was fitted beside those found before.
-
-    Attributes
-    ----------
-    id : str
-        Of the cause.
-    fit : Fit
-        With the causes found before.
-    gain : float
-        Log Bayes factor against the model before.
-    target : Target
-        What was fitted; of likely ones with the mesh's error in the causes put right.
-    """
-
-    id: str
-    fit: Fit
-    gain: float
-    target: Target
-
-    def as_mate(self) -> tuple[Part, FloatArray]:
-        """Return the cause, fitted last, with its knobs."""
-        return self.fit.parts[-1], self.fit.x[self.fit.slices()[-1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,36 +122,51 @@ def search(
     assert base is not None  # the bench has solved the believed model
     current, steps, plain = base, [], target
     while len(current.parts) < MOST_CAUSES:
-        screened = screen.of(_as_screened(screen, target, current))
-        asked = asked_of(thresholds, further=bool(current.parts))
-        candidates = _refit(target, screen, screened, current, asked, progress)
-        found, proof, figures = None, None, None
-        passing = [candidate for candidate in candidates if candidate.gain >= asked[candidate.id]]
-        beside = _beside(target, screen, base, current) if passing else []
-        for candidate in passing:
-            tried = _prove(target, beside, current, candidate)
-            proof = proof or tried
-            density = tried.log_density.sum(axis=1)
-            proved = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
-            if density[NAMED] > density[BEFORE] + proved and density[NAMED] > density[GENERIC]:
-                found, proof = candidate, tried
-                figures = _figures(target, beside, current, candidate)
-                break
-        steps.append(Step(screened, candidates, found, proof, figures))
-        if found is None:
+        step = _round(target, screen, base, current, thresholds, progress)
+        steps.append(step)
+        if step.found is None:
             break
-        # What was found has an error of its own: that of the mesh was put right, and what is left of it and of the form
-        # stands beside further causes.
-        plain = replace(plain, correction=found.target.correction)
-        change = effect_nuisances(target.bench, found.fit.prediction - base.prediction)
-        target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, plain.white(change)])))
-        again = fit(target, found.fit.parts, start=found.fit.x)
-        current = again or found.fit
+        plain, target, current = _beyond(plain, base, step.found)
     if len(current.parts) > 1:
         if progress is not None:
             progress("second thoughts")
         target, current, steps = _revised(target, screen, base, current, steps, thresholds)
     return Search(base, current, steps, _null_after(target, current).reduced(current.residual))
+
+
+def _round(
+    target: Target,
+    screen: Screen,
+    base: Fit,
+    current: Fit,
+    thresholds: Mapping[str, float],
+    progress: Callable[[str], None] | None,
+) -> Step:
+    """Return what is likely beside a fit, and the likeliest of it that is proved."""
+    screened = screen.of(_as_screened(screen, target, current))
+    asked = asked_of(thresholds, further=bool(current.parts))
+    candidates = refitted(target, screen, screened, current, asked, progress)
+    step = Step(screened, candidates, None, None)
+    passing = [candidate for candidate in candidates if candidate.gain >= asked[candidate.id]]
+    beside = _beside(target, screen, base, current) if passing else []
+    for candidate in passing:
+        tried = _prove(target, beside, current, candidate)
+        step = replace(step, proof=step.proof or tried)
+        density = tried.log_density.sum(axis=1)
+        proved = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
+        if density[NAMED] > density[BEFORE] + proved and density[NAMED] > density[GENERIC]:
+            return replace(step, found=candidate, proof=tried, figures=_figures(target, beside, current, candidate))
+    return step
+
+
+def _beyond(plain: Target, base: Fit, found: Candidate) -> tuple[Target, Target, Fit]:
+    """Return what is fitted once a cause was found, without and with the error of what was found, and the fit then."""
+    # What was found has an error of its own: that of the mesh was put right, and what is left of it and of the form
+    # stands beside further causes.
+    plain = replace(plain, correction=found.target.correction)
+    change = effect_nuisances(plain.bench, found.fit.prediction - base.prediction)
+    target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, plain.white(change)])))
+    return plain, target, fit(target, found.fit.parts, start=found.fit.x) or found.fit
 
 
 def _revised(
@@ -213,80 +191,6 @@ def _revised(
             figures = _figures(target, beside, before, top, part)
             steps[number] = replace(steps[number], found=top, proof=proof, figures=figures)
     return target, current, steps
-
-
-def _refit(
-    target: Target,
-    screen: Screen,
-    screened: dict[str, Screened],
-    current: Fit,
-    asked: Mapping[str, float],
-    progress: Callable[[str], None] | None,
-) -> list[Candidate]:
-    """Return the likeliest causes, fitted, likeliest first; those that may be it with the mesh's error put right."""
-    taken = set(current.ids)
-    order = sorted(
-        (name for name in screened if name != UNKNOWN and (name not in taken or _repeats(name))),
-        key=lambda name: -screened[name].log_bayes_factor,
-    )
-    best = screened[order[0]].log_bayes_factor if order else -np.inf
-    # Beside a fitted model the linear evidence is nearly that of a fit.
-    likely = LIKELY_FURTHER if current.parts else LIKELY
-    chosen = [
-        name
-        for rank, name in enumerate(order)
-        if screened[name].log_bayes_factor > likely * asked[name]
-        and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
-    ]
-    fits: dict[str, list[Fit]] = {}
-    for name in chosen:
-        if progress is not None:
-            progress(f"fit {' + '.join([*current.ids, name])}")
-        best_fit = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
-        least = max(best_fit - PUT_RIGHT, current.log_evidence + asked[name])
-        forms = _fit_forms(target, screen, screened[name], current, name, least)
-        if forms:
-            fits[name] = forms
-    top = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
-    found = []
-    for name, forms in fits.items():
-        # A fit may lose on the user's mesh what screening saw: friction there lets too much slip in other places.
-        seen = screened[name].log_bayes_factor >= asked[name]
-        least = top - PUT_RIGHT if seen else max(top - PUT_RIGHT, current.log_evidence + likely * asked[name])
-        put_right = (settled(target, form, progress=progress) for form in forms if form.log_evidence > least)
-        own, fitted = max(put_right, key=lambda pair: pair[1].log_evidence, default=(target, forms[0]))
-        found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, own))
-    return sorted(found, key=lambda candidate: -candidate.gain)
-
-
-def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit, name: str, least: float) -> list[Fit]:
-    """Return the fits of a cause's likeliest hypothesis and of the alternatives to it, likeliest first.
-
-    Fits end early that will not reach `least`, a log evidence, or that the mesh's error, put right, makes no likelier
-    than the best one.
-    """
-    variant = screened.best
-    assert variant is not None  # only the generic rival has none
-    alternatives = CAUSES[name].alternatives(target.bench, variant)
-    choices = choices_of(name, screen.bank[name]) * (1 + len(alternatives))
-    fits: list[Fit] = []
-    best = -np.inf
-    for form in (variant, *alternatives):
-        knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
-        parts = [*current.parts, Part(name, knobs)]
-        start = best_start(target, parts, current.x)
-        fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - PUT_RIGHT))
-        if fitted is not None:
-            fits.append(fitted)
-            best = max(best, fitted.log_evidence)
-    return sorted(fits, key=lambda fitted: -fitted.log_evidence)
-
-
-def asked_of(thresholds: Mapping[str, float], *, further: bool) -> dict[str, float]:
-    """Return the log Bayes factor that every cause must pass, alone or beside others found before."""
-    if not further:
-        return dict(thresholds)
-    return {name: max(FURTHER * least, LEAST_FURTHER) for name, least in thresholds.items()}
 
 
 def _prove(target: Target, beside: list[Linear], current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
@@ -341,9 +245,3 @@ def _as_screened(screen: Screen, target: Target, current: Fit) -> FloatArray:
     slopes = screen.null.reduced(target.white(current.jacobian[1:]))
     modes = np.linalg.svd(slopes, full_matrices=False)[2]
     return np.asarray(residual - (residual @ modes.T) @ modes)
-
-
-def _repeats(name: str) -> bool:
-    from tissuereg.effects import EFFECTS
-
-    return EFFECTS[name].repeatable

@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from tissuereg.diagnose.candidates import asked_of
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.report import svg
 from tissuereg.diagnose.screen import UNKNOWN
-from tissuereg.diagnose.search import asked_of
 from tissuereg.report.markup import escape
 
 if TYPE_CHECKING:
