@@ -29,6 +29,11 @@ from blind.scored import (
 )
 from tissuereg.diagnose.causes import CAUSES
 
+#: Names of the cases that were stored after the diagnoser's rules had been set, and have been asked once.
+LATER = Path(__file__).parent / "later.txt"
+
+_HEAD = ["| figure | count | share | goal | met | |", "|---|---|---|---|---|---|"]
+
 
 @dataclass
 class Row:
@@ -258,10 +263,14 @@ def report(
         "A goal is met (yes) where the whole interval meets it, by the count alone (count) where the interval reaches "
         "beyond it.",
         "",
-        "| figure | count | share | goal | met | |",
-        "|---|---|---|---|---|---|",
+        *_HEAD,
+        *(row.text() for row in rows(cases, oracle, without)),
     ]
-    lines += [row.text() for row in rows(cases, oracle, without)]
+    names = set(LATER.read_text(encoding="utf-8").split())
+    later = [case for case in cases if case.case in names]
+    if later:
+        lines += ["", "## The cases that were stored after every rule was set", "", f"{len(later)} of the above.", ""]
+        lines += [*_HEAD, *(row.text() for row in rows(later, oracle, {}) if row.n)]
     table = power(cases)
     levels = sorted({level for row in table.values() for level in row})
     lines += [

@@ -7,7 +7,7 @@ import pytest
 
 from blind.compare import comparison, made, read_methods
 from blind.materialise import case_names
-from blind.score import calibration_error, confusion, power, report, rows
+from blind.score import LATER, calibration_error, confusion, power, report, rows
 from blind.scored import Scored, gains, held_out_chi, wilson
 
 
@@ -168,6 +168,15 @@ def test_a_tied_cause_wants_its_group_and_no_more_than_three_ids():
     ]
     row = figure(cases, "tied causes: a group that holds the hidden one")
     assert (row.hits, row.n, row.note) == (2, 4, "1 of these groups hold tied ids alone")
+
+
+def test_cases_that_were_stored_later_are_counted_apart_too():
+    later = LATER.read_text(encoding="utf-8").split()
+    assert set(later) < set(case_names())
+    cases = [Scored(name, truth("null", (), group_ok=[]), CONSISTENT) for name in ("b1", *later[:3])]
+    apart = report(cases, {}, {}, {}).partition("## The cases that were stored after every rule was set")[2]
+    assert "| nulls answered consistent | 3 of 3 |" in apart
+    assert "stored after" not in report(cases[:1], {}, {}, {})
 
 
 def test_a_goal_is_met_where_the_whole_interval_meets_it():

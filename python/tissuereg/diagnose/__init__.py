@@ -55,7 +55,7 @@ def diagnose(
     seed : int
         Of all chance.
     threads : int
-        Threads to use; 0 takes all cores.
+        Threads to use; 0 takes all cores. The answer does not depend on it.
     keep : bool
         Whether the bank of causes and the fine meshes' answers are kept for the next experiment of this mesh and rig.
     element : {"tet4", "tet4-averaged", "tet10"}
