@@ -232,7 +232,6 @@ CATALOGUE = (
     Effect("inclusion", "ball", True, (1.0, 4.0), _inclusion("ball")),
     Effect("inclusion", "ellipsoid", False, (1.0, 4.0), _inclusion("ellipsoid")),
     Effect("stiffening", "fung", False, (1.0, 4.0), _law("fung", "b", "fung")),
-    Effect("stiffening", "gent", False, (0.0, 0.0), None),
     Effect("poisson", "lower", True, (0.03, 0.09), _poisson(-1.0)),
     Effect("poisson", "higher", True, (0.008, 0.02), _poisson(1.0)),
     Effect("layer", "sharp", True, (0.5, 2.0), _layer(False)),
@@ -263,4 +262,3 @@ CATALOGUE = (
     Effect("drainage", "one time", True, (0.2, 0.7), _drainage((2.5,), (1.0,)), True),
     Effect("stiffening", "veronda", True, (1.0, 3.0), _law("veronda_split", "b", "veronda-westmann")),
 )
-CATALOGUE = tuple(effect for effect in CATALOGUE if effect.build is not None)
