@@ -82,7 +82,7 @@ class Diagnosis:
     discrepancy : dict
         Where, when and under which load the believed model is wrong.
     extended : Experiment
-        The believed experiment with the findings as effects.
+        The believed experiment with the findings as effects, and the modulus as fitted where the data tell it.
     next_experiment : dict or None
         What would tell tied causes apart.
     seed : int

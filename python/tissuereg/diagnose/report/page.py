@@ -131,7 +131,8 @@ def _model(found: "Diagnosis", folder: Path) -> str:
     except ExperimentError as error:
         text = f"<p>It cannot stand in a file: {escape(error)}</p>"
     return (
-        f"<h2>The extended model</h2><p>The believed experiment with the findings as effects, "
+        f"<h2>The extended model</h2><p>The believed experiment with the findings as effects, and the modulus as "
+        "fitted where data tell it, "
         f"<a href='{MODEL}'>{MODEL}</a>, runs in <code>simulate</code>, <code>register</code> and "
         f"<code>diagnose</code> like any other.</p><details><summary>Its text</summary>{text}</details>"
     )
