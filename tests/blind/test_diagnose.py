@@ -1,4 +1,7 @@
-"""Two sealed cases through the command; the scorer opens their answers after it has spoken."""
+"""Sealed cases of the quick tier through the command, those that two minutes have room for.
+
+The scorer opens their answers after the command has spoken.
+"""
 
 import pytest
 
@@ -6,8 +9,20 @@ from blind.materialise import materialise
 from blind.scored import open_answers
 from support.files import run_json
 
+#: Five with an effect and three without on five rigs, of the quick tier's fastest that are answered exactly.
+CASES = (
+    "b0a7276ba",
+    "b11d9ee74",
+    "b14566522",
+    "b167f50e6",
+    "b19a8dde9",
+    "b05d49bda",
+    "b1ed041b0",
+    "b201e0ae6",
+)
 
-@pytest.mark.parametrize("case", ["b14566522", "b05d49bda"])
+
+@pytest.mark.parametrize("case", CASES)
 def test_a_sealed_case_is_answered_rightly(case, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("TISSUEREG_CACHE", str(tmp_path / "cache"))
     folder = materialise(case, tmp_path / case)
