@@ -38,19 +38,39 @@ def test_the_action_that_tells_the_tied_causes_best_apart_is_advised(target, fit
     assert advice["separates"] == [["poisson", "scale"]]
     each = []
     for action in _actions(target.bench.experiment):
-        one, other = (_said(target, fits[name], action) for name in ("poisson", "scale"))
-        each.append((_apart(target, action, one, other, fits["poisson"]), action.words))
+        each.append((_apart(target, action, fits["poisson"], fits["scale"]), action.words))
     assert (advice["separability"], advice["action"]) == max(each)
     # Frame, modulus and forces take some of it.
+    one, other = (_said(target, fits[name], action) for name in ("poisson", "scale"))
     plain = np.linalg.norm((one - other) / np.where(np.arange(len(one)) < 9 * 18, 0.01, 2.0))
     assert 0.0 < each[-1][0] < plain
 
 
-def test_what_a_modulus_known_so_well_may_change_tells_nothing(target, fits):
-    one = fits["poisson"]
-    stiffer = replace(one, x=one.x + np.array([np.sqrt(one.covariance[0, 0]), 0.0]))
+@pytest.mark.parametrize("scales", [True, False])
+def test_what_a_modulus_known_so_well_may_change_tells_nothing(target, fits, scales, monkeypatch):
+    # Known to a third: forces that differ by as much are many noise deviations apart.
+    one = replace(fits["poisson"], covariance=np.diag([0.35**2, 1e-4]))
+    stiffer = replace(one, x=one.x + np.array([0.35, 0.0]))
     action = _actions(target.bench.experiment)[0]
-    assert _apart(target, action, _said(target, one, action), _said(target, stiffer, action), one) < 1.0
+    monkeypatch.setattr(target.bench, "scales_forces", scales)
+    assert _apart(target, action, one, stiffer) < 2.0
+    surer = replace(one, covariance=np.diag([1e-8, 1e-4]))
+    assert _apart(target, action, surer, stiffer) > 20.0
+
+
+def test_mates_are_held_against_the_finding_of_their_own_round(target, fits):
+    both = fit(target, [part(target, "poisson"), part(target, "latency")])
+    later = {"latency": both, "scale": fit(target, [part(target, "poisson"), part(target, "scale")])}
+    steps = [step_of(target, fits, "poisson"), step_of(target, later, "latency")]
+    findings = [tied("poisson", "scale"), tied("latency", "scale")]
+    advice = advise(target, steps, findings)
+    assert advice["separates"] == [["poisson", "scale"], ["latency", "scale"]]
+    action = next(a for a in _actions(target.bench.experiment) if a.words == advice["action"])
+    each = [
+        _apart(target, action, fits["poisson"], fits["scale"]),
+        _apart(target, action, later["latency"], later["scale"]),
+    ]
+    assert advice["separability"] == min(each)
 
 
 def test_nothing_is_advised_where_nothing_is_tied(target, fits):

@@ -18,7 +18,7 @@ from tissuereg.diagnose.chances import LOOK_ALIKE
 from tissuereg.diagnose.correction import make_correction
 from tissuereg.diagnose.findings import _chances, group_of
 from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, best_start, fit
-from tissuereg.diagnose.modulus import modulus_finding
+from tissuereg.diagnose.modulus import _pinned, modulus_finding
 from tissuereg.diagnose.nuisances import RIM_ERROR, _rim_sizes
 from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import LEFT, recorrected, settled
@@ -285,6 +285,35 @@ def test_a_modulus_far_beyond_its_prior_is_a_finding_that_is_proved():
     assert set(told["cases"]) == {"down", "in"}
     # The bench keeps its own prior.
     assert target.bench.young_spread == pytest.approx(0.3)
+
+
+def test_a_body_half_as_stiff_is_as_far_off_as_one_twice_as_stiff():
+    rng = np.random.default_rng(2)
+    for young in (0.4, 2.5):
+        target = target_of(young=young)
+        screen = SimpleNamespace(generic_white=[rng.standard_normal((8, target.bench.layout.size))])
+        base = fit(target, [])
+        found = modulus_finding(target, screen, Search(base, base))
+        assert found.log_bayes_factor == pytest.approx(0.5 * (1.5 / 0.3) ** 2, rel=0.05)
+
+
+@pytest.mark.filterwarnings("ignore::tissuereg.errors.LockingWarning")  # the believed modulus wants it incompressible
+def test_a_modulus_is_proved_beside_the_causes_found_and_on_their_mesh():
+    target = target_of(Poisson(poisson=0.3), young=2.5, marker_std=0.001, force_std=0.05)
+    rng = np.random.default_rng(2)
+    screen = SimpleNamespace(generic_white=[rng.standard_normal((8, target.bench.layout.size))])
+    base, final = fit(target, []), fit(target, [part(target, "poisson")])
+    # The correction of the beginning is not that of the model with its causes.
+    first = replace(target, correction=replace(target.correction, difference=np.full(target.bench.layout.size, 5.0)))
+    found = modulus_finding(first, screen, Search(base, final, target=target))
+    assert found.parameters["young_kpa"] == pytest.approx(25.0, rel=0.01)
+    # The believed modulus beside the cause is fitted as well as it can be.
+    told = found.held_out
+    assert told["chi_named"] == pytest.approx(1.0, abs=0.1)
+    pinned = fit(replace(target, bench=_pinned(target.bench)), final.parts)
+    again = fit(replace(target, bench=_pinned(target.bench)), final.parts, start=pinned.x)
+    # The pin shortens no step: twelve more iterations, of a model that is far off, gain little.
+    assert pinned.objective < 1.1 * again.objective
 
 
 def test_a_modulus_within_its_prior_is_no_finding(of_two):

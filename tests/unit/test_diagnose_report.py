@@ -276,6 +276,19 @@ def test_a_finding_without_proof_and_an_answer_without_details(rig, tmp_path):
     assert "<canvas" not in bare
 
 
+def test_a_cause_that_was_dropped_again_leaves_its_round_unmarked(rig, tmp_path):
+    answer = made_up(rig, [finding(), finding(id="layer", group=("layer",))], [BALL])
+    search = answer.details["search"]
+    dropped = replace(search.steps[0], found=None)
+    answer = replace(answer, findings=answer.findings[1:])
+    answer.details["search"] = replace(search, steps=[dropped, *search.steps[1:]])
+    text = read_page(answer, tmp_path / "report.html")
+    charts = re.findall(r"<svg[^>]*aria-label='((?:First r|R)ound[^']*)'(.*?)</svg>", text)
+    assert charts[1][0] == "Round 2: what else, once a cause that was dropped again was in the model"
+    bold = {title: re.findall(r"font-weight='700'>([a-z ]+)<", chart) for title, chart in charts}
+    assert list(bold.values())[:2] == [[], ["layer"]]
+
+
 def test_every_round_marks_what_it_found(rig, tmp_path):
     layer = finding(id="layer", group=("layer",))
     text = read_page(made_up(rig, [finding(group=("inclusion",)), layer], [BALL]), tmp_path / "report.html")

@@ -1,7 +1,14 @@
 """A whole diagnosis gives the same answer every time, on any number of threads."""
 
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
 import tissuereg as tr
 from support.rigs import rig
+from tissuereg.diagnose.run import _own_modulus
+from tissuereg.effects import Poisson, Stiffness
 
 
 def test_the_answer_depends_on_neither_threads_nor_the_call():
@@ -10,3 +17,23 @@ def test_the_answer_depends_on_neither_threads_nor_the_call():
     assert one["verdict"] == "unexplained"
     assert len(one["candidates"]) > 20
     assert one == again == two
+
+
+def test_a_modulus_that_an_effect_states_is_the_one_that_is_fitted():
+    believed = replace(rig(), effects=(Stiffness(young_kpa=25.0), Poisson(poisson=0.3)))
+    own = _own_modulus(believed)
+    assert own.effects == (Poisson(poisson=0.3),)
+    assert own.material.young_array.mean() == 25.0
+    assert own.young_std == pytest.approx(believed.young_std * 2.5)
+    assert _own_modulus(own) is own
+
+
+def test_an_extended_model_is_diagnosed_with_a_modulus_that_may_move():
+    told = tr.diagnose(replace(rig(), effects=(Stiffness(young_kpa=25.0),)), keep=False)
+    target, found = told.details["target"], told.details["search"].base
+    assert target.bench.young == 25.0
+    # Forces of noise alone ask for nothing: the body that they fit is softer.
+    assert found.x[0] < -0.01
+    assert np.abs(found.jacobian[0]).max() > 0.0
+    stated = [effect for effect in told.extended.effects if isinstance(effect, Stiffness)]
+    assert len(stated) <= 1

@@ -48,6 +48,11 @@ def run(args: argparse.Namespace) -> Outcome:
     -------
     Outcome
         Schema ``tissuereg.diagnosis/1``.
+
+    Raises
+    ------
+    UsageError
+        If OUT would replace the experiment's file, or a material test is given elements.
     """
     from tissuereg.diagnose import diagnose
     from tissuereg.io.atomic import check_folder_target
@@ -55,7 +60,9 @@ def run(args: argparse.Namespace) -> Outcome:
     from tissuereg.io.material_experiments import read_material_experiment
 
     if args.out is not None:
-        refuse_overwriting([Path(args.out) / name for name in _WRITTEN], [args.experiment])
+        given = Path(args.experiment)
+        inputs = [given / "experiment.toml" if given.is_dir() else given]
+        refuse_overwriting([Path(args.out) / name for name in _WRITTEN], inputs)
         check_folder_target(args.out)
     clock = Stopwatch()
 

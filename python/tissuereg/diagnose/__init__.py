@@ -74,7 +74,7 @@ def diagnose(
     ExperimentError
         If nothing was measured.
     NoiseError
-        If forces were measured and their noise is neither stated nor told by rest frames.
+        If forces were measured and their noise is not stated.
     MeshError
         If the body cannot be meshed anew, finer.
     ConvergenceError

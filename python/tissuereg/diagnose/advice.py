@@ -8,8 +8,9 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.answer import Finding
+from tissuereg.diagnose.candidates import Candidate
 from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import Fit, Target
+from tissuereg.diagnose.fit import ABSOLUTE, Fit, Target
 from tissuereg.diagnose.nuisances import FORCE_LEFT, frame_columns
 from tissuereg.diagnose.patterns import force_columns
 from tissuereg.diagnose.predictor import Predictor
@@ -58,25 +59,23 @@ def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -
     An upper bound: explanations are taken as they are fitted, and the mesh's error in the markers of an action that was
     never simulated on another mesh is not known.
     """
-    fits: dict[str, Fit] = {}
-    pairs = []
+    pairs: list[tuple[Candidate, Candidate]] = []
     for finding in findings:
         step = next((s for s in steps if s.found is not None and s.found.id == finding.id), None)
-        if step is None or len(finding.group) < 2:
-            continue
-        fits |= {candidate.id: candidate.fit for candidate in step.candidates if candidate.id in finding.group}
-        pairs += [[finding.id, other] for other in finding.group[1:]]
+        if step is not None:
+            each = {candidate.id: candidate for candidate in step.candidates}
+            pairs += [(each[finding.id], each[other]) for other in finding.group[1:] if finding.id in each]
     if not pairs:
         return None
     best: dict[str, Any] | None = None
     for action in _actions(target.bench.experiment):
         try:
-            told = {name: _said(target, fits[name], action) for name in {name for pair in pairs for name in pair}}
+            least = min(_apart(target, action, one.fit, other.fit) for one, other in pairs)
         except TissueRegError:  # an action without equilibrium is no advice
             continue
-        least = min(_apart(target, action, told[one], told[other], fits[one]) for one, other in pairs)
         if best is None or least > best["separability"]:
-            best = {"action": action.words, "separates": pairs, "separability": least}
+            named = [[one.id, other.id] for one, other in pairs]
+            best = {"action": action.words, "separates": named, "separability": least}
     return best
 
 
@@ -127,17 +126,23 @@ def _said(target: Target, fit: Fit, action: _Action) -> FloatArray:
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
-def _apart(target: Target, action: _Action, one: FloatArray, other: FloatArray, fit: Fit) -> float:
-    """Return the length of a difference, in noise deviations, beside what is uncertain whatever the cause."""
+def _apart(target: Target, action: _Action, fit: Fit, other: Fit) -> float:
+    """Return the length of what two explanations differ by, in noise deviations, beside what is uncertain anyway."""
     layout = _layout(target, action)
     markers = layout.of_markers()
     force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO
     std = np.where(markers, float(target.noise.marker_std.mean()), force_std)
+    one = _said(target, fit, action)
     columns = [column for pair in frame_columns(layout, one) for column in pair]
-    if target.bench.scales_forces:
-        columns.append(np.where(markers, 0.0, one) * float(np.sqrt(fit.covariance[0, 0])))
+    deviation = float(np.sqrt(fit.covariance[0, 0]))
+    if target.bench.scales_forces and not any(part.id in ABSOLUTE for part in fit.parts):
+        columns.append(np.where(markers, 0.0, deviation * one))
+    else:
+        stiffer = replace(fit, x=fit.x + deviation * np.eye(len(fit.x))[0])
+        columns.append(_said(target, stiffer, action) - one)
     for part in layout.parts:
         for pad in range(len(part.pads)):
             strength = np.linalg.norm(part.forces(one)[:, pad], axis=1)
             columns += list(force_columns(layout, part, pad, FORCE_LEFT * strength))
-    return float(np.linalg.norm(Null(np.array(columns) / std).reduced((one - other) / std)))
+    difference = one - _said(target, other, action)
+    return float(np.linalg.norm(Null(np.array(columns) / std).reduced(difference / std)))

@@ -26,8 +26,8 @@ from tissuereg.diagnose.search import Search, rival_columns
 #: The modulus is a finding beyond this many prior deviations, where the data tell it to this share of one.
 BEYOND, TOLD = 3.0, 0.3
 
-#: Prior deviation, in the modulus' logarithm, of one that stays as believed.
-_PINNED = 1e-6
+#: Prior deviation, in the modulus' logarithm, of one that stays as believed; so small that it slows no fit.
+_PINNED = 1e-9
 
 
 def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | None:
@@ -36,7 +36,7 @@ def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | 
     Parameters
     ----------
     target : Target
-        What was fitted.
+        What was fitted at first.
     screen : Screen
         It has the generic rival.
     found : Search
@@ -46,17 +46,20 @@ def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | 
     -------
     Finding or None
         Its log Bayes factor is that of a modulus which may be anything against its prior: half the square of the prior
-        deviations that it is off; the proof is against the model whose modulus is as believed.
+        deviations that it is off, as many for half of the modulus as for twice of it; the proof is against the model
+        whose modulus is as believed. None too where the causes find no equilibrium with that.
     """
+    target = found.target or target
     final, bench = found.final, target.bench
-    excess = float(np.expm1(final.x[0])) / bench.young_spread
+    excess = float(np.expm1(abs(final.x[0]))) / bench.young_spread
     deviation = float(np.sqrt(final.covariance[0, 0]))
-    if abs(excess) < BEYOND or deviation > TOLD * bench.young_spread or "stiffness" in final.ids:
+    if excess < BEYOND or deviation > TOLD * bench.young_spread or "stiffness" in final.ids:
         return None
     pinned = replace(target, bench=_pinned(bench))
     start = final.x.copy()
     start[0] = 0.0
-    before, believed = fit(pinned, final.parts, start=start), fit(pinned, [])
+    before = fit(pinned, final.parts, start=start) or fit(pinned, final.parts)
+    believed = fit(pinned, [])
     if before is None or believed is None:
         return None
     rival = linear_model(target, before, rival_columns(screen, target, before))

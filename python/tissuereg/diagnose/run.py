@@ -48,6 +48,7 @@ def diagnose_body(
     progress: Callable[[str], None] | None,
 ) -> Diagnosis:
     """Return what the simulation of a body gets wrong; see `tissuereg.diagnose.diagnose`."""
+    experiment = _own_modulus(experiment)
     layout = Layout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, element=element, threads=threads)
@@ -175,6 +176,17 @@ def _with_targets(
         "target_rms_named_mm": target_rms(extended, element=element, threads=threads),
     }
     return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
+
+
+def _own_modulus(experiment: Experiment) -> Experiment:
+    """Return an experiment whose material has the modulus that its effects state: fits and forces scale that one."""
+    stated = [effect for effect in experiment.effects if isinstance(effect, Stiffness)]
+    if not stated:
+        return experiment
+    young, before = stated[-1].young_kpa, float(experiment.material.young_array.mean())
+    spread = None if experiment.young_std is None else experiment.young_std * young / before
+    others = tuple(effect for effect in experiment.effects if not isinstance(effect, Stiffness))
+    return replace(experiment, material=replace(experiment.material, young=young), young_std=spread, effects=others)
 
 
 def _stands(misfit: Misfit) -> bool:

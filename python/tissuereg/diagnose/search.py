@@ -84,12 +84,15 @@ class Search:
         In order; the last one found nothing, unless there are `MOST_CAUSES`.
     reduced : ndarray of float64, shape (size,)
         What the final model leaves, whitened and reduced by all nuisances and its own knobs.
+    target : Target or None
+        What was fitted in the end, the mesh's error in the causes found put right; None where nothing was found.
     """
 
     base: Fit
     final: Fit
     steps: list[Step] = field(default_factory=list)
     reduced: FloatArray = field(default_factory=lambda: np.empty(0))
+    target: Target | None = None
 
     def taken_back(self, target: Target) -> "Search":
         """Return the same search with nothing found."""
@@ -131,7 +134,8 @@ def search(
         if progress is not None:
             progress("second thoughts")
         target, current, steps = _revised(target, screen, base, current, steps, thresholds)
-    return Search(base, current, steps, _null_after(target, current).reduced(current.residual))
+    reduced = _null_after(target, current).reduced(current.residual)
+    return Search(base, current, steps, reduced, target if current.parts else None)
 
 
 def _round(

@@ -1,7 +1,8 @@
 """The answer in words and figures: schema ``tissuereg.diagnosis/1`` with stresses in kPa in place of millimetres."""
 
 import platform
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from tissuereg.diagnose.material.search import LEAST_SEPARABILITY, Finding
 from tissuereg.diagnose.material.verdict import MISFIT, Outcome
 from tissuereg.effects import Effect
 from tissuereg.effects.history import Relaxation
-from tissuereg.material_experiment import MaterialExperiment
+from tissuereg.material_experiment import Curve, MaterialExperiment
 
 SCHEMA = "tissuereg.diagnosis/1"
 EXTENDED_FILE = "experiment.extended.toml"
@@ -73,7 +74,7 @@ def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> di
         "held_out": _held_out(outcome),
         "discrepancy": _discrepancy(outcome),
         "noise": {
-            "std_kpa": dict(zip([c.name for c in experiment.curves], outcome.noise.std.tolist(), strict=True)),
+            "std_kpa": dict(zip(_names(experiment.curves), outcome.noise.std.tolist(), strict=True)),
             "specimen_factor": outcome.noise.factor,
             "along_curve": outcome.noise.along,
             "repeats": outcome.noise.repeats,
@@ -151,8 +152,8 @@ def _discrepancy(outcome: Outcome) -> dict[str, Any]:
     left = data.stress - data.modelled(outcome.believed.model)
     chi = left / np.sqrt(np.diag(outcome.bench.noise))
     sizes = {
-        curve.name: float(np.sqrt(np.mean(chi[data.curve_of == i] ** 2)))
-        for i, curve in enumerate(data.curves)
+        name: float(np.sqrt(np.mean(chi[data.curve_of == i] ** 2)))
+        for i, name in enumerate(_names(data.curves))
         if (data.curve_of == i).any()
     }
     worst = sorted(sizes, key=lambda name: -sizes[name])[:2]
@@ -165,6 +166,17 @@ def _discrepancy(outcome: Outcome) -> dict[str, Any]:
         "when": _when(outcome, chi),
         "under": under,
     }
+
+
+def _names(curves: Sequence[Curve]) -> list[str]:
+    """Return the names of curves, those of one name numbered."""
+    seen: Counter[str] = Counter()
+    several = Counter(curve.name for curve in curves)
+    names = []
+    for curve in curves:
+        seen[curve.name] += 1
+        names.append(curve.name if several[curve.name] == 1 else f"{curve.name}, number {seen[curve.name]}")
+    return names
 
 
 def _when(outcome: Outcome, chi: FloatArray) -> str:

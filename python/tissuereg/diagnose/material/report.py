@@ -127,7 +127,8 @@ def _charts(found: "MaterialDiagnosis") -> list[str]:
 def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | None]]) -> str:
     amounts = np.concatenate([curve.amounts for curve, *_ in drawn])
     stresses = np.concatenate([row for curve, *said in drawn for row in (curve.stress, *said) if row is not None])
-    low, high = (float(edge(stresses)) for edge in (np.nanmin, np.nanmax))
+    known = stresses[np.isfinite(stresses)]
+    low, high = float(known.min()), float(known.max())
     across = svg.Scale(float(amounts.min()), float(amounts.max()), _LEFT, _WIDTH - _RIGHT)
     up = svg.Scale(min(low, 0.0), max(high, 0.0), _HEIGHT - 40.0, 20.0)
     parts = [

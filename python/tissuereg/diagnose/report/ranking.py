@@ -47,14 +47,16 @@ def rankings(found: "Diagnosis") -> str:
     steps = [] if search is None else search.steps
     # Findings stand in the order of the steps; only the modulus may stand before them.
     first = max(0, len(found.findings) - sum(step.found is not None for step in steps))
-    groups = [set(finding.group) for finding in found.findings[first:]]
-    early = found.findings[: first + 1] if steps else found.findings
-    parts = [ranking(found.candidates, thresholds, {i for finding in early for i in finding.group}, "First round")]
+    rounds = [number for number, step in enumerate(steps) if step.found is not None]
+    groups = {number: set(one.group) for number, one in zip(rounds, found.findings[first:], strict=False)}
+    early = {name for finding in found.findings[: first if steps else None] for name in finding.group}
+    parts = [ranking(found.candidates, thresholds, early | groups.get(0, set()), "First round")]
     further = asked_of(thresholds, further=True)
     for number, step in enumerate(steps[1:], start=1):
         before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
-        said = f"Round {number + 1}: what else, once {', '.join(map(plain_name, before))} is in the model"
-        chart = ranking(_rows(step, before), further, groups[number] if step.found is not None else set(), said)
+        known = f"{', '.join(map(plain_name, before))} is" if before else "a cause that was dropped again was"
+        said = f"Round {number + 1}: what else, once {known} in the model"
+        chart = ranking(_rows(step, before), further, groups.get(number, set()), said)
         parts.append(f"<details><summary>{escape(said)}</summary>{chart}</details>")
     return "\n".join(parts)
 
