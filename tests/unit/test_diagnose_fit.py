@@ -340,9 +340,9 @@ def test_candidates_close_to_the_one_found_are_counted_from_its_own_round():
     assert replace(step, found=None).close(8.0) == []
 
 
-def grouped(threshold, **gains):
+def grouped(threshold, named=(), **gains):
     candidates = [Candidate(name, None, gain, None) for name, gain in gains.items()]
-    return group_of(Step({}, candidates, candidates[0], None), threshold)
+    return group_of(Step({}, candidates, candidates[0], None), threshold, named)
 
 
 def test_a_group_holds_what_passes_the_threshold_or_is_a_tenth_as_likely():
@@ -350,6 +350,9 @@ def test_a_group_holds_what_passes_the_threshold_or_is_a_tenth_as_likely():
     assert grouped(6.0, mooney=7.9, asymmetry=5.8, layer=3.4, fibre=3.2) == ("mooney", "asymmetry", "layer")
     assert grouped(6.0, latency=20.0, rate=14.0, softening=13.0, layer=11.9) == ("latency", "rate", "softening")
     assert grouped(15.0, latency=20.0, rate=14.0, scale=11.0) == ("latency",)
+    # What is found beside it is no mate, and takes no mate's place.
+    found = {"latency", "rate"}
+    assert grouped(6.0, found, latency=20.0, rate=14.0, softening=13.0, layer=12.5) == ("latency", "softening", "layer")
 
 
 def test_of_every_causes_probability_a_share_goes_to_what_looks_like_it():

@@ -1,6 +1,6 @@
 """What is said of a search: findings with their groups, probabilities and proofs, and all candidates."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,7 @@ def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mappi
     """
     findings = []
     young = target.bench.young
+    named = {step.found.id for step in found.steps if step.found is not None}
     for part, step in enumerate(step for step in found.steps if step.found is not None):
         top = step.found
         assert top is not None  # of those steps
@@ -55,7 +56,7 @@ def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mappi
         findings.append(
             Finding(
                 id=top.id,
-                group=group_of(step, thresholds[top.id]),
+                group=group_of(step, thresholds[top.id], named),
                 probability=chances.get(top.id, 0.0),
                 log_bayes_factor=top.gain,
                 threshold=asked[top.id],
@@ -69,7 +70,7 @@ def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mappi
     return ([stiff] if stiff is not None else []) + findings
 
 
-def group_of(step: Step, threshold: float) -> tuple[str, ...]:
+def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
     """Return the cause that a step found, and those that cannot be told from it, likeliest first.
 
     Parameters
@@ -78,6 +79,8 @@ def group_of(step: Step, threshold: float) -> tuple[str, ...]:
         With a cause found.
     threshold : float
         Of that cause, nats.
+    named : collection of str
+        Ids that are findings themselves: no mates.
 
     Returns
     -------
@@ -87,7 +90,8 @@ def group_of(step: Step, threshold: float) -> tuple[str, ...]:
     top = step.found
     assert top is not None  # as asked
     as_likely = step.close(-TEMPER * np.log(AS_LIKELY))
-    close = [c.id for c in step.close(0.5 * SEPARABLE**2) if c.gain > threshold or c in as_likely]
+    mates = (c for c in step.close(0.5 * SEPARABLE**2) if c.id not in named)
+    close = [c.id for c in mates if c.gain > threshold or c in as_likely]
     return (top.id, *close)[:MOST_IN_GROUP]
 
 
