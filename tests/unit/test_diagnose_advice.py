@@ -24,6 +24,10 @@ def fits(target):
     return {name: fit(target, [part(target, name)]) for name in ("poisson", "scale")}
 
 
+def apart(target, action, one, other):
+    return _apart(target, action, one, *(_said(target, fitted, action) for fitted in (one, other)))
+
+
 def tied(*names):
     return Finding(names[0], names, 0.6, 9.0, 6.0, {}, {}, {}, "")
 
@@ -38,7 +42,7 @@ def test_the_action_that_tells_the_tied_causes_best_apart_is_advised(target, fit
     assert advice["separates"] == [["poisson", "scale"]]
     each = []
     for action in _actions(target.bench.experiment):
-        each.append((_apart(target, action, fits["poisson"], fits["scale"]), action.words))
+        each.append((apart(target, action, fits["poisson"], fits["scale"]), action.words))
     assert (advice["separability"], advice["action"]) == max(each)
     # Frame, modulus and forces take some of it.
     one, other = (_said(target, fits[name], action) for name in ("poisson", "scale"))
@@ -53,9 +57,9 @@ def test_what_a_modulus_known_so_well_may_change_tells_nothing(target, fits, sca
     stiffer = replace(one, x=one.x + np.array([0.35, 0.0]))
     action = _actions(target.bench.experiment)[0]
     monkeypatch.setattr(target.bench, "scales_forces", scales)
-    assert _apart(target, action, one, stiffer) < 2.0
+    assert apart(target, action, one, stiffer) < 2.0
     surer = replace(one, covariance=np.diag([1e-8, 1e-4]))
-    assert _apart(target, action, surer, stiffer) > 20.0
+    assert apart(target, action, surer, stiffer) > 20.0
 
 
 def test_mates_are_held_against_the_finding_of_their_own_round(target, fits):
@@ -67,8 +71,8 @@ def test_mates_are_held_against_the_finding_of_their_own_round(target, fits):
     assert advice["separates"] == [["poisson", "scale"], ["latency", "scale"]]
     action = next(a for a in _actions(target.bench.experiment) if a.words == advice["action"])
     each = [
-        _apart(target, action, fits["poisson"], fits["scale"]),
-        _apart(target, action, later["latency"], later["scale"]),
+        apart(target, action, fits["poisson"], fits["scale"]),
+        apart(target, action, later["latency"], later["scale"]),
     ]
     assert advice["separability"] == min(each)
 

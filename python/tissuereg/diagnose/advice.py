@@ -67,10 +67,12 @@ def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -
             pairs += [(each[finding.id], each[other]) for other in finding.group[1:] if finding.id in each]
     if not pairs:
         return None
+    tied = dict.fromkeys(candidate for pair in pairs for candidate in pair)
     best: dict[str, Any] | None = None
     for action in _actions(target.bench.experiment):
         try:
-            least = min(_apart(target, action, one.fit, other.fit) for one, other in pairs)
+            told = {candidate: _said(target, candidate.fit, action) for candidate in tied}
+            least = min(_apart(target, action, one.fit, told[one], told[other]) for one, other in pairs)
         except TissueRegError:  # an action without equilibrium is no advice
             continue
         if best is None or least > best["separability"]:
@@ -126,13 +128,12 @@ def _said(target: Target, fit: Fit, action: _Action) -> FloatArray:
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
-def _apart(target: Target, action: _Action, fit: Fit, other: Fit) -> float:
-    """Return the length of what two explanations differ by, in noise deviations, beside what is uncertain anyway."""
+def _apart(target: Target, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
+    """Return the length of what two explanations, a fit's and another, differ by beside what is uncertain anyway."""
     layout = _layout(target, action)
     markers = layout.of_markers()
     force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO
     std = np.where(markers, float(target.noise.marker_std.mean()), force_std)
-    one = _said(target, fit, action)
     columns = [column for pair in frame_columns(layout, one) for column in pair]
     deviation = float(np.sqrt(fit.covariance[0, 0]))
     if target.bench.scales_forces and not any(part.id in ABSOLUTE for part in fit.parts):
@@ -144,5 +145,4 @@ def _apart(target: Target, action: _Action, fit: Fit, other: Fit) -> float:
         for pad in range(len(part.pads)):
             strength = np.linalg.norm(part.forces(one)[:, pad], axis=1)
             columns += list(force_columns(layout, part, pad, FORCE_LEFT * strength))
-    difference = one - _said(target, other, action)
-    return float(np.linalg.norm(Null(np.array(columns) / std).reduced(difference / std)))
+    return float(np.linalg.norm(Null(np.array(columns) / std).reduced((one - other) / std)))
