@@ -268,13 +268,15 @@ def test_a_mate_stands_in_where_it_is_better(of_two):
     assert exchanged(target, better, 0, [(again, again.knobs.start)])[1] is better
 
 
+def noise_patterns(target):
+    """Return a screen whose generic rival has eight patterns of noise: nothing of them foretells a case."""
+    return SimpleNamespace(generic_white=[np.random.default_rng(2).standard_normal((8, target.bench.layout.size))])
+
+
 def test_a_modulus_far_beyond_its_prior_is_a_finding_that_is_proved():
     target = target_of(young=2.5)
-    # Eight patterns that nobody asked for: nothing of them foretells a case.
-    rng = np.random.default_rng(2)
-    screen = SimpleNamespace(generic_white=[rng.standard_normal((8, target.bench.layout.size))])
     base = fit(target, [])
-    found = modulus_finding(target, screen, Search(base, base))
+    found = modulus_finding(target, noise_patterns(target), Search(base, base))
     assert found.parameters["young_kpa"] == pytest.approx(25.0, rel=0.02)
     assert found.probability > 0.9
     told = found.held_out
@@ -288,24 +290,20 @@ def test_a_modulus_far_beyond_its_prior_is_a_finding_that_is_proved():
 
 
 def test_a_body_half_as_stiff_is_as_far_off_as_one_twice_as_stiff():
-    rng = np.random.default_rng(2)
     for young in (0.4, 2.5):
         target = target_of(young=young)
-        screen = SimpleNamespace(generic_white=[rng.standard_normal((8, target.bench.layout.size))])
         base = fit(target, [])
-        found = modulus_finding(target, screen, Search(base, base))
+        found = modulus_finding(target, noise_patterns(target), Search(base, base))
         assert found.log_bayes_factor == pytest.approx(0.5 * (1.5 / 0.3) ** 2, rel=0.05)
 
 
 @pytest.mark.filterwarnings("ignore::tissuereg.errors.LockingWarning")  # the believed modulus wants it incompressible
 def test_a_modulus_is_proved_beside_the_causes_found_and_on_their_mesh():
     target = target_of(Poisson(poisson=0.3), young=2.5, marker_std=0.001, force_std=0.05)
-    rng = np.random.default_rng(2)
-    screen = SimpleNamespace(generic_white=[rng.standard_normal((8, target.bench.layout.size))])
     base, final = fit(target, []), fit(target, [part(target, "poisson")])
     # The correction of the beginning is not that of the model with its causes.
     first = replace(target, correction=replace(target.correction, difference=np.full(target.bench.layout.size, 5.0)))
-    found = modulus_finding(first, screen, Search(base, final, target=target))
+    found = modulus_finding(first, noise_patterns(target), Search(base, final, target=target))
     assert found.parameters["young_kpa"] == pytest.approx(25.0, rel=0.01)
     # The believed modulus beside the cause is fitted as well as it can be.
     told = found.held_out

@@ -32,7 +32,6 @@ class _Action:
 
     words: str
     case: Case
-    force: bool
 
 
 def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
@@ -84,6 +83,7 @@ def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -
 def _actions(experiment: Experiment) -> list[_Action]:
     """Return pushes and pulls of every pad along the three axes, and a long hold of its own motion."""
     actions = []
+    known = experiment.force_std is not None
     for pad in experiment.actuators:
         given = [case.displacements[pad.name] for case in experiment.cases.values() if pad.name in case.displacements]
         if pad.kind != "displacement" or not given:
@@ -95,16 +95,16 @@ def _actions(experiment: Experiment) -> list[_Action]:
             for sign in (-1.0, 1.0):
                 motion = sign * stroke * np.eye(3)[axis]
                 words = f"move {pad.name} by {sign * stroke:+.3g} mm along {name}, hold {HOLD:.0f} s"
-                actions.append(_Action(words, _case(experiment, pad, motion, HOLD), bool(experiment.force_std)))
+                actions.append(_Action(words, _case(experiment, pad, motion, HOLD, force=known)))
         words = f"move {pad.name} as before, hold {LONG:.0f} s"
-        actions.append(_Action(words, _case(experiment, pad, along, LONG), bool(experiment.force_std)))
-        if experiment.force_std is None:
+        actions.append(_Action(words, _case(experiment, pad, along, LONG, force=known)))
+        if not known:
             words = f"measure the force at {pad.name} to {MEASURED_TO:g} mN, hold {HOLD:.0f} s"
-            actions.append(_Action(words, _case(experiment, pad, along, HOLD), True))
+            actions.append(_Action(words, _case(experiment, pad, along, HOLD, force=True)))
     return actions
 
 
-def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float) -> Case:
+def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float, *, force: bool) -> Case:
     begin = max(float(case.times[-1]) for case in experiment.cases.values()) + 10.0
     shares = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])
     times = begin + np.array(
@@ -112,25 +112,23 @@ def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float
     )
     markers = np.broadcast_to(experiment.marker_reference, (len(times), *experiment.marker_reference.shape))
     given = {pad.name: shares[:, None] * motion}
-    return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))})
+    return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))} if force else {})
 
 
-def _layout(target: Target, action: _Action) -> Layout:
-    case = action.case if action.force else replace(action.case, forces={})
-    return Layout(replace(target.bench.experiment, cases={"next": case}, rest_case=None))
+def _measured(target: Target, action: _Action) -> Experiment:
+    return replace(target.bench.experiment, cases={"next": action.case}, rest_case=None)
 
 
 def _said(target: Target, fit: Fit, action: _Action) -> FloatArray:
     """Return what a fitted explanation says of an action, mm and mN."""
-    layout = _layout(target, action)
-    experiment = replace(target.bench.experiment, cases={"next": action.case}, rest_case=None)
-    predictor = Predictor(experiment, layout, element=target.bench.predictor.element)
+    experiment = _measured(target, action)
+    predictor = Predictor(experiment, Layout(experiment), element=target.bench.predictor.element)
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
 def _apart(target: Target, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
     """Return the length of what two explanations, a fit's and another, differ by beside what is uncertain anyway."""
-    layout = _layout(target, action)
+    layout = Layout(_measured(target, action))
     markers = layout.of_markers()
     force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO
     std = np.where(markers, float(target.noise.marker_std.mean()), force_std)

@@ -59,7 +59,7 @@ def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | 
     start = final.x.copy()
     start[0] = 0.0
     before = fit(pinned, final.parts, start=start) or fit(pinned, final.parts)
-    believed = fit(pinned, [])
+    believed = fit(pinned, []) if final.parts else before
     if before is None or believed is None:
         return None
     rival = linear_model(target, before, rival_columns(screen, target, before))

@@ -10,7 +10,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.material.extend import predicted_stresses
 from tissuereg.diagnose.material.history import stress_of
 from tissuereg.diagnose.report import svg
-from tissuereg.diagnose.report.ranking import chance, plain_name, ranking
+from tissuereg.diagnose.report.ranking import chance, plain_name, ranking, separated
 from tissuereg.io.material_experiments import material_experiment_text
 from tissuereg.report.markup import document, escape, table
 
@@ -108,7 +108,7 @@ def _finding(cause: dict[str, Any]) -> str:
 def _key(found: "MaterialDiagnosis") -> str:
     shown = [(_MEASURED, "measured"), (svg.BEFORE, "believed law, fitted")]
     shown += [(svg.AFTER, "with the findings")] if found.answer["causes"] else []
-    return "".join(f"<span style='background:{colour}'></span>{said}" for colour, said in shown)
+    return "".join(svg.swatch(colour, said) for colour, said in shown)
 
 
 def _charts(found: "MaterialDiagnosis") -> list[str]:
@@ -175,8 +175,7 @@ def _held_out(held: dict[str, Any]) -> str:
 def _advice(advice: dict[str, Any] | None) -> str:
     if advice is None:
         return "No tie is left that a further test of the usual kinds would resolve."
-    pairs = "; ".join(" from ".join(plain_name(name) for name in pair) for pair in advice["separates"])
-    return f"{advice['action']}: it separates {pairs} by {advice['separability']:.1f} noise deviations."
+    return f"{advice['action']}: it separates {separated(advice)} by {advice['separability']:.1f} noise deviations."
 
 
 def _assumed(answer: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ from tissuereg.diagnose.report.history import SHARE, histories
 from tissuereg.diagnose.report.proved import proved
 from tissuereg.diagnose.report.ranking import rankings
 from tissuereg.diagnose.report.scene import scene, script_text
-from tissuereg.diagnose.report.svg import AFTER, BEFORE, FLOOR, GENERIC
+from tissuereg.diagnose.report.svg import AFTER, BEFORE, FLOOR, GENERIC, swatch
 from tissuereg.diagnose.report.words import assumed, findings, summary, ties
 from tissuereg.errors import ExperimentError
 from tissuereg.io.atomic import atomic_file
@@ -102,12 +102,12 @@ before; red circles mark markers that a finding speaks of.</p>
 
 
 def _history(found: "Diagnosis") -> str:
-    after = _swatch(AFTER, "after, with the findings") if found.details["search"].final.parts else ""
-    lines = _swatch(BEFORE, "before") + after
+    after = swatch(AFTER, "after, with the findings") if found.details["search"].final.parts else ""
+    lines = swatch(BEFORE, "before") + after
     return f"""<h2>When, and under which load</h2>
 <p>Root mean square of what is left in every frame over its noise, once what is always fitted is taken out and what the
 frame before says of the noise. Noise alone lies in the green band in {100 * SHARE:.0f} % of all frames.</p>
-<p class='key'>{lines}{_swatch(FLOOR, "noise")}</p>
+<p class='key'>{lines}{swatch(FLOOR, "noise")}</p>
 {histories(found)}"""
 
 
@@ -117,12 +117,8 @@ def _ranking(found: "Diagnosis") -> str:
 freedom included. Red lines are thresholds, one a cause, which data without any effect pass rarely. The axis is linear
 near 0 and logarithmic beyond; bars end at -10. "Size" is the length of what the cause would change, in noise
 deviations: what it takes to be seen is about 8.</p>
-<p class='key'>{_swatch(AFTER, "found, or tied with what was found")}{_swatch(GENERIC, "not accepted")}</p>
+<p class='key'>{swatch(AFTER, "found, or tied with what was found")}{swatch(GENERIC, "not accepted")}</p>
 {rankings(found)}"""
-
-
-def _swatch(colour: str, said: str) -> str:
-    return f"<span style='background:{colour}'></span>{escape(said)}"
 
 
 def _model(found: "Diagnosis", folder: Path) -> str:

@@ -26,6 +26,11 @@ def plain_name(cause: str) -> str:
     return "something else (generic)" if cause == UNKNOWN else cause.replace("_", " ")
 
 
+def separated(advice: Mapping[str, Any]) -> str:
+    """Return the pairs of causes that an advised action separates, plain text for a sentence."""
+    return "; ".join(" from ".join(plain_name(name) for name in pair) for pair in advice["separates"])
+
+
 def gloss(cause: str) -> str:
     """Return one line on what a cause means."""
     if cause == UNKNOWN:

@@ -97,6 +97,11 @@ def bar(x: float, y: float, width: float, height: float, colour: str, more: str 
     return f"<rect x='{left:.1f}' y='{y:.1f}' width='{abs(width):.1f}' height='{height:.1f}' fill='{colour}' {more}/>"
 
 
+def swatch(colour: str, said: str) -> str:
+    """Return an entry of a key, HTML for an element of class ``key``."""
+    return f"<span style='background:{colour}'></span>{escape(said)}"
+
+
 def upright(x: float, top: float, bottom: float, colour: str, more: str = "") -> str:
     """Return a vertical line."""
     return f"<line x1='{x:.1f}' x2='{x:.1f}' y1='{top:.1f}' y2='{bottom:.1f}' stroke='{colour}' {more}/>"

@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg.diagnose.chances import LOOK_ALIKE, TEMPER
 from tissuereg.diagnose.report.proved import gain_words
-from tissuereg.diagnose.report.ranking import chance, gloss, plain_name
+from tissuereg.diagnose.report.ranking import chance, gloss, plain_name, separated
 from tissuereg.diagnose.search import SEPARABLE
 from tissuereg.report.markup import escape, table
 
@@ -79,11 +79,10 @@ def ties(found: "Diagnosis") -> str:
     if advice is None:
         parts.append("<p>No further push, hold or force of the present rig was found that would tell them apart.</p>")
     else:
-        pairs = "; ".join(" from ".join(plain_name(name) for name in pair) for pair in advice["separates"])
         parts.append(
-            f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(pairs)}: what the "
-            f"explanations, as fitted, predict there differs by {advice['separability']:.1f} noise deviations beside "
-            f"the tracker's frame, the modulus and the error of forces ({SEPARABLE:.0f} tell the two apart).</p>"
+            f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(separated(advice))}: what "
+            f"the explanations, as fitted, predict there differs by {advice['separability']:.1f} noise deviations "
+            f"beside the tracker's frame, the modulus and the error of forces ({SEPARABLE:.0f} tell the two apart).</p>"
         )
     return "\n".join(parts)
 
