@@ -7,6 +7,7 @@ use pyo3::PyTypeInfo;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
+use tissuereg_contacts::ContactsError;
 use tissuereg_esmda::EsmdaError;
 use tissuereg_fem::{Element, FemError, Material};
 
@@ -251,4 +252,16 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
         E::NoiseNotPositiveDefinite { pivot } => details.set_item("pivot", pivot),
         _ => Ok(()),
     })
+}
+
+/// The exception for an error of `tissuereg-contacts`.
+pub(crate) fn from_contacts(py: Python<'_>, error: &ContactsError) -> PyErr {
+    use ContactsError as E;
+    let (class, place) = match error {
+        E::Shape { argument, .. } | E::Index { argument, .. } => (Class::Shape, *argument),
+        E::NotFinite { argument: "innovation", .. } => (Class::Marker, "innovation"),
+        E::NotFinite { argument, .. } | E::Range { argument, .. } => (Class::Base, *argument),
+        E::NotPositiveDefinite { .. } => (Class::Noise, "noise"),
+    };
+    raise(py, class, &error.to_string(), Some(place))
 }

@@ -1,4 +1,4 @@
-//! `tissuereg._core`: the two core crates as Python sees them.
+//! `tissuereg._core`: the three core crates as Python sees them.
 //!
 //! Every wrapper checks, views, releases the lock, calls and maps, and does nothing else. Arrays come in as C-ordered
 //! views (`arrays`), long calls run where Ctrl-C is heard (`lock`), errors leave as the classes of
@@ -6,6 +6,7 @@
 #![deny(unsafe_code)]
 
 mod arrays;
+mod contacts;
 mod errors;
 mod esmda;
 mod fem;
@@ -17,6 +18,8 @@ use pyo3::prelude::*;
 /// The compiled part of tissuereg.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::contacts::Contacts;
     #[pymodule_export]
     use super::esmda::{
         Noise, Step, check_schedule, schedule_constant, schedule_geometric, screen_members,

@@ -1,0 +1,188 @@
+//! One Markov chain over configurations.
+//!
+//! A sweep visits every slot (a draw from the table of all contents, accepted with its texture included; steps to
+//! neighbouring patches and sizes), every family's level and every group that may be wrong. All chance comes from a row
+//! of uniform numbers; every step takes its numbers whether it uses them or not.
+
+use crate::state::{Configuration, Contact, Evidence};
+use crate::table::{Table, without};
+use crate::{ChainSettings, Problem};
+
+/// How often steps were tried and taken.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Tables of all contents of a slot.
+    pub tables: usize,
+    /// Draws from them that were accepted.
+    pub jumps: usize,
+    /// Covariances factored.
+    pub factorisations: usize,
+    /// Steps to a neighbour or another size that were accepted.
+    pub steps: usize,
+}
+
+/// One chain at work.
+pub(crate) struct Chain<'a> {
+    problem: &'a Problem,
+    settings: &'a ChainSettings,
+    uniforms: std::slice::Iter<'a, f64>,
+    pub(crate) state: Configuration,
+    evidence: Evidence,
+    pub(crate) counters: Counters,
+}
+
+/// Uniform numbers that a sweep takes.
+pub(crate) fn uniforms_a_sweep(problem: &Problem, settings: &ChainSettings) -> usize {
+    let prior = &problem.prior;
+    prior.n_slots * (2 + 3 * settings.n_local)
+        + 2 * settings.n_level * prior.families.len()
+        + prior.wrong.rows.len()
+}
+
+impl<'a> Chain<'a> {
+    /// None where the start's covariance cannot be factored.
+    pub(crate) fn new(
+        problem: &'a Problem,
+        settings: &'a ChainSettings,
+        start: Configuration,
+        uniforms: &'a [f64],
+    ) -> Option<Self> {
+        let evidence = Evidence::of_state(problem, &start)?;
+        let counters = Counters::default();
+        Some(Self {
+            problem,
+            settings,
+            uniforms: uniforms.iter(),
+            state: start,
+            evidence,
+            counters,
+        })
+    }
+
+    /// Logarithm of evidence and of prior.
+    pub(crate) fn score(&self) -> (f64, f64) {
+        (self.evidence.value, self.state.log_prior(self.problem))
+    }
+
+    fn uniform(&mut self) -> f64 {
+        self.uniforms.next().copied().unwrap_or(0.5)
+    }
+
+    /// Visit everything once, with likelihoods raised to the power `power`.
+    pub(crate) fn sweep(&mut self, power: f64) {
+        for slot in 0..self.state.slots.len() {
+            self.jump(slot, power);
+            for _ in 0..self.settings.n_local {
+                self.step(slot, power);
+            }
+        }
+        for family in 0..self.state.levels.len() {
+            for _ in 0..self.settings.n_level {
+                self.shift(family, power);
+            }
+        }
+        self.question(power);
+    }
+
+    /// Draw a slot's content from all, weighed without texture, and correct for it.
+    fn jump(&mut self, slot: usize, power: f64) {
+        let (place, chance) = (self.uniform(), self.uniform());
+        let Some(rest) = without(self.problem, &self.state, slot) else { return };
+        let table = Table::new(self.problem, &rest, power * self.settings.sharpness);
+        self.counters.tables += 1;
+        self.counters.factorisations += 1;
+        let (now, proposed) = (self.state.slots[slot], table.draw(place));
+        if now == proposed {
+            return;
+        }
+        let correction = table.log_probability(now) - table.log_probability(proposed);
+        let mut next = self.state.clone();
+        next.slots[slot] = proposed;
+        if self.accept(next, power, correction, chance) {
+            self.counters.jumps += 1;
+        }
+    }
+
+    /// Propose a neighbouring patch or the next size.
+    fn step(&mut self, slot: usize, power: f64) {
+        let (kind, which, chance) = (self.uniform(), self.uniform(), self.uniform());
+        let Some(now) = self.state.slots[slot] else { return };
+        let Some((proposed, correction)) = self.neighbour(now, kind, which) else { return };
+        let mut next = self.state.clone();
+        next.slots[slot] = Some(proposed);
+        if self.accept(next, power, correction, chance) {
+            self.counters.steps += 1;
+        }
+    }
+
+    /// A neighbour of a contact with the logarithm of the proposals' ratio.
+    fn neighbour(&self, now: Contact, kind: f64, which: f64) -> Option<(Contact, f64)> {
+        if kind < 0.3 {
+            let size = match which < 0.5 {
+                true => now.size.checked_sub(1)?,
+                false => now.size + 1,
+            };
+            let exists = size < self.problem.prior.variances.len();
+            return exists.then_some((Contact { size, ..now }, 0.0));
+        }
+        let dictionary = &self.problem.dictionary;
+        let around = &dictionary.patch(now.patch).neighbours;
+        let patch = *around.get((which * around.len() as f64) as usize)?;
+        let back = dictionary.patch(patch).neighbours.len();
+        Some((Contact { patch, ..now }, (around.len() as f64).ln() - (back as f64).ln()))
+    }
+
+    /// Propose the next level of a family.
+    fn shift(&mut self, family: usize, power: f64) {
+        let (way, chance) = (self.uniform(), self.uniform());
+        let n_levels = self.problem.prior.families[family].factors.len();
+        let now = self.state.levels[family];
+        let proposed = if way < 0.5 { now.checked_sub(1) } else { Some(now + 1) };
+        let Some(level) = proposed.filter(|&level| level < n_levels) else { return };
+        let mut next = self.state.clone();
+        next.levels[family] = level;
+        self.accept(next, power, 0.0, chance);
+    }
+
+    /// Decide for every group whether it is wrong, given all others.
+    fn question(&mut self, power: f64) {
+        for group in 0..self.state.wrong.len() {
+            let chance = self.uniform();
+            if !self.worth_a_look(group) {
+                continue;
+            }
+            let mut next = self.state.clone();
+            next.wrong[group] = !next.wrong[group];
+            self.accept(next, power, 0.0, chance);
+        }
+    }
+
+    /// A group that fits is turned only where it is wrong now: its residual is within three deviations of its own
+    /// covariance.
+    fn worth_a_look(&self, group: usize) -> bool {
+        if self.state.wrong[group] {
+            return true;
+        }
+        let dual = crate::linalg::backward(self.evidence.factor.as_ref(), &self.evidence.white);
+        let rows = &self.problem.prior.wrong.rows[group];
+        let noise = &self.problem.observed.noise;
+        rows.iter().any(|&row| (dual[row] * noise[(row, row)].sqrt()).abs() > 1.0)
+    }
+
+    fn accept(&mut self, next: Configuration, power: f64, correction: f64, chance: f64) -> bool {
+        let before = self.state.log_prior(self.problem);
+        let after = next.log_prior(self.problem);
+        if after == f64::NEG_INFINITY {
+            return false;
+        }
+        let Some(evidence) = Evidence::of_state(self.problem, &next) else { return false };
+        self.counters.factorisations += 1;
+        let change = power * (evidence.value - self.evidence.value) + after - before + correction;
+        let taken = chance.ln() < change;
+        if taken {
+            self.state = next;
+            self.evidence = evidence;
+        }
+        taken
+    }
+}

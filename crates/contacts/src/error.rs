@@ -1,0 +1,68 @@
+//! What can go wrong, with the numbers and the place.
+
+/// Why a dictionary, a prior or a run of chains was refused.
+///
+/// # Examples
+///
+/// ```
+/// use faer::Mat;
+/// use tissuereg_contacts::{ContactsError, Dictionary};
+///
+/// let error = Dictionary::new(Mat::zeros(5, 4), vec![Default::default(); 2]).unwrap_err();
+/// assert_eq!(error, ContactsError::Shape { argument: "columns", wanted: 6, found: 4 });
+/// ```
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ContactsError {
+    /// An array does not have the size that the others ask for.
+    #[error("`{argument}` must have {wanted} entries along its free axis, got {found}")]
+    Shape {
+        /// The argument.
+        argument: &'static str,
+        /// Size that fits (a lower bound for columns of a dictionary).
+        wanted: usize,
+        /// Size found.
+        found: usize,
+    },
+    /// A number is not finite.
+    #[error("`{argument}` must be finite, got {value} at entry {entry}")]
+    NotFinite {
+        /// The argument.
+        argument: &'static str,
+        /// Entry, in the order of storage.
+        entry: usize,
+        /// The number.
+        value: f64,
+    },
+    /// A number lies outside its range.
+    #[error("`{argument}` must {must}, got {value} at entry {entry}")]
+    Range {
+        /// The argument.
+        argument: &'static str,
+        /// What must hold.
+        must: &'static str,
+        /// Entry, in the order of storage.
+        entry: usize,
+        /// The number.
+        value: f64,
+    },
+    /// An index points outside the dictionary.
+    #[error("`{argument}` must be below {limit}, got {index} in patch {patch}")]
+    Index {
+        /// The argument.
+        argument: &'static str,
+        /// Patch whose list holds the index.
+        patch: usize,
+        /// The index.
+        index: usize,
+        /// First index that does not exist.
+        limit: usize,
+    },
+    /// The covariance of the observations is not positive definite.
+    #[error(
+        "the covariance of the observations must be positive definite, pivot {pivot} is not positive"
+    )]
+    NotPositiveDefinite {
+        /// First bad pivot.
+        pivot: usize,
+    },
+}

@@ -1,0 +1,67 @@
+//! Which few causes of a large dictionary explain what was observed.
+//!
+//! Observations follow causes linearly. Hundreds of patches of a surface may each be pushed, in any direction and by any
+//! size, but few are: a few slots each hold one patch or none. Beside them there are causes that act together with one
+//! unknown size (a background, a body force), and groups of observations that may be wrong as a whole. Given what fills
+//! the slots everything is Gaussian and known in closed form; what fills them is sampled by parallel Markov chains
+//! whose jumps weigh every patch at once ([`Problem::run`]). [`Problem::moments`] turns samples into means and covariances of
+//! coefficients and of anything that follows them, [`Problem::draws`] into draws.
+//!
+//! The crate knows no mesh, no file and no random number: chance is an argument, and the same input gives the same bits
+//! at any number of threads.
+//!
+//! # Example
+//!
+//! Two patches, six observations; the second patch has been moved by 2 along its first direction:
+//!
+//! ```
+//! use faer::{Mat, Par};
+//! use tissuereg_contacts::{ChainSettings, Dictionary, Observed, Patch, Prior, Problem, Wrong};
+//!
+//! let dictionary = Dictionary::new(Mat::identity(6, 6), vec![Patch::default(); 2])?;
+//! let prior = Prior {
+//!     n_slots: 1,
+//!     variances: vec![1.0, 4.0],
+//!     log_empty: 0.5_f64.ln(),
+//!     log_filled: vec![0.125_f64.ln(); 4],
+//!     families: Vec::new(),
+//!     wrong: Wrong { rows: Vec::new(), variance: 1.0, log_odds: 0.0 },
+//! };
+//! let observed = Observed {
+//!     innovation: vec![0.0, 0.0, 0.0, 2.0, 0.0, 0.0],
+//!     noise: Mat::from_fn(6, 6, |i, j| if i == j { 0.01 } else { 0.0 }),
+//! };
+//! let problem = Problem::new(dictionary, prior, observed)?;
+//! let settings = ChainSettings::default();
+//! // Any numbers in [0, 1) serve here; a caller draws them.
+//! let uniforms = Mat::from_fn(4, problem.n_uniforms(&settings), |i, j| {
+//!     (0.618_034 * (1 + i + 7 * j) as f64).fract()
+//! });
+//! let run = problem.run(&settings, uniforms.as_ref(), &[], Par::Seq)?;
+//! assert!(run.samples.iter().all(|s| s.configuration.slots[0].is_some_and(|c| c.patch == 1)));
+//! # Ok::<(), tissuereg_contacts::ContactsError>(())
+//! ```
+#![forbid(unsafe_code)]
+
+mod chain;
+mod dictionary;
+mod error;
+mod linalg;
+mod moments;
+mod prior;
+mod run;
+mod state;
+mod table;
+
+pub use chain::Counters;
+pub use dictionary::{Dictionary, Patch};
+pub use error::ContactsError;
+pub use moments::{Moments, Targets};
+pub use prior::{Family, Observed, Prior, Problem, Wrong};
+pub use run::{ChainSettings, Run, Sample};
+pub use state::{Configuration, Contact};
+
+/// The README's code runs as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct ReadMe;

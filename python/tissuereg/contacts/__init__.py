@@ -1,0 +1,1 @@
+"""Registration without a known load: sparse contacts on the free surface as the prior."""

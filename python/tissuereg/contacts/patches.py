@@ -1,0 +1,201 @@
+r"""Patches of contact on the free surface of a mesh: what may push, before anything is known of who does.
+
+A patch of centre c and radius r has the nodal force of one unit
+
+    A_n (1 - |x_n - c|^2 / r^2)_+ E / (1.6 r)
+
+along each axis, with A_n the share of the surface of node n, so that a unit moves its patch by about 1 mm and Young's
+modulus cancels from everything but the forces.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.mesh import Mesh
+
+#: Radii of patches over the extent of the body.
+RADII_SHARES = (0.05, 0.083, 0.133, 0.208, 0.333)
+
+#: The smallest radius over the mean edge of the surface.
+_LEAST_EDGES = 1.2
+
+#: Centres of one radius are thinned to this share of it.
+_THINNING = 0.7
+
+#: Nodes whose normal turns away from the centre's by more (cosine) do not belong to a patch: the other side of a sheet.
+_LEAST_COSINE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Patches of one mesh.
+
+    Attributes
+    ----------
+    centres : ndarray of float64, shape (n_patches, 3)
+        mm, undeformed.
+    radii : ndarray of float64, shape (n_patches,)
+        mm.
+    level : ndarray of int64, shape (n_patches,)
+        Which radius, 0 the smallest.
+    normals : ndarray of float64, shape (n_patches, 3)
+        Outward unit normal at the centre.
+    shapes : scipy.sparse.csr_array, shape (n_patches, n_nodes)
+        Nodal force of one unit over Young's modulus, mm^2 a mm.
+    texture : tuple of ndarray
+        For each patch the next smaller ones inside, as first entries, entries, and ratios of standard deviations.
+    neighbours : tuple of ndarray
+        For each patch those much alike, as first entries and entries.
+    """
+
+    centres: FloatArray
+    radii: FloatArray
+    level: IntArray
+    normals: FloatArray
+    shapes: Any
+    texture: tuple[IntArray, IntArray, FloatArray]
+    neighbours: tuple[IntArray, IntArray]
+
+    @property
+    def n_patches(self) -> int:
+        """Number of patches."""
+        return len(self.centres)
+
+
+def make_patches(mesh: Mesh, held: IntArray) -> Patches:
+    """Return the patches of a mesh.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    held : ndarray of int64, shape (n_held,)
+        Nodes that are held for sure: no patch there.
+
+    Returns
+    -------
+    Patches
+        Largest radii have the fewest centres; about a thousand in all.
+    """
+    areas, normals = surface_of_nodes(mesh)
+    free = np.setdiff1d(mesh.surface_nodes, held)
+    places = mesh.nodes[free]
+    edges = mesh.nodes[mesh.surface] - mesh.nodes[np.roll(mesh.surface, 1, axis=1)]
+    edge = float(np.linalg.norm(edges, axis=2).mean())
+    radii = _radii(mesh.extent, edge)
+    chosen = [_thinned(places, _THINNING * radius) for radius in radii]
+    level = np.repeat(np.arange(len(radii)), [len(c) for c in chosen])
+    nodes = free[np.concatenate(chosen)]
+    centres, across, radius = mesh.nodes[nodes], normals[nodes], radii[level]
+    shapes = _shapes(places, normals[free], areas[free], free, centres, across, radius, mesh.n_nodes)
+    return Patches(
+        centres,
+        radius,
+        level,
+        across,
+        shapes,
+        _texture(centres, across, radius, level),
+        _neighbours(centres, across, radius, level),
+    )
+
+
+def surface_of_nodes(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
+    """Return the surface area (n_nodes,) in mm^2 and the outward unit normal (n_nodes, 3) of every node, zero inside."""
+    a, b, c = (mesh.nodes[mesh.surface[:, i]] for i in range(3))
+    across = 0.5 * np.cross(b - a, c - a)
+    area, normal = np.zeros(mesh.n_nodes), np.zeros((mesh.n_nodes, 3))
+    for corner in range(3):
+        np.add.at(area, mesh.surface[:, corner], np.linalg.norm(across, axis=1) / 3.0)
+        np.add.at(normal, mesh.surface[:, corner], across)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return area, normal / np.where(length > 0, length, 1.0)
+
+
+def _radii(extent: float, edge: float) -> FloatArray:
+    """Return radii in mm, ascending: shares of the extent, none much smaller than two edges of the surface."""
+    wanted = np.array(RADII_SHARES) * extent
+    least = _LEAST_EDGES * edge
+    return np.asarray(np.concatenate([[max(least, wanted[0])], wanted[wanted > 1.3 * max(least, wanted[0])]]))
+
+
+def _thinned(places: FloatArray, gap: float) -> IntArray:
+    """Return indices of places of which no two are closer than a gap, in their order."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(places)
+    left = np.ones(len(places), bool)
+    kept = []
+    for index in range(len(places)):
+        if left[index]:
+            kept.append(index)
+            left[tree.query_ball_point(places[index], gap)] = False
+    return np.array(kept, np.int64)
+
+
+def _shapes(
+    places: FloatArray,
+    normals: FloatArray,
+    areas: FloatArray,
+    nodes: IntArray,
+    centres: FloatArray,
+    across: FloatArray,
+    radii: FloatArray,
+    n_nodes: int,
+) -> Any:
+    from scipy.sparse import csr_array
+    from scipy.spatial import cKDTree
+
+    found = cKDTree(places).query_ball_point(centres, radii)
+    rows = np.repeat(np.arange(len(centres)), [len(f) for f in found])
+    own = np.concatenate([np.asarray(f, np.int64) for f in found])
+    distance = np.linalg.norm(places[own] - centres[rows], axis=1)
+    same_side = np.einsum("ij,ij->i", normals[own], across[rows]) > _LEAST_COSINE
+    profile = np.clip(1.0 - (distance / radii[rows]) ** 2, 0.0, None)
+    values = np.where(same_side, areas[own] * profile / (1.6 * radii[rows]), 0.0)
+    shapes = csr_array((values, (rows, nodes[own])), shape=(len(centres), n_nodes))
+    shapes.eliminate_zeros()
+    return shapes
+
+
+def _texture(
+    centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return, for each patch, those of the next smaller radius whose centre lies inside."""
+    lists, ratios = [], []
+    for patch in range(len(centres)):
+        if level[patch] == 0:
+            lists.append(np.empty(0, np.int64))
+            ratios.append(np.empty(0))
+            continue
+        smaller = np.flatnonzero(level == level[patch] - 1)
+        near = np.linalg.norm(centres[smaller] - centres[patch], axis=1) < radii[patch]
+        inside = smaller[near & (across[smaller] @ across[patch] > _LEAST_COSINE)]
+        lists.append(inside)
+        ratios.append(0.5 * radii[inside] / radii[patch])
+    return _first(lists), _joined(lists), np.concatenate([*ratios, np.empty(0)])
+
+
+def _neighbours(
+    centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Return, for each patch, those of its radius next to it and those of the next radii about its centre."""
+    lists = []
+    for patch in range(len(centres)):
+        step = np.abs(level - level[patch])
+        reach = np.where(step == 0, 1.5, 0.7) * _THINNING * np.maximum(radii, radii[patch])
+        near = (step <= 1) & (np.linalg.norm(centres - centres[patch], axis=1) < reach)
+        near &= across @ across[patch] > _LEAST_COSINE
+        near[patch] = False
+        lists.append(np.flatnonzero(near))
+    return _first(lists), _joined(lists)
+
+
+def _first(lists: list[IntArray]) -> IntArray:
+    return np.concatenate([[0], np.cumsum([len(one) for one in lists])]).astype(np.int64)
+
+
+def _joined(lists: list[IntArray]) -> IntArray:
+    return np.concatenate([*lists, np.empty(0, np.int64)]).astype(np.int64)
