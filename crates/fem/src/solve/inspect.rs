@@ -6,7 +6,7 @@ use crate::body::Body;
 use crate::error::FemError;
 use crate::load::{check_finite, check_length};
 use crate::material::Material;
-use crate::system::factor::{Factor, Making};
+use crate::system::factor::{Entries, Factor, Making};
 
 /// Internal forces of a displacement: the nodal forces under which it is in equilibrium.
 ///
@@ -91,7 +91,7 @@ pub fn is_stable(
     }
     let (kind, making) = (TangentKind::Exact, Making { parallel: false, cancel: None });
     let matrix = ElementTangents::new(body.geometry(), material, &state.displacement, kind);
-    match Factor::double(&body.pattern().fronts, &matrix, making) {
+    match Factor::new(&body.pattern().fronts, &matrix, Entries::Double, making) {
         Ok(_) => Ok(true),
         Err(FemError::SingularStiffness { .. }) => Ok(false),
         Err(error) => Err(error),

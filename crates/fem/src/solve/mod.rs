@@ -23,7 +23,7 @@ use std::time::Instant;
 pub use inspect::{internal_forces, is_stable};
 pub(crate) use metric::{Metric, RestCache, Shape, SharedRest};
 pub use report::{Solution, SolveReport, StageSeconds};
-pub use settings::{LoadSteps, Method, SolveSettings};
+pub use settings::{LoadSteps, Method, Precision, SolveSettings};
 
 use crate::body::Body;
 use crate::error::FemError;
