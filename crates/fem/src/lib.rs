@@ -129,7 +129,7 @@ pub use sensitivity::{
 };
 pub use solve::{
     LoadSteps, Method, Precision, Solution, SolveReport, SolveSettings, StageSeconds, internal_forces,
-    is_stable, solve, solve_from,
+    is_stable, solve, solve_from, spring_forces,
 };
 pub use supports::Supports;
 pub use surface::{Friction, Skin, Springs};

@@ -193,6 +193,11 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         self.settings.cancel = flag;
     }
 
+    /// The flag that ends calls.
+    pub fn cancel_flag(&self) -> Option<Arc<AtomicBool>> {
+        self.settings.cancel.clone()
+    }
+
     /// How displacement and reactions follow each cause.
     ///
     /// # Errors

@@ -6,6 +6,7 @@ use crate::body::Body;
 use crate::error::FemError;
 use crate::load::{check_finite, check_length};
 use crate::material::Material;
+use crate::surface::{Springs, SurfaceTerms};
 use crate::system::factor::{Entries, Factor, Making};
 
 /// Internal forces of a displacement: the nodal forces under which it is in equilibrium.
@@ -61,6 +62,30 @@ pub fn internal_forces(
         Some(energy) if energy.total.is_finite() => Ok(state.force.as_chunks::<3>().0.to_vec()),
         _ => Err(inverted(body, &state.displacement)),
     }
+}
+
+/// Forces of springs on a body at a displacement.
+///
+/// They are linear in the displacement: springs whose far ends move by `a` pull at a body at `u` as
+/// springs that stay do at `u − a`.
+///
+/// # Shapes
+///
+/// `displacement` one row a node of the body, mm; the result likewise for each set of springs, mN.
+///
+/// # Errors
+///
+/// [`FemError::NotOnSurface`], [`FemError::BadParameter`], [`FemError::WrongLength`],
+/// [`FemError::NonFinite`].
+pub fn spring_forces(
+    body: &Body,
+    springs: &[Springs],
+    displacement: &[[f64; 3]],
+) -> Result<Vec<Vec<[f64; 3]>>, FemError> {
+    check_length("displacement (one row a node)", body.n_nodes(), displacement.len())?;
+    check_finite("displacement", displacement)?;
+    let terms = SurfaceTerms::new(body, springs, &[])?;
+    Ok(terms.spring_forces(displacement.as_flattened()))
 }
 
 /// Whether a displacement is a stable equilibrium of its own internal forces: the tangent there is

@@ -20,7 +20,7 @@ mod support_path;
 
 use std::time::Instant;
 
-pub use inspect::{internal_forces, is_stable};
+pub use inspect::{internal_forces, is_stable, spring_forces};
 pub(crate) use metric::{Metric, RestCache, Shape, SharedRest};
 pub use report::{Solution, SolveReport, StageSeconds};
 pub use settings::{LoadSteps, Method, Precision, SolveSettings};
