@@ -12,6 +12,7 @@ __all__ = [
     "Adjoints",
     "Body",
     "Cause",
+    "Compliance",
     "Law",
     "Linearised",
     "ManySolutions",
@@ -50,11 +51,22 @@ class Adjoints:
     def body_force(self) -> _Floats: ...
     @property
     def prescribed(self) -> _Floats: ...
+    @property
+    def springs(self) -> _Floats: ...
 
 @final
 class Body:
-    def __new__(cls, nodes: _Floats, tets: _Integers, held_nodes: _Integers, *, element: str = "tet4") -> Body: ...
-    def __getnewargs_ex__(self) -> tuple[tuple[_Floats, _Integers, _Integers], dict[str, str]]: ...
+    def __new__(
+        cls,
+        nodes: _Floats,
+        tets: _Integers,
+        held_nodes: _Integers,
+        *,
+        element: str = "tet4",
+        springs: list[tuple[_Integers, list[float]]] = ...,
+        rests: bool = False,
+    ) -> Body: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[_Floats, _Integers, _Integers], dict[str, Any]]: ...
     @property
     def nodes(self) -> _Floats: ...
     @property
@@ -77,6 +89,18 @@ class Body:
     def element(self) -> _Element: ...
     @property
     def analyse_seconds(self) -> float: ...
+    @property
+    def springs(self) -> list[tuple[_Integers, list[float]]]: ...
+    def internal_forces(
+        self,
+        displacement: _Floats,
+        young: _Floats,
+        poisson: _Floats,
+        *,
+        law: Law | None = None,
+        springs: _Floats | None = None,
+    ) -> _Floats: ...
+    def spring_forces(self, displacement: _Floats, springs: _Floats | None = None) -> _Floats: ...
     def traction_forces(self, triangles: _Integers, traction: _Floats) -> _Floats: ...
     def solve(
         self,
@@ -87,6 +111,7 @@ class Body:
         forces: _Floats | None = None,
         body_force: _Floats | None = None,
         prescribed: _Floats | None = None,
+        springs: _Floats | None = None,
         start: _Floats | None = None,
         tolerance: float = 1e-9,
         max_iterations: int = 1000,
@@ -104,6 +129,8 @@ class Body:
         forces: _Floats | None = None,
         body_force: _Floats | None = None,
         prescribed: _Floats | None = None,
+        springs: _Floats | None = None,
+        precision: str = "double",
         threads: int = 0,
     ) -> Linearised: ...
     def solve_many(
@@ -115,6 +142,8 @@ class Body:
         forces: _Floats | None = None,
         body_force: _Floats | None = None,
         prescribed: _Floats | None = None,
+        springs: _Floats | None = None,
+        start: _Floats | None = None,
         tolerance: float = 1e-9,
         max_iterations: int = 1000,
         method: str = "auto",
@@ -145,6 +174,15 @@ class Cause:
     def motion(pad: int, rates: _Floats) -> Cause: ...
 
 @final
+class Compliance:
+    @property
+    def forces(self) -> _Floats: ...
+    @property
+    def body_force(self) -> _Floats: ...
+    @property
+    def prescribed(self) -> _Floats: ...
+
+@final
 class Law:
     def __new__(
         cls,
@@ -165,6 +203,21 @@ class Law:
 class Linearised:
     def derivatives(self, causes: list[Cause]) -> tuple[_Floats, _Floats]: ...
     def adjoints(self, observations: list[tuple[_Integers, _Floats, _Integers, _Floats]]) -> Adjoints: ...
+    def compliance(self, observations: list[tuple[_Integers, _Floats, _Integers, _Floats]]) -> Compliance: ...
+    def responses(self, forces: _Floats) -> _Floats: ...
+    def unbalanced(self, causes: list[Cause]) -> _Floats: ...
+    def solve_near(
+        self,
+        *,
+        forces: _Floats | None = None,
+        body_force: _Floats | None = None,
+        prescribed: _Floats | None = None,
+        springs: _Floats | None = None,
+        tolerance: float = 1e-9,
+        max_iterations: int = 1000,
+    ) -> Solution: ...
+    @property
+    def report(self) -> dict[str, Any]: ...
 
 @final
 class Rig:

@@ -26,7 +26,7 @@ mod _core {
     };
     #[pymodule_export]
     use super::fem::{
-        Adjoints, Body, Cause, Law, Linearised, ManySolutions, Rig, RigFrame, Solution, check_mesh,
+        Adjoints, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig, RigFrame, Solution, check_mesh,
         surface_triangles,
     };
 

@@ -223,6 +223,17 @@ impl Body {
         self.shape.gradients.get_or_init(|| NodalGradients::new(self.geometry()))
     }
 
+    /// Volume that counts for each node: its nodal force under a body force of one, mm³.
+    pub(crate) fn volume_weights(&self) -> Vec<f64> {
+        let mut weights = vec![0.0; self.n_nodes()];
+        for element in 0..self.geometry().n_elements() {
+            for (node, weight) in self.geometry().volume_weights(element) {
+                weights[node] += weight;
+            }
+        }
+        weights
+    }
+
     pub(crate) fn pattern(&self) -> &Pattern {
         &self.pattern
     }
@@ -288,6 +299,22 @@ impl Body {
             }
         }
         self.held_nodes().iter().map(|n| at_corner.get(n).copied().unwrap_or_default()).collect()
+    }
+
+    /// Whose forces [`Body::reactions`] adds up: place of the held node, node and share.
+    pub(crate) fn reaction_parts(&self) -> Vec<(usize, usize, f64)> {
+        let mut parts: Vec<(usize, usize, f64)> =
+            self.held_nodes().iter().enumerate().map(|(place, &node)| (place, node, 1.0)).collect();
+        let places: BTreeMap<usize, usize> =
+            parts.iter().map(|&(place, node, _)| (node, place)).collect();
+        for (e, ends) in self.shape.edges.iter().enumerate() {
+            let middle = self.n_corner_nodes() + e;
+            if self.held[middle].contains(&true) {
+                let own = ends.iter().filter_map(|end| places.get(end));
+                parts.extend(own.map(|&place| (place, middle, 0.5)));
+            }
+        }
+        parts
     }
 
     fn held_part(&self, node: usize, values: &[f64]) -> [f64; 3] {

@@ -8,77 +8,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from tissuereg import _core
-from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg._arrays import FloatArray, float_array
 from tissuereg.load import Load
 from tissuereg.material import Material
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulate.bed import stiffness_array
+from tissuereg.simulate.causes import Cause, Field, Observation, Parameter, core_cause, core_observation
+from tissuereg.simulate.solve import Simulation, Simulator
 
-
-@dataclass(frozen=True)
-class Parameter:
-    """A number of the law, moved alike everywhere, or one of what it does and of what lies on the body.
-
-    Parameters
-    ----------
-    name : str
-        ``"young"``, ``"poisson"``, a shape parameter (``"excess"``, ``"share"``, ``"c2_over_c1"``, ``"c3_over_c1"``,
-        ``"alpha"``, ``"weight"``, ``"b"``), or ``"k1_over_mu"`` and ``"k2"`` of fibres. Through frames also those of a
-        behaviour (``"relaxation.g"``, ``"relaxation.tau_s"``, ``"rate.viscosity_kpa_s"``, ``"softening.r"``,
-        ``"softening.m_kpa"``, ``"softening.beta"``, ``"set.fraction"``, ``"drainage.share"``, ``"drainage.tau_s"``,
-        ``"swelling.linear_strain"``, ``"swelling.from_time_s"``, ``"swelling.to_time_s"``), of springs
-        (``"springs.normal_kpa_per_mm"``, ``"springs.tangential_kpa_per_mm"``) and of skins (``"skins.young_kpa"``,
-        ``"skins.thickness_mm"``). Only the viscosity has a derivative where its behaviour is absent.
-    term : int
-        Which term of an Ogden law or of the relaxation, which springs or skin; from 0 on.
-    """
-
-    name: str
-    term: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class Field:
-    """A modulus along a field of rates: an inclusion or a layer is 1 where it lies.
-
-    Parameters
-    ----------
-    name : {"young", "poisson"}
-        Which modulus.
-    rates : array_like of float, shape (n_tets,) or (n_tets, n_points)
-        Change of the modulus over that of the cause.
-    """
-
-    name: str
-    rates: Any
-
-
-#: What a derivative may be taken by. A load is a rate of the load that acts; through frames, of all of them.
-Cause = Parameter | Field | Load
-
-
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """A number read off an equilibrium: weights times displacements plus weights times reactions.
-
-    Parameters
-    ----------
-    nodes : array_like of int, shape (k,)
-        Nodes whose displacement counts; repeated nodes add up.
-    weights : array_like of float, shape (k, 3)
-        Weights of their components.
-    held_nodes : array_like of int, shape (r,)
-        Held nodes whose reaction counts.
-    held_weights : array_like of float, shape (r, 3)
-        Weights of its components.
-    """
-
-    nodes: Any = ()
-    weights: Any = ()
-    held_nodes: Any = ()
-    held_weights: Any = ()
+__all__ = [
+    "Adjoints",
+    "Cause",
+    "Compliance",
+    "Derivatives",
+    "Field",
+    "Linearised",
+    "Observation",
+    "Parameter",
+    "core_cause",
+    "core_observation",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +64,32 @@ class Adjoints:
         By the body force, per mN/mm^3.
     prescribed : ndarray of float64, shape (n_obs, n_held, 3)
         By the prescribed displacement of every held node, per mm.
+    springs : ndarray of float64, shape (n_obs, n_sets, 2)
+        By the stiffness of every set of springs along the normal and in the plane, per kPa/mm.
     """
 
     young: FloatArray
     poisson: FloatArray
+    forces: FloatArray
+    body_force: FloatArray
+    prescribed: FloatArray
+    springs: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """How observations of displacements follow forces and supports.
+
+    Attributes
+    ----------
+    forces : ndarray of float64, shape (n_obs, n_element_nodes, 3)
+        Derivative by the force at every node, per mN; zero at held nodes.
+    body_force : ndarray of float64, shape (n_obs, 3)
+        By the body force, per mN/mm^3.
+    prescribed : ndarray of float64, shape (n_obs, n_held, 3)
+        By the prescribed displacement of every held node, per mm.
+    """
+
     forces: FloatArray
     body_force: FloatArray
     prescribed: FloatArray
@@ -138,6 +108,11 @@ class Linearised:
         What the body is made of.
     displacement : array_like of float, shape (n_element_nodes, 3)
         Equilibrium under them in mm: `Simulation.all_displacement`.
+    springs : array_like of float, shape (n_sets, 2), optional
+        Stiffness of the simulator's springs in kPa/mm; that given to the simulator where absent.
+    precision : {"double", "single"}
+        Of the factor. A single one takes half the time and memory; solutions with it are refined until they are right
+        to 1e-9. Where the tangent is too close to singular for that, it is double all the same.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
 
@@ -165,7 +140,15 @@ class Linearised:
     """
 
     def __init__(
-        self, simulator: Simulator, load: Load, material: Material, displacement: Any, *, threads: int = 0
+        self,
+        simulator: Simulator,
+        load: Load,
+        material: Material,
+        displacement: Any,
+        *,
+        springs: Any = None,
+        precision: str = "double",
+        threads: int = 0,
     ) -> None:
         self.simulator = simulator
         young, poisson = simulator.moduli(material)
@@ -174,6 +157,8 @@ class Linearised:
             young,
             poisson,
             law=material.core_law(),
+            springs=stiffness_array(springs, (simulator.n_springs, 2)),
+            precision=precision,
             threads=threads,
             **simulator.load_parts(load),
         )
@@ -223,67 +208,113 @@ class Linearised:
             If there is not one row of weights a node.
         """
         found = self._core.adjoints([core_observation(observation) for observation in observations])
-        return Adjoints(found.young, found.poisson, found.forces, found.body_force, found.prescribed)
+        return Adjoints(found.young, found.poisson, found.forces, found.body_force, found.prescribed, found.springs)
 
+    def compliance(self, observations: Sequence[Observation]) -> Compliance:
+        """Return how observations of displacements follow forces and supports, and nothing else: fast for many.
 
-def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
-    """Return a cause as the compiled solver takes it.
+        Parameters
+        ----------
+        observations : sequence of Observation
+            What is read off, without reactions.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        What it acts on.
-    cause : Parameter, Field or Load
-        What is moved.
+        Returns
+        -------
+        Compliance
+            One entry an observation, in their order; each has the same bits whatever the others are.
 
-    Returns
-    -------
-    _core.Cause
-        Checked as far as it can be without a law.
+        Raises
+        ------
+        LoadError
+            If a node does not exist, or if an observation weighs reactions.
+        ShapeError
+            If there is not one row of weights a node.
+        """
+        found = self._core.compliance([core_observation(observation) for observation in observations])
+        return Compliance(found.forces, found.body_force, found.prescribed)
 
-    Raises
-    ------
-    TissueRegError
-        If there is no such parameter or field.
-    LoadError, ShapeError
-        If rates do not fit the body.
-    """
-    if isinstance(cause, Parameter):
-        return _core.Cause.parameter(cause.name, cause.term)
-    if isinstance(cause, Load):
-        return _core.Cause.load(**simulator.load_parts(cause))
-    rates = np.asarray(cause.rates, np.float64)
-    shape = (simulator.mesh.n_tets, simulator.n_points)
-    if rates.ndim == 1:
-        rates = np.repeat(rates[:, None], simulator.n_points, axis=1)
-    return _core.Cause.field(cause.name, float_array(f"rates of {cause.name}", rates, shape))
+    def responses(self, forces: Any) -> FloatArray:
+        """Return how the displacement follows each of many fields of nodal forces.
 
+        Parameters
+        ----------
+        forces : array_like of float, shape (n_fields, n_element_nodes, 3)
+            Nodal forces in mN.
 
-def core_observation(observation: Observation) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-    """Return an observation as the compiled solver takes it.
+        Returns
+        -------
+        ndarray of float64, shape (n_fields, n_element_nodes, 3)
+            Displacement in mm, to first order; zero at held nodes.
 
-    Parameters
-    ----------
-    observation : Observation
-        What is read off.
+        Raises
+        ------
+        LoadError, ShapeError
+            If the forces are not finite or do not fit the body.
+        """
+        return self._core.responses(float_array("forces", forces, (None, self.simulator.body.n_nodes, 3)))
 
-    Returns
-    -------
-    tuple of ndarray
-        Nodes and weights of displacements, nodes and weights of reactions.
+    def unbalanced(self, causes: Sequence[Cause]) -> FloatArray:
+        """Return the nodal forces out of balance that each cause leaves where nothing moves.
 
-    Raises
-    ------
-    ShapeError
-        If there is not one row of weights a node.
-    """
-    nodes = index_array("nodes", observation.nodes, (None,))
-    held = index_array("held_nodes", observation.held_nodes, (None,))
-    weights = np.reshape(observation.weights, (-1, 3)) if len(nodes) == 0 else observation.weights
-    held_weights = np.reshape(observation.held_weights, (-1, 3)) if len(held) == 0 else observation.held_weights
-    return (
-        nodes,
-        float_array("weights", weights, (len(nodes), 3)),
-        held,
-        float_array("held_weights", held_weights, (len(held), 3)),
-    )
+        An observation of free nodes follows cause ``c`` by ``-sum(compliance.forces[o] * unbalanced[c])``: one product
+        of matrices for many of both.
+
+        Parameters
+        ----------
+        causes : sequence of Parameter, Field or Load
+            What is moved.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_causes, n_element_nodes, 3)
+            In mN over the unit of the cause.
+
+        Raises
+        ------
+        MaterialError
+            If the law does not have a parameter.
+        LoadError, ShapeError
+            If rates do not fit the body.
+        """
+        return self._core.unbalanced([core_cause(self.simulator, cause) for cause in causes])
+
+    def solve_near(
+        self, load: Load, *, springs: Any = None, tolerance: float = 1e-9, max_iterations: int = 1000
+    ) -> Simulation:
+        """Return the equilibrium under another load, sought from this one with its factor.
+
+        Parameters
+        ----------
+        load : Load
+            What acts.
+        springs : array_like of float, shape (n_sets, 2), optional
+            Stiffness of the simulator's springs in kPa/mm; that given to the simulator where absent.
+        tolerance : float
+            Norm of the residual over the norm of the load, free degrees of freedom.
+        max_iterations : int
+            Iterations allowed.
+
+        Returns
+        -------
+        Simulation
+            As `Simulator.solve` with the material of this equilibrium.
+
+        Raises
+        ------
+        ConvergenceError
+            If no equilibrium is found.
+        LoadError, ShapeError
+            If the load does not fit the body.
+        """
+        found = self._core.solve_near(
+            **self.simulator.load_parts(load),
+            springs=stiffness_array(springs, (self.simulator.n_springs, 2)),
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+        )
+        return self.simulator.simulation(found)
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """Work so far: `precision` of the factor, `factorisations`, `right_hand_sides` and their `corrections`."""
+        return self._core.report

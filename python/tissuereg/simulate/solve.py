@@ -12,6 +12,7 @@ from tissuereg.errors import LoadError, MaterialError
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
+from tissuereg.simulate.bed import core_springs, stiffness_array
 
 
 class LoadParts(TypedDict):
@@ -92,20 +93,38 @@ class Simulator:
         Four-node tets, the same with volume ratios averaged at the nodes (for Poisson's ratios above 0.475), or
         ten-node tets on the same edges (second order, straight edges).
     held_nodes : array_like of int, optional
-        Nodes whose displacement is given; the node set ``fixed`` where absent.
+        Nodes whose displacement is given; the node set ``fixed`` where absent. With springs there may be none.
+    springs : sequence of (array_like of int (n, 3), array_like of float (2,)), optional
+        Sets of springs: surface triangles with the stiffness along the normal and in the plane in kPa/mm, which every
+        solve may give anew.
+    rests : bool
+        Whether the springs help to hold the body. Their directions without stiffness must then stay so in every solve,
+        and the others must not lose theirs.
 
     Raises
     ------
     SupportError
-        If the held nodes leave a rigid motion free.
+        If held nodes and springs leave a rigid motion free.
+    LoadError, ShapeError
+        If springs do not lie on the surface.
     """
 
-    def __init__(self, mesh: Mesh, *, element: str = "tet4", held_nodes: Any = None) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        *,
+        element: str = "tet4",
+        held_nodes: Any = None,
+        springs: Sequence[tuple[Any, Any]] = (),
+        rests: bool = True,
+    ) -> None:
         held = mesh.fixed_nodes if held_nodes is None else index_array("held_nodes", held_nodes, (None,))
         self.mesh = mesh
         self.element = element
         self.held_nodes: IntArray = held
-        self.body = _core.Body(mesh.nodes, mesh.tets, held, element=element)
+        sets = core_springs(springs)
+        self.n_springs = len(sets)
+        self.body = _core.Body(mesh.nodes, mesh.tets, held, element=element, springs=sets, rests=rests and bool(sets))
 
     @property
     def n_points(self) -> int:
@@ -164,7 +183,8 @@ class Simulator:
         material : Material
             What the body is made of.
         **settings
-            ``tolerance`` (residual over load), ``threads`` (0: all), ``method``, ``start``, ``max_iterations``.
+            ``tolerance`` (residual over load), ``threads`` (0: all), ``method``, ``start`` (n_element_nodes, 3) in mm,
+            ``springs`` (n_sets, 2) in kPa/mm, ``max_iterations``.
 
         Returns
         -------
@@ -189,10 +209,82 @@ class Simulator:
             poisson,
             law=material.core_law(),
             **self.load_parts(load),
-            **settings,
+            **self._arrays(settings, ()),
         )
+        return self.simulation(found)
+
+    def simulation(self, found: _core.Solution) -> Simulation:
+        """Return what the compiled solver found as a simulation of the mesh."""
         everything = found.displacement
         return Simulation(everything[: self.mesh.n_nodes].copy(), found.reactions, everything, found.report)
+
+    def _arrays(self, settings: dict[str, Any], members: tuple[int, ...]) -> dict[str, Any]:
+        """Return settings with their arrays checked; of many, the member axis may be absent."""
+        checked = dict(settings)
+        if settings.get("springs") is not None:
+            checked["springs"] = stiffness_array(settings["springs"], (*members, self.n_springs, 2))
+        if settings.get("start") is not None:
+            own = members if np.ndim(settings["start"]) == 3 else ()
+            checked["start"] = float_array("start", settings["start"], (*own, self.body.n_nodes, 3))
+        return checked
+
+    def internal_forces(self, displacement: Any, material: Material, *, springs: Any = None) -> FloatArray:
+        """Return the nodal forces that hold a displacement in equilibrium, on the body's springs where it has some.
+
+        Parameters
+        ----------
+        displacement : array_like of float, shape (n_element_nodes, 3)
+            Displacement of all nodes in mm.
+        material : Material
+            What the body is made of.
+        springs : array_like of float, shape (n_sets, 2), optional
+            Stiffness of the springs in kPa/mm; that given to the simulator where absent.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_element_nodes, 3)
+            In mN; at held nodes the reactions of a body without load.
+
+        Raises
+        ------
+        LoadError
+            If the displacement turns a tet inside out.
+        MaterialError, ShapeError
+            If the input does not fit the body.
+        """
+        young, poisson = self.moduli(material)
+        return self.body.internal_forces(
+            float_array("displacement", displacement, (self.body.n_nodes, 3)),
+            young,
+            poisson,
+            law=material.core_law(),
+            springs=stiffness_array(springs, (self.n_springs, 2)),
+        )
+
+    def spring_forces(self, displacement: Any, *, springs: Any = None) -> FloatArray:
+        """Return the forces of each set of springs on the body at a displacement.
+
+        Springs whose far ends move by ``a`` add the nodal forces ``-spring_forces(a)`` of all sets to the load.
+
+        Parameters
+        ----------
+        displacement : array_like of float, shape (n_element_nodes, 3)
+            Displacement of all nodes in mm.
+        springs : array_like of float, shape (n_sets, 2), optional
+            Their stiffness in kPa/mm; that given to the simulator where absent.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_sets, n_element_nodes, 3)
+            In mN.
+
+        Raises
+        ------
+        ShapeError
+            If the input does not fit the body.
+        """
+        rows = float_array("displacement", displacement, (self.body.n_nodes, 3))
+        return self.body.spring_forces(rows, stiffness_array(springs, (self.n_springs, 2)))
 
     def solve_many(
         self, loads: Sequence[Load], materials: Sequence[Material], *, progress: Any = None, **settings: Any
@@ -208,7 +300,8 @@ class Simulator:
         progress : callable of int, optional
             Called with the number of members finished so far.
         **settings
-            As in `solve`.
+            As in `solve`; ``start`` (n_members, n_element_nodes, 3) or one for all, ``springs`` (n_members, n_sets, 2)
+            or one for all.
 
         Returns
         -------
@@ -235,7 +328,7 @@ class Simulator:
             laws=[material.core_law() for material in materials],
             **stacked_parts([self.load_parts(load) for load in loads]),
             progress=progress,
-            **settings,
+            **self._arrays(settings, (len(loads),)),
         )
         everything = found.displacement
         return Simulations(everything[:, : self.mesh.n_nodes].copy(), found.reactions, found.failed, everything)

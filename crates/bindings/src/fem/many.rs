@@ -42,18 +42,28 @@ impl ManySolutions {
 pub(super) struct Members {
     materials: Vec<Material>,
     loads: Vec<Load>,
+    /// Displacements to start from: none, one for all or one a member.
+    starts: Vec<Vec<[f64; 3]>>,
+}
+
+/// Parts of the loads of all members, the member axis first, and where these start.
+pub(super) struct Loads<'a, 'py> {
+    pub(super) forces: Option<&'a Bound<'py, PyAny>>,
+    pub(super) body_force: Option<&'a Bound<'py, PyAny>>,
+    pub(super) prescribed: Option<&'a Bound<'py, PyAny>>,
+    pub(super) springs: Option<&'a Bound<'py, PyAny>>,
+    pub(super) start: Option<&'a Bound<'py, PyAny>>,
 }
 
 impl Members {
     pub(super) fn new(
-        body: &Body,
-        young: &Bound<'_, PyAny>,
-        poisson: &Bound<'_, PyAny>,
+        owner: &super::Body,
+        [young, poisson]: [&Bound<'_, PyAny>; 2],
         laws: &[PyRef<'_, Law>],
-        forces: Option<&Bound<'_, PyAny>>,
-        body_force: Option<&Bound<'_, PyAny>>,
-        prescribed: Option<&Bound<'_, PyAny>>,
+        loads: Loads<'_, '_>,
     ) -> PyResult<Self> {
+        let super::Body(body, bed) = owner;
+        let Loads { forces, body_force, prescribed, springs, start } = loads;
         let (n_tets, three) = (Some(body.n_tets()), Some(3));
         let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
         let py = young.py();
@@ -78,6 +88,13 @@ impl Members {
         let n_held = Some(body.held_nodes().len());
         let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[k, n_held, three]])?;
 
+        let n_sets = Some(bed.springs.len());
+        let springs = View::<f64>::optional("springs", springs, &[&[k, n_sets, Some(2)]])?;
+        let start = View::<f64>::optional("start", start, &[&[k, all, three], &[all, three]])?;
+        let starts = start.map_or_else(Vec::new, |view| {
+            view.rows::<3>().chunks_exact(body.n_nodes()).map(<[_]>::to_vec).collect()
+        });
+
         let rows = |view: &Option<View<'_, f64>>, member: usize| {
             view.as_ref().map(|view| {
                 let rows = view.rows::<3>();
@@ -85,7 +102,8 @@ impl Members {
                 rows[member * each..(member + 1) * each].to_vec()
             })
         };
-        let mut members = Self { materials: Vec::with_capacity(n), loads: Vec::with_capacity(n) };
+        let (materials, loads) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        let mut members = Self { materials, loads, starts };
         for member in 0..n {
             let (of_young, of_poisson) = (part(&young, member, n), part(&poisson, member, n));
             let law = laws.get(if laws.len() == 1 { 0 } else { member });
@@ -98,7 +116,10 @@ impl Members {
                 nodal_forces: rows(&forces, member),
                 body_force: body_force.as_ref().map_or([0.0; 3], |rows| rows.rows()[member]),
                 prescribed: rows(&prescribed, member),
-                springs: Vec::new(),
+                springs: bed.with(springs.as_ref().map(|view| {
+                    let (rows, each) = (view.rows::<2>(), bed.springs.len());
+                    &rows[member * each..(member + 1) * each]
+                })),
             });
         }
         errors::warn_of_locking(py, body.element(), members.materials.iter(), poisson.slice())?;
@@ -122,9 +143,13 @@ impl Members {
         };
         let shared = body.clone();
         let work = move || {
-            let pairs = self.materials.iter().zip(&self.loads);
-            let members: Vec<Member> =
-                pairs.map(|(material, load)| Member { material, load, start: None }).collect();
+            let start = |member: usize| {
+                self.starts.get(if self.starts.len() == 1 { 0 } else { member }).map(Vec::as_slice)
+            };
+            let pairs = self.materials.iter().zip(&self.loads).enumerate();
+            let members: Vec<Member> = pairs
+                .map(|(member, (material, load))| Member { material, load, start: start(member) })
+                .collect();
             solve_many(&shared, &members, &settings)
         };
         let mut said = 0;

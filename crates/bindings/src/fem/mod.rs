@@ -1,5 +1,6 @@
 //! Meshes, bodies and solves.
 
+mod bed;
 mod law;
 mod many;
 mod rig;
@@ -9,15 +10,16 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use numpy::IntoPyArray;
-use numpy::{PyArray1, PyArray2};
+use numpy::{PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tissuereg_fem::{Element, Load, LoadSteps, Material, Mesh, Method, SolveSettings};
+use tissuereg_fem::{Element, Load, LoadSteps, Material, Mesh, Method, Precision, SolveSettings, Supports};
 
+use self::bed::{Bed, Sheet, SheetOut};
 pub(crate) use self::law::Law;
 pub(crate) use self::many::ManySolutions;
 pub(crate) use self::rig::{Rig, RigFrame};
-pub(crate) use self::sensitivity::{Adjoints, Cause, Linearised};
+pub(crate) use self::sensitivity::{Adjoints, Cause, Compliance, Linearised};
 use crate::arrays::{self, View};
 use crate::errors::{self, Class};
 use crate::{lock, report};
@@ -55,18 +57,22 @@ fn mesh_of(py: Python<'_>, nodes: &Bound<'_, PyAny>, tets: &Bound<'_, PyAny>) ->
 
 /// A supported mesh, analysed once for any number of solves.
 #[pyclass(frozen, module = "tissuereg._core")]
-pub(crate) struct Body(Arc<tissuereg_fem::Body>);
+pub(crate) struct Body(Arc<tissuereg_fem::Body>, Arc<Bed>);
 
 #[pymethods]
 impl Body {
+    /// Springs are triangles with (normal, tangential) stiffness in kPa/mm, which every solve may give anew; with `rests`
+    /// they help to hold the body.
     #[new]
-    #[pyo3(signature = (nodes, tets, held_nodes, *, element="tet4"))]
+    #[pyo3(signature = (nodes, tets, held_nodes, *, element="tet4", springs=Vec::new(), rests=false))]
     fn new(
         py: Python<'_>,
         nodes: &Bound<'_, PyAny>,
         tets: &Bound<'_, PyAny>,
         held_nodes: &Bound<'_, PyAny>,
         element: &str,
+        springs: Vec<Sheet<'_>>,
+        rests: bool,
     ) -> PyResult<Self> {
         let element = match element {
             "tet4" => Element::Tet4,
@@ -78,9 +84,14 @@ impl Body {
         };
         let held = View::<i64>::new("held_nodes", held_nodes, &[&[None]])?;
         let held = held.indices::<1>(py, "held_nodes", Class::Support)?.into_flattened();
+        let bed = Bed::new(py, &springs, rests)?;
         let mesh = mesh_of(py, nodes, tets)?;
-        let body = py.detach(|| tissuereg_fem::Body::new(mesh, element, held));
-        body.map(|body| Self(Arc::new(body))).map_err(|error| errors::from_fem(py, &error, None))
+        let mut supports = Supports::from(held);
+        if rests {
+            supports = bed.springs.iter().fold(supports, Supports::rest_on);
+        }
+        let body = py.detach(|| tissuereg_fem::Body::new(mesh, element, supports));
+        body.map(|body| Self(Arc::new(body), Arc::new(bed))).map_err(|error| errors::from_fem(py, &error, None))
     }
 
     /// Undeformed positions of all nodes, float64 (n_nodes, 3), mm: corner nodes, then mid-edge nodes.
@@ -175,8 +186,8 @@ impl Body {
 
     /// Equilibrium under one load. Moduli: one for all, float64 (1,), one a tet, (n_tets,), or one a quadrature point,
     /// (n_tets, n_points); without a law they are those of a neo-Hookean one.
-    #[pyo3(signature = (young, poisson, *, law=None, forces=None, body_force=None, prescribed=None, start=None, tolerance=1e-9,
-                        max_iterations=1000, method="auto", load_steps=0, threads=0))]
+    #[pyo3(signature = (young, poisson, *, law=None, forces=None, body_force=None, prescribed=None, springs=None, start=None,
+                        tolerance=1e-9, max_iterations=1000, method="auto", load_steps=0, threads=0))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
     fn solve(
         &self,
@@ -187,6 +198,7 @@ impl Body {
         forces: Option<&Bound<'_, PyAny>>,
         body_force: Option<&Bound<'_, PyAny>>,
         prescribed: Option<&Bound<'_, PyAny>>,
+        springs: Option<&Bound<'_, PyAny>>,
         start: Option<&Bound<'_, PyAny>>,
         tolerance: f64,
         max_iterations: usize,
@@ -197,15 +209,8 @@ impl Body {
         let settings = settings_of(py, tolerance, max_iterations, method, load_steps, threads)?;
         let (three, all) = (Some(3), Some(self.0.n_nodes()));
         let start = View::<f64>::optional("start", start, &[&[all, three]])?;
-        let OneProblem { material, load, settings } = OneProblem::new(
-            &self.0,
-            [young, poisson],
-            law,
-            forces,
-            body_force,
-            prescribed,
-            settings,
-        )?;
+        let material = self.material([young, poisson], law)?;
+        let load = self.load(forces, body_force, prescribed, springs)?;
         let start = start.map(|rows| rows.rows::<3>().to_vec());
         let body = self.0.clone();
         let cancel = Arc::new(AtomicBool::new(false));
@@ -220,9 +225,9 @@ impl Body {
     }
 
     /// The exact tangent at an equilibrium, which answers derivatives; arguments as those of `solve`, `displacement` its
-    /// answer, float64 (n_nodes, 3) mm.
+    /// answer, float64 (n_nodes, 3) mm. The factor is kept in "double" precision or in "single", which takes half the time.
     #[pyo3(signature = (displacement, young, poisson, *, law=None, forces=None, body_force=None, prescribed=None,
-                        threads=0))]
+                        springs=None, precision="double", threads=0))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
     fn linearise(
         &self,
@@ -234,27 +239,76 @@ impl Body {
         forces: Option<&Bound<'_, PyAny>>,
         body_force: Option<&Bound<'_, PyAny>>,
         prescribed: Option<&Bound<'_, PyAny>>,
+        springs: Option<&Bound<'_, PyAny>>,
+        precision: &str,
         threads: usize,
     ) -> PyResult<Linearised> {
-        let rows: [&[Option<usize>]; 1] = [&[Some(self.0.n_nodes()), Some(3)]];
-        let displacement = View::<f64>::new("displacement", displacement, &rows)?;
+        let precision = match precision {
+            "double" => Precision::Double,
+            "single" => Precision::Single,
+            other => return Err(bad_choice(py, "precision", "`double` or `single`", other)),
+        };
+        let displacement = self.field("displacement", displacement)?;
         let settings = SolveSettings { n_threads: threads, ..SolveSettings::default() };
-        let problem = OneProblem::new(
-            &self.0,
-            [young, poisson],
-            law,
-            forces,
-            body_force,
-            prescribed,
+        let problem = Problem {
+            material: self.material([young, poisson], law)?,
+            load: self.load(forces, body_force, prescribed, springs)?,
+            displacement,
+            precision,
             settings,
-        )?;
-        Linearised::new(py, &self.0, problem, displacement.rows::<3>().to_vec())
+        };
+        Linearised::new(py, self, problem)
+    }
+
+    /// Nodal forces, float64 (n_nodes, 3) mN, under which a displacement, float64 (n_nodes, 3) mm, is in equilibrium, on its
+    /// springs where the body has some; at held nodes the reactions of a body without load.
+    #[pyo3(signature = (displacement, young, poisson, *, law=None, springs=None))]
+    fn internal_forces<'py>(
+        &self,
+        py: Python<'py>,
+        displacement: &Bound<'py, PyAny>,
+        young: &Bound<'py, PyAny>,
+        poisson: &Bound<'py, PyAny>,
+        law: Option<&Law>,
+        springs: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let rows = self.field("displacement", displacement)?;
+        let material = self.material([young, poisson], law)?;
+        let springs = self.1.given(springs)?;
+        let body = &self.0;
+        let found = py.detach(|| {
+            let mut forces = tissuereg_fem::internal_forces(body, &material, &rows)?;
+            for set in tissuereg_fem::spring_forces(body, &springs, &rows)? {
+                for (sum, force) in forces.iter_mut().zip(set) {
+                    (0..3).for_each(|i| sum[i] -= force[i]);
+                }
+            }
+            Ok(forces)
+        });
+        arrays::from_points(py, found.map_err(|error| errors::from_fem(py, &error, None))?)
+    }
+
+    /// Forces of each set of springs on the body at a displacement, float64 (n_sets, n_nodes, 3), mN. Springs whose far
+    /// ends move by a displacement pull as the negative of what they do at it.
+    #[pyo3(signature = (displacement, springs=None))]
+    fn spring_forces<'py>(
+        &self,
+        py: Python<'py>,
+        displacement: &Bound<'py, PyAny>,
+        springs: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let rows = self.field("displacement", displacement)?;
+        let (springs, body) = (self.1.given(springs)?, &self.0);
+        let found = py.detach(|| tissuereg_fem::spring_forces(body, &springs, &rows));
+        let found = found.map_err(|error| errors::from_fem(py, &error, None))?;
+        let flat = found.into_iter().flat_map(|set| set.into_flattened()).collect();
+        arrays::from_vec(py, flat, [springs.len(), body.n_nodes(), 3])
     }
 
     /// Equilibria of many members, in parallel, each on one thread. Moduli as for one, the member axis first; one law a
-    /// member, or one for all.
-    #[pyo3(signature = (young, poisson, *, laws=None, forces=None, body_force=None, prescribed=None, tolerance=1e-9,
-                        max_iterations=1000, method="auto", load_steps=0, threads=0, progress=None))]
+    /// member, or one for all; `start` one displacement a member, float64 (n_members, n_nodes, 3) mm, or one for all.
+    #[pyo3(signature = (young, poisson, *, laws=None, forces=None, body_force=None, prescribed=None, springs=None, start=None,
+                        tolerance=1e-9, max_iterations=1000, method="auto", load_steps=0, threads=0, progress=None))]
     #[allow(clippy::too_many_arguments)] // keywords in Python
     fn solve_many(
         &self,
@@ -265,6 +319,8 @@ impl Body {
         forces: Option<&Bound<'_, PyAny>>,
         body_force: Option<&Bound<'_, PyAny>>,
         prescribed: Option<&Bound<'_, PyAny>>,
+        springs: Option<&Bound<'_, PyAny>>,
+        start: Option<&Bound<'_, PyAny>>,
         tolerance: f64,
         max_iterations: usize,
         method: &str,
@@ -274,9 +330,19 @@ impl Body {
     ) -> PyResult<ManySolutions> {
         let settings = settings_of(py, tolerance, max_iterations, method, load_steps, threads)?;
         let laws = laws.unwrap_or_default();
-        let members =
-            many::Members::new(&self.0, young, poisson, &laws, forces, body_force, prescribed)?;
+        let members = many::Members::new(
+            self,
+            [young, poisson],
+            &laws,
+            many::Loads { forces, body_force, prescribed, springs, start },
+        )?;
         members.solve(py, &self.0, settings, progress)
+    }
+
+    /// Sets of springs as given: triangles, int64 (t, 3), with (normal, tangential) stiffness, kPa/mm.
+    #[getter]
+    fn springs<'py>(&self, py: Python<'py>) -> PyResult<Vec<SheetOut<'py>>> {
+        self.1.sheets(py)
     }
 
     fn __getnewargs_ex__<'py>(
@@ -287,6 +353,8 @@ impl Body {
         let arguments = (arrays::from_points(py, corners)?, self.tets(py)?, self.held_nodes(py));
         let keywords = PyDict::new(py);
         keywords.set_item("element", self.element())?;
+        keywords.set_item("springs", self.springs(py)?)?;
+        keywords.set_item("rests", self.1.rests)?;
         Ok((arguments, keywords))
     }
 
@@ -338,46 +406,59 @@ impl Solution {
     }
 }
 
-/// Material and load of one problem, checked and copied.
-struct OneProblem {
+/// An equilibrium and what it is one of, checked and copied.
+struct Problem {
     material: Material,
     load: Load,
+    displacement: Vec<[f64; 3]>,
+    precision: Precision,
     settings: SolveSettings,
 }
 
-impl OneProblem {
-    fn new(
-        body: &tissuereg_fem::Body,
+impl Body {
+    fn material(
+        &self,
         [young, poisson]: [&Bound<'_, PyAny>; 2],
         law: Option<&Law>,
-        forces: Option<&Bound<'_, PyAny>>,
-        body_force: Option<&Bound<'_, PyAny>>,
-        prescribed: Option<&Bound<'_, PyAny>>,
-        settings: SolveSettings,
-    ) -> PyResult<Self> {
-        let py = young.py();
+    ) -> PyResult<Material> {
+        let (py, body) = (young.py(), &self.0);
         let (n_tets, n_points) = (Some(body.n_tets()), Some(body.element().n_points()));
         let moduli: [&[Option<usize>]; 3] = [&[Some(1)], &[n_tets], &[n_tets, n_points]];
         let young = View::<f64>::new("young", young, &moduli)?;
         let poisson = View::<f64>::new("poisson", poisson, &moduli)?;
-        let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
-        let three = Some(3);
-        let forces = View::<f64>::optional("forces", forces, &[&[all, three], &[corners, three]])?;
-        let body_force = View::<f64>::optional("body_force", body_force, &[&[three]])?;
-        let n_held = Some(body.held_nodes().len());
-        let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[n_held, three]])?;
         let material = law
             .map_or(&Law::default(), |law| law)
             .material(body.element(), body.n_tets(), young.slice(), poisson.slice())
             .map_err(|error| errors::from_fem(py, &error, None))?;
         errors::warn_of_locking(py, body.element(), [&material].into_iter(), poisson.slice())?;
-        let load = Load {
+        Ok(material)
+    }
+
+    fn load(
+        &self,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+        springs: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Load> {
+        let (body, three) = (&self.0, Some(3));
+        let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
+        let forces = View::<f64>::optional("forces", forces, &[&[all, three], &[corners, three]])?;
+        let body_force = View::<f64>::optional("body_force", body_force, &[&[three]])?;
+        let n_held = Some(body.held_nodes().len());
+        let prescribed = View::<f64>::optional("prescribed", prescribed, &[&[n_held, three]])?;
+        Ok(Load {
             nodal_forces: forces.map(|rows| rows.rows::<3>().to_vec()),
             body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
             prescribed: prescribed.map(|rows| rows.rows::<3>().to_vec()),
-            springs: Vec::new(),
-        };
-        Ok(Self { material, load, settings })
+            springs: self.1.given(springs)?,
+        })
+    }
+
+    /// One row a node.
+    fn field(&self, name: &str, rows: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
+        let wanted: [&[Option<usize>]; 1] = [&[Some(self.0.n_nodes()), Some(3)]];
+        Ok(View::<f64>::new(name, rows, &wanted)?.rows::<3>().to_vec())
     }
 }
 

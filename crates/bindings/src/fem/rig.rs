@@ -12,14 +12,12 @@ use tissuereg_fem::{
     Skin, Softening, SofteningForm, SolveSettings, Springs, Supports, Swelling,
 };
 
+use super::bed::Sheet;
 use super::sensitivity::{Cause, Stack, weights_of};
 use super::{Law, bad_choice, settings_of};
 use crate::arrays::{self, View};
 use crate::errors::{self, Class};
 use crate::{lock, report};
-
-/// A set of triangles with numbers that describe what lies on them.
-type Sheet<'py> = (Bound<'py, PyAny>, Vec<f64>);
 
 /// A body, its history and its pads.
 #[pyclass(frozen, module = "tissuereg._core")]
@@ -471,13 +469,13 @@ fn nodes_of(py: Python<'_>, name: &str, nodes: &Bound<'_, PyAny>) -> PyResult<Ve
     Ok(view.indices::<1>(py, name, Class::Support)?.into_flattened())
 }
 
-fn triangles_of(name: &str, triangles: &Bound<'_, PyAny>) -> PyResult<Vec<[usize; 3]>> {
+pub(super) fn triangles_of(name: &str, triangles: &Bound<'_, PyAny>) -> PyResult<Vec<[usize; 3]>> {
     let view = View::<i64>::new(name, triangles, &[&[None, Some(3)]])?;
     view.indices::<3>(triangles.py(), name, Class::Load)
 }
 
 /// As many numbers as are wanted.
-fn exactly<const N: usize>(py: Python<'_>, name: &str, numbers: &[f64]) -> PyResult<[f64; N]> {
+pub(super) fn exactly<const N: usize>(py: Python<'_>, name: &str, numbers: &[f64]) -> PyResult<[f64; N]> {
     numbers.try_into().map_err(|_| {
         let message = format!("`{name}` must have {N} numbers a set, got {}", numbers.len());
         errors::raise(py, Class::Shape, &message, Some(name))

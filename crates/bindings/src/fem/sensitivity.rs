@@ -5,9 +5,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use tissuereg_fem::material::Parameter;
 use tissuereg_fem::{
-    self as fem, BehaviourParameter, FemError, FrameCause, Load, Observation, SolveSettings,
+    self as fem, BehaviourParameter, FemError, FrameCause, Load, Observation, Precision, SolveSettings,
 };
 
 use super::bad_choice;
@@ -176,7 +177,9 @@ type Weights<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>, Bo
 pub(crate) struct Linearised {
     /// Locked by a call for as long as it takes: it takes the call's flag.
     inner: Arc<Mutex<Inner>>,
-    body: Arc<tissuereg_fem::Body>,
+    body: super::Body,
+    /// That of the settings, for solves near by.
+    threads: usize,
 }
 
 type Inner = tissuereg_fem::Linearised<Arc<tissuereg_fem::Body>>;
@@ -185,18 +188,26 @@ impl Linearised {
     /// Factor the tangent at the equilibrium of a problem.
     pub(super) fn new(
         py: Python<'_>,
-        body: &Arc<tissuereg_fem::Body>,
-        problem: super::OneProblem,
-        displacement: Vec<[f64; 3]>,
+        body: &super::Body,
+        problem: super::Problem,
     ) -> PyResult<Self> {
-        let super::OneProblem { material, load, settings } = problem;
+        let super::Problem { material, load, displacement, precision, settings } = problem;
+        let threads = settings.n_threads;
         let cancel = Arc::new(AtomicBool::new(false));
         let settings = SolveSettings { cancel: Some(cancel.clone()), ..settings };
-        let own = body.clone();
-        let work = move || Inner::new(own, &material, &load, &displacement, &settings);
+        let own = body.0.clone();
+        let work = move || {
+            Inner::in_precision(own, &material, &load, &displacement, &settings, precision)
+        };
         let inner = lock::run_watched(py, &cancel, |_| Ok(()), work)?
             .map_err(|error| errors::from_fem(py, &error, None))?;
-        Ok(Self { inner: Arc::new(Mutex::new(inner)), body: body.clone() })
+        let body = super::Body(body.0.clone(), body.1.clone());
+        Ok(Self { inner: Arc::new(Mutex::new(inner)), body, threads })
+    }
+
+    /// Numbers of nodes and of held ones.
+    fn sizes(&self) -> [usize; 2] {
+        [self.body.0.n_nodes(), self.body.0.held_nodes().len()]
     }
 
     /// Run a call that Ctrl-C ends.
@@ -226,15 +237,7 @@ impl Linearised {
         py: Python<'py>,
         causes: Vec<PyRef<'py, Cause>>,
     ) -> PyResult<(Stack<'py>, Stack<'py>)> {
-        let alone = |cause: &PyRef<'_, Cause>| match &cause.0 {
-            FrameCause::Always(cause) => Ok(cause.clone()),
-            _ => {
-                let found = cause.__repr__();
-                let wanted = "of an equilibrium, not of frames";
-                Err(bad_choice(py, "causes", wanted, &found))
-            }
-        };
-        let causes = causes.iter().map(alone).collect::<PyResult<Vec<_>>>()?;
+        let causes = alone(py, &causes)?;
         let n = causes.len();
         let found = self.call(py, move |inner| inner.derivatives(&causes))?;
         let (mut displacement, mut reactions) = (Vec::new(), Vec::new());
@@ -242,7 +245,7 @@ impl Linearised {
             displacement.extend(one.displacement.into_flattened());
             reactions.extend(one.reactions.into_flattened());
         }
-        let (n_nodes, n_held) = (self.body.n_nodes(), self.body.held_nodes().len());
+        let [n_nodes, n_held] = self.sizes();
         Ok((
             arrays::from_vec(py, displacement, [n, n_nodes, 3])?,
             arrays::from_vec(py, reactions, [n, n_held, 3])?,
@@ -252,22 +255,117 @@ impl Linearised {
     /// How observations follow everything. Each is four arrays: nodes, int64 (k,), and the weights of their displacement,
     /// float64 (k, 3); held nodes, int64 (r,), and the weights of their reactions, float64 (r, 3).
     fn adjoints(&self, py: Python<'_>, observations: Vec<Weights<'_>>) -> PyResult<Adjoints> {
-        let observations = observations
-            .iter()
-            .map(|(nodes, weights, held, held_weights)| {
-                Ok(Observation {
-                    displacement: weights_of(py, ["nodes", "weights"], nodes, weights)?,
-                    reactions: weights_of(py, ["held_nodes", "held_weights"], held, held_weights)?,
-                })
-            })
-            .collect::<PyResult<Vec<_>>>()?;
+        let observations = observations_of(py, &observations)?;
         let found = self.call(py, move |inner| inner.adjoints(&observations))?;
         Adjoints::new(py, &self.body, found)
     }
 
-    fn __repr__(&self) -> String {
-        format!("Linearised(n_nodes={})", self.body.n_nodes())
+    /// How observations of displacements follow forces and supports: arguments as those of `adjoints`, without reactions.
+    fn compliance(&self, py: Python<'_>, observations: Vec<Weights<'_>>) -> PyResult<Compliance> {
+        let observations = observations_of(py, &observations)?;
+        let n = observations.len();
+        let found = self.call(py, move |inner| inner.compliance(&observations))?;
+        let [n_nodes, n_held] = self.sizes();
+        let stack = |rows: Vec<[f64; 3]>, each| {
+            arrays::from_vec(py, rows.into_flattened(), [n, each, 3]).map(Bound::unbind)
+        };
+        Ok(Compliance {
+            forces: stack(found.nodal_forces, n_nodes)?,
+            body_force: arrays::from_points(py, found.body_force)?.unbind(),
+            prescribed: stack(found.prescribed, n_held)?,
+        })
     }
+
+    /// How the displacement follows each of many fields of nodal forces, float64 (n_fields, n_nodes, 3) mN; mm in the same
+    /// shape.
+    fn responses<'py>(&self, py: Python<'py>, forces: &Bound<'py, PyAny>) -> PyResult<Stack<'py>> {
+        let [n_nodes, _] = self.sizes();
+        let forces = View::<f64>::new("forces", forces, &[&[None, Some(n_nodes), Some(3)]])?;
+        let n = forces.shape()[0];
+        let rows = forces.rows::<3>().to_vec();
+        let found = self.call(py, move |inner| inner.responses(&rows))?;
+        arrays::from_vec(py, found.into_flattened(), [n, n_nodes, 3])
+    }
+
+    /// Nodal forces out of balance, float64 (n_causes, n_nodes, 3) mN over the unit of each cause, that it leaves where
+    /// nothing moves.
+    fn unbalanced<'py>(
+        &self,
+        py: Python<'py>,
+        causes: Vec<PyRef<'py, Cause>>,
+    ) -> PyResult<Stack<'py>> {
+        let causes = alone(py, &causes)?;
+        let n = causes.len();
+        let found = self.call(py, move |inner| inner.unbalanced(&causes))?;
+        arrays::from_vec(py, found.into_flattened(), [n, self.sizes()[0], 3])
+    }
+
+    /// Equilibrium of the same body and material under another load, sought from here with the factor at hand.
+    #[pyo3(signature = (*, forces=None, body_force=None, prescribed=None, springs=None, tolerance=1e-9,
+                        max_iterations=1000))]
+    #[allow(clippy::too_many_arguments)] // keywords in Python
+    fn solve_near(
+        &self,
+        py: Python<'_>,
+        forces: Option<&Bound<'_, PyAny>>,
+        body_force: Option<&Bound<'_, PyAny>>,
+        prescribed: Option<&Bound<'_, PyAny>>,
+        springs: Option<&Bound<'_, PyAny>>,
+        tolerance: f64,
+        max_iterations: usize,
+    ) -> PyResult<super::Solution> {
+        let load = self.body.load(forces, body_force, prescribed, springs)?;
+        let settings =
+            super::settings_of(py, tolerance, max_iterations, "auto", 0, self.threads)?;
+        let answer = self.call(py, move |inner| {
+            let settings = SolveSettings { cancel: inner.cancel_flag(), ..settings };
+            inner.solve_near(&load, &settings)
+        })?;
+        super::Solution::new(py, answer, tolerance)
+    }
+
+    /// Work so far: `precision` of the factor, `factorisations`, `right_hand_sides` and their `corrections`.
+    #[getter]
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let inner = self.inner.clone();
+        let report = py
+            .detach(move || inner.lock().unwrap_or_else(PoisonError::into_inner).report());
+        let dict = PyDict::new(py);
+        dict.set_item("precision", match report.precision {
+            Precision::Double => "double",
+            Precision::Single => "single",
+        })?;
+        dict.set_item("factorisations", report.factorisations)?;
+        dict.set_item("right_hand_sides", report.right_hand_sides)?;
+        dict.set_item("corrections", report.corrections)?;
+        Ok(dict)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Linearised(n_nodes={})", self.sizes()[0])
+    }
+}
+
+/// Causes that act on one equilibrium.
+fn alone(py: Python<'_>, causes: &[PyRef<'_, Cause>]) -> PyResult<Vec<fem::Cause>> {
+    let one = |cause: &PyRef<'_, Cause>| match &cause.0 {
+        FrameCause::Always(cause) => Ok(cause.clone()),
+        _ => {
+            let wanted = "of an equilibrium, not of frames";
+            Err(bad_choice(py, "causes", wanted, &cause.__repr__()))
+        }
+    };
+    causes.iter().map(one).collect()
+}
+
+fn observations_of(py: Python<'_>, given: &[Weights<'_>]) -> PyResult<Vec<Observation>> {
+    let one = |(nodes, weights, held, held_weights): &Weights<'_>| {
+        Ok(Observation {
+            displacement: weights_of(py, ["nodes", "weights"], nodes, weights)?,
+            reactions: weights_of(py, ["held_nodes", "held_weights"], held, held_weights)?,
+        })
+    };
+    given.iter().map(one).collect()
 }
 
 /// Nodes with their weights.
@@ -301,12 +399,37 @@ pub(crate) struct Adjoints {
     /// By the prescribed displacement of every held node, float64 (n_obs, h, 3), per mm.
     #[pyo3(get)]
     prescribed: Py<PyArray3<f64>>,
+    /// By the stiffness of every set of springs along the normal and in the plane, float64 (n_obs, n_sets, 2), per kPa/mm.
+    #[pyo3(get)]
+    springs: Py<PyArray3<f64>>,
+}
+
+/// How observations of displacements follow forces and supports.
+#[pyclass(frozen, module = "tissuereg._core")]
+pub(crate) struct Compliance {
+    /// By the force at every node, float64 (n_obs, n_nodes, 3), per mN.
+    #[pyo3(get)]
+    forces: Py<PyArray3<f64>>,
+    /// By the body force, float64 (n_obs, 3), per mN/mm^3.
+    #[pyo3(get)]
+    body_force: Py<PyArray2<f64>>,
+    /// By the prescribed displacement of every held node, float64 (n_obs, h, 3), per mm.
+    #[pyo3(get)]
+    prescribed: Py<PyArray3<f64>>,
+}
+
+#[pymethods]
+impl Compliance {
+    fn __repr__(&self, py: Python<'_>) -> String {
+        use numpy::PyUntypedArrayMethods;
+        format!("Compliance(n_obs={})", self.forces.bind(py).shape()[0])
+    }
 }
 
 impl Adjoints {
     fn new(
         py: Python<'_>,
-        body: &tissuereg_fem::Body,
+        super::Body(body, bed): &super::Body,
         found: Vec<tissuereg_fem::Adjoint>,
     ) -> PyResult<Self> {
         let n = found.len();
@@ -325,6 +448,7 @@ impl Adjoints {
                 |one| one.prescribed.as_flattened(),
                 [n, body.held_nodes().len(), 3],
             )?,
+            springs: gathered(|one| one.springs.as_flattened(), [n, bed.springs.len(), 2])?,
         })
     }
 }

@@ -38,19 +38,31 @@ impl Observation {
         Self { displacement: Vec::new(), reactions: weights.into_iter().collect() }
     }
 
-    /// `w_u` and `w_r` at all nodes, flat.
+    /// Check the nodes and weights of displacements.
     ///
     /// # Errors
     ///
     /// [`FemError::BadObservation`], [`FemError::NonFinite`].
-    pub(crate) fn spread(&self, body: &Body) -> Result<(Vec<f64>, Vec<f64>), FemError> {
-        let mut by_node = vec![0.0; 3 * body.n_nodes()];
+    pub(crate) fn check_displacement(&self, body: &Body) -> Result<(), FemError> {
         for (row, &(node, values)) in self.displacement.iter().enumerate() {
             if node >= body.n_nodes() {
                 let (what, why) = ("the displacement", "does not exist");
                 return Err(FemError::BadObservation { what, node, why });
             }
             check("weights of displacements", row, values)?;
+        }
+        Ok(())
+    }
+
+    /// `w_u` and `w_r` at all nodes, flat.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::BadObservation`], [`FemError::NonFinite`].
+    pub(crate) fn spread(&self, body: &Body) -> Result<(Vec<f64>, Vec<f64>), FemError> {
+        self.check_displacement(body)?;
+        let mut by_node = vec![0.0; 3 * body.n_nodes()];
+        for &(node, values) in &self.displacement {
             (0..3).for_each(|i| by_node[3 * node + i] += values[i]);
         }
         let places: BTreeMap<usize, usize> =

@@ -50,7 +50,38 @@ pub(super) struct Scene<'a> {
     pub(super) map: &'a PointMap,
 }
 
+/// Stresses by the moduli at every point, as far as some causes need them.
+#[derive(Default)]
+pub(super) struct Shared {
+    young: Option<Vec<Matrix3>>,
+    poisson: Option<Vec<Matrix3>>,
+}
+
 impl Scene<'_> {
+    /// What fields of moduli among causes share.
+    pub(super) fn shared_forces(&self, causes: &[Cause]) -> Result<Shared, FemError> {
+        let any = |is: fn(&Cause) -> bool| causes.iter().any(is);
+        let by = |parameter, wanted: bool| {
+            wanted.then(|| self.stresses_by(parameter)).transpose()
+        };
+        Ok(Shared {
+            young: by(Parameter::Young, any(|c| matches!(c, Cause::YoungField(_))))?,
+            poisson: by(Parameter::Poisson, any(|c| matches!(c, Cause::PoissonField(_))))?,
+        })
+    }
+
+    /// The same as [`Scene::rates`], with what fields share.
+    pub(super) fn rates_with(&self, cause: &Cause, shared: &Shared) -> Result<Rates, FemError> {
+        let (stresses, rates) = match (cause, shared) {
+            (Cause::YoungField(rates), Shared { young: Some(stresses), .. })
+            | (Cause::PoissonField(rates), Shared { poisson: Some(stresses), .. }) => {
+                (stresses, rates)
+            }
+            _ => return self.rates(cause),
+        };
+        Ok(Rates { unbalanced: self.along_field(stresses.clone(), rates)?, held: None })
+    }
+
     pub(super) fn rates(&self, cause: &Cause) -> Result<Rates, FemError> {
         let unbalanced = match cause {
             Cause::Parameter(parameter) => self.by_parameter(*parameter, None)?,
@@ -79,16 +110,25 @@ impl Scene<'_> {
         parameter: Parameter,
         field: Option<&[f64]>,
     ) -> Result<Vec<f64>, FemError> {
-        let mut stresses = self.stresses_by(parameter)?;
-        if let Some(rates) = field {
-            check_length("rates (one entry a quadrature point)", stresses.len(), rates.len())?;
-            for (stress, rate) in stresses.iter_mut().zip(rates) {
-                stress.iter_mut().flatten().for_each(|v| *v *= rate);
-            }
+        let stresses = self.stresses_by(parameter)?;
+        match field {
+            Some(rates) => self.along_field(stresses, rates),
+            None => Ok(self.forces_of(&stresses)),
         }
+    }
+
+    fn along_field(&self, mut stresses: Vec<Matrix3>, rates: &[f64]) -> Result<Vec<f64>, FemError> {
+        check_length("rates (one entry a quadrature point)", stresses.len(), rates.len())?;
+        for (stress, rate) in stresses.iter_mut().zip(rates) {
+            stress.iter_mut().flatten().for_each(|v| *v *= rate);
+        }
+        Ok(self.forces_of(&stresses))
+    }
+
+    fn forces_of(&self, stresses: &[Matrix3]) -> Vec<f64> {
         let mut unbalanced = vec![0.0; self.displacement.len()];
-        self.map.add_forces(self.body.geometry(), &stresses, &mut unbalanced);
-        Ok(unbalanced)
+        self.map.add_forces(self.body.geometry(), stresses, &mut unbalanced);
+        unbalanced
     }
 
     fn by_load(&self, rate: &Load) -> Result<Rates, FemError> {

@@ -1,20 +1,21 @@
 //! An equilibrium and its tangent.
 
 use std::borrow::Borrow;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use super::adjoint::{Adjoint, Observation};
 use super::cause::{Cause, Scene};
+use super::factored::{Buffers, Factored};
+use super::held::HeldRows;
 use super::rates::{Derivative, Tangent, exact, factor};
 use crate::assembly::{PointMap, gradients_at_points, point_volumes};
 use crate::body::Body;
 use crate::error::FemError;
 use crate::load::{Load, NodalLoad, check_finite, check_length};
 use crate::material::{Material, Matrix3, Parameter};
-use crate::solve::{Model, Problem, SolveSettings, Solver, State, dot, surface_of};
+use crate::solve::{Model, Precision, Problem, SolveSettings, Solver, State, dot, surface_of};
 use crate::surface::{Springs, SurfaceTerms, must_stick};
-use crate::system::SolveScratch;
 use crate::system::factor::Factor;
 
 /// An equilibrium with the exact tangent there, factored once; it answers derivatives.
@@ -50,16 +51,33 @@ use crate::system::factor::Factor;
 /// ```
 #[derive(Debug)]
 pub struct Linearised<B> {
-    body: B,
-    material: Material,
+    pub(super) body: B,
+    pub(super) material: Material,
     springs: Vec<Springs>,
     surface: SurfaceTerms,
     load: NodalLoad,
-    settings: SolveSettings,
-    state: State,
+    pub(super) settings: SolveSettings,
+    pub(super) state: State,
     gradients: Vec<Matrix3>,
     map: PointMap,
-    factor: Factor,
+    pub(super) factored: Factored,
+    /// Made when first asked for; none where that fails.
+    pub(super) held_rows: OnceLock<Option<HeldRows>>,
+    pub(super) right_hand_sides: AtomicUsize,
+    pub(super) corrections: AtomicUsize,
+}
+
+/// Work of a [`Linearised`] so far; the same at any number of threads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TangentReport {
+    /// Precision of the factor: double also where a single one did not suffice.
+    pub precision: Precision,
+    /// Factors made.
+    pub factorisations: usize,
+    /// Right-hand sides of [`Linearised::compliance`] and [`Linearised::responses`].
+    pub right_hand_sides: usize,
+    /// Corrections of their solutions in double precision.
+    pub corrections: usize,
 }
 
 impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
@@ -85,6 +103,28 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         load: &Load,
         displacement: &[[f64; 3]],
         settings: &SolveSettings,
+    ) -> Result<Self, FemError> {
+        Self::in_precision(body, material, load, displacement, settings, Precision::Double)
+    }
+
+    /// The same with a factor in a chosen precision.
+    ///
+    /// # Errors
+    ///
+    /// As [`Linearised::new`]. With a single factor, calls that solve may also fail with
+    /// [`FemError::BadSetting`] where it turns out not to suffice.
+    ///
+    /// # Cost
+    ///
+    /// A single factor takes half of the time and memory of a double one, the tangent that refines
+    /// its solutions a quarter of the latter's.
+    pub fn in_precision(
+        body: B,
+        material: &Material,
+        load: &Load,
+        displacement: &[[f64; 3]],
+        settings: &SolveSettings,
+        precision: Precision,
     ) -> Result<Self, FemError> {
         settings.check()?;
         settings.check_cancel()?;
@@ -114,7 +154,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             let (tet, det_f) = worst.first().map_or((0, f64::NAN), |w| (w.tet, w.det_f));
             return Err(FemError::InvertedStart { tet, det_f });
         };
-        let factor = settings.in_pool(|| factor(&problem, &state))?;
+        let factored = settings.in_pool(|| factor(&problem, &state, precision))?;
         let gradients = gradients_at_points(own.geometry(), &state.displacement);
         let (material, springs) = (material.clone(), load.springs.clone());
         Ok(Self {
@@ -127,13 +167,35 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             state,
             gradients,
             map,
-            factor,
+            factored,
+            held_rows: OnceLock::new(),
+            right_hand_sides: AtomicUsize::new(0),
+            corrections: AtomicUsize::new(0),
         })
+    }
+
+    /// The work done so far.
+    pub fn report(&self) -> TangentReport {
+        let precision = match *self.factored.factor {
+            Factor::Double(_) => Precision::Double,
+            Factor::Single(_) | Factor::Compact(_) => Precision::Single,
+        };
+        TangentReport {
+            precision,
+            factorisations: self.factored.factorisations,
+            right_hand_sides: self.right_hand_sides.load(Ordering::Relaxed),
+            corrections: self.corrections.load(Ordering::Relaxed),
+        }
     }
 
     /// Take another flag that ends calls with [`FemError::Cancelled`] where it is raised.
     pub fn cancel_by(&mut self, flag: Option<Arc<AtomicBool>>) {
         self.settings.cancel = flag;
+    }
+
+    /// The flag that ends calls.
+    pub fn cancel_flag(&self) -> Option<Arc<AtomicBool>> {
+        self.settings.cancel.clone()
     }
 
     /// How displacement and reactions follow each cause.
@@ -148,10 +210,10 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
     /// One solution with the factor and one or two passes over the elements a cause.
     pub fn derivatives(&self, causes: &[Cause]) -> Result<Vec<Derivative>, FemError> {
         self.settings.in_pool(|| {
-            self.tangent().each(causes, |cause, scratch, parallel| {
+            self.tangent().each(causes, |cause, buffers, parallel| {
                 self.settings.check_cancel()?;
                 let rates = self.scene().rates(cause)?;
-                Ok(self.tangent().follow(&rates, scratch, parallel)?.1)
+                Ok(self.tangent().follow(&rates, buffers, parallel)?.1)
             })
         })
     }
@@ -189,9 +251,9 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
                 .collect::<Result<_, FemError>>()?,
         };
         self.settings.in_pool(|| {
-            self.tangent().each(observations, |observation, scratch, parallel| {
+            self.tangent().each(observations, |observation, buffers, parallel| {
                 self.settings.check_cancel()?;
-                self.adjoint(observation, &sources, scratch, parallel)
+                self.adjoint(observation, &sources, buffers, parallel)
             })
         })
     }
@@ -200,7 +262,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         &self,
         observation: &Observation,
         sources: &Sources,
-        scratch: &mut SolveScratch,
+        buffers: &mut Buffers,
         parallel: bool,
     ) -> Result<Adjoint, FemError> {
         let (body, tangent) = (self.body.borrow(), self.tangent());
@@ -211,7 +273,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
                 *sum += value;
             }
         }
-        let mut v = tangent.solve(&rhs, scratch, parallel);
+        let mut v = tangent.solve(&rhs, buffers, parallel)?;
         for (sum, value) in v.iter_mut().zip(&by_held) {
             *sum += value;
         }
@@ -243,7 +305,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         })
     }
 
-    fn scene(&self) -> Scene<'_> {
+    pub(super) fn scene(&self) -> Scene<'_> {
         Scene {
             body: self.body.borrow(),
             material: &self.material,
@@ -254,7 +316,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         }
     }
 
-    fn tangent(&self) -> Tangent<'_> {
+    pub(super) fn tangent(&self) -> Tangent<'_> {
         let problem = Problem {
             body: self.body.borrow(),
             model: Model::Elastic(&self.material),
@@ -264,7 +326,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             parallel: self.settings.is_parallel(),
             least_load: 0.0,
         };
-        Tangent { problem, state: &self.state, factor: &self.factor }
+        Tangent { problem, state: &self.state, factored: &self.factored }
     }
 }
 

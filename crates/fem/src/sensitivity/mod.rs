@@ -13,6 +13,10 @@
 //! one cause and all observations (forward), or one observation and all causes (adjoint): with
 //! `ṙ = ∫ ∂P/∂E : ∇N`, `∂J/∂E` of a quadrature point is its volume times `∂P/∂E : ∇v`.
 //!
+//! Where only forces and supports count, [`Linearised::compliance`] does the adjoint solutions of many
+//! observations in blocks that read the factor once, and [`Linearised::unbalanced`] gives `ṙ` of many
+//! causes: their derivatives are one product of the two.
+//!
 //! Fibres that bear tension alone switch at zero strain, with continuous stress: a derivative is that
 //! of the side that the state is on, and at the switch itself that of taut fibres.
 //!
@@ -25,12 +29,18 @@
 
 mod adjoint;
 mod cause;
+mod compliance;
+mod factored;
 mod frames;
+mod held;
 mod linearised;
+mod near;
 mod rates;
+mod wide;
 
 pub use adjoint::{Adjoint, Observation};
 pub use cause::Cause;
+pub use compliance::Compliance;
 pub use frames::{FrameAdjoint, FrameCause, FrameDerivative, FrameObservation};
-pub use linearised::Linearised;
+pub use linearised::{Linearised, TangentReport};
 pub use rates::Derivative;

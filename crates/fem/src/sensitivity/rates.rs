@@ -3,11 +3,9 @@
 use rayon::prelude::*;
 
 use super::cause::Rates;
-use crate::assembly::TangentKind;
+use super::factored::{Buffers, Factored};
 use crate::error::FemError;
-use crate::solve::{Method, Problem, SolveSettings, State, norm};
-use crate::system::SolveScratch;
-use crate::system::factor::Factor;
+use crate::solve::{Method, Precision, Problem, SolveSettings, State, norm};
 
 /// Residual over force up to which a displacement counts as an equilibrium. Derivatives are off by
 /// about as much.
@@ -32,7 +30,7 @@ pub(crate) fn exact(settings: &SolveSettings) -> SolveSettings {
 pub(crate) struct Tangent<'a> {
     pub(crate) problem: Problem<'a>,
     pub(crate) state: &'a State,
-    pub(crate) factor: &'a Factor,
+    pub(crate) factored: &'a Factored,
 }
 
 /// Factor the tangent at a state whose forces have been evaluated.
@@ -41,42 +39,51 @@ pub(crate) struct Tangent<'a> {
 ///
 /// [`FemError::NotInEquilibrium`], [`FemError::NotStable`], [`FemError::Cancelled`],
 /// [`FemError::TooLarge`].
-pub(crate) fn factor(problem: &Problem, state: &State) -> Result<Factor, FemError> {
+pub(crate) fn factor(
+    problem: &Problem,
+    state: &State,
+    precision: Precision,
+) -> Result<Factored, FemError> {
     let mut residual = vec![0.0; problem.body.n_unknowns()];
     problem.residual_into(state, 1.0, &mut residual);
     let residual = norm(&residual);
-    let factor = problem.factor(state, TangentKind::Exact).map_err(|error| match error {
+    let factored = Factored::new(problem, state, precision).map_err(|error| match error {
         FemError::SingularStiffness { pivot, n_dofs } => FemError::NotStable { pivot, n_dofs },
         other => other,
     })?;
     // Inner forces of all nodes: also those that balance each other, as under springs or swelling.
-    let stiffness = factor.diagonal_norm(&problem.body.pattern().fronts);
+    let stiffness = factored.factor.diagonal_norm(&problem.body.pattern().fronts);
     let size = state.displacement.iter().fold(0.0_f64, |m, u| m.max(u.abs()));
     let forces = norm(&state.force).max(norm(&problem.load.force)).max(problem.least_load);
     let limit = EQUILIBRIUM * forces + f64::EPSILON * stiffness * size;
     match residual <= limit {
-        true => Ok(factor),
+        true => Ok(factored),
         false => Err(FemError::NotInEquilibrium { residual, limit }),
     }
 }
 
 impl Tangent<'_> {
     /// `−K_ff⁻¹ rhs_f` at free components of a vector `(3 n_nodes)`, with zeros at held ones.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::BadSetting`] where a single factor does not suffice.
     pub(crate) fn solve(
         &self,
         rhs: &[f64],
-        scratch: &mut SolveScratch,
+        buffers: &mut Buffers,
         parallel: bool,
-    ) -> Vec<f64> {
+    ) -> Result<Vec<f64>, FemError> {
         let pattern = self.problem.body.pattern();
-        let own: Vec<f64> = pattern.unknown2flat.iter().map(|&flat| rhs[flat as usize]).collect();
-        let mut out = vec![0.0; own.len()];
-        self.factor.solve_into(&pattern.fronts, -1.0, &own, &mut out, scratch, parallel);
+        let own: Vec<[f64; 1]> =
+            pattern.unknown2flat.iter().map(|&flat| [-rhs[flat as usize]]).collect();
+        let mut out = vec![[0.0]; own.len()];
+        self.factored.solve_into(self.problem.body, &own, &mut out, buffers, parallel)?;
         let mut full = vec![0.0; rhs.len()];
-        for (x, &flat) in out.iter().zip(&pattern.unknown2flat) {
+        for ([x], &flat) in out.iter().zip(&pattern.unknown2flat) {
             full[flat as usize] = *x;
         }
-        full
+        Ok(full)
     }
 
     /// `K` times a direction, right in rows of held nodes; in all rows where only held components
@@ -91,7 +98,7 @@ impl Tangent<'_> {
     pub(crate) fn follow(
         &self,
         rates: &Rates,
-        scratch: &mut SolveScratch,
+        buffers: &mut Buffers,
         parallel: bool,
     ) -> Result<(Vec<f64>, Derivative), FemError> {
         let mut rhs = rates.unbalanced.clone();
@@ -100,7 +107,7 @@ impl Tangent<'_> {
                 *sum += value;
             }
         }
-        let mut flat = self.solve(&rhs, scratch, parallel);
+        let mut flat = self.solve(&rhs, buffers, parallel)?;
         if let Some(held) = &rates.held {
             for (sum, value) in flat.iter_mut().zip(held) {
                 *sum += value;
@@ -119,13 +126,13 @@ impl Tangent<'_> {
     pub(crate) fn each<I: Sync, R: Send>(
         &self,
         items: &[I],
-        one: impl Fn(&I, &mut SolveScratch, bool) -> Result<R, FemError> + Sync,
+        one: impl Fn(&I, &mut Buffers, bool) -> Result<R, FemError> + Sync,
     ) -> Result<Vec<R>, FemError> {
         if items.len() == 1 || !self.problem.parallel {
-            let mut scratch = SolveScratch::default();
-            return items.iter().map(|i| one(i, &mut scratch, self.problem.parallel)).collect();
+            let mut buffers = Buffers::default();
+            return items.iter().map(|i| one(i, &mut buffers, self.problem.parallel)).collect();
         }
-        let run = |scratch: &mut SolveScratch, item: &I| one(item, scratch, false);
-        items.par_iter().map_init(SolveScratch::default, run).collect()
+        let run = |buffers: &mut Buffers, item: &I| one(item, buffers, false);
+        items.par_iter().map_init(Buffers::default, run).collect()
     }
 }

@@ -6,7 +6,8 @@ use crate::body::Body;
 use crate::error::FemError;
 use crate::load::{check_finite, check_length};
 use crate::material::Material;
-use crate::system::factor::{Factor, Making};
+use crate::surface::{Springs, SurfaceTerms};
+use crate::system::factor::{Entries, Factor, Making};
 
 /// Internal forces of a displacement: the nodal forces under which it is in equilibrium.
 ///
@@ -63,6 +64,30 @@ pub fn internal_forces(
     }
 }
 
+/// Forces of springs on a body at a displacement.
+///
+/// They are linear in the displacement: springs whose far ends move by `a` pull at a body at `u` as
+/// springs that stay do at `u − a`.
+///
+/// # Shapes
+///
+/// `displacement` one row a node of the body, mm; the result likewise for each set of springs, mN.
+///
+/// # Errors
+///
+/// [`FemError::NotOnSurface`], [`FemError::BadParameter`], [`FemError::WrongLength`],
+/// [`FemError::NonFinite`].
+pub fn spring_forces(
+    body: &Body,
+    springs: &[Springs],
+    displacement: &[[f64; 3]],
+) -> Result<Vec<Vec<[f64; 3]>>, FemError> {
+    check_length("displacement (one row a node)", body.n_nodes(), displacement.len())?;
+    check_finite("displacement", displacement)?;
+    let terms = SurfaceTerms::new(body, springs, &[])?;
+    Ok(terms.spring_forces(displacement.as_flattened()))
+}
+
 /// Whether a displacement is a stable equilibrium of its own internal forces: the tangent there is
 /// positive definite on the unknowns.
 ///
@@ -91,7 +116,7 @@ pub fn is_stable(
     }
     let (kind, making) = (TangentKind::Exact, Making { parallel: false, cancel: None });
     let matrix = ElementTangents::new(body.geometry(), material, &state.displacement, kind);
-    match Factor::double(&body.pattern().fronts, &matrix, making) {
+    match Factor::new(&body.pattern().fronts, &matrix, Entries::Double, making) {
         Ok(_) => Ok(true),
         Err(FemError::SingularStiffness { .. }) => Ok(false),
         Err(error) => Err(error),

@@ -22,7 +22,7 @@ use crate::material::{Fibres, Layout, Material, Matrix3, Stiffness};
 use crate::solve::carrier::inverse_deformations;
 use crate::solve::problem::{Problem, State, Workspace};
 use crate::surface::{Skin, Springs, SurfaceTerms, WithFacets};
-use crate::system::factor::{Factor, Making};
+use crate::system::factor::{Entries, Factor, Making};
 use crate::system::{Fronts, PlainOrder};
 
 /// Largest Poisson's ratio at which plain tets serve averaged ones as a metric. Measured on a dome of
@@ -46,6 +46,17 @@ pub(crate) struct Metric {
 }
 
 impl Metric {
+    /// A factor of the tangent at a displacement, `(3 n_nodes)` mm.
+    pub(crate) fn made_at(
+        body: &Body,
+        factor: Arc<Factor>,
+        displacement: &[f64],
+        parallel: bool,
+    ) -> Self {
+        let maps = inverse_deformations(body.nodal_gradients(), displacement, parallel);
+        Self { factor, scale: 1.0, plain: false, made_at: Some(Arc::new(maps)) }
+    }
+
     /// Carry the metric along to a state.
     pub(crate) fn follow(&self, problem: &Problem, state: &State, workspace: &mut Workspace) {
         let gradients = problem.body.nodal_gradients();
@@ -264,7 +275,7 @@ impl Shape {
             let elements =
                 ElementTangents::without_patches(body.geometry(), &material, &at_rest, kind);
             let fronts = &body.plain_order()?.pattern.fronts;
-            return Factor::single_or_double(fronts, &elements, making);
+            return Factor::new(fronts, &elements, Entries::CompactOrDouble, making);
         }
         let material = self.material(1.0)?;
         let elements = ElementTangents::new(body.geometry(), &material, &at_rest, kind);
@@ -273,7 +284,7 @@ impl Shape {
             return Err(FemError::SingularStiffness { pivot: 0, n_dofs: body.n_unknowns() });
         };
         let matrix = WithFacets { elements, facets: &facets };
-        Factor::single_or_double(&body.pattern().fronts, &matrix, making)
+        Factor::new(&body.pattern().fronts, &matrix, Entries::CompactOrDouble, making)
     }
 }
 

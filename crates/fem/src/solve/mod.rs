@@ -20,10 +20,10 @@ mod support_path;
 
 use std::time::Instant;
 
-pub use inspect::{internal_forces, is_stable};
+pub use inspect::{internal_forces, is_stable, spring_forces};
 pub(crate) use metric::{Metric, RestCache, Shape, SharedRest};
 pub use report::{Solution, SolveReport, StageSeconds};
-pub use settings::{LoadSteps, Method, SolveSettings};
+pub use settings::{LoadSteps, Method, Precision, SolveSettings};
 
 use crate::body::Body;
 use crate::error::FemError;

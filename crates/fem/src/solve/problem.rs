@@ -14,8 +14,8 @@ use crate::solve::carrier::Carrier;
 use crate::solve::report::SolveReport;
 use crate::solve::settings::{Method, SolveSettings};
 use crate::surface::{SurfaceTerms, WithFacets};
-use crate::system::SolveScratch;
-use crate::system::factor::{Blocks, Factor, Making};
+use crate::system::{Operator, SolveScratch};
+use crate::system::factor::{Entries, Factor, Making};
 
 /// What the body is made of, and what of its past matters.
 #[derive(Debug, Clone, Copy)]
@@ -120,41 +120,63 @@ impl Problem<'_> {
         largest.sqrt().max(fraction * self.least_load)
     }
 
-    /// Factor of the tangent at a state.
+    /// Factor of the tangent at a state, in the entries that the method wants.
     pub(crate) fn factor(&self, state: &State, kind: TangentKind) -> Result<Factor, FemError> {
+        let averaged = self.body.element() == Element::Tet4Averaged;
+        let entries = match self.settings.method {
+            Method::Newton => Entries::Double,
+            // Near incompressibility the exact tangent of averaged elements is indefinite on the
+            // way, and a second look in double precision finds the same.
+            _ if averaged && kind == TangentKind::Exact => Entries::Compact,
+            Method::Auto | Method::QuasiNewton => Entries::CompactOrDouble,
+        };
+        self.factor_in(state, kind, entries)
+    }
+
+    /// The same in chosen entries.
+    pub(crate) fn factor_in(
+        &self,
+        state: &State,
+        kind: TangentKind,
+        entries: Entries,
+    ) -> Result<Factor, FemError> {
         let (geometry, u) = (self.body.geometry(), state.displacement.as_slice());
+        let fronts = &self.body.pattern().fronts;
+        let Some(facets) = self.surface.blocks(Some(u), kind) else {
+            return Err(FemError::SingularStiffness { pivot: 0, n_dofs: self.body.n_unknowns() });
+        };
+        let making = Making { parallel: self.parallel, cancel: self.settings.cancel.as_deref() };
         match self.model {
             Model::Elastic(model) => {
-                self.factor_of(ElementTangents::new(geometry, model, u, kind), u, kind)
+                let elements = ElementTangents::new(geometry, model, u, kind);
+                let matrix = WithFacets { elements, facets: &facets };
+                Factor::new(fronts, &matrix, entries, making)
             }
             Model::Step(model) => {
-                self.factor_of(ElementTangents::new(geometry, model, u, kind), u, kind)
+                let elements = ElementTangents::new(geometry, model, u, kind);
+                let matrix = WithFacets { elements, facets: &facets };
+                Factor::new(fronts, &matrix, entries, making)
             }
         }
     }
 
-    fn factor_of(
-        &self,
-        elements: impl Blocks,
-        displacement: &[f64],
-        kind: TangentKind,
-    ) -> Result<Factor, FemError> {
-        let fronts = &self.body.pattern().fronts;
-        let Some(facets) = self.surface.blocks(Some(displacement), kind) else {
-            return Err(FemError::SingularStiffness { pivot: 0, n_dofs: self.body.n_unknowns() });
-        };
-        let matrix = WithFacets { elements, facets: &facets };
-        let making = Making { parallel: self.parallel, cancel: self.settings.cancel.as_deref() };
-        match self.settings.method {
-            Method::Newton => Factor::double(fronts, &matrix, making),
-            // Near incompressibility the exact tangent of averaged elements is indefinite on the
-            // way, and a second look in double precision finds the same.
-            Method::Auto | Method::QuasiNewton
-                if self.body.element() == Element::Tet4Averaged && kind == TangentKind::Exact =>
-            {
-                Factor::compact(fronts, &matrix, making)
+    /// Rows of the exact tangent at a state, of the nodes that are wanted; none where an element is
+    /// inverted.
+    pub(crate) fn operator(&self, state: &State, wanted: &[bool]) -> Option<Operator> {
+        let (geometry, u) = (self.body.geometry(), state.displacement.as_slice());
+        let kind = TangentKind::Exact;
+        let facets = self.surface.blocks(Some(u), kind)?;
+        match self.model {
+            Model::Elastic(model) => {
+                let elements = ElementTangents::new(geometry, model, u, kind);
+                let matrix = WithFacets { elements, facets: &facets };
+                Operator::new(geometry.cliques(), &matrix, wanted)
             }
-            Method::Auto | Method::QuasiNewton => Factor::single_or_double(fronts, &matrix, making),
+            Model::Step(model) => {
+                let elements = ElementTangents::new(geometry, model, u, kind);
+                let matrix = WithFacets { elements, facets: &facets };
+                Operator::new(geometry.cliques(), &matrix, wanted)
+            }
         }
     }
 

@@ -28,6 +28,18 @@ pub enum LoadSteps {
     Equal(usize),
 }
 
+/// In which precision the tangent at an equilibrium is factored for derivatives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Precision {
+    /// Double: a solution needs no refinement.
+    #[default]
+    Double,
+    /// Single, half the time and memory of a factor; solutions are refined with the tangent in double
+    /// precision until they are right to 1e-9. Double is taken where the tangent is too close to
+    /// singular for that.
+    Single,
+}
+
 /// Settings of [`solve`](crate::solve) and [`solve_many`](crate::solve_many).
 ///
 /// # Examples

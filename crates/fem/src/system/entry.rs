@@ -159,6 +159,28 @@ impl Entry for f64 {
     }
 }
 
+impl Entry for f32 {
+    type Real = f32;
+
+    #[inline(always)]
+    fn real(self) -> f32 {
+        self
+    }
+
+    fn scale(_column: &[f32]) -> f32 {
+        1.0
+    }
+
+    fn store(entries: &[f32], _scale: f32, out: &mut [f32]) {
+        out.copy_from_slice(entries);
+    }
+
+    #[inline(always)]
+    fn widen(block: &[f32; BLOCK]) -> [f32; BLOCK] {
+        *block
+    }
+}
+
 impl Entry for i16 {
     type Real = f32;
 

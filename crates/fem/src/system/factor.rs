@@ -48,57 +48,59 @@ pub(crate) struct Making<'a> {
     pub(crate) cancel: Option<&'a AtomicBool>,
 }
 
+/// What a factor is made of and kept in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Entries {
+    /// Made in single precision, kept in whole numbers.
+    Compact,
+    /// The same, or double where that finds no positive pivots.
+    CompactOrDouble,
+    /// Made and kept in single precision, or double where that finds no positive pivots.
+    SingleOrDouble,
+    Double,
+}
+
 /// Factor of a positive definite matrix, in the precision that sufficed.
 #[derive(Debug)]
 pub(crate) enum Factor {
     /// Made in single precision, kept in whole numbers.
     Compact(Numeric<i16>),
+    /// Made and kept in single precision.
+    Single(Numeric<f32>),
     Double(Numeric<f64>),
 }
 
 impl Factor {
-    /// Factor in single precision, in double where that finds no positive pivots.
+    /// Factor a matrix and keep the factor in chosen entries.
     ///
     /// # Errors
     ///
     /// [`FemError::SingularStiffness`], [`FemError::Cancelled`], [`FemError::TooLarge`].
-    pub(crate) fn single_or_double(
+    pub(crate) fn new(
         fronts: &Fronts,
         matrix: &impl Blocks,
+        entries: Entries,
         making: Making,
     ) -> Result<Self, FemError> {
-        match Self::compact(fronts, matrix, making) {
-            Err(FemError::SingularStiffness { .. }) => Self::double(fronts, matrix, making),
-            result => result,
+        let double = || Numeric::new(fronts, matrix, making).map(Self::Double);
+        let found = match entries {
+            Entries::Compact | Entries::CompactOrDouble => {
+                Numeric::new(fronts, matrix, making).map(Self::Compact)
+            }
+            Entries::SingleOrDouble => Numeric::new(fronts, matrix, making).map(Self::Single),
+            Entries::Double => return double(),
+        };
+        match found {
+            Err(FemError::SingularStiffness { .. }) if entries != Entries::Compact => double(),
+            found => found,
         }
-    }
-
-    /// Factor in compact entries, without a second look in double precision.
-    ///
-    /// # Errors
-    ///
-    /// As [`Factor::single_or_double`].
-    pub(crate) fn compact(
-        fronts: &Fronts,
-        matrix: &impl Blocks,
-        making: Making,
-    ) -> Result<Self, FemError> {
-        Numeric::new(fronts, matrix, making).map(Self::Compact)
-    }
-
-    /// Factor in double precision.
-    pub(crate) fn double(
-        fronts: &Fronts,
-        matrix: &impl Blocks,
-        making: Making,
-    ) -> Result<Self, FemError> {
-        Numeric::new(fronts, matrix, making).map(Self::Double)
     }
 
     /// Euclidean norm of the diagonal of the matrix.
     pub(crate) fn diagonal_norm(&self, fronts: &Fronts) -> f64 {
         match self {
             Self::Compact(factor) => factor.diagonal_norm(fronts),
+            Self::Single(factor) => factor.diagonal_norm(fronts),
             Self::Double(factor) => factor.diagonal_norm(fronts),
         }
     }

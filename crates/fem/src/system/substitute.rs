@@ -2,15 +2,23 @@
 //!
 //! Every front has a local vector: its own unknowns, then its rows. Going forward it collects what
 //! its children pass on; going back it reads its rows from its parent's. No two subtrees touch the
-//! same numbers, so that they can run at the same time with the same bits.
+//! same numbers, so that they can run at the same time with the same bits. Many right-hand sides go
+//! through together, `W` numbers a row, so that the factor is read once for all of them.
 
 use super::entry::{Entry, Precision};
 use super::factor::{Factor, Numeric};
 use super::fronts::{Front, Fronts};
 use super::panel_solve::{Eliminate, Substitute};
+use super::wide_solve::{EliminateWide, SubstituteWide};
 
 /// Subtrees whose panels hold fewer entries are not worth a second thread.
 const PARALLEL_ENTRIES: usize = 150_000;
+
+/// Right-hand sides that are carried through a factor in double precision together: two vectors of four.
+pub(crate) const WIDE: usize = 8;
+
+/// The same in single precision.
+pub(crate) const WIDE_SINGLE: usize = 16;
 
 /// Buffers of a solve, kept between solves.
 #[derive(Default)]
@@ -30,8 +38,26 @@ impl Factor {
         scratch: &mut SolveScratch,
         parallel: bool,
     ) {
+        let (rhs, out) = (rhs.as_chunks::<1>().0, out.as_chunks_mut::<1>().0);
+        self.solve_wide_into(fronts, scale, rhs, out, scratch, parallel);
+    }
+
+    /// The same for `W` right-hand sides, one a column. The bits of a column do not depend on the
+    /// others, as long as there are others.
+    pub(crate) fn solve_wide_into<const W: usize>(
+        &self,
+        fronts: &Fronts,
+        scale: f64,
+        rhs: &[[f64; W]],
+        out: &mut [[f64; W]],
+        scratch: &mut SolveScratch,
+        parallel: bool,
+    ) {
         match self {
             Self::Compact(f) => {
+                f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
+            }
+            Self::Single(f) => {
                 f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
             }
             Self::Double(f) => {
@@ -42,24 +68,32 @@ impl Factor {
 }
 
 impl<E: Entry> Numeric<E> {
-    fn solve_into(
+    fn solve_into<const W: usize>(
         &self,
         fronts: &Fronts,
         scale: f64,
-        rhs: &[f64],
-        out: &mut [f64],
+        rhs: &[[f64; W]],
+        out: &mut [[f64; W]],
         local: &mut Vec<E::Real>,
         parallel: bool,
     ) {
-        // Single precision has a narrow range of exponents: bring the right-hand side to size 1.
-        let size = rhs.iter().fold(0.0_f64, |m, r| m.max(r.abs()));
-        if size == 0.0 || !size.is_finite() {
-            out.fill(if size == 0.0 { 0.0 } else { f64::NAN });
-            return;
+        // Single precision has a narrow range of exponents: bring right-hand sides to size 1.
+        let mut sizes = [0.0_f64; W];
+        for row in rhs {
+            for (size, r) in sizes.iter_mut().zip(row) {
+                *size = size.max(r.abs());
+            }
         }
-        local.resize(fronts.n_local, E::Real::default());
-        let solving = Solving { fronts, factor: self, parallel, from: rhs, size };
-        let mut rest = local.as_mut_slice();
+        if sizes.iter().all(|&size| size == 0.0) {
+            return out.fill([0.0; W]);
+        }
+        let back = sizes.map(|size| if size.is_finite() { size * scale } else { f64::NAN });
+        let sizes = sizes.map(|size| if size == 0.0 { 1.0 } else { size });
+        local.resize(W * fronts.n_local, E::Real::default());
+        let active = active(fronts, rhs);
+        let solving = Solving { fronts, factor: self, parallel, from: rhs, sizes, active };
+        let local = local.as_chunks_mut::<W>().0;
+        let mut rest = &mut *local;
         for &root in &fronts.roots {
             let (own, after) = rest.split_at_mut(fronts.local_range(root).len());
             rest = after;
@@ -70,42 +104,58 @@ impl<E: Entry> Numeric<E> {
             let own = &local[front.local..front.local + front.n_own];
             let target = &mut out[front.first..front.first + front.n_own];
             for (o, x) in target.iter_mut().zip(own) {
-                *o = x.to_f64() * (size * scale);
+                for ((o, x), back) in o.iter_mut().zip(x).zip(&back) {
+                    *o = x.to_f64() * back;
+                }
             }
         }
     }
 }
 
-struct Solving<'a, E: Entry> {
+/// Whether anything but zero arrives at each front on the way forward. Loads of a few nodes reach few
+/// of them.
+fn active<const W: usize>(fronts: &Fronts, rhs: &[[f64; W]]) -> Vec<bool> {
+    let mut active = vec![W == 1; fronts.fronts.len()];
+    for (f, front) in fronts.fronts.iter().enumerate() {
+        let own = &rhs[front.first..front.first + front.n_own];
+        active[f] = active[f]
+            || own.as_flattened().iter().any(|&r| r != 0.0)
+            || fronts.children_of(front).iter().any(|&child| active[child as usize]);
+    }
+    active
+}
+
+struct Solving<'a, E: Entry, const W: usize> {
     fronts: &'a Fronts,
     factor: &'a Numeric<E>,
     parallel: bool,
-    from: &'a [f64],
-    size: f64,
+    from: &'a [[f64; W]],
+    sizes: [f64; W],
+    active: Vec<bool>,
 }
 
-impl<E: Entry> Solving<'_, E> {
+impl<E: Entry, const W: usize> Solving<'_, E, W> {
     fn splits(&self, front: &Front) -> bool {
         let first = &self.fronts.fronts[front.first_below];
         self.parallel && front.children.len() > 1 && front.panel - first.panel > PARALLEL_ENTRIES
     }
 
     /// Forward through a subtree with the local vectors `local`.
-    fn forward(&self, root: u32, local: &mut [E::Real]) {
+    fn forward(&self, root: u32, local: &mut [[E::Real; W]]) {
         let front = &self.fronts.fronts[root as usize];
         let base = self.fronts.fronts[front.first_below].local;
         if self.splits(front) {
             let below = front.local - base;
             self.forward_children(self.fronts.children_of(front), &mut local[..below]);
-            self.forward_front(front, local, base);
+            self.forward_front(root as usize, local, base);
         } else {
-            for front in &self.fronts.fronts[front.first_below..=root as usize] {
-                self.forward_front(front, local, base);
+            for f in front.first_below..=root as usize {
+                self.forward_front(f, local, base);
             }
         }
     }
 
-    fn forward_children(&self, children: &[u32], local: &mut [E::Real]) {
+    fn forward_children(&self, children: &[u32], local: &mut [[E::Real; W]]) {
         match *children {
             [] => {}
             [one] => self.forward(one, local),
@@ -123,26 +173,40 @@ impl<E: Entry> Solving<'_, E> {
         self.fronts.local_range(high[0]).start - self.fronts.local_range(low[0]).start
     }
 
-    fn forward_front(&self, front: &Front, local: &mut [E::Real], base: usize) {
+    fn forward_front(&self, f: usize, local: &mut [[E::Real; W]], base: usize) {
+        let front = &self.fronts.fronts[f];
         let (below, own) = local.split_at_mut(front.local - base);
         let own = &mut own[..front.size()];
-        for (x, r) in own.iter_mut().zip(&self.from[front.first..front.first + front.n_own]) {
-            *x = E::Real::from_f64(r / self.size);
+        if !self.active[f] {
+            own[..front.n_own].fill([E::Real::default(); W]);
+            return;
         }
-        own[front.n_own..].fill(E::Real::default());
+        for (x, r) in own.iter_mut().zip(&self.from[front.first..front.first + front.n_own]) {
+            *x = std::array::from_fn(|w| E::Real::from_f64(r[w] / self.sizes[w]));
+        }
+        own[front.n_own..].fill([E::Real::default(); W]);
         for &child in self.fronts.children_of(front) {
+            if !self.active[child as usize] {
+                continue;
+            }
             let child = &self.fronts.fronts[child as usize];
             let passed = &below[child.local - base + child.n_own..][..child.n_rows];
-            for (&place, &value) in self.fronts.in_parent_of(child).iter().zip(passed) {
-                own[place as usize] += value;
+            for (&place, values) in self.fronts.in_parent_of(child).iter().zip(passed) {
+                for (sum, &value) in own[place as usize].iter_mut().zip(values) {
+                    *sum += value;
+                }
             }
         }
-        pulp::Arch::new()
-            .dispatch(Eliminate { stored: self.factor.stored(self.fronts, front), x: own });
+        let stored = self.factor.stored(self.fronts, front);
+        if W == 1 {
+            pulp::Arch::new().dispatch(Eliminate { stored, x: own.as_flattened_mut() });
+        } else {
+            pulp::Arch::new().dispatch(EliminateWide { stored, x: own });
+        }
     }
 
     /// Back through a subtree; `above` is the local vector of its root's parent.
-    fn backward(&self, root: u32, local: &mut [E::Real], above: Option<&[E::Real]>) {
+    fn backward(&self, root: u32, local: &mut [[E::Real; W]], above: Option<&[[E::Real; W]]>) {
         let front = &self.fronts.fronts[root as usize];
         let base = self.fronts.fronts[front.first_below].local;
         let (below, own) = local.split_at_mut(front.local - base);
@@ -165,7 +229,7 @@ impl<E: Entry> Solving<'_, E> {
         }
     }
 
-    fn backward_children(&self, children: &[u32], local: &mut [E::Real], above: &[E::Real]) {
+    fn backward_children(&self, children: &[u32], local: &mut [[E::Real; W]], above: &[[E::Real; W]]) {
         match *children {
             [] => {}
             [one] => self.backward(one, local, Some(above)),
@@ -181,7 +245,7 @@ impl<E: Entry> Solving<'_, E> {
         }
     }
 
-    fn backward_front(&self, front: &Front, own: &mut [E::Real], above: Option<&[E::Real]>) {
+    fn backward_front(&self, front: &Front, own: &mut [[E::Real; W]], above: Option<&[[E::Real; W]]>) {
         if let Some(above) = above {
             let rows = &mut own[front.n_own..];
             for (x, &place) in rows.iter_mut().zip(self.fronts.in_parent_of(front)) {
@@ -189,7 +253,11 @@ impl<E: Entry> Solving<'_, E> {
             }
         }
         let x = &mut own[..front.size()];
-        pulp::Arch::new()
-            .dispatch(Substitute { stored: self.factor.stored(self.fronts, front), x });
+        let stored = self.factor.stored(self.fronts, front);
+        if W == 1 {
+            pulp::Arch::new().dispatch(Substitute { stored, x: x.as_flattened_mut() });
+        } else {
+            pulp::Arch::new().dispatch(SubstituteWide { stored, x });
+        }
     }
 }

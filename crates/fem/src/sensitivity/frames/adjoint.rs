@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::super::adjoint::Observation;
+use super::super::factored::Buffers;
 use super::super::rates::Tangent;
 use super::step::{Arrived, inverted, recorded};
 use crate::assembly::point_volumes;
@@ -10,7 +11,6 @@ use crate::error::FemError;
 use crate::history::{Backward, Phase, Rig, StepRecord};
 use crate::material::Matrix3;
 use crate::solve::SolveSettings;
-use crate::system::SolveScratch;
 
 /// A number that is read off one frame of a rig.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -187,9 +187,9 @@ impl Sweep<'_> {
             jobs.push(weights);
         }
         let felt = arrived.with_tangent(settings, |tangent| {
-            tangent.each(&jobs, |(by_node, by_held), scratch, parallel| {
+            tangent.each(&jobs, |(by_node, by_held), buffers, parallel| {
                 settings.check_cancel()?;
-                let (v, held) = solve_back(tangent, by_node, by_held, scratch, parallel)?;
+                let (v, held) = solve_back(tangent, by_node, by_held, buffers, parallel)?;
                 let mut pulls = map.gradients(geometry, &v);
                 for (pull, volume) in pulls.iter_mut().zip(&volumes) {
                     pull.as_flattened_mut().iter_mut().for_each(|x| *x *= volume);
@@ -234,7 +234,7 @@ fn solve_back(
     tangent: &Tangent,
     by_node: &[f64],
     by_held: &[f64],
-    scratch: &mut SolveScratch,
+    buffers: &mut Buffers,
     parallel: bool,
 ) -> Result<(Vec<f64>, Vec<f64>), FemError> {
     let mut rhs = by_node.to_vec();
@@ -243,7 +243,7 @@ fn solve_back(
             *sum += value;
         }
     }
-    let mut v = tangent.solve(&rhs, scratch, parallel);
+    let mut v = tangent.solve(&rhs, buffers, parallel)?;
     v.iter_mut().zip(by_held).for_each(|(sum, value)| *sum += value);
     let mut at_held = tangent.product(&v)?;
     let held = tangent.problem.body.held().as_flattened();

@@ -91,11 +91,11 @@ impl Rig {
                     let next = arrived.with_tangent(settings, |tangent| {
                         let points = pass.point_forces(&causes, &sweeps)?;
                         let jobs: Vec<_> = causes.iter().zip(&sweeps).zip(&points).collect();
-                        let found = tangent.each(&jobs, |job, scratch, parallel| {
+                        let found = tangent.each(&jobs, |job, buffers, parallel| {
                             settings.check_cancel()?;
                             let ((cause, sweep), forces) = job;
                             let rates = pass.rates(cause, sweep, forces)?;
-                            tangent.follow(&rates, scratch, parallel)
+                            tangent.follow(&rates, buffers, parallel)
                         })?;
                         settings.check_cancel()?;
                         pass.go_on(&causes, &sweeps, found, is_end)

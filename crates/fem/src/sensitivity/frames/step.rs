@@ -6,7 +6,7 @@ use crate::assembly::{PointMap, gradients_at_points};
 use crate::error::FemError;
 use crate::history::{History, Rig, StepModel, StepRecord, Substance};
 use crate::material::Matrix3;
-use crate::solve::{Model, Problem, SolveSettings, Solver, State};
+use crate::solve::{Model, Precision, Problem, SolveSettings, Solver, State};
 
 /// Where a step ended.
 pub(super) struct Arrived<'a> {
@@ -55,8 +55,8 @@ impl<'a> Arrived<'a> {
         if !Solver::new(&step.body, problem.parallel).evaluate(&problem, &mut state) {
             return Err(inverted(step));
         }
-        let factor = factor(&problem, &state)?;
-        run(&Tangent { problem, state: &state, factor: &factor })
+        let factored = factor(&problem, &state, Precision::Double)?;
+        run(&Tangent { problem, state: &state, factored: &factored })
     }
 
     /// `ṙ` at fixed displacement of springs and skins.

@@ -1,0 +1,58 @@
+//! Springs under a body: triangles that stay, stiffness that each solve may give anew.
+
+use numpy::PyArray2;
+use pyo3::prelude::*;
+use tissuereg_fem::Springs;
+
+use super::rig::{exactly, triangles_of};
+use crate::arrays::{self, View};
+
+/// Triangles with numbers that describe what lies on them.
+pub(super) type Sheet<'py> = (Bound<'py, PyAny>, Vec<f64>);
+
+/// The same as Python gets them back.
+pub(super) type SheetOut<'py> = (Bound<'py, PyArray2<i64>>, Vec<f64>);
+
+/// Sets of springs of a body.
+#[derive(Debug, Default)]
+pub(super) struct Bed {
+    pub(super) springs: Vec<Springs>,
+    /// Whether they help to hold the body.
+    pub(super) rests: bool,
+}
+
+impl Bed {
+    pub(super) fn new(py: Python<'_>, springs: &[Sheet<'_>], rests: bool) -> PyResult<Self> {
+        let one = |(triangles, stiffness): &Sheet<'_>| {
+            let [normal, tangential] = exactly(py, "springs", stiffness)?;
+            let triangles = triangles_of("spring triangles", triangles)?;
+            Ok(Springs { triangles, normal, tangential, friction: None })
+        };
+        Ok(Self { springs: springs.iter().map(one).collect::<PyResult<_>>()?, rests })
+    }
+
+    /// The springs with stiffness `(n_sets, 2)`, kPa/mm; their own where none is given.
+    pub(super) fn with(&self, stiffness: Option<&[[f64; 2]]>) -> Vec<Springs> {
+        let mut springs = self.springs.clone();
+        for (set, &[normal, tangential]) in springs.iter_mut().zip(stiffness.unwrap_or_default()) {
+            (set.normal, set.tangential) = (normal, tangential);
+        }
+        springs
+    }
+
+    /// The same from an argument of Python.
+    pub(super) fn given(&self, stiffness: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Springs>> {
+        let shape: [&[Option<usize>]; 1] = [&[Some(self.springs.len()), Some(2)]];
+        let stiffness = View::<f64>::optional("springs", stiffness, &shape)?;
+        Ok(self.with(stiffness.as_ref().map(View::rows::<2>)))
+    }
+
+    /// As given to a body.
+    pub(super) fn sheets<'py>(&self, py: Python<'py>) -> PyResult<Vec<SheetOut<'py>>> {
+        let one = |set: &Springs| {
+            let triangles = arrays::from_triangles(py, &set.triangles)?;
+            Ok((triangles, vec![set.normal, set.tangential]))
+        };
+        self.springs.iter().map(one).collect()
+    }
+}
