@@ -13,6 +13,7 @@ __all__ = [
     "Body",
     "Cause",
     "Compliance",
+    "Contacts",
     "Law",
     "Linearised",
     "ManySolutions",
@@ -181,6 +182,41 @@ class Compliance:
     def body_force(self) -> _Floats: ...
     @property
     def prescribed(self) -> _Floats: ...
+
+@final
+class Contacts:
+    def __new__(
+        cls,
+        columns: _Floats,
+        *,
+        texture: tuple[_Integers, _Integers, _Floats],
+        neighbours: tuple[_Integers, _Integers],
+        variances: _Floats,
+        log_filled: _Floats,
+        log_empty: float,
+        n_slots: int,
+        families: Sequence[tuple[_Floats, _Floats, _Floats]],
+        wrong: tuple[Sequence[Sequence[int]], float, float],
+        innovation: _Floats,
+        noise: _Floats,
+    ) -> Contacts: ...
+    def run(
+        self,
+        uniforms: _Floats,
+        *,
+        powers: Sequence[float],
+        n_kept: int,
+        sharpness: float,
+        n_local: int,
+        n_level: int,
+        starts: Sequence[_Integers] | None = None,
+        threads: int = 0,
+    ) -> tuple[tuple[_Integers, _Integers, _Integers], _Floats, dict[str, int]]: ...
+    def n_uniforms(self, n_sweeps: int, n_local: int, n_level: int) -> int: ...
+    def moments(
+        self, samples: Sequence[_Integers], points: _Floats, *, threads: int = 0
+    ) -> tuple[_Floats, _Floats, _Floats, _Floats, _Floats]: ...
+    def draws(self, samples: Sequence[_Integers], normals: _Floats, *, threads: int = 0) -> _Floats: ...
 
 @final
 class Law:

@@ -4,8 +4,6 @@ Every row is a dict: name, sizes, repeats, median and 99th percentile of the who
 counters, residual, peak memory. Stages add up to the whole of each repeat.
 """
 
-import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +15,7 @@ import numpy as np
 
 from tissuereg import _core
 from tissuereg._machine import n_cores, peak_mib
+from tissuereg.contacts.body import forget_bodies
 from tissuereg.io.problems import Problem, read_problem
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.phantom.event import LESION_MM, make_event
@@ -137,7 +136,7 @@ def bench_esmda(settings: BenchSettings) -> list[Row]:
 
 
 def bench_register(settings: BenchSettings) -> list[Row]:
-    """Time whole registrations of the phantom: prior fitted, prior kept, shipped network.
+    """Time whole registrations of the phantom: contacts first on the mesh and again, shipped network.
 
     Parameters
     ----------
@@ -165,13 +164,14 @@ def bench_register(settings: BenchSettings) -> list[Row]:
         )
         return _Run({name: spent for name, spent in result.seconds.items() if name != "total"})
 
-    def fitted_afresh() -> _Run:
-        with _own_cache():
-            return once(None)
+    def first_on_the_mesh() -> _Run:
+        forget_bodies()
+        return once(None)
 
-    rows = [_row("register/phantom/fitted", event.mesh.n_nodes, settings, fitted_afresh)]
-    with _own_cache():
-        rows.append(_row("register/phantom/fitted-kept", event.mesh.n_nodes, settings, lambda: once(None)))
+    rows = [
+        _row("register/phantom/contacts-first", event.mesh.n_nodes, settings, first_on_the_mesh),
+        _row("register/phantom/contacts", event.mesh.n_nodes, settings, lambda: once(None)),
+    ]
     if shipped_model_folder().exists():
         rows.append(_row("register/phantom/shipped", event.mesh.n_nodes, settings, lambda: once("phantom")))
     return rows
@@ -283,18 +283,3 @@ def _row(name: str, n_nodes: int | None, settings: BenchSettings, once: Callable
         "residual": report.get("residual"),
         "peak_mib": peak_mib(),
     }
-
-
-@contextmanager
-def _own_cache() -> Iterator[None]:
-    """Keep fitted priors in a folder of this block's own."""
-    before = os.environ.get("TISSUEREG_CACHE")
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["TISSUEREG_CACHE"] = folder
-        try:
-            yield
-        finally:
-            if before is None:
-                del os.environ["TISSUEREG_CACHE"]
-            else:
-                os.environ["TISSUEREG_CACHE"] = before

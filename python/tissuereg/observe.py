@@ -10,7 +10,7 @@ quadratically where the mid-edge nodes of ten-node elements are given too.
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -118,19 +118,47 @@ class MarkerObservation:
         ndarray of float64, shape (n_markers, 3, n_needed, 3)
             By central differences in the rotation of markers off the surface, exact for all others.
         """
-        n_needed = len(self.nodes)
-        slopes = np.zeros((self.n_markers, 3, n_needed, 3))
-        for axis in range(3):
-            for corner in range(3):
-                slopes[np.arange(self.n_markers), axis, self._foot_nodes[:, corner], axis] += self._weights[:, corner]
-        for marker, patch, padded in zip(self._turned, self._patches, self._arms, strict=True):
-            here, arms = displacement[patch], padded[: len(patch)]
-            step = 1e-5 * float(np.ptp(arms, axis=0).max())
-            nudges = step * np.eye(3 * len(patch)).reshape(-1, len(patch), 3)
-            nudged = _rotations(arms[None], np.stack([here + nudges, here - nudges])[:, :, None])[:, :, 0]
-            change = (nudged[0] - nudged[1]) / (2.0 * step)
-            slopes[marker][:, patch] += np.moveaxis((change @ self._offset[marker]).reshape(len(patch), 3, 3), -1, 0)
+        slopes = np.zeros((self.n_markers, 3, len(self.nodes), 3))
+        for marker, (members, weights) in enumerate(self._slopes(displacement)):
+            for axis in range(3):
+                np.add.at(slopes[marker, axis], members, weights[axis])
         return slopes
+
+    def rows(self, displacement: FloatArray) -> list[tuple[IntArray, FloatArray]]:
+        """Return the same, three rows a marker, each with only the nodes that it follows.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (n_needed, 3)
+            Displacement of `nodes` in mm, where the derivative is taken.
+
+        Returns
+        -------
+        list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
+            Nodes of the mesh and their weights; ``3 n_markers`` rows, x, y and z of the first marker first.
+        """
+        found = []
+        for members, weights in self._slopes(displacement):
+            found += [(self.nodes[members], weights[axis]) for axis in range(3)]
+        return found
+
+    def _slopes(self, displacement: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
+        """Yield, for every marker, members (k,) of `nodes` and how its displacement follows theirs, (3, k, 3)."""
+        turned = {int(marker): row for row, marker in enumerate(self._turned)}
+        for marker in range(self.n_markers):
+            members = self._foot_nodes[marker]
+            weights = np.einsum("c,xy->xcy", self._weights[marker], np.eye(3))
+            if marker in turned:
+                patch = self._patches[turned[marker]]
+                arms, here = self._arms[turned[marker]][: len(patch)], displacement[patch]
+                step = 1e-5 * float(np.ptp(arms, axis=0).max())
+                nudges = step * np.eye(3 * len(patch)).reshape(-1, len(patch), 3)
+                nudged = _rotations(arms[None], np.stack([here + nudges, here - nudges])[:, :, None])[:, :, 0]
+                change = (nudged[0] - nudged[1]) / (2.0 * step)
+                by_rotation = np.moveaxis((change @ self._offset[marker]).reshape(len(patch), 3, 3), -1, 0)
+                members = np.concatenate([members, patch])
+                weights = np.concatenate([weights, by_rotation], axis=1)
+            yield members, weights
 
 
 class TargetObservation:
@@ -165,6 +193,14 @@ class TargetObservation:
     def predict(self, displacement: FloatArray) -> FloatArray:
         """Return the displacement of every target; `displacement` as in `MarkerObservation.predict`."""
         return np.asarray(np.einsum("tc,...tcx->...tx", self._weights, displacement[..., self._corners, :]))
+
+    def rows(self) -> list[tuple[IntArray, FloatArray]]:
+        """Return nodes of the mesh and their weights; ``3 n_targets`` rows, as those of `MarkerObservation.rows`."""
+        return [
+            (self.nodes[corners], np.outer(weights, np.eye(3)[axis]))
+            for corners, weights in zip(self._corners, self._weights, strict=True)
+            for axis in range(3)
+        ]
 
 
 def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic: bool) -> tuple[IntArray, FloatArray]:

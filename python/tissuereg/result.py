@@ -1,14 +1,16 @@
 """What a registration found: the moved body, its spread, targets with regions, and whether to trust it."""
 
 import os
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
-from tissuereg.errors import MarkerError
+from tissuereg.contacts.found import FoundContact
+from tissuereg.errors import MarkerError, ModelError
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.trust import Trust
@@ -55,12 +57,18 @@ class Target:
         mm^2: posterior ensemble and the model's own error.
     simulation : ndarray of float64, shape (3,), or None
         Place that the simulation alone says, mm.
+    constrained : float or None
+        Share of its variance under unseen contacts that the markers take away, 0 to 1; None with a trained model.
+    flag : str or None
+        ``"no marker tells"`` where that is too little to rely on the region.
     """
 
     reference: FloatArray
     mean: FloatArray
     covariance: FloatArray
     simulation: FloatArray | None
+    constrained: float | None = None
+    flag: str | None = None
 
     def region(self, share: float = 0.90) -> Region:
         """Return the ellipsoid that holds `share` of the Gaussian with this mean and covariance.
@@ -144,6 +152,12 @@ class Registration:
         Of all chance.
     dropped_members : list of (int, str)
         Ensemble members that were lost, with the reason.
+    contacts : tuple of FoundContact
+        Where the body is believed to be pushed or pulled; empty with a trained model.
+    work : dict of str to int
+        Factorisations, right-hand sides, solves, sweeps; empty with a trained model.
+    draw : callable of int, optional
+        Returns posterior displacement fields; see `draws`.
     """
 
     mesh: Mesh
@@ -161,6 +175,37 @@ class Registration:
     seconds: dict[str, float]
     seed: int
     dropped_members: list[tuple[int, str]]
+    contacts: tuple[FoundContact, ...] = ()
+    work: dict[str, int] = field(default_factory=dict)
+    draw: Callable[[int], FloatArray] | None = None
+
+    def draws(self, count: int) -> FloatArray:
+        """Return displacement fields drawn from the posterior, each in equilibrium.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+
+        Returns
+        -------
+        ndarray of float64, shape (count, n_nodes, 3)
+            mm. The same at every call. Cost: one solve each, from the registered state.
+
+        Raises
+        ------
+        ModelError
+            If the registration used a trained model, whose ensemble is no equilibrium.
+        ConvergenceError
+            If a drawn load finds no equilibrium.
+        """
+        if self.draw is None:
+            message = "draws need a registration by contacts; this one used a trained model"
+            raise ModelError(message, where="draws")
+        if count < 1:
+            message = f"`count` must be at least 1, got {count}"
+            raise ModelError(message, where="count")
+        return self.draw(count)
 
     def target(self, name: str) -> Target:
         """Return a target by name.
@@ -186,7 +231,7 @@ class Registration:
                 "dropped": [{"marker": name, "reason": reason} for name, reason in fit.dropped],
                 "before_rms_mm": fit.before_rms_mm,
                 "after_rms_mm": fit.after_rms_mm,
-                "residual_mm": {name: list(map(float, row)) for name, row in fit.residual_mm.items()},
+                "residual_mm": {name: _row_json(row) for name, row in fit.residual_mm.items()},
             },
             "targets": {name: _target_json(target) for name, target in self.targets.items()},
             "unseen_markers": {name: _target_json(target) for name, target in self.unseen.items()},
@@ -205,6 +250,8 @@ class Registration:
                 "n_obs": self.trust.n_obs,
             },
             "model": dict(self.model),
+            "contacts": [contact.to_json() for contact in self.contacts],
+            "work": dict(self.work),
             "dropped_members": [{"member": index, "reason": reason} for index, reason in self.dropped_members],
             "seconds": dict(self.seconds),
         }
@@ -252,6 +299,11 @@ class Registration:
         return write_page(self, Path(path))
 
 
+def _row_json(row: FloatArray) -> list[float | None]:
+    """Return a row with None where nothing was seen."""
+    return [float(value) if np.isfinite(value) else None for value in row]
+
+
 def _target_json(target: Target) -> dict[str, Any]:
     return {
         "reference_mm": target.reference.tolist(),
@@ -259,4 +311,6 @@ def _target_json(target: Target) -> dict[str, Any]:
         "covariance_mm2": target.covariance.tolist(),
         "region90_radii_mm": target.region(0.90).radii.tolist(),
         "simulation_mm": None if target.simulation is None else target.simulation.tolist(),
+        "constrained": target.constrained,
+        "flag": target.flag,
     }

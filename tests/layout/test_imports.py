@@ -77,7 +77,8 @@ def test_layers_point_downwards():
         {"mesh", "material", "material_tests", "markers", "load", "experiment", "material_experiment", "trust"},
         {"effects"},
         {"observe", "simulate", "latent", "assimilate", "io", "posterior", "widen", "phantom", "baselines"},
-        {"registration", "result", "report", "diagnose"},
+        {"contacts", "inputs"},
+        {"registration", "contact_registration", "latent_registration", "result", "report", "diagnose"},
         {"demo", "bench", "frames"},
         {"cli", "__main__"},
     ]
@@ -94,8 +95,11 @@ def test_layers_point_downwards():
 
 def test_the_cores_know_nothing_of_each_other_nor_of_python():
     root = Path(__file__).resolve().parents[2] / "crates"
+    contacts = (root / "contacts" / "Cargo.toml").read_text(encoding="utf-8")
+    assert "fem" not in contacts.split("[dependencies]")[1]
+    assert "esmda" not in contacts.split("[dependencies]")[1]
     fem = (root / "fem" / "Cargo.toml").read_text(encoding="utf-8")
     esmda = (root / "esmda" / "Cargo.toml").read_text(encoding="utf-8")
     assert "esmda" not in fem.split("[dependencies]")[1]
     assert "fem" not in esmda.split("[dependencies]")[1]
-    assert "pyo3" not in fem + esmda
+    assert "pyo3" not in fem + esmda + contacts

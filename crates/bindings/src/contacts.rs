@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tissuereg_contacts::{
     ChainSettings, Configuration, Contact, Dictionary, Family, Observed, Patch, Prior, Problem,
-    Targets, Wrong,
+    Wrong,
 };
 
 use crate::arrays::{self, View};
@@ -119,35 +119,29 @@ impl Contacts {
         self.0.n_uniforms(&settings)
     }
 
-    /// Moments over samples: coefficients, and means, covariances and prior covariances of points.
-    #[pyo3(signature = (samples, columns, with_observed, own, *, threads=0))]
+    /// Moments over samples: coefficients, their gain, and means, covariances and prior covariances of points, whose
+    /// responses are float64 (3 n_points, n_columns).
+    #[pyo3(signature = (samples, points, *, threads=0))]
     fn moments<'py>(
         &self,
         py: Python<'py>,
         samples: [Bound<'_, PyAny>; 3],
-        columns: &Bound<'_, PyAny>,
-        with_observed: &Bound<'_, PyAny>,
-        own: &Bound<'_, PyAny>,
+        points: &Bound<'_, PyAny>,
         threads: usize,
     ) -> PyResult<Moments<'py>> {
         let samples = configurations(&samples)?;
-        let columns = View::<f64>::new("columns", columns, &[&[None, None]])?;
-        let with_observed = View::<f64>::new("with_observed", with_observed, &[&[None, None]])?;
-        let own = View::<f64>::new("own", own, &[&[None, Some(3), Some(3)]])?;
-        let own: Vec<[[f64; 3]; 3]> = own.rows::<3>().as_chunks::<3>().0.to_vec();
-        let (columns, with_observed) = (columns.matrix(), with_observed.matrix());
-        let found = lock::run_released(py, threads, |par| {
-            let (columns, with_observed) = (columns.to_owned(), with_observed.to_owned());
-            self.0.moments(&samples, &Targets { columns, with_observed, own }, par)
-        });
+        let points = View::<f64>::new("points", points, &[&[None, None]])?;
+        let points = points.matrix();
+        let found = lock::run_released(py, threads, |par| self.0.moments(&samples, points, par));
         let found = found.map_err(|error| errors::from_contacts(py, &error))?;
         let n = found.means.len();
         let square = |all: Vec<[[f64; 3]; 3]>| {
             arrays::from_vec(py, all.into_flattened().into_flattened(), [n, 3, 3])
         };
-        let n_columns = found.coefficients.len();
+        let (n_columns, n_obs) = found.gain.shape();
         Ok((
             arrays::from_vec(py, found.coefficients, [n_columns])?,
+            arrays::from_vec(py, flattened(found.gain.transpose()), [n_columns, n_obs])?,
             arrays::from_points(py, found.means)?,
             square(found.covariances)?,
             square(found.prior_covariances)?,
@@ -179,9 +173,10 @@ impl Contacts {
     }
 }
 
-/// Coefficients; means, covariances and prior covariances of points.
+/// Coefficients and their gain; means, covariances and prior covariances of points.
 type Moments<'py> = (
     Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray3<f64>>,

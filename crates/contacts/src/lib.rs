@@ -56,7 +56,7 @@ mod table;
 pub use chain::Counters;
 pub use dictionary::{Dictionary, Patch};
 pub use error::ContactsError;
-pub use moments::{Moments, Targets};
+pub use moments::Moments;
 pub use prior::{Family, Observed, Prior, Problem, Wrong};
 pub use run::{ChainSettings, Run, Sample};
 pub use state::{Configuration, Contact};

@@ -3,7 +3,9 @@
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor as llt;
 use faer::linalg::matmul::matmul;
-use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use faer::linalg::triangular_solve::{
+    solve_lower_triangular_in_place, solve_upper_triangular_in_place,
+};
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 
 /// Overwrites the lower half by the Cholesky factor; the failing pivot otherwise.
@@ -68,4 +70,12 @@ pub(crate) fn add_scaled(mut out: MatMut<'_, f64>, other: MatRef<'_, f64>, scale
             out[(i, j)] += scale * other[(i, j)];
         }
     }
+}
+
+/// `(L L')^-1`.
+pub(crate) fn inverse(factor: MatRef<'_, f64>) -> Mat<f64> {
+    let mut out = Mat::identity(factor.nrows(), factor.nrows());
+    solve_lower_triangular_in_place(factor, out.as_mut(), Par::Seq);
+    solve_upper_triangular_in_place(factor.transpose(), out.as_mut(), Par::Seq);
+    out
 }

@@ -5,38 +5,29 @@
 //!
 //! ```text
 //! coefficients:  D J' C^-1 d                 (n_columns)
-//! targets:       X C^-1 d,                   X = T D J' + N      (n_targets, n_obs)
-//! covariance:    T D T' + M - X C^-1 X'
+//! points:        X C^-1 d,                   X = T D J'      (3 n_points, n_obs)
+//! covariance:    T D T' - X C^-1 X'
 //! ```
 //!
-//! with `T` the targets' responses, `N` the covariance of targets and observations by what is uncertain besides the
-//! causes, and `M` that of the targets by it. The posterior is the mixture over samples.
+//! with `T` the points' responses. The posterior is the mixture over samples. Its mean gain, `D J' C^-1` over samples, says
+//! how an error of the observations reaches the coefficients.
 
 use faer::{Mat, MatRef, Par};
 use rayon::prelude::*;
 
 use crate::dictionary::check_finite;
-use crate::linalg::{add_outer, add_scaled, backward, forward_in_place, product};
+use crate::linalg::{add_outer, add_scaled, backward, forward_in_place, inverse, product};
 use crate::prior::{check_length, scaled_columns};
 use crate::state::Evidence;
 use crate::{Configuration, ContactsError, Problem};
-
-/// Points that follow the causes, three rows each.
-#[derive(Debug, Clone)]
-pub struct Targets {
-    /// Responses (`3 n_points`, `n_columns`).
-    pub columns: Mat<f64>,
-    /// Covariance with the observations by what is uncertain besides the causes, (`3 n_points`, `n_obs`).
-    pub with_observed: Mat<f64>,
-    /// Covariance (3, 3) of each point by what is uncertain besides the causes, (`n_points`).
-    pub own: Vec<[[f64; 3]; 3]>,
-}
 
 /// Moments of the mixture over samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moments {
     /// Mean of every column's coefficient.
     pub coefficients: Vec<f64>,
+    /// Mean gain (`n_columns`, `n_obs`): coefficients by observations.
+    pub gain: Mat<f64>,
     /// Mean of every point.
     pub means: Vec<[f64; 3]>,
     /// Covariance of every point.
@@ -65,18 +56,23 @@ impl Problem {
         all
     }
 
-    /// Moments of coefficients and points over samples that count alike.
+    /// Moments of coefficients and of points over samples that count alike; `points` (`3 n_points`, `n_columns`) are the
+    /// responses of three rows a point.
     ///
     /// # Errors
     ///
     /// [`ContactsError::Shape`], [`ContactsError::NotFinite`], [`ContactsError::NotPositiveDefinite`].
+    ///
+    /// # Cost
+    ///
+    /// A sample costs one factorisation and inverse of size `n_obs` and one triangular solve for the points.
     pub fn moments(
         &self,
         samples: &[Configuration],
-        targets: &Targets,
+        points: MatRef<'_, f64>,
         par: Par,
     ) -> Result<Moments, ContactsError> {
-        self.check_targets(targets)?;
+        self.check_points(points)?;
         if samples.is_empty() {
             return Err(ContactsError::Shape { argument: "samples", wanted: 1, found: 0 });
         }
@@ -84,59 +80,48 @@ impl Problem {
             self.check_configuration(one)?;
         }
         let families = self.prior.families.iter().map(|family| {
-            let scaled = scaled_columns(targets.columns.as_ref(), &family.variances);
+            let scaled = scaled_columns(points, &family.variances);
             product(scaled.as_ref(), self.dictionary.columns().transpose())
         });
         let families: Vec<Mat<f64>> = families.collect();
-        let one = |sample| self.conditional(sample, targets, &families);
+        let one = |sample| self.conditional(sample, points, &families);
         let each: Vec<Result<Conditional, ContactsError>> = match par {
             Par::Seq => samples.iter().map(one).collect(),
             _ => samples.par_iter().map(one).collect(),
         };
         let each = each.into_iter().collect::<Result<Vec<_>, _>>()?;
-        Ok(mixture(&each, self.dictionary.n_columns(), targets.own.len()))
+        let gain = self.gain(samples, &each);
+        let innovation = &self.observed.innovation;
+        let coefficients =
+            (0..gain.nrows()).map(|j| dot(gain.row(j).iter(), innovation.iter())).collect();
+        Ok(mixture(&each, gain, coefficients, points.nrows() / 3))
     }
 
-    fn check_targets(&self, targets: &Targets) -> Result<(), ContactsError> {
-        let (n_rows, n_obs) = (3 * targets.own.len(), self.dictionary.n_obs());
-        check_length("columns of targets", n_rows, targets.columns.nrows())?;
-        check_length("columns of targets", self.dictionary.n_columns(), targets.columns.ncols())?;
-        check_length("with_observed", n_rows, targets.with_observed.nrows())?;
-        check_length("with_observed", n_obs, targets.with_observed.ncols())?;
-        let matrices =
-            [("columns of targets", &targets.columns), ("with_observed", &targets.with_observed)];
-        for (argument, matrix) in matrices {
-            for j in 0..matrix.ncols() {
-                for i in 0..n_rows {
-                    check_finite(argument, i + j * n_rows, matrix[(i, j)])?;
-                }
+    fn check_points(&self, points: MatRef<'_, f64>) -> Result<(), ContactsError> {
+        check_length("points", self.dictionary.n_columns(), points.ncols())?;
+        check_length("points", 3 * (points.nrows() / 3), points.nrows())?;
+        for j in 0..points.ncols() {
+            for i in 0..points.nrows() {
+                check_finite("points", i + j * points.nrows(), points[(i, j)])?;
             }
         }
-        let own = targets.own.as_flattened().as_flattened().iter().enumerate();
-        own.into_iter().try_for_each(|(entry, &value)| check_finite("own", entry, value))
+        Ok(())
     }
 
     fn conditional(
         &self,
         sample: &Configuration,
-        targets: &Targets,
+        points: MatRef<'_, f64>,
         families: &[Mat<f64>],
     ) -> Result<Conditional, ContactsError> {
         let evidence = Evidence::of_state(self, sample)
             .ok_or(ContactsError::NotPositiveDefinite { pivot: 0 })?;
-        let variances = self.variances(sample);
         let dual = backward(evidence.factor.as_ref(), &evidence.white);
-        let columns = self.dictionary.columns();
-        let coefficients = (0..columns.ncols()).map(|j| match variances[j] {
-            0.0 => 0.0,
-            variance => variance * dot(columns.col(j).iter(), dual.iter()),
-        });
-        let coefficients = coefficients.collect();
-        let mut x = self.cross(sample, targets, families);
+        let x = self.cross(sample, points, families);
         let mean = (0..x.nrows()).map(|i| dot(x.row(i).iter(), dual.iter())).collect();
-        let prior = prior_of_points(targets, &variances);
+        let prior = prior_of_points(points, &self.variances(sample));
         // L^-1 X': its columns' inner products are what the observations take away.
-        let mut taken = x.as_mut().transpose().to_owned();
+        let mut taken = x.transpose().to_owned();
         forward_in_place(evidence.factor.as_ref(), taken.as_mut());
         let covariance = prior.iter().enumerate().map(|(point, prior)| {
             let mut left = *prior;
@@ -149,12 +134,47 @@ impl Problem {
             left
         });
         let covariance = covariance.collect();
-        Ok(Conditional { coefficients, mean, covariance, prior })
+        Ok(Conditional { inverse: inverse(evidence.factor.as_ref()), mean, covariance, prior })
     }
 
-    /// `T D J' + N`.
-    fn cross(&self, sample: &Configuration, targets: &Targets, families: &[Mat<f64>]) -> Mat<f64> {
-        let mut sum = targets.with_observed.clone();
+    /// Mean of `D J' C^-1` over samples: families share their columns, so that only their inverses are averaged.
+    fn gain(&self, samples: &[Configuration], each: &[Conditional]) -> Mat<f64> {
+        let (columns, share) = (self.dictionary.columns(), 1.0 / each.len() as f64);
+        let mut gain = Mat::zeros(self.dictionary.n_columns(), self.dictionary.n_obs());
+        for (index, family) in self.prior.families.iter().enumerate() {
+            let mut mean = Mat::zeros(columns.nrows(), columns.nrows());
+            for (sample, conditional) in samples.iter().zip(each) {
+                let factor = family.factors[sample.levels[index]];
+                add_scaled(mean.as_mut(), conditional.inverse.as_ref(), share * factor);
+            }
+            let scaled = scaled_columns(columns, &family.variances);
+            let part = product(scaled.transpose(), mean.as_ref());
+            add_scaled(gain.as_mut(), part.as_ref(), 1.0);
+        }
+        for (sample, conditional) in samples.iter().zip(each) {
+            for contact in sample.slots.iter().flatten() {
+                let variance = share * self.prior.variances[contact.size];
+                for (patch, ratio) in self.dictionary.shares(contact.patch) {
+                    let part = product(
+                        self.dictionary.own(patch).transpose(),
+                        conditional.inverse.as_ref(),
+                    );
+                    let rows = gain.get_mut(3 * patch..3 * patch + 3, ..);
+                    add_scaled(rows, part.as_ref(), variance * ratio * ratio);
+                }
+            }
+        }
+        gain
+    }
+
+    /// `T D J'`.
+    fn cross(
+        &self,
+        sample: &Configuration,
+        points: MatRef<'_, f64>,
+        families: &[Mat<f64>],
+    ) -> Mat<f64> {
+        let mut sum = Mat::zeros(points.nrows(), self.dictionary.n_obs());
         let by_family = families.iter().zip(&self.prior.families).zip(&sample.levels);
         for ((matrix, family), &level) in by_family {
             add_scaled(sum.as_mut(), matrix.as_ref(), family.factors[level]);
@@ -162,8 +182,8 @@ impl Problem {
         for contact in sample.slots.iter().flatten() {
             let variance = self.prior.variances[contact.size];
             for (patch, ratio) in self.dictionary.shares(contact.patch) {
-                let columns = 3 * patch..3 * patch + 3;
-                let (theirs, ours) = (targets.columns.get(.., columns), self.dictionary.own(patch));
+                let theirs = points.get(.., 3 * patch..3 * patch + 3);
+                let ours = self.dictionary.own(patch);
                 add_outer(sum.as_mut(), theirs, ours, variance * ratio * ratio);
             }
         }
@@ -235,17 +255,18 @@ impl Problem {
 
 /// One sample's part.
 struct Conditional {
-    coefficients: Vec<f64>,
+    /// `C^-1`
+    inverse: Mat<f64>,
     mean: Vec<f64>,
     covariance: Vec<[[f64; 3]; 3]>,
     prior: Vec<[[f64; 3]; 3]>,
 }
 
-fn prior_of_points(targets: &Targets, variances: &[f64]) -> Vec<[[f64; 3]; 3]> {
-    let mut all = targets.own.clone();
+fn prior_of_points(points: MatRef<'_, f64>, variances: &[f64]) -> Vec<[[f64; 3]; 3]> {
+    let mut all = vec![[[0.0; 3]; 3]; points.nrows() / 3];
     for (j, &variance) in variances.iter().enumerate().filter(|(_, v)| **v > 0.0) {
         for (point, sum) in all.iter_mut().enumerate() {
-            let own: [f64; 3] = [0, 1, 2].map(|a| targets.columns[(3 * point + a, j)]);
+            let own: [f64; 3] = [0, 1, 2].map(|a| points[(3 * point + a, j)]);
             for a in 0..3 {
                 for b in 0..3 {
                     sum[a][b] += variance * own[a] * own[b];
@@ -257,35 +278,34 @@ fn prior_of_points(targets: &Targets, variances: &[f64]) -> Vec<[[f64; 3]; 3]> {
 }
 
 /// Mean of the conditionals, and their mean covariance with the covariance of their means.
-fn mixture(each: &[Conditional], n_columns: usize, n_points: usize) -> Moments {
+fn mixture(
+    each: &[Conditional],
+    gain: Mat<f64>,
+    coefficients: Vec<f64>,
+    n_points: usize,
+) -> Moments {
     let share = 1.0 / each.len() as f64;
-    let mut all = Moments {
-        coefficients: vec![0.0; n_columns],
-        means: vec![[0.0; 3]; n_points],
-        covariances: vec![[[0.0; 3]; 3]; n_points],
-        prior_covariances: vec![[[0.0; 3]; 3]; n_points],
-    };
+    let mut means = vec![[0.0; 3]; n_points];
+    let mut covariances = vec![[[0.0; 3]; 3]; n_points];
+    let mut prior_covariances = covariances.clone();
     for one in each {
-        for (sum, value) in all.coefficients.iter_mut().zip(&one.coefficients) {
-            *sum += share * value;
-        }
-        for (sum, value) in all.means.as_flattened_mut().iter_mut().zip(&one.mean) {
+        for (sum, value) in means.as_flattened_mut().iter_mut().zip(&one.mean) {
             *sum += share * value;
         }
     }
     for one in each {
         for point in 0..n_points {
-            let off = [0, 1, 2].map(|a| one.mean[3 * point + a] - all.means[point][a]);
+            let off = [0, 1, 2].map(|a| one.mean[3 * point + a] - means[point][a]);
             for a in 0..3 {
                 for b in 0..3 {
                     let spread = one.covariance[point][a][b] + off[a] * off[b];
-                    all.covariances[point][a][b] += share * spread;
-                    all.prior_covariances[point][a][b] += share * one.prior[point][a][b];
+                    covariances[point][a][b] += share * spread;
+                    prior_covariances[point][a][b] += share * one.prior[point][a][b];
                 }
             }
         }
     }
-    all
+    Moments { coefficients, gain, means, covariances, prior_covariances }
 }
 
 fn dot<'a>(a: impl Iterator<Item = &'a f64>, b: impl Iterator<Item = &'a f64>) -> f64 {

@@ -52,9 +52,10 @@ fn rich(element: Element) -> (Body, Material, Load) {
     let skin = Skin { triangles: side(6.0), thickness: 0.4, young: 30.0, poisson: 0.3 };
     let material = Material::new(field).and_then(|m| m.with_skin(skin)).expect("sound");
     let bed = Springs { triangles: side(0.0), normal: 0.2, tangential: 0.1, friction: None };
-    let rows = body.held_nodes().iter().map(|&n| {
-        if body.nodes()[n][0] < 1.0 { [0.0; 3] } else { [0.0, 0.3, -0.2] }
-    });
+    let rows = body
+        .held_nodes()
+        .iter()
+        .map(|&n| if body.nodes()[n][0] < 1.0 { [0.0; 3] } else { [0.0, 0.3, -0.2] });
     let load = Load {
         body_force: [0.02, -0.01, -0.05],
         prescribed: Some(rows.collect()),
@@ -104,7 +105,10 @@ fn the_compliance_is_the_part_of_the_adjoints_by_forces_and_supports() {
                     ("body force", &found.body_force[k..=k], &[adjoint.body_force]),
                 ] {
                     let off = largest_difference(found, wanted);
-                    assert!(off <= share * size(wanted), "{element:?} {precision:?} {name}: {off:e}");
+                    assert!(
+                        off <= share * size(wanted),
+                        "{element:?} {precision:?} {name}: {off:e}"
+                    );
                     assert!(size(wanted) > 0.0);
                 }
             }
@@ -120,12 +124,16 @@ fn a_single_factor_serves_derivatives_and_adjoints_too() {
     let [double, single] = BOTH.map(|p| at(&body, &material, &load, &tight(), p));
     let [one, other] = [&double, &single].map(|at| at.derivatives(&causes).expect("derivatives"));
     for (a, b) in one.iter().zip(&other) {
-        assert!(largest_difference(&a.displacement, &b.displacement) < 1e-8 * size(&a.displacement));
+        assert!(
+            largest_difference(&a.displacement, &b.displacement) < 1e-8 * size(&a.displacement)
+        );
         assert!(largest_difference(&a.reactions, &b.reactions) < 1e-8 * size(&a.reactions));
     }
     let [one, other] = [&double, &single].map(|at| at.adjoints(&seen).expect("adjoints"));
     for (a, b) in one.iter().zip(&other) {
-        assert!(largest_difference(&a.nodal_forces, &b.nodal_forces) < 1e-8 * size(&a.nodal_forces));
+        assert!(
+            largest_difference(&a.nodal_forces, &b.nodal_forces) < 1e-8 * size(&a.nodal_forces)
+        );
     }
 }
 
@@ -171,7 +179,8 @@ fn unbalanced_forces_times_the_compliance_are_the_derivatives() {
             Cause::Load(Load::from_prescribed(moved.collect())),
         ];
         let here = at(&body, &material, &load, &tight(), Precision::Double);
-        let free = |o: &Observation| o.displacement.iter().all(|(n, _)| !body.held_nodes().contains(n));
+        let free =
+            |o: &Observation| o.displacement.iter().all(|(n, _)| !body.held_nodes().contains(n));
         let seen: Vec<Observation> = observations(&body, 30).into_iter().filter(free).collect();
         assert!(seen.len() > 3);
         let Compliance { nodal_forces, .. } = here.compliance(&seen).expect("a compliance");

@@ -25,7 +25,7 @@ _DETAILS = (
     "From MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set 'fixed') and MARKERS (csv: marker,"
     "x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen), or from one frame of an experiment "
     "folder. DIR gets registered.vtu, targets.csv, registration.json and registered.png, all or none. Without "
-    "--model a prior is fitted to a few hundred simulations of this mesh; it is kept for the next time."
+    "--model the load is unknown: the body is brought to an equilibrium under the contacts that the markers suggest."
 )
 _WRITTEN = ("registered.vtu", "targets.csv", "registration.json", "registered.png")
 _EXAMPLE = """tissuereg register breast.vtu markers.csv --targets lesion.csv --out registered
@@ -47,14 +47,14 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     _add_input_options(parser)
     how = parser.add_argument_group("method")
-    text = "folder of a trained model, or 'phantom' for the one that is shipped (default: a prior fitted here)"
+    text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
     text = "elements of our own simulations (default: tet4)"
     how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], default="tet4", help=text)
-    how.add_argument("--members", type=whole_number(8), metavar="N", help="ensemble members (default: 200)")
-    how.add_argument("--steps", type=whole_number(1), metavar="N", help="assimilation steps (default: 5)")
-    text = "simulations that a fitted prior takes (default: 300)"
-    how.add_argument("--prior-members", type=whole_number(20), metavar="N", help=text)
+    how.add_argument(
+        "--members", type=whole_number(8), metavar="N", help="ensemble members, with a model (default: 200)"
+    )
+    how.add_argument("--steps", type=whole_number(1), metavar="N", help="assimilation steps, with a model (default: 5)")
     add_common(parser, seed="seed of all chance (default: 0)")
     parser.set_defaults(run=run, late="markers", room=1)
 
@@ -70,6 +70,8 @@ def _add_input_options(parser: Parser) -> None:
     more.add_argument("--targets", metavar="FILE", help=text)
     text = "held nodes: 'plane nx ny nz d tol' (within tol mm of n . x = d mm), or the name of a node set"
     more.add_argument("--fixed", metavar="RULE", help=text)
+    text = "how the node set 'fixed' is taken (default: sure); a mesh without held nodes is free"
+    more.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
     text = "noise of a marker coordinate without its own std_mm, in mm (default: 0.1)"
     more.add_argument("--std", type=positive_number, metavar="MM", help=text)
 
@@ -96,11 +98,12 @@ def run(args: argparse.Namespace) -> Outcome:
     clock = Stopwatch()
     given = _input(args)
     reading = clock.lap("read")
-    with progress_bar("simulations for the prior", quiet=args.quiet) as progress:
+    with progress_bar("passes", quiet=args.quiet) as progress:
         result = register(
             **given,
             model=args.model,
             element=args.element,
+            **({} if args.held is None else {"held": args.held}),
             seed=args.seed or 0,
             threads=args.threads,
             settings=_settings(args),
@@ -124,10 +127,7 @@ def _settings(args: argparse.Namespace) -> "RegisterSettings":
 
     settings = RegisterSettings()
     chosen = {"n_members": args.members, "n_steps": args.steps}
-    settings = replace(settings, **{name: value for name, value in chosen.items() if value is not None})
-    if args.prior_members is not None:
-        settings = replace(settings, prior=replace(settings.prior, n_members=args.prior_members))
-    return settings
+    return replace(settings, **{name: value for name, value in chosen.items() if value is not None})
 
 
 def _input(args: argparse.Namespace) -> dict[str, Any]:
@@ -155,10 +155,12 @@ def _from_files(args: argparse.Namespace) -> dict[str, Any]:
         if getattr(args, name) is not None:
             _refuse(f"--{name} must be left out with a mesh file; it chooses a frame of an experiment", f"--{name}")
     mesh = read_mesh(args.path, fixed=args.fixed)
+    if args.model is None and (args.held == "free" or "perhaps_fixed" in mesh.node_sets):
+        return {"mesh": mesh, "markers": read_markers(args.markers[0], std=args.std), "targets": {}}
     try:
         _ = mesh.fixed_nodes  # says at once that nothing is held
     except MeshError as error:
-        error.args = (f"{args.path}: {error}; name the held nodes with --fixed",)
+        error.args = (f"{args.path}: {error}; name the held nodes with --fixed, or say --held free",)
         raise
     return {"mesh": mesh, "markers": read_markers(args.markers[0], std=args.std), "targets": {}}
 
@@ -192,7 +194,14 @@ def _summary(content: dict[str, Any], out: str) -> str:
     for name, target in content["targets"].items():
         place = ", ".join(f"{x:.2f}" for x in target["mean_mm"])
         axes = " x ".join(f"{x:.2f}" for x in target["region90_radii_mm"])
-        lines.append(f"target {name}: at ({place}) mm, 90 % region with half-axes {axes} mm")
+        flag = f"; {target['flag']}" if target["flag"] else ""
+        lines.append(f"target {name}: at ({place}) mm, 90 % region with half-axes {axes} mm{flag}")
+    for contact in content["contacts"]:
+        place = ", ".join(f"{x:.0f}" for x in contact["centre_mm"])
+        lines.append(
+            f"contact at ({place}) mm, moved {contact['size_mm']:.1f} mm, {contact['force_mN']:.0f} mN at the believed "
+            f"modulus (probability {contact['probability']:.2f})"
+        )
     verdict = "can be trusted" if trust["ok"] else f"do not trust it: {'; '.join(trust['reasons'])}"
     p_value = "not known" if trust["p_value"] is None else f"{trust['p_value']:.3g}"
     return "\n".join(

@@ -65,15 +65,17 @@ class Patches:
         return len(self.centres)
 
 
-def make_patches(mesh: Mesh, held: IntArray) -> Patches:
-    """Return the patches of a mesh.
+def make_patches(mesh: Mesh, free: IntArray, *, by_area: bool = True) -> Patches:
+    """Return the patches of a part of a mesh's surface.
 
     Parameters
     ----------
     mesh : Mesh
         Undeformed body.
-    held : ndarray of int64, shape (n_held,)
-        Nodes that are held for sure: no patch there.
+    free : ndarray of int64, shape (n_free,)
+        Nodes of the surface that patches may hold.
+    by_area : bool
+        Whether shapes are forces, as above; else the profile alone, for supports that move.
 
     Returns
     -------
@@ -81,7 +83,6 @@ def make_patches(mesh: Mesh, held: IntArray) -> Patches:
         Largest radii have the fewest centres; about a thousand in all.
     """
     areas, normals = surface_of_nodes(mesh)
-    free = np.setdiff1d(mesh.surface_nodes, held)
     places = mesh.nodes[free]
     edges = mesh.nodes[mesh.surface] - mesh.nodes[np.roll(mesh.surface, 1, axis=1)]
     edge = float(np.linalg.norm(edges, axis=2).mean())
@@ -90,7 +91,9 @@ def make_patches(mesh: Mesh, held: IntArray) -> Patches:
     level = np.repeat(np.arange(len(radii)), [len(c) for c in chosen])
     nodes = free[np.concatenate(chosen)]
     centres, across, radius = mesh.nodes[nodes], normals[nodes], radii[level]
-    shapes = _shapes(places, normals[free], areas[free], free, centres, across, radius, mesh.n_nodes)
+    weights = areas[free] if by_area else np.ones(len(free))
+    scale = 1.6 * radius if by_area else np.ones(len(radius))
+    shapes = _shapes((places, normals[free], weights, free), (centres, across, radius, scale), mesh.n_nodes)
     return Patches(
         centres,
         radius,
@@ -103,7 +106,7 @@ def make_patches(mesh: Mesh, held: IntArray) -> Patches:
 
 
 def surface_of_nodes(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
-    """Return the surface area (n_nodes,) in mm^2 and the outward unit normal (n_nodes, 3) of every node, zero inside."""
+    """Return the surface area (n_nodes,) in mm^2 and the outward normal (n_nodes, 3) of every node, zero inside."""
     a, b, c = (mesh.nodes[mesh.surface[:, i]] for i in range(3))
     across = 0.5 * np.cross(b - a, c - a)
     area, normal = np.zeros(mesh.n_nodes), np.zeros((mesh.n_nodes, 3))
@@ -136,15 +139,13 @@ def _thinned(places: FloatArray, gap: float) -> IntArray:
 
 
 def _shapes(
-    places: FloatArray,
-    normals: FloatArray,
-    areas: FloatArray,
-    nodes: IntArray,
-    centres: FloatArray,
-    across: FloatArray,
-    radii: FloatArray,
+    surface: tuple[FloatArray, FloatArray, FloatArray, IntArray],
+    patches: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     n_nodes: int,
 ) -> Any:
+    """Return the profile of every patch at every node, times the node's weight, over the patch's scale."""
+    places, normals, weights, nodes = surface
+    centres, across, radii, scale = patches
     from scipy.sparse import csr_array
     from scipy.spatial import cKDTree
 
@@ -154,7 +155,7 @@ def _shapes(
     distance = np.linalg.norm(places[own] - centres[rows], axis=1)
     same_side = np.einsum("ij,ij->i", normals[own], across[rows]) > _LEAST_COSINE
     profile = np.clip(1.0 - (distance / radii[rows]) ** 2, 0.0, None)
-    values = np.where(same_side, areas[own] * profile / (1.6 * radii[rows]), 0.0)
+    values = np.where(same_side, weights[own] * profile / scale[rows], 0.0)
     shapes = csr_array((values, (rows, nodes[own])), shape=(len(centres), n_nodes))
     shapes.eliminate_zeros()
     return shapes

@@ -135,7 +135,8 @@ class Simulator:
         """Return all nodal forces of a load, tractions included, in mN; None where there are none."""
         total = None
         if load.forces is not None:
-            given = float_array("forces", load.forces, (self.mesh.n_nodes, 3))
+            n_rows = self.body.n_nodes if len(load.forces) == self.body.n_nodes else self.mesh.n_nodes
+            given = float_array("forces", load.forces, (n_rows, 3))
             total = np.zeros_like(self.body.nodes)
             total[: len(given)] += given
         if load.traction is not None:

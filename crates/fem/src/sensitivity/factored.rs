@@ -74,10 +74,18 @@ impl Factored {
         let pattern = body.pattern();
         let mut buffers = Buffers::default();
         // No two neighbours pull alike.
-        let pull = |&flat: &u32| [if flat.wrapping_mul(0x9E37_79B9) >> 31 == 0 { 1.0 } else { -1.0 }];
+        let pull =
+            |&flat: &u32| [if flat.wrapping_mul(0x9E37_79B9) >> 31 == 0 { 1.0 } else { -1.0 }];
         let rhs: Vec<[f64; 1]> = pattern.unknown2flat.iter().map(pull).collect();
         let mut x = vec![[0.0]; rhs.len()];
-        self.factor.solve_wide_into(&pattern.fronts, 1.0, &rhs, &mut x, &mut buffers.solve, parallel);
+        self.factor.solve_wide_into(
+            &pattern.fronts,
+            1.0,
+            &rhs,
+            &mut x,
+            &mut buffers.solve,
+            parallel,
+        );
         let mut last = norms(&x)[0];
         for _ in 0..2 {
             let correction = norms(self.correction(body, &rhs, &x, &mut buffers, parallel))[0];

@@ -229,7 +229,12 @@ impl<E: Entry, const W: usize> Solving<'_, E, W> {
         }
     }
 
-    fn backward_children(&self, children: &[u32], local: &mut [[E::Real; W]], above: &[[E::Real; W]]) {
+    fn backward_children(
+        &self,
+        children: &[u32],
+        local: &mut [[E::Real; W]],
+        above: &[[E::Real; W]],
+    ) {
         match *children {
             [] => {}
             [one] => self.backward(one, local, Some(above)),
@@ -245,7 +250,12 @@ impl<E: Entry, const W: usize> Solving<'_, E, W> {
         }
     }
 
-    fn backward_front(&self, front: &Front, own: &mut [[E::Real; W]], above: Option<&[[E::Real; W]]>) {
+    fn backward_front(
+        &self,
+        front: &Front,
+        own: &mut [[E::Real; W]],
+        above: Option<&[[E::Real; W]]>,
+    ) {
         if let Some(above) = above {
             let rows = &mut own[front.n_own..];
             for (x, &place) in rows.iter_mut().zip(self.fronts.in_parent_of(front)) {

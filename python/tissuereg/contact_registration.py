@@ -1,0 +1,294 @@
+"""Registration without a known load: contacts found by their traces at the markers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg._clock import Clock
+from tissuereg.contacts.body import ContactBody
+from tissuereg.contacts.columns import Columns
+from tissuereg.contacts.fit import ContactFit, Moment, Passes, Seen, start_of
+from tissuereg.contacts.found import FoundContact, find_contacts
+from tissuereg.contacts.frame import Frame
+from tissuereg.contacts.spread import Points, Spread
+from tissuereg.contacts.supports import Supports
+from tissuereg.errors import ConvergenceError
+from tissuereg.inputs import RegisterInput, rms_length
+from tissuereg.load import Load
+from tissuereg.material import Material
+from tissuereg.mesh import det_f
+from tissuereg.result import MarkerFit, Registration, Target
+from tissuereg.simulate.solve import LoadParts
+from tissuereg.trust import Trust, judge
+
+#: A target is flagged where the markers take away less than this share of its variance under unseen contacts.
+LEAST_CONSTRAINED = 0.8
+
+#: What a flagged target is told.
+NO_MARKER = "no marker tells"
+
+#: A marker that is wrong with at least this probability is named and does not count.
+_WRONG = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class ContactInput:
+    """What is believed of the moment.
+
+    Attributes
+    ----------
+    load : Load or None
+        What acts.
+    simulation : ndarray of float64, shape (n_nodes, 3), or None
+        A displacement whose holding forces act.
+    material : Material
+        What the body is made of.
+    element : str
+        Elements of the solver.
+    held : str
+        How the node set ``fixed`` is taken.
+    held_nodes : array_like of int or None
+        Nodes in its place.
+    progress : callable or None
+        Called with passes finished and passes at most.
+    """
+
+    load: Load | None
+    simulation: FloatArray | None
+    material: Material
+    element: str
+    held: str
+    held_nodes: Any
+    progress: Callable[[int, int], None] | None
+
+
+def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Clock) -> Registration:
+    """Register without a model.
+
+    Parameters
+    ----------
+    given : RegisterInput
+        Checked input.
+    believed : ContactInput
+        What is believed of the moment.
+    clock : Clock
+        Gets the stages' times.
+
+    Returns
+    -------
+    Registration
+        The equilibrium under the mean of the loads that the markers suggest.
+
+    Raises
+    ------
+    ConvergenceError
+        If no equilibrium is found.
+    SupportError, LoadError, MaterialError
+        If what is believed does not fit the body.
+    """
+    settings, material = given.settings.contacts, believed.material
+    with clock.stage("body"):
+        supports = Supports.of(given.mesh, believed.held, believed.held_nodes)
+        body = ContactBody.of(given.mesh, supports, believed.element)
+    seen = Seen(given.observed, given.markers)
+    with clock.stage("simulate"):
+        parts, field = _believed(body, believed, given.threads)
+        columns = Columns.of(body, float(np.mean(material.young_array)), parts, settings)
+        start = start_of(columns, material, field, _first_frame(seen, supports), given.threads)
+    rng = np.random.default_rng([given.seed, 7])
+    passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
+    fit = passes.run(start)
+    with clock.stage("spread"):
+        spread = Spread(fit, seen, material, settings, given.threads)
+        points = _points(given, fit, spread)
+        std = spread.nodes(rng)
+    draw = _Draws(fit, spread, material, given)
+    return _result(given, fit, start, points, std, draw, clock, believed)
+
+
+def _believed(body: ContactBody, believed: ContactInput, threads: int) -> tuple[LoadParts, FloatArray | None]:
+    """Return the parts of the believed load and, where it is known, the displacement that it holds."""
+    simulator = body.simulator
+    if believed.simulation is None:
+        return simulator.load_parts(believed.load or Load()), None
+    field = np.zeros((simulator.body.n_nodes, 3))
+    field[: body.mesh.n_nodes] = believed.simulation
+    middles = simulator.body.mid_edges
+    if len(middles):
+        field[body.mesh.n_nodes :] = field[middles].mean(axis=1)
+    forces = simulator.internal_forces(field, believed.material)
+    forces[simulator.held_nodes] = 0.0
+    parts: LoadParts = {"forces": forces, "body_force": None, "prescribed": field[simulator.held_nodes]}
+    return parts, field
+
+
+def _first_frame(seen: Seen, supports: Supports) -> Frame:
+    """Return the rigid motion of the markers where nothing is held for sure; none with too few of them."""
+    whole = seen.mask.all(axis=1)
+    if not supports.moves or supports.holds or whole.sum() < 3:
+        return Frame.still()
+    return Frame.between(seen.markers.reference[whole], seen.markers.measured[whole])
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Targets, then markers: displacements in the tracker's frame and what is known of them."""
+
+    displacement: FloatArray
+    points: Points
+
+
+def _points(given: RegisterInput, fit: ContactFit, spread: Spread) -> _Known:
+    moment, observed, inner = fit.moment, given.observed, given.targets
+    moved = np.concatenate(
+        [
+            inner.predict(moment.displacement[inner.nodes]),
+            observed.predict(moment.displacement[observed.nodes]),
+        ]
+    )
+    reference = np.concatenate([inner.reference.reshape(-1, 3), given.markers.reference])
+    rows = [*inner.rows(), *observed.rows(moment.displacement[observed.nodes])]
+    known = spread.points(rows, reference + moved)
+    return _Known(moment.frame.apply(reference + moved) - reference, known)
+
+
+@dataclass(frozen=True, eq=False)
+class _Draws:
+    """Posterior displacement fields in equilibrium."""
+
+    fit: ContactFit
+    spread: Spread
+    material: Material
+    given: RegisterInput
+
+    def __call__(self, count: int) -> FloatArray:
+        """Return fields (count, n_nodes, 3) in mm."""
+        fit = self.fit
+        rng = np.random.default_rng([self.given.seed, 8])
+        coefficients = self.spread.coefficients(rng, count)
+        simulator, mesh = fit.columns.body.simulator, fit.columns.body.mesh
+        found = simulator.solve_many(
+            [fit.columns.load(one) for one in coefficients],
+            [self.material] * count,
+            start=fit.moment.displacement,
+            threads=self.given.threads,
+            tolerance=1e-6,
+        )
+        if found.failed:
+            index, reason = found.failed[0]
+            message = (
+                f"every draw must find equilibrium; {len(found.failed)} of {count} do not, the first of them: {reason}"
+            )
+            raise ConvergenceError(message, where=f"draw {index}")
+        frames = [fit.moment.frame.followed_by(fit.columns.frame(one), fit.columns.rigid) for one in coefficients]
+        moved = mesh.nodes + found.displacement
+        return np.stack([frame.apply(places) for frame, places in zip(frames, moved, strict=True)]) - mesh.nodes
+
+
+def _result(
+    given: RegisterInput,
+    fit: ContactFit,
+    start: Moment,
+    known: _Known,
+    std: FloatArray,
+    draw: _Draws,
+    clock: Clock,
+    believed: ContactInput,
+) -> Registration:
+    """Put everything that was found in its place."""
+    mesh, markers, n_targets = given.mesh, given.markers, len(given.targets.names)
+    moment = fit.moment
+    displacement = moment.frame.apply(mesh.nodes + moment.displacement[: mesh.n_nodes]) - mesh.nodes
+    fitted = known.displacement[n_targets:]
+    begun = given.observed.predict(start.displacement[given.observed.nodes])
+    begun = start.frame.apply(markers.reference + begun) - markers.reference
+    some = np.asarray(np.isfinite(markers.measured).any(axis=1))
+    wrong = np.asarray(fit.wrong >= _WRONG)
+    used, lost = np.flatnonzero(some & ~wrong), np.flatnonzero(~some | wrong)
+    ratios = det_f(mesh, moment.displacement[: mesh.n_nodes])
+    knows = believed.load is not None or believed.simulation is not None
+    return Registration(
+        mesh=mesh,
+        displacement=displacement,
+        std=std,
+        targets=_targets(given, known, start if knows else None),
+        unseen=_unseen(given, known, begun if knows else None, lost),
+        markers=MarkerFit(
+            used=tuple(markers.names[i] for i in used),
+            dropped=tuple((markers.names[i], "wrong" if some[i] else "not seen") for i in lost),
+            before_rms_mm=rms_length(markers.displacement[used] - begun[used]),
+            after_rms_mm=rms_length(markers.displacement[used] - fitted[used]),
+            residual_mm={markers.names[i]: markers.displacement[i] - fitted[i] for i in used},
+        ),
+        all_markers=markers,
+        start_markers=markers.reference + begun,
+        min_det_f=float(ratios.min()),
+        inverted_tets=int((ratios <= 0).sum()),
+        trust=_trust(given, fit, known, used, float(ratios.min())),
+        model={"kind": "contacts", "source": "fitted here", "patches": fit.columns.n_patches},
+        seconds=clock.seconds,
+        seed=given.seed,
+        dropped_members=[],
+        contacts=find_contacts(fit),
+        work=dict(fit.counters),
+        draw=draw,
+    )
+
+
+def _targets(given: RegisterInput, known: _Known, start: Moment | None) -> dict[str, Target]:
+    inner, points = given.targets, known.points
+    said = None
+    if start is not None:
+        said = start.frame.apply(inner.reference + inner.predict(start.displacement[inner.nodes]))
+    return {
+        name: Target(
+            inner.reference[i],
+            inner.reference[i] + known.displacement[i],
+            points.covariance[i],
+            None if said is None else said[i],
+            float(points.constrained[i]),
+            NO_MARKER if points.constrained[i] < LEAST_CONSTRAINED else None,
+        )
+        for i, name in enumerate(inner.names)
+    }
+
+
+def _unseen(given: RegisterInput, known: _Known, begun: FloatArray | None, lost: Any) -> dict[str, Target]:
+    """Return where a tracker would see the markers that do not count."""
+    markers, first = given.markers, len(given.targets.names)
+    return {
+        markers.names[i]: Target(
+            markers.reference[i],
+            markers.reference[i] + known.displacement[first + i],
+            known.points.covariance[first + i] + markers.std[i] ** 2 * np.eye(3),
+            None if begun is None else markers.reference[i] + begun[i],
+            float(known.points.constrained[first + i]),
+            NO_MARKER if known.points.constrained[first + i] < LEAST_CONSTRAINED else None,
+        )
+        for i in lost
+    }
+
+
+def _trust(given: RegisterInput, fit: ContactFit, known: _Known, used: Any, min_det_f: float) -> Trust:
+    markers, first = given.markers, len(given.targets.names)
+    model_error = given.settings.contacts.model_error
+    notes = list(given.suspicions)
+    notes += [
+        f"wrong marker: {markers.names[i]} does not fit the others (probability {fit.wrong[i]:.2f})"
+        for i in np.flatnonzero(fit.wrong >= _WRONG)
+    ]
+    left = markers.displacement[used] - known.displacement[first + used]
+    size = np.linalg.norm(np.where(np.isfinite(left), markers.displacement[used], 0.0), axis=1)
+    variance = np.repeat(markers.std[used] ** 2 + (model_error * size) ** 2, 3)
+    # A component that was not seen says nothing.
+    variance[~np.isfinite(left.ravel())] = 1e12
+    # Whether a marker is wrong has been asked with the contacts; here its residual is held against its noise alone.
+    spread = np.zeros((3 * len(used), 3 * len(used)))
+    names = tuple(markers.names[i] for i in used)
+    return judge(names, np.nan_to_num(left), np.diag(variance), spread, fit.prior_misfit, min_det_f, notes)
+
+
+__all__ = ["ContactInput", "FoundContact", "register_by_contacts"]

@@ -1,0 +1,276 @@
+"""All causes of a registration as columns: their loads, their priors, and how observations follow them.
+
+Columns come in blocks: three directions a patch first, since slots choose among these; then a body force, the error
+of a believed load, the motion of supports that are perhaps held, and a rigid motion. Every block but the first has one
+family of its own; the first has the background.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.contacts.body import ContactBody
+from tissuereg.contacts.settings import ContactSettings
+from tissuereg.load import Load
+from tissuereg.simulate.sensitivity import Compliance
+from tissuereg.simulate.solve import LoadParts
+
+#: Levels of a family's size, in steps of its prior standard deviation.
+_LEVELS = np.arange(-6, 7) * 0.5
+
+#: Standard deviation of the background on each patch at size one.
+_BACKGROUND = 0.55
+
+
+@dataclass(frozen=True)
+class Family:
+    """Causes with one unknown size.
+
+    Attributes
+    ----------
+    name : str
+        What they are.
+    columns : slice
+        Which columns.
+    variance : float
+        Variance of each coefficient at factor one.
+    factors : ndarray of float64, shape (n_levels,)
+        Factors on the variance.
+    log_prior : ndarray of float64, shape (n_levels,)
+        Logarithm of each level's prior probability, up to a constant.
+    """
+
+    name: str
+    columns: slice
+    variance: float
+    factors: FloatArray
+    log_prior: FloatArray
+
+    @classmethod
+    def of(cls, name: str, columns: slice, variance: float, size: tuple[float, float]) -> "Family":
+        """Return a family whose size is log-normal with a median and a standard deviation of the logarithm."""
+        median, spread = size
+        factors = np.asarray(median**2 * np.exp(2.0 * spread * _LEVELS), np.float64)
+        return cls(name, columns, variance, factors, np.asarray(-0.5 * _LEVELS**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Causes of one registration.
+
+    Attributes
+    ----------
+    body : ContactBody
+        What they act on.
+    young : float
+        Mean Young's modulus in kPa: the unit of forces.
+    believed : LoadParts
+        The load that is believed to act; zero coefficients mean this load.
+    families : tuple of Family
+        One a block, the background first.
+    rigid : ndarray of float64, shape (2, 3)
+        Pivot and length of rigid motions; a rotation's coefficient is the motion at that length.
+    """
+
+    body: ContactBody
+    young: float
+    believed: LoadParts
+    families: tuple[Family, ...]
+    rigid: FloatArray
+    _offsets: dict[str, slice] = field(repr=False)
+
+    @classmethod
+    def of(cls, body: ContactBody, young: float, believed: LoadParts, settings: ContactSettings) -> "Columns":
+        """Return the columns of a body under a believed load."""
+        n_patches = 3 * body.patches.n_patches
+        families = [Family.of("background", slice(0, n_patches), _BACKGROUND**2, settings.background)]
+        blocks = [("weight", 3, settings.weight)]
+        if any(part is not None for part in believed.values()):
+            blocks.append(("believed", 3, settings.believed))
+        if body.base is not None:
+            blocks.append(("supports", 3 * body.base.n_patches, settings.supports))
+        if body.supports.moves:
+            blocks.append(("frame", 6, settings.frame_mm))
+        first = n_patches
+        for name, count, size in blocks:
+            families.append(Family.of(name, slice(first, first + count), 1.0, size))
+            first += count
+        nodes = body.mesh.nodes
+        rigid = np.stack([nodes.mean(axis=0), np.full(3, 0.5 * body.mesh.extent)])
+        offsets = {family.name: family.columns for family in families}
+        return cls(body, young, believed, tuple(families), rigid, offsets)
+
+    @property
+    def n_columns(self) -> int:
+        """Number of columns."""
+        return int(self.families[-1].columns.stop)
+
+    @property
+    def n_patches(self) -> int:
+        """Number of patches that slots choose among."""
+        return self.body.patches.n_patches
+
+    @property
+    def _body_force_unit(self) -> float:
+        return 2.0 * self.young / (0.5 * self.body.mesh.extent) ** 2
+
+    def responses(self, compliance: Compliance, places: FloatArray) -> FloatArray:
+        """Return how observations follow the columns.
+
+        Parameters
+        ----------
+        compliance : Compliance
+            Of the observations, three rows a point.
+        places : ndarray of float64, shape (n_points, 3)
+            Deformed places of the points, mm, for rigid motions.
+
+        Returns
+        -------
+        ndarray of float64, shape (3 n_points, n_columns)
+            mm a unit.
+        """
+        n_nodes = self.body.mesh.n_nodes
+        out = np.zeros((len(compliance.forces), self.n_columns))
+        forces = compliance.forces[:, :n_nodes]
+        for axis in range(3):
+            along = np.ascontiguousarray(forces[:, :, axis].T)
+            out[:, axis : 3 * self.n_patches : 3] = self.young * (self.body.patches.shapes @ along).T
+        out[:, self._offsets["weight"]] = compliance.body_force * self._body_force_unit
+        if "believed" in self._offsets:
+            out[:, self._offsets["believed"]] = self._believed_responses(compliance)
+        if self.body.base is not None:
+            block = self._offsets["supports"]
+            shapes = self.body.base.shapes[:, self.body.simulator.held_nodes]
+            for axis in range(3):
+                moved = np.ascontiguousarray(compliance.prescribed[:, :, axis].T)
+                out[:, block.start + axis : block.stop : 3] = (shapes @ moved).T
+        if "frame" in self._offsets:
+            out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T
+        return out
+
+    def rigid_field(self, places: FloatArray) -> FloatArray:
+        """Return the motions (6, n_points, 3) of places by unit translations and rotations, mm."""
+        pivot, length = self.rigid
+        moves = np.zeros((6, len(places), 3))
+        for axis in range(3):
+            moves[axis, :, axis] = 1.0
+            moves[3 + axis] = np.cross(np.eye(3)[axis], places - pivot) / length[0]
+        return moves
+
+    def _believed_responses(self, compliance: Compliance) -> FloatArray:
+        """Return responses to the size of every believed force, along each axis."""
+        out = np.zeros((len(compliance.forces), 3))
+        forces, weight, moved = (self.believed[part] for part in ("forces", "body_force", "prescribed"))
+        if forces is not None:
+            out += np.einsum("onx,n->ox", compliance.forces, np.linalg.norm(forces, axis=1))
+        if weight is not None:
+            out += compliance.body_force * float(np.linalg.norm(weight))
+        if moved is not None:
+            out += np.einsum("ohx,h->ox", compliance.prescribed, np.linalg.norm(moved, axis=1))
+        return out
+
+    def load(self, coefficients: FloatArray) -> Load:
+        """Return the load of coefficients (n_columns,), the believed one included."""
+        n_patches = 3 * self.n_patches
+        forces = np.zeros((self.body.simulator.body.n_nodes, 3))
+        given = self.believed["forces"]
+        if given is not None:
+            forces += given
+        patches = coefficients[:n_patches].reshape(-1, 3)
+        forces[: self.body.mesh.n_nodes] += self.young * np.asarray(self.body.patches.shapes.T @ patches)
+        weight = coefficients[self._offsets["weight"]] * self._body_force_unit
+        moved = np.zeros((len(self.body.simulator.held_nodes), 3))
+        if self.believed["body_force"] is not None:
+            weight = weight + self.believed["body_force"]
+        if self.believed["prescribed"] is not None:
+            moved += self.believed["prescribed"]
+        if "believed" in self._offsets:
+            share = coefficients[self._offsets["believed"]]
+            if given is not None:
+                forces += np.linalg.norm(given, axis=1)[:, None] * share
+            if self.believed["body_force"] is not None:
+                weight = weight + float(np.linalg.norm(self.believed["body_force"])) * share
+            if self.believed["prescribed"] is not None:
+                moved += np.linalg.norm(self.believed["prescribed"], axis=1)[:, None] * share
+        if self.body.base is not None:
+            shapes = self.body.base.shapes[:, self.body.simulator.held_nodes]
+            moved += np.asarray(shapes.T @ coefficients[self._offsets["supports"]].reshape(-1, 3))
+        return Load(forces=forces, body_force=weight, prescribed=moved)
+
+    def weight_forces(self, body_force: FloatArray) -> FloatArray:
+        """Return the nodal forces (n_element_nodes, 3) of a body force (3,), mN."""
+        return np.asarray(self.body.node_volumes[:, None] * body_force)
+
+    def frame(self, coefficients: FloatArray) -> FloatArray:
+        """Return the coefficients (6,) of the rigid motion; zero where there is none."""
+        return np.asarray(coefficients[self._offsets["frame"]]) if "frame" in self._offsets else np.zeros(6)
+
+    def without_frame(self, coefficients: FloatArray) -> FloatArray:
+        """Return coefficients whose rigid motion is zero."""
+        out: FloatArray = np.array(coefficients)
+        if "frame" in self._offsets:
+            out[self._offsets["frame"]] = 0.0
+        return out
+
+    def core_families(self) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Return the families as the compiled sampler takes them."""
+        found = []
+        for family in self.families:
+            variances = np.zeros(self.n_columns)
+            variances[family.columns] = family.variance
+            found.append((variances, family.factors, family.log_prior))
+        return found
+
+
+def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:
+    """Return the logarithm of the prior probability of a slot's patch and size, shape (n_patches, n_sizes).
+
+    The odds are spread evenly over radii, then over centres; sizes above a share of the radius become unlikely.
+    """
+    patches = columns.body.patches
+    sizes = np.array(settings.sizes_mm)
+    by_size = -0.5 * (sizes / (settings.largest_share * patches.radii[:, None])) ** 2
+    by_size -= np.log(np.exp(by_size).sum(axis=1, keepdims=True))
+    count = np.bincount(patches.level)
+    filled = np.log(settings.odds / (1.0 + settings.odds)) - np.log(len(count))
+    return np.ascontiguousarray(filled - np.log(count[patches.level])[:, None] + by_size)
+
+
+def sampler(columns: Columns, settings: ContactSettings, responses: FloatArray, data: dict[str, Any]) -> Any:
+    """Return the compiled problem of one linearisation.
+
+    Parameters
+    ----------
+    columns : Columns
+        Causes.
+    settings : ContactSettings
+        Prior.
+    responses : ndarray of float64, shape (n_obs, n_columns)
+        How the observations follow them.
+    data : dict
+        ``innovation`` (n_obs,), ``noise`` (n_obs, n_obs), ``groups``: rows of each marker.
+
+    Returns
+    -------
+    _core.Contacts
+        What samples, and what turns samples into moments.
+    """
+    from tissuereg import _core
+
+    patches = columns.body.patches
+    wrong_variance = (settings.wrong_share * columns.body.mesh.extent) ** 2
+    return _core.Contacts(
+        np.ascontiguousarray(responses),
+        texture=patches.texture,
+        neighbours=patches.neighbours,
+        variances=np.array(settings.sizes_mm) ** 2,
+        log_filled=log_filled(columns, settings),
+        log_empty=-float(np.log1p(settings.odds)),
+        n_slots=settings.n_slots,
+        families=columns.core_families(),
+        wrong=(data["groups"], wrong_variance, float(np.log(settings.wrong_odds))),
+        innovation=np.ascontiguousarray(data["innovation"]),
+        noise=np.ascontiguousarray(data["noise"]),
+    )

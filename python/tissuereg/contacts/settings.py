@@ -1,0 +1,79 @@
+"""What is believed about contacts before any marker is seen, and how the posterior is sampled."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """Prior of contacts, noise of the model, and chains.
+
+    Parameters
+    ----------
+    n_slots : int
+        Contacts at most.
+    odds : float
+        Odds of a slot being filled.
+    sizes_mm : tuple of float
+        Sizes of a contact that are tried: motion of its patch by itself.
+    largest_share : float
+        A patch is not pushed by more than about this share of its radius.
+    background : tuple of float
+        Median and standard deviation of the logarithm of the size of a background on all patches, mm.
+    weight : tuple of float
+        The same of a body force, in body forces that move the body by about 1 mm.
+    believed : tuple of float
+        The same of the error of a believed load, over the load.
+    supports : tuple of float
+        The same of the motion of supports that are perhaps held, mm.
+    frame_mm : tuple of float
+        The same of a rigid motion of a body that nothing holds for sure, mm.
+    wrong_odds : float
+        Odds that a marker is wrong.
+    wrong_share : float
+        Standard deviation of a wrong marker, over the extent of the body.
+    model_error : float
+        Standard deviation of what the model gets wrong at a marker, over the marker's motion.
+    young_log_std, poisson_std : float
+        Uncertainty of the stiffness (smooth fields of its logarithm) and of Poisson's ratio.
+    n_chains : int
+        Independent chains.
+    powers : tuple of float
+        Power of the likelihood in each sweep of the first pass.
+    powers_again : tuple of float
+        The same in later passes, which go on from the samples before.
+    n_kept : int
+        Sweeps of each chain whose samples count.
+    sharpness, n_local, n_level : float, int, int
+        See ``tissuereg_contacts::ChainSettings``.
+    max_passes : int
+        Linearisations at most.
+    fit_limit : float
+        Passes end when the markers' root mean square residual is below this many standard deviations.
+    n_draws : int
+        Draws behind the spread of nodes.
+    """
+
+    n_slots: int = 3
+    odds: float = 0.4
+    sizes_mm: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+    largest_share: float = 0.5
+    background: tuple[float, float] = (0.0165, 1.0)
+    weight: tuple[float, float] = (0.1, 2.0)
+    believed: tuple[float, float] = (0.5, 0.7)
+    supports: tuple[float, float] = (0.1, 1.5)
+    frame_mm: tuple[float, float] = (1.0, 1.5)
+    wrong_odds: float = 0.005
+    wrong_share: float = 0.05
+    model_error: float = 0.02
+    young_log_std: float = 0.2
+    poisson_std: float = 0.02
+    n_chains: int = 16
+    powers: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    powers_again: tuple[float, ...] = (0.5, 1.0, 1.0, 1.0, 1.0, 1.0)
+    n_kept: int = 4
+    sharpness: float = 0.5
+    n_local: int = 4
+    n_level: int = 2
+    max_passes: int = 8
+    fit_limit: float = 1.3
+    n_draws: int = 64

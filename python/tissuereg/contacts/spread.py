@@ -1,0 +1,183 @@
+"""How uncertain a registration is: regions of points, spread of nodes, and how much the markers constrain a point.
+
+The covariance of a point has two parts. That of the contacts is the mixture over samples. That of the model is what an
+error of stiffness or of Poisson's ratio would do to the answer: such an error moves the point and the markers, and what
+it does to the markers reaches the point once more, through the gain.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.contacts.fit import ContactFit, Seen
+from tissuereg.contacts.settings import ContactSettings
+from tissuereg.material import Material
+from tissuereg.simulate.sensitivity import Cause, Compliance, Field, Linearised, Observation
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points of the body with what is known of them.
+
+    Attributes
+    ----------
+    covariance : ndarray of float64, shape (n_points, 3, 3)
+        mm^2, contacts and model.
+    constrained : ndarray of float64, shape (n_points,)
+        Share of the variance under unseen contacts that the markers take away, 0 to 1.
+    unseen_std : ndarray of float64, shape (n_points,)
+        Standard deviation that an unseen contact leaves, mm.
+    """
+
+    covariance: FloatArray
+    constrained: FloatArray
+    unseen_std: FloatArray
+
+
+class Spread:
+    """Uncertainty of one fit.
+
+    Parameters
+    ----------
+    fit : ContactFit
+        Where the passes ended.
+    seen : Seen
+        Data.
+    material : Material
+        What the body is made of.
+    settings : ContactSettings
+        Uncertainty of the model.
+    threads : int
+        Threads to use.
+    """
+
+    def __init__(
+        self, fit: ContactFit, seen: Seen, material: Material, settings: ContactSettings, threads: int
+    ) -> None:
+        self._fit, self._seen, self._settings, self._threads = fit, seen, settings, threads
+        self._model_forces = -fit.linearised.unbalanced(_model_errors(fit, material, settings))
+        observation = seen.observation
+        rows = observation.rows(fit.moment.displacement[observation.nodes])
+        compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
+        self._model_at_markers = self._by_model(compliance)[seen.rows]
+
+    def _by_model(self, compliance: Compliance) -> FloatArray:
+        """Return what errors of the model do to observations, (n_rows, n_errors), mm."""
+        n_errors = len(self._model_forces)
+        return np.asarray(
+            compliance.forces.reshape(len(compliance.forces), -1) @ self._model_forces.reshape(n_errors, -1).T
+        )
+
+    def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
+        """Return what is known of points.
+
+        Parameters
+        ----------
+        rows : list of (ndarray, ndarray)
+            Nodes and weights, three rows a point.
+        places : ndarray of float64, shape (n_points, 3)
+            Where they are in the body's frame, mm.
+
+        Returns
+        -------
+        Points
+            Cost: one right-hand side a row.
+        """
+        fit = self._fit
+        compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
+        responses = fit.columns.responses(compliance, places)
+        _, gain, _, covariance, _ = fit.sampler.moments(
+            list(fit.samples), np.ascontiguousarray(responses), threads=self._threads
+        )
+        left = (self._by_model(compliance) - responses @ (gain @ self._model_at_markers)).reshape(len(places), 3, -1)
+        covariance = covariance + np.einsum("pak,pbk->pab", left, left)
+        unseen, constrained = self._unseen(responses)
+        turn = fit.moment.frame.rotation
+        return Points(turn @ covariance @ turn.T, constrained, unseen)
+
+    def _unseen(self, responses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the deviation that one more contact leaves at points, and the share of its variance taken away."""
+        fit, rows = self._fit, self._seen.rows
+        variances = unseen_variances(fit, self._seen)
+        own = fit.responses[rows]
+        scaled = own * variances
+        noise = np.diag(self._seen.std(self._settings.model_error) ** 2)
+        cross = (responses * variances) @ own.T
+        taken = np.einsum("po,po->p", cross, np.linalg.solve(scaled @ own.T + noise, cross.T).T)
+        before = np.einsum("pc,pc,c->p", responses, responses, variances)
+        before, left = (part.reshape(-1, 3).sum(axis=1) for part in (before, before - taken))
+        return np.sqrt(np.maximum(left, 0.0)), 1.0 - np.maximum(left, 0.0) / np.maximum(before, 1e-300)
+
+    def nodes(self, rng: np.random.Generator) -> FloatArray:
+        """Return the root of the trace of every node's covariance, (n_nodes,) in mm, from draws."""
+        fit, n_nodes = self._fit, self._fit.columns.body.mesh.n_nodes
+        drawn = self.coefficients(rng, self._settings.n_draws) - fit.moment.coefficients
+        errors = rng.standard_normal((len(drawn), len(self._model_forces)))
+        # What errors of the model do to the markers is met by loads that are not there.
+        _, gain, *_ = fit.sampler.moments(
+            list(fit.samples), np.zeros((0, fit.columns.n_columns)), threads=self._threads
+        )
+        drawn -= errors @ (gain @ self._model_at_markers).T
+        moved = linear_fields(fit.linearised, fit, drawn, np.tensordot(errors, self._model_forces, 1))
+        return np.asarray(np.sqrt(np.mean(np.sum(moved[:, :n_nodes] ** 2, axis=2), axis=0)))
+
+    def coefficients(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Return coefficients drawn from the posterior, shape (count, n_columns)."""
+        fit = self._fit
+        n_obs, n_samples = len(self._seen.rows), len(fit.samples[0])
+        order = (
+            (np.arange(count) * max(1, n_samples // count)) % n_samples if count < n_samples else np.arange(n_samples)
+        )
+        chosen = [np.ascontiguousarray(part[order]) for part in fit.samples]
+        normals = rng.standard_normal((count, fit.columns.n_columns + n_obs))
+        return np.asarray(fit.sampler.draws(chosen, normals, threads=self._threads))
+
+
+def unseen_variances(fit: ContactFit, seen: Seen) -> FloatArray:
+    """Return the variances (n_columns,) of one more contact anywhere, of the size that the markers' motion suggests.
+
+    Each patch is as likely as in the prior. Its size is the motion of the marker that moved most, at most a share of
+    its radius.
+    """
+    patches, settings_share = fit.columns.body.patches, 0.5
+    moved = np.where(seen.mask, seen.markers.measured - seen.markers.reference, 0.0)
+    largest = float(np.linalg.norm(moved, axis=1).max())
+    count = np.bincount(patches.level)
+    likely = 1.0 / (len(count) * count[patches.level])
+    size = np.minimum(largest, settings_share * patches.radii)
+    variances = np.zeros(fit.columns.n_columns)
+    variances[: 3 * patches.n_patches] = np.repeat(likely * size**2 / 3.0, 3)
+    return variances
+
+
+def linear_fields(linearised: Linearised, fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
+    """Return displacement fields (n, n_element_nodes, 3) of changes of coefficients and of further nodal forces."""
+    columns = fit.columns
+    base = columns.load(fit.moment.coefficients)
+    total = forces.copy()
+    for index, one in enumerate(change):
+        load = columns.load(fit.moment.coefficients + one)
+        total[index] += np.asarray(load.forces) - base.forces
+        total[index] += columns.weight_forces(np.asarray(load.body_force) - base.body_force)
+    fields = linearised.responses(np.ascontiguousarray(total))
+    if columns.body.supports.moves:
+        places = columns.body.simulator.body.nodes + fit.moment.displacement
+        rigid = columns.rigid_field(places)
+        frames = np.stack([columns.frame(one) for one in change])
+        fields = fields + np.tensordot(frames, rigid, 1)
+    return fields
+
+
+def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings) -> list[Cause]:
+    """Return stiffness along smooth fields and Poisson's ratio, each moved by one standard deviation."""
+    simulator = fit.columns.body.simulator
+    young = simulator.moduli(material)[0]
+    by_tet = young if young.ndim == 1 else young.mean(axis=1)
+    fields = settings.young_log_std * fit.columns.body.blobs * by_tet
+    poisson = np.full(simulator.mesh.n_tets, settings.poisson_std)
+    return [*(Field("young", one) for one in fields), Field("poisson", poisson)]
+
+
+__all__ = ["Points", "Spread", "linear_fields", "unseen_variances"]

@@ -1,0 +1,128 @@
+"""What a registration is given, checked once, and the settings that it runs with."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, float_array
+from tissuereg.contacts.settings import ContactSettings
+from tissuereg.errors import MarkerError, ShapeError
+from tissuereg.markers import Markers
+from tissuereg.mesh import Mesh
+from tissuereg.observe import MarkerObservation, TargetObservation
+
+
+@dataclass(frozen=True)
+class RegisterSettings:
+    """How a registration runs.
+
+    Parameters
+    ----------
+    n_members, n_steps : int
+        Ensemble size N_e and number of assimilations N_a, with a trained model.
+    decrease : float
+        Ratio of successive inflation coefficients.
+    contacts : ContactSettings
+        Prior and sampling of unknown contacts, without a model.
+    """
+
+    n_members: int = 200
+    n_steps: int = 5
+    decrease: float = 2.0
+    contacts: ContactSettings = field(default_factory=ContactSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class RegisterInput:
+    """Checked input of a registration.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    markers : Markers
+        What was measured.
+    observed : MarkerObservation
+        How markers follow the mesh.
+    targets : TargetObservation
+        Inner points.
+    settings : RegisterSettings
+        How to run.
+    seed, threads : int
+        Of all chance; to use.
+    suspicions : tuple of str
+        Why the input may be misread, in sentences.
+    """
+
+    mesh: Mesh
+    markers: Markers
+    observed: MarkerObservation
+    targets: TargetObservation
+    settings: RegisterSettings
+    seed: int
+    threads: int
+    suspicions: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        mesh: Any,
+        markers: Any,
+        targets: Mapping[str, Any] | None,
+        settings: RegisterSettings | None,
+        seed: int,
+        threads: int,
+    ) -> "RegisterInput":
+        """Check what was given.
+
+        Raises
+        ------
+        ShapeError, MarkerError
+            If something does not fit, or no marker was seen.
+        """
+        body, marks = as_mesh(mesh), as_markers(markers)
+        observed = MarkerObservation.of(body, marks)
+        if not np.isfinite(marks.measured).any():
+            message = f"at least one marker must have been seen; all {len(marks)} are missing"
+            raise MarkerError(message, where="markers")
+        inner = TargetObservation(body, targets or {})
+        return cls(body, marks, observed, inner, settings or RegisterSettings(), seed, threads, ())
+
+
+def as_mesh(mesh: Any) -> Mesh:
+    """Return a mesh, made of (nodes, tets, fixed_nodes) where it is not one already."""
+    if isinstance(mesh, Mesh):
+        return mesh
+    if not isinstance(mesh, tuple) or len(mesh) != 3:
+        message = f"`mesh` must be a Mesh or (nodes, tets, fixed_nodes), got {type(mesh).__name__}"
+        raise ShapeError(message, where="mesh")
+    return Mesh(mesh[0], mesh[1], {"fixed": mesh[2]})
+
+
+def as_markers(markers: Any) -> Markers:
+    """Return markers, made of (reference, measured) where they are not markers already."""
+    if isinstance(markers, Markers):
+        return markers
+    if not isinstance(markers, tuple) or len(markers) != 2:
+        message = f"`markers` must be Markers or (reference, measured), got {type(markers).__name__}"
+        raise ShapeError(message, where="markers")
+    return Markers(*markers)
+
+
+def finite_field(simulation: Any, mesh: Mesh) -> FloatArray:
+    """Return a displacement field (n_nodes, 3) checked."""
+    given = float_array("simulation", simulation, (mesh.n_nodes, 3))
+    if not np.isfinite(given).all():
+        node = int(np.argmin(np.isfinite(given).all(axis=1)))
+        message = f"`simulation` must be finite, got {given[node].tolist()} at node {node}"
+        raise ShapeError(message, where="simulation")
+    return given
+
+
+def rms_length(vectors: FloatArray) -> float:
+    """Return the root mean square length of vectors (n, 3); components that are NaN do not count."""
+    squares = np.where(np.isfinite(vectors), vectors, 0.0) ** 2
+    seen = np.isfinite(vectors).any(axis=1)
+    return float(np.sqrt(squares.sum() / max(1, int(seen.sum()))))

@@ -1,0 +1,208 @@
+"""Registration with a trained model: Algorithm 1 of the paper.
+
+A simulation of the moment is encoded, an ensemble drawn around its code, and ES-MDA moves the ensemble until what it
+decodes to agrees with the markers.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg._clock import Clock
+from tissuereg.assimilate import Assimilation, assimilate
+from tissuereg.errors import ModelError
+from tissuereg.inputs import RegisterInput, rms_length
+from tissuereg.latent.model import Gaussian, LatentModel, error_covariance
+from tissuereg.latent.network import NetworkModel
+from tissuereg.markers import Markers
+from tissuereg.mesh import Mesh, det_f
+from tissuereg.observe import MarkerObservation
+from tissuereg.posterior import Posterior
+from tissuereg.result import MarkerFit, Registration, Target
+from tissuereg.trust import judge
+from tissuereg.widen import widened
+
+
+def register_by_model(
+    given: RegisterInput, model: "str | os.PathLike[str] | LatentModel", simulation: FloatArray | None, clock: Clock
+) -> Registration:
+    """Register with a trained model.
+
+    Parameters
+    ----------
+    given : RegisterInput
+        Checked input.
+    model : path-like or LatentModel
+        Folder of a trained model, or the model.
+    simulation : ndarray of float64, shape (n_nodes, 3), or None
+        What a simulation says of the moment, mm.
+    clock : Clock
+        Gets the stages' times.
+
+    Returns
+    -------
+    Registration
+        What was found.
+
+    Raises
+    ------
+    ModelError
+        If the model was trained for another mesh, or a file of it is spoilt.
+    EnsembleError
+        If too few ensemble members survive.
+    """
+    with clock.stage("prior"):
+        latent = _as_model(model, given.mesh, given.threads)
+        if simulation is not None and isinstance(latent, NetworkModel):
+            latent = latent.around(simulation)
+    seen = np.flatnonzero(given.markers.seen)
+    with clock.stage("assimilate"):
+        fit = _fit(latent, simulation, given, seen)
+    with clock.stage("decode"):
+        posterior = Posterior.of(latent, fit.ensemble, given.observed, given.targets)
+    return _result(given, seen, simulation, latent, fit, posterior, clock)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A posterior ensemble with the prior and the noise that gave it."""
+
+    prior: Gaussian
+    widening: float
+    noise: FloatArray
+    ensemble: Assimilation
+
+
+def _fit(latent: LatentModel, simulation: FloatArray | None, given: RegisterInput, seen: Any) -> _Fit:
+    """Return the posterior ensemble: once to find the place, once with the model's error of that place."""
+    observed, markers, settings = given.observed, given.markers, given.settings
+    measured = markers.displacement[seen].ravel()
+    predict = _predictor(latent, observed, seen)
+    encoded = latent.prior(simulation)
+    place: FloatArray | None = None
+    for _ in range(2):
+        noise = _noise(latent.errors(place), observed, markers, seen)
+        rng = np.random.default_rng([given.seed, 2])
+        prior, widening = widened(encoded, latent.prior(None), predict, measured, noise, rng)
+        ensemble = assimilate(
+            predict,
+            measured,
+            noise,
+            prior,
+            rng=rng,
+            n_members=settings.n_members,
+            n_steps=settings.n_steps,
+            decrease=settings.decrease,
+            threads=given.threads,
+        )
+        place = ensemble.mean
+    return _Fit(prior, widening, noise, ensemble)
+
+
+def _result(
+    given: RegisterInput,
+    seen: Any,
+    simulation: FloatArray | None,
+    latent: LatentModel,
+    fit: _Fit,
+    posterior: Posterior,
+    clock: Clock,
+) -> Registration:
+    """Put everything that was found in its place."""
+    mesh, markers, inner = given.mesh, given.markers, given.targets
+    before = np.zeros((mesh.n_nodes, 3)) if simulation is None else simulation
+    observed = posterior.markers
+    start = observed.predict(before[observed.nodes])
+    residual = markers.displacement[seen] - posterior.marker_mean[seen]
+    ratios = det_f(mesh, posterior.displacement)
+    off = fit.ensemble.mean - fit.prior.mean
+    rows = (3 * seen[:, None] + np.arange(3)).ravel()
+    notes = list(given.suspicions)
+    if fit.widening > 9.0:
+        times = np.sqrt(fit.widening)
+        notes.append(f"the simulation is farther off than it usually is: its prior had to be widened {times:.1f}-fold")
+    trust = judge(
+        tuple(markers.names[i] for i in seen),
+        residual,
+        fit.noise,
+        posterior.marker_covariance[np.ix_(rows, rows)],
+        float(off @ np.linalg.solve(fit.prior.covariance, off)),
+        float(ratios.min()),
+        notes,
+    )
+    target_start = inner.predict(before[inner.nodes])
+    unseen = np.flatnonzero(~markers.seen)
+    return Registration(
+        mesh=mesh,
+        displacement=posterior.displacement,
+        std=posterior.std,
+        targets={
+            name: Target(
+                inner.reference[i],
+                inner.reference[i] + posterior.target_mean[i],
+                posterior.target_covariance[i],
+                None if simulation is None else inner.reference[i] + target_start[i],
+            )
+            for i, name in enumerate(inner.names)
+        },
+        unseen={
+            markers.names[i]: Target(
+                markers.reference[i],
+                markers.reference[i] + posterior.marker_mean[i],
+                # What a tracker would see: the body's spread and the tracker's own.
+                posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+                + posterior.marker_error[i]
+                + markers.std[i] ** 2 * np.eye(3),
+                None if simulation is None else markers.reference[i] + start[i],
+            )
+            for i in unseen
+        },
+        markers=MarkerFit(
+            used=tuple(markers.names[i] for i in seen),
+            dropped=tuple((markers.names[i], "not seen") for i in unseen),
+            before_rms_mm=rms_length(markers.displacement[seen] - start[seen]),
+            after_rms_mm=rms_length(residual),
+            residual_mm={markers.names[i]: row for i, row in zip(seen, residual, strict=True)},
+        ),
+        all_markers=markers,
+        start_markers=markers.reference + start,
+        min_det_f=float(ratios.min()),
+        inverted_tets=int((ratios <= 0).sum()),
+        trust=trust,
+        model=dict(latent.card),
+        seconds=dict(clock.seconds),
+        seed=given.seed,
+        dropped_members=fit.ensemble.dropped,
+    )
+
+
+def _as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
+    if isinstance(model, (str, os.PathLike)):
+        if str(model) == "phantom":
+            from tissuereg.phantom import shipped_model_folder
+
+            return NetworkModel(shipped_model_folder(), mesh, threads=threads, source="shipped")
+        return NetworkModel(model, mesh, threads=threads)
+    if model.n_nodes != mesh.n_nodes:
+        message = f"the model must know this mesh of {mesh.n_nodes} nodes, it knows {model.n_nodes}"
+        raise ModelError(message, where="model")
+    return model  # type: ignore[no-any-return]
+
+
+def _predictor(latent: LatentModel, observed: MarkerObservation, seen: Any) -> Callable[[FloatArray], FloatArray]:
+    def predict(latents: FloatArray) -> FloatArray:
+        moved = observed.predict(latent.decode(latents, observed.nodes))[:, seen]
+        return np.ascontiguousarray(moved.reshape(len(moved), -1).T)
+
+    return predict
+
+
+def _noise(own: FloatArray, observed: MarkerObservation, markers: Markers, seen: Any) -> FloatArray:
+    """Return C_d: the tracker's noise and the model's own errors (fields) at the markers."""
+    errors = observed.predict(own[:, observed.nodes])[:, seen]
+    tracker = np.repeat(markers.std[seen] ** 2, 3)
+    return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), -1)))
