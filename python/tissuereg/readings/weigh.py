@@ -1,0 +1,140 @@
+"""Readings weighed by one likelihood: cheap parts for all of them, the motion for those that are worth it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.readings import rigid
+from tissuereg.readings.likelihood import motion_likelihood, places_likelihood
+from tissuereg.readings.orders import oddness
+from tissuereg.readings.reading import Given, Reading
+
+#: At most this many markers are weighed: some spread over the body, some of the most unlike their neighbours.
+_SPREAD_MARKERS, _ODD_MARKERS = 32, 16
+
+#: Readings with other places, and with measured places in other frames, whose motion is weighed.
+_N_PLACES, _N_TURNED = 14, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A reading with its log-likelihoods; constants that all readings share are left out.
+
+    Attributes
+    ----------
+    reading : Reading
+        What was weighed.
+    distance : ndarray of float64, shape (n_weighed,)
+        Of the markers' places from the surface, signed, mm.
+    motion : ndarray of float64, shape (n_weighed, 3)
+        Displacements, mm, without the rigid motion of a body that nothing holds.
+    of_places, of_motion : float
+        Log-likelihoods.
+    """
+
+    reading: Reading
+    distance: FloatArray
+    motion: FloatArray
+    of_places: float
+    of_motion: float
+
+    @property
+    def total(self) -> float:
+        """Log-odds up to a constant."""
+        return self.of_places + self.of_motion - self.reading.cost
+
+
+def chosen_rows(given: Given) -> IntArray:
+    """Return the markers that are weighed: all, or those spread over the body and the odd ones among many."""
+    n = len(given.names)
+    if n <= _SPREAD_MARKERS + _ODD_MARKERS:
+        return np.arange(n)
+    rows = np.flatnonzero(given.complete)
+    odd = rows[np.argsort(-oddness(given.reference[rows], given.measured[rows]))[:_ODD_MARKERS]]
+    taken = list(odd) or [0]
+    gap = np.min([np.linalg.norm(given.reference - given.reference[i], axis=1) for i in taken], axis=0)
+    while len(taken) < _SPREAD_MARKERS + _ODD_MARKERS:
+        taken.append(int(np.argmax(gap)))
+        gap = np.minimum(gap, np.linalg.norm(given.reference - given.reference[taken[-1]], axis=1))
+    return np.unique(taken)
+
+
+def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed]:
+    """Return the readings worth weighing in full; the first of them, the input as given, stays first.
+
+    Parameters
+    ----------
+    given : Given
+        The input.
+    readings : list of Reading
+        Candidates, the input as given first.
+    rows : ndarray of int64, shape (n_weighed,)
+        Markers that are weighed.
+    """
+    where: dict[int, int] = {}
+    stacked = []
+    for reading in readings:
+        if id(reading.places) not in where:
+            where[id(reading.places)] = len(stacked)
+            stacked.append(reading.places[rows])
+    places = np.array(stacked)
+    distance = given.skin.closest(places).distance
+    spread = np.sqrt(np.sum((places - places.mean(axis=1, keepdims=True)) ** 2, axis=2).mean(axis=1))
+    likely = places_likelihood(distance, spread, given.skin.spread, given.skin.extent)
+    index = [where[id(reading.places)] for reading in readings]
+    found: list[Weighed] = []
+    for group in _groups(readings, _worth(readings, likely[index], rows)):
+        motion, odds = _motion(given, [readings[i] for i in group], rows)
+        found += [
+            Weighed(readings[i], distance[index[i]], motion[j], float(likely[index[i]]), float(odds[j]))
+            for j, i in enumerate(group)
+        ]
+    return found
+
+
+def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> list[int]:
+    """Return all readings with the given places and axes, and the likeliest of the others before their motion."""
+    given = readings[0]
+    same, turned, elsewhere = [0], [], []
+    for number, reading in enumerate(readings[1:], 1):
+        if reading.places is not given.places:
+            elsewhere.append(number)
+        elif reading.arms is given.arms or reading.rigid:
+            same.append(number)
+        else:
+            turned.append(number)
+    turned.sort(key=lambda i: _size(readings[i].motion[rows]))
+    elsewhere.sort(key=lambda i: readings[i].cost - likely[i])
+    return [*same, *turned[:_N_TURNED], *elsewhere[:_N_PLACES]]
+
+
+def _size(motion: FloatArray) -> float:
+    values = np.abs(motion[np.isfinite(motion)])
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def _groups(readings: list[Reading], chosen: list[int]) -> list[list[int]]:
+    """Return readings that share places and frame together."""
+    groups: dict[tuple[int, int, bool], list[int]] = {}
+    for number in chosen:
+        reading = readings[number]
+        groups.setdefault((id(reading.places), id(reading.arms), reading.rigid), []).append(number)
+    return list(groups.values())
+
+
+def _motion(given: Given, readings: Sequence[Reading], rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return motion (n_readings, n_weighed, 3) and its log-likelihood for readings that share places and frame."""
+    arms, freedom = readings[0].arms[rows], given.skin.freedom(readings[0].places[rows])
+    motion = np.array([reading.motion[rows] for reading in readings])
+    free = not len(given.held_nodes)
+    whole = np.isfinite(motion[0]).all(axis=1)
+    if free and whole.sum() >= 3:
+        ends = arms + motion
+        turn, shift = rigid.best_rigid(np.broadcast_to(arms[whole], ends[:, whole].shape), ends[:, whole])
+        motion = ends - rigid.moved(arms, turn, shift)
+    scales = int(np.isfinite(motion[0]).sum()) * np.array([reading.log_scale for reading in readings])
+    whole_body = free or readings[0].rigid
+    odds = motion_likelihood(arms, freedom, motion, given.noise, given.skin.extent, rigid=whole_body)
+    return motion, scales + odds
