@@ -49,7 +49,7 @@ def units(given: Given) -> list[Reading]:
 def frames(given: Given) -> list[Reading]:
     """Return readings with axes negated or exchanged."""
     x, y = given.reference, given.measured
-    middle = given.skin.middle
+    middle, motion = given.skin.middle, given.motion
     readings = []
     for turn, cost, title in _signed_permutations():
         back = x @ turn.T
@@ -57,18 +57,14 @@ def frames(given: Given) -> list[Reading]:
         words = f"if read as {title}"
         alone = cost + _ALONE_COST
         readings += [
-            Reading(kind, f"{_ALL} {words}", cost, back, y - x, x),
-            Reading(
-                kind,
-                f"{_ALL} {words} about the body's middle",
-                cost + _MIDDLE_COST,
-                (x - middle) @ turn.T + middle,
-                y - x,
-                x,
-            ),
+            Reading(kind, f"{_ALL} {words}", cost, back, motion, x),
             Reading("frame", f"{_REFERENCE} {words}", alone, back, y - back, back),
             Reading("frame", f"{_MEASURED} {words}", alone, x, y - x @ turn, x @ turn),
         ]
+        if kind == "mirrored" and cost == _FLIP_COST:
+            about = (x - middle) @ turn.T + middle
+            words = f"{_ALL} {words} about the body's middle"
+            readings.append(Reading(kind, words, cost + _MIDDLE_COST, about, motion, x))
     return readings
 
 

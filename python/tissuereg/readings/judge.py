@@ -1,7 +1,5 @@
 """The one question: does the geometry of the markers say that the input is misread?"""
 
-from math import log
-
 import numpy as np
 
 from tissuereg._arrays import BoolArray, FloatArray
@@ -12,11 +10,8 @@ from tissuereg.readings import frames, orders, rigid, words
 from tissuereg.readings.likelihood import nowhere_likelihood, standoff, unrelated_likelihood
 from tissuereg.readings.reading import Given, as_given
 from tissuereg.readings.repeats import repeated, stale
-from tissuereg.readings.weigh import chosen_rows, weigh
+from tissuereg.readings.weigh import MARGIN, chosen_rows, weigh
 from tissuereg.readings.words import Suspicion
-
-#: Logarithm of the odds by which another reading must beat the input as given.
-MARGIN = log(1000.0)
 
 #: Places as near to the surface as this share of the extent (root mean square) are not moved onto it.
 _NEAR_SHARE = 0.01
@@ -98,13 +93,13 @@ def _other_reading(given: Given) -> list[Suspicion]:
     if float(np.mean(given.skin.closest(given.reference).distance ** 2)) > _NEAR_SHARE**2 * given.skin.extent**2:
         readings += rigid.places_moved(given)
     plain, *others = weigh(given, readings, rows)
-    best = max(others, key=lambda weighed: weighed.total)
+    best = max(others, key=lambda weighed: weighed.total, default=plain)
     extent = given.skin.extent
     nowhere = plain.of_motion + nowhere_likelihood(plain.distance, extent) - _FAR_COST
     apart = plain.of_places + unrelated_likelihood(plain.motion, extent) - _UNRELATED_COST
     if max(best.total, nowhere, apart) < plain.total + MARGIN:
         return []
-    if best.total >= max(nowhere, apart):
+    if best is not plain and best.total >= max(nowhere, apart):
         return [words.explained(plain, best, others, given.names)]
     if nowhere >= apart:
         return [words.far([given.names[i] for i in rows], np.abs(plain.distance).tolist(), extent)]

@@ -10,11 +10,13 @@ Motion. The displacements v (n,) of the seen coordinates are a sample of a Gauss
 
     v ~ N(0, a^2 W K_l W + B S B' + noise^2),    W: freedom of each place, K_l: Matern 3/2 of length l,
 
-where the columns B (n, 6) are translations and rotations; they fade as well where the body is held and do not where
-nothing is or where the reading allows a rigid motion. Averaged over sizes a from 0.2 to 20 % of the body's extent,
+where the columns B (n, 12) are translations and rotations that fade as well, within a layer or along the body; six more do
+not fade where nothing is held or where the reading allows a rigid motion. Averaged over sizes a from 0.2 to 20 % of the body's extent,
 three lengths and three noises. K is diagonalised once a length, so that all sizes, noises and readings with the
 same places share one factorisation.
 """
+
+from functools import cache
 
 import numpy as np
 
@@ -29,6 +31,9 @@ _WRONG_SHARE = 0.03
 #: Sizes of a deformation and lengths over which it varies, as shares of the extent; log-weights of the sizes.
 _SIZES, _LENGTHS = np.array([0.002, 0.008, 0.03, 0.08, 0.2]), (0.1, 0.3, 0.8)
 _SIZE_WEIGHTS = np.log([0.23, 0.23, 0.23, 0.23, 0.08])
+
+#: Sizes of a rigid motion that fades towards held nodes: that of the deformation, or larger (a tip that swings).
+_TOGETHER, _TOGETHER_WEIGHTS = np.array([0.0, 0.12]), np.log([0.6, 0.4])
 
 #: What is added to the tracker's noise, mm, with log-weights: nothing, small misfits of the model, a wrong marker.
 _EXTRA_NOISE_MM, _NOISE_WEIGHTS = np.array([0.05, 0.7, 3.0]), np.log([0.6, 0.3, 0.1])
@@ -95,7 +100,7 @@ def motion_likelihood(
     ----------
     arms : ndarray of float64, shape (n_markers, 3)
         Places, in the frame of the displacements, mm.
-    freedom : ndarray of float64, shape (n_markers,)
+    freedom : ndarray of float64, shape (2, n_markers)
         Of the body at each place, as `Skin.freedom`.
     motion : ndarray of float64, shape (n_readings, n_markers, 3)
         Displacements in mm; NaN = not seen, the same coordinates in all readings.
@@ -115,18 +120,35 @@ def motion_likelihood(
     if not seen.any():
         return np.zeros(len(motion))
     fading, whole = _rigid_columns(arms, freedom, extent)
-    columns = np.concatenate([fading, whole], axis=2) if rigid else fading
-    sizes = np.repeat(_SIZES * extent, len(_EXTRA_NOISE_MM))
-    noises = np.tile(np.hypot(noise, _EXTRA_NOISE_MM), len(_SIZES))
-    weights = np.add.outer(_SIZE_WEIGHTS, _NOISE_WEIGHTS).ravel()[:, None]
+    columns = np.concatenate([*fading, whole], axis=2) if rigid else np.concatenate(fading, axis=2)
+    sizes, together, noises, weights = _grid(noise, extent)
     factors = np.ones((len(sizes), columns.shape[2]))
-    factors[:, :6] = sizes[:, None]
+    factors[:, :12] = together[:, None]
     parts = []
     for length in _LENGTHS:
-        values, turned, mixed = _diagonal(arms, freedom, motion, columns, seen, length * extent)
+        values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, length * extent)
         variance = sizes[:, None] ** 2 * values + noises[:, None] ** 2
-        parts.append(_gaussian(variance, turned, mixed, factors) + weights)
+        parts.append(_gaussian(variance, turned, mixed, factors) + weights[:, None])
     return log_mean_exp(np.concatenate(parts)) + np.log(len(sizes))
+
+
+@cache
+def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return sizes of a deformation, of what markers move together, noises, all in mm, and log-weights: (h,) each."""
+    points = [
+        (size * extent, max(size, common) * extent, float(np.hypot(noise, extra)), of_size + of_common + of_noise)
+        for size, of_size in zip(_SIZES, _SIZE_WEIGHTS, strict=True)
+        for common, of_common in zip(_TOGETHER, _TOGETHER_WEIGHTS, strict=True)
+        for extra, of_noise in zip(_EXTRA_NOISE_MM, _NOISE_WEIGHTS, strict=True)
+        if common == 0.0 or common > size
+    ]
+    sizes, together, noises, weights = np.array(points).T
+    return sizes, together, noises, weights
+
+
+def likeliest(noise: float) -> float:
+    """Return the largest log-likelihood that any motion can have, a coordinate."""
+    return -float(np.log(np.sqrt(2 * np.pi) * np.hypot(noise, _EXTRA_NOISE_MM[0])))
 
 
 def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
@@ -136,19 +158,20 @@ def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
     return float(np.sum(-0.5 * (values / wide) ** 2) - len(values) * (np.log(wide) + 0.5 * np.log(2 * np.pi)))
 
 
-def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tuple[FloatArray, FloatArray]:
-    """Return translations and rotations (n_markers, 3, 6): of unit size and fading, and of a whole body's size."""
+def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tuple[list[FloatArray], FloatArray]:
+    """Return translations and rotations (n_markers, 3, 6): of unit size, fading in two ways; of a whole body's size."""
     centred = arms - arms.mean(axis=0)
     radius = max(float(np.sqrt(np.sum(centred**2, axis=1).mean())), 0.1 * extent)
     columns = np.zeros((len(arms), 3, 6))
     columns[:, :, :3] = np.eye(3)
-    for axis in range(3):
-        columns[:, :, 3 + axis] = np.cross(np.eye(3)[axis], centred)
+    for axis, second, third in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        columns[:, second, 3 + axis] = -centred[:, third]
+        columns[:, third, 3 + axis] = centred[:, second]
     local, whole = columns.copy(), columns.copy()
     local[:, :, 3:] /= radius
     whole[:, :, :3] *= _RIGID_SHARE * extent
     whole[:, :, 3:] *= _RIGID_RADIAN
-    return local * freedom[:, None, None], whole
+    return [local * fade[:, None, None] for fade in freedom], whole
 
 
 def _diagonal(

@@ -28,6 +28,8 @@ class Given:
         Of the markers.
     reference, measured : ndarray of float64, shape (n_markers, 3)
         mm; NaN = not seen.
+    motion : ndarray of float64, shape (n_markers, 3)
+        Measured minus reference, mm.
     noise : float
         Median standard deviation of a measured coordinate, mm.
     """
@@ -37,6 +39,7 @@ class Given:
     names: tuple[str, ...]
     reference: FloatArray
     measured: FloatArray
+    motion: FloatArray
     noise: float
 
     @classmethod
@@ -49,6 +52,7 @@ class Given:
             tuple(markers.names[i] for i in rows),
             markers.reference[rows],
             markers.measured[rows],
+            markers.displacement[rows],
             min(float(np.median(markers.std[rows])), _LARGEST_NOISE_MM),
         )
 
@@ -97,4 +101,4 @@ class Reading:
 
 def as_given(given: Given) -> Reading:
     """Return the input taken at its word."""
-    return Reading("", "", 0.0, given.reference, given.measured - given.reference, given.reference)
+    return Reading("", "", 0.0, given.reference, given.motion, given.reference)

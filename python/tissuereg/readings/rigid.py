@@ -7,13 +7,13 @@ from tissuereg.readings.reading import Given, Reading
 
 #: Costs: a measured triple that was moved (its six numbers are weighed by the likelihood); a fitted motion, whose six
 #: numbers are worth a factor of eight each.
-_MOVED_COST, _FITTED_COST = 7.0, 18.0
+_MOVED_COST, _FITTED_COST = 9.0, 18.0
 
 #: Fewest markers whose places alone, or whose motion, say anything about six numbers.
 _FEWEST_PLACES, _FEWEST_MOVED = 7, 4
 
 #: A rigid motion smaller than this at the held nodes is no misreading, mm and share of the extent.
-_SMALLEST_MM, _SMALLEST_SHARE = 3.0, 0.02
+_SMALLEST_MM, _SMALLEST_SHARE = 3.0, 0.03
 
 _N_ALIGN, _N_SLIDE = 12, 8
 
@@ -85,7 +85,7 @@ def places_moved(given: Given) -> list[Reading]:
     for turn, shift, apart in zip(turns, shifts, alone, strict=True):
         places = moved(x, turn, shift)
         words = f"{'the reference places' if apart else 'all markers'} if moved {_described(turn, shift, given)}"
-        motion, arms = (y - places, places) if apart else (y - x, x)
+        motion, arms = (y - places, places) if apart else (given.motion, x)
         readings.append(Reading("rigid motion", words, _FITTED_COST + (0.0 if apart else 2.0), places, motion, arms))
     return readings
 

@@ -11,6 +11,10 @@ from tissuereg.mesh import Mesh
 _N_CLOSEST = 5
 
 
+#: Lengths over which motion fades towards held nodes, as shares of the extent.
+_FADING = (0.08, 0.5)
+
+
 class Closest(NamedTuple):
     """Where points are beside a surface; shapes as those of the points.
 
@@ -100,13 +104,14 @@ class Skin:
 
         Returns
         -------
-        ndarray of float64, shape (n,)
-            ``d / (d + 0.04 extent)`` with the distance d from the closest held node; 1 where nothing is held.
+        ndarray of float64, shape (2, n)
+            ``1 - exp(-d / l)`` with the distance d from the closest held node, l being 0.08 (a layer that shears) and 0.5
+            extents (a beam that bends); 1 where nothing is held.
         """
         if self._held_tree is None:
-            return np.ones(len(points))
-        distance = np.asarray(self._held_tree.query(points)[0])
-        return np.maximum(distance / (distance + 0.04 * self.extent), 0.02)
+            return np.ones((2, len(points)))
+        distance = np.asarray(self._held_tree.query(points)[0]) / self.extent
+        return np.maximum(-np.expm1(-distance / np.array(_FADING)[:, None]), 0.02)
 
 
 def _closest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray:

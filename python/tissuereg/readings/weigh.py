@@ -2,20 +2,24 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.readings import rigid
-from tissuereg.readings.likelihood import motion_likelihood, places_likelihood
+from tissuereg.readings.likelihood import likeliest, motion_likelihood, places_likelihood
 from tissuereg.readings.orders import oddness
 from tissuereg.readings.reading import Given, Reading
 
 #: At most this many markers are weighed: some spread over the body, some of the most unlike their neighbours.
 _SPREAD_MARKERS, _ODD_MARKERS = 32, 16
 
+#: Logarithm of the odds by which another reading must beat the input as given.
+MARGIN = log(1000.0)
+
 #: Readings with other places, and with measured places in other frames, whose motion is weighed.
-_N_PLACES, _N_TURNED = 14, 8
+_N_PLACES, _N_TURNED = 12, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +88,11 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
     spread = np.sqrt(np.sum((places - places.mean(axis=1, keepdims=True)) ** 2, axis=2).mean(axis=1))
     likely = places_likelihood(distance, spread, given.skin.spread, given.skin.extent)
     index = [where[id(reading.places)] for reading in readings]
+    same, others = _worth(readings, likely[index], rows)
     found: list[Weighed] = []
-    for group in _groups(readings, _worth(readings, likely[index], rows)):
+    for group in _groups(readings, same) + _groups(readings, others):
+        if found and _hopeless(found[0], readings[group[0]], float(likely[index[group[0]]]), given, rows):
+            continue
         motion, odds = _motion(given, [readings[i] for i in group], rows)
         found += [
             Weighed(readings[i], distance[index[i]], motion[j], float(likely[index[i]]), float(odds[j]))
@@ -94,8 +101,11 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
     return found
 
 
-def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> list[int]:
-    """Return all readings with the given places and axes, and the likeliest of the others before their motion."""
+def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple[list[int], list[int]]:
+    """Return all readings with the given places and axes, and the likeliest of the others before their motion.
+
+    Measured places alone in other axes are worth it where the motion becomes smaller.
+    """
     given = readings[0]
     same, turned, elsewhere = [0], [], []
     for number, reading in enumerate(readings[1:], 1):
@@ -104,10 +114,23 @@ def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> list[
         elif reading.arms is given.arms or reading.rigid:
             same.append(number)
         else:
-            turned.append(number)
-    turned.sort(key=lambda i: _size(readings[i].motion[rows]))
+            turned.append((_size(reading.motion[rows]), number))
+    smaller = [number for size, number in sorted(turned) if size < _size(given.motion[rows])]
     elsewhere.sort(key=lambda i: readings[i].cost - likely[i])
-    return [*same, *turned[:_N_TURNED], *elsewhere[:_N_PLACES]]
+    return same, [*smaller[:_N_TURNED], *elsewhere[:_N_PLACES]]
+
+
+def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, rows: IntArray) -> bool:
+    """Return whether a reading cannot beat the input as given, however well its motion fits.
+
+    Where the motion stays what it is, places must tell; else no motion is likelier than none at all.
+    """
+    if reading.motion is plain.reading.motion:
+        return likely - reading.cost < plain.of_places + MARGIN
+    values = reading.motion[rows]
+    n_seen = int(np.isfinite(values).sum())
+    best = n_seen * (reading.log_scale + likeliest(given.noise))
+    return likely + best - reading.cost < plain.total + MARGIN
 
 
 def _size(motion: FloatArray) -> float:
