@@ -202,9 +202,11 @@ MISUSES = [
 def alike(before: Event, after: Event) -> bool:
     """Return whether no geometry can tell: all places keep their distance from the surface, all motions their size.
 
-    Within 2 mm of the surface and with the same motion between the same neighbours; or exchanged markers that lie
-    within 3 mm and the noise of each other.
+    Within 2 mm of the surface and with the same motion between the same neighbours; exchanged markers that lie within
+    3 mm and the noise of each other; markers of another body that all lie within 6 mm of this one's surface.
     """
+    if _other_places(before, after):
+        return bool(np.max(off_surface(after)) < 6.0)
     if len(after.reference) != len(before.reference) or np.ptp(after.nodes) < 0.5 * np.ptp(before.nodes) or not np.isfinite(after.measured).all():
         return False
     changed = np.abs(np.vstack([after.reference - before.reference, after.measured - before.measured])).max()
@@ -216,6 +218,13 @@ def alike(before: Event, after: Event) -> bool:
         return False
     off = [off_surface(e) for e in (before, after)]
     return bool(np.max(off[1] - off[0]) < 2.0)
+
+
+def _other_places(before: Event, after: Event) -> bool:
+    """Return whether the markers are those of another body."""
+    own = stored(next(name for name in BODIES if len(stored(name)["nodes_mm"]) == len(before.nodes)))["place_mm"]
+    others = np.concatenate([stored(name)["place_mm"] for name in BODIES if stored(name)["place_mm"] is not own])
+    return bool(np.isin(after.reference, others).all())
 
 
 def off_surface(event: Event) -> np.ndarray:

@@ -19,7 +19,7 @@ UNITS = {
 #: A mesh in other units asks for the inverse.
 MESH_UNITS = {0.1: "centimetres", 1.0 / 25.4: "inches"}
 
-_UNIT_COST, _FLIP_COST, _AXES_COST, _COLUMN_COST = 7.0, 6.0, 10.0, 9.0
+_UNIT_COST, _FLIP_COST, _AXES_COST, _COLUMN_COST = 7.0, 6.0, 10.0, 11.0
 
 #: In addition: one of the two triples alone; about the body's middle in place of the origin.
 _ALONE_COST, _MIDDLE_COST = 1.0, 2.0

@@ -93,8 +93,9 @@ def _other_reading(given: Given) -> list[Suspicion]:
     if float(np.mean(given.skin.closest(given.reference).distance ** 2)) > _NEAR_SHARE**2 * given.skin.extent**2:
         readings += rigid.places_moved(given)
     plain, *others = weigh(given, readings, rows)
-    best = max(others, key=lambda weighed: weighed.total, default=plain)
     extent = given.skin.extent
+    others = [weighed for weighed in others if weighed.total > plain.total and weighed.believable(extent)]
+    best = max(others, key=lambda weighed: weighed.total, default=plain)
     nowhere = plain.of_motion + nowhere_likelihood(plain.distance, extent) - _FAR_COST
     apart = plain.of_places + unrelated_likelihood(plain.motion, extent) - _UNRELATED_COST
     if max(best.total, nowhere, apart) < plain.total + MARGIN:

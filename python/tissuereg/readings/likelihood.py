@@ -10,7 +10,7 @@ Motion. The displacements v (n,) of the seen coordinates are a sample of a Gauss
 
     v ~ N(0, a^2 W K_l W + B S B' + noise^2),    W: freedom of each place, K_l: Matern 3/2 of length l,
 
-where the columns B (n, 12) are translations and rotations that fade as well, within a layer or along the body; six more do
+where the columns B (n, 18) are translations and rotations that fade as well, within a layer or along the body; six more do
 not fade where nothing is held or where the reading allows a rigid motion. Averaged over sizes a from 0.2 to 20 % of the body's extent,
 three lengths and three noises. K is diagonalised once a length, so that all sizes, noises and readings with the
 same places share one factorisation.
@@ -27,6 +27,12 @@ STANDOFF_MM, STANDOFF_SHARE = 6.0, 0.06
 
 #: Share of markers that may lie anywhere.
 _WRONG_SHARE = 0.03
+
+#: Log-odds of a marker on held surface.
+_HELD_ODDS = -1.5
+
+#: Spread of a layout over that of the skin, below and above which it becomes unlikely.
+_SPECK, _SPRAWL = 0.12, 1.3
 
 #: Sizes of a deformation and lengths over which it varies, as shares of the extent; log-weights of the sizes.
 _SIZES, _LENGTHS = np.array([0.002, 0.008, 0.03, 0.08, 0.2]), (0.1, 0.3, 0.8)
@@ -47,13 +53,17 @@ def standoff(extent: float) -> float:
     return min(STANDOFF_MM, STANDOFF_SHARE * extent)
 
 
-def places_likelihood(distance: FloatArray, spread: FloatArray, skin_spread: float, extent: float) -> FloatArray:
+def places_likelihood(
+    distance: FloatArray, held: BoolArray, spread: FloatArray, skin_spread: float, extent: float
+) -> FloatArray:
     """Return the log-likelihood of the markers' places under each of many readings.
 
     Parameters
     ----------
     distance : ndarray of float64, shape (n_readings, n_markers)
         From the surface, negative inside, mm.
+    held : ndarray of bool, shape (n_readings, n_markers)
+        Whether the closest surface is held: few markers are put there.
     spread : ndarray of float64, shape (n_readings,)
         Root mean square distance of the markers from their mean, mm.
     skin_spread, extent : float
@@ -75,7 +85,8 @@ def places_likelihood(distance: FloatArray, spread: FloatArray, skin_spread: flo
             # Beyond the body's own size a marker costs no more: it is lost in any case.
             anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
             parts.append(np.log((1 - _WRONG_SHARE) * good + _WRONG_SHARE * anywhere).sum(axis=1))
-    return log_mean_exp(np.array(parts)) + _layout(spread / skin_spread)
+    glued = _HELD_ODDS * held.sum(axis=1)
+    return log_mean_exp(np.array(parts)) + glued + _layout(spread / skin_spread, distance.shape[1])
 
 
 def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
@@ -84,11 +95,11 @@ def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
     return float(np.maximum(-0.5 * (distance / wide) ** 2, -8.0).sum() - len(distance) * np.log(wide))
 
 
-def _layout(ratio: FloatArray) -> FloatArray:
-    """Return the log-likelihood of the markers' spread over that of the skin."""
-    small = np.log(0.05 / np.maximum(ratio, 1e-9))
-    large = np.log(np.maximum(ratio, 1e-9) / 1.3)
-    return -8.0 * np.clip(small, 0.0, 3.0) - 8.0 * np.clip(large, 0.0, 3.0)
+def _layout(ratio: FloatArray, n_markers: int) -> FloatArray:
+    """Return the log-likelihood of the markers' spread over that of the skin; the more markers, the less a speck."""
+    known = np.maximum(ratio, 1e-9)
+    outside = np.clip(np.log(_SPECK / known), 0.0, 3.0) + np.clip(np.log(known / _SPRAWL), 0.0, 3.0)
+    return np.asarray(-max(6.0, n_markers) * outside)
 
 
 def motion_likelihood(
@@ -100,7 +111,7 @@ def motion_likelihood(
     ----------
     arms : ndarray of float64, shape (n_markers, 3)
         Places, in the frame of the displacements, mm.
-    freedom : ndarray of float64, shape (2, n_markers)
+    freedom : ndarray of float64, shape (3, n_markers)
         Of the body at each place, as `Skin.freedom`.
     motion : ndarray of float64, shape (n_readings, n_markers, 3)
         Displacements in mm; NaN = not seen, the same coordinates in all readings.
@@ -123,7 +134,7 @@ def motion_likelihood(
     columns = np.concatenate([*fading, whole], axis=2) if rigid else np.concatenate(fading, axis=2)
     sizes, together, noises, weights = _grid(noise, extent)
     factors = np.ones((len(sizes), columns.shape[2]))
-    factors[:, :12] = together[:, None]
+    factors[:, : 6 * len(freedom)] = together[:, None]
     parts = []
     for length in _LENGTHS:
         values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, length * extent)
@@ -159,7 +170,7 @@ def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
 
 
 def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tuple[list[FloatArray], FloatArray]:
-    """Return translations and rotations (n_markers, 3, 6): of unit size, fading in two ways; of a whole body's size."""
+    """Return translations and rotations (n_markers, 3, 6): of unit size, fading in three ways; of a whole body's size."""
     centred = arms - arms.mean(axis=0)
     radius = max(float(np.sqrt(np.sum(centred**2, axis=1).mean())), 0.1 * extent)
     columns = np.zeros((len(arms), 3, 6))

@@ -7,7 +7,7 @@ from tissuereg.readings.reading import Given, Reading
 
 #: Costs: a measured triple that was moved (its six numbers are weighed by the likelihood); a fitted motion, whose six
 #: numbers are worth a factor of eight each.
-_MOVED_COST, _FITTED_COST = 9.0, 18.0
+_MOVED_COST, _FITTED_COST = 13.0, 18.0
 
 #: Fewest markers whose places alone, or whose motion, say anything about six numbers.
 _FEWEST_PLACES, _FEWEST_MOVED = 7, 4

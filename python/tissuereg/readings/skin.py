@@ -12,7 +12,7 @@ _N_CLOSEST = 5
 
 
 #: Lengths over which motion fades towards held nodes, as shares of the extent.
-_FADING = (0.08, 0.5)
+_FADING = (0.08, 0.25, 0.7)
 
 
 class Closest(NamedTuple):
@@ -104,12 +104,12 @@ class Skin:
 
         Returns
         -------
-        ndarray of float64, shape (2, n)
-            ``1 - exp(-d / l)`` with the distance d from the closest held node, l being 0.08 (a layer that shears) and 0.5
+        ndarray of float64, shape (3, n)
+            ``1 - exp(-d / l)`` with the distance d from the closest held node, l from 0.08 (a layer that shears) to 0.7
             extents (a beam that bends); 1 where nothing is held.
         """
         if self._held_tree is None:
-            return np.ones((2, len(points)))
+            return np.ones((len(_FADING), len(points)))
         distance = np.asarray(self._held_tree.query(points)[0]) / self.extent
         return np.maximum(-np.expm1(-distance / np.array(_FADING)[:, None]), 0.02)
 

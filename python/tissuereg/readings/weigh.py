@@ -8,7 +8,13 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.readings import rigid
-from tissuereg.readings.likelihood import likeliest, motion_likelihood, places_likelihood
+from tissuereg.readings.likelihood import (
+    likeliest,
+    motion_likelihood,
+    nowhere_likelihood,
+    places_likelihood,
+    unrelated_likelihood,
+)
 from tissuereg.readings.orders import oddness
 from tissuereg.readings.reading import Given, Reading
 
@@ -49,6 +55,13 @@ class Weighed:
         """Log-odds up to a constant."""
         return self.of_places + self.of_motion - self.reading.cost
 
+    def believable(self, extent: float) -> bool:
+        """Return whether places and motion are likelier than ones that have nothing to do with the body."""
+        places = self.of_places > nowhere_likelihood(self.distance, extent)
+        n_seen = int(np.isfinite(self.motion).sum())
+        motion = self.of_motion - n_seen * self.reading.log_scale
+        return places and motion > unrelated_likelihood(self.motion, extent)
+
 
 def chosen_rows(given: Given) -> IntArray:
     """Return the markers that are weighed: all, or those spread over the body and the odd ones among many."""
@@ -84,9 +97,10 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
             where[id(reading.places)] = len(stacked)
             stacked.append(reading.places[rows])
     places = np.array(stacked)
-    distance = given.skin.closest(places).distance
+    near = given.skin.closest(places)
+    distance = near.distance
     spread = np.sqrt(np.sum((places - places.mean(axis=1, keepdims=True)) ** 2, axis=2).mean(axis=1))
-    likely = places_likelihood(distance, spread, given.skin.spread, given.skin.extent)
+    likely = places_likelihood(distance, near.held, spread, given.skin.spread, given.skin.extent)
     index = [where[id(reading.places)] for reading in readings]
     same, others = _worth(readings, likely[index], rows)
     found: list[Weighed] = []
