@@ -26,13 +26,13 @@ def dome() -> tr.Mesh:
 def slab() -> tr.Mesh:
     """Return a slab of 90 x 60 x 18 mm, glued on its lower side, off the origin."""
     mesh = block((90.0, 60.0, 18.0), (15, 10, 4))
-    return tr.Mesh(mesh.nodes + (20.0, -35.0, 10.0), mesh.tets, mesh.node_sets)
+    return tr.Mesh(mesh.nodes + np.array([20.0, -35.0, 10.0]), mesh.tets, mesh.node_sets)
 
 
 def beam() -> tr.Mesh:
     """Return a beam of 100 x 30 x 30 mm, held at x = -100, its tip at x = 0."""
     mesh = block((100.0, 30.0, 30.0), (16, 5, 5))
-    nodes = mesh.nodes - (100.0, 0.0, 0.0)
+    nodes = mesh.nodes - np.array([100.0, 0.0, 0.0])
     return tr.Mesh(nodes, mesh.tets, {"fixed": np.flatnonzero(nodes[:, 0] < -99.9)})
 
 

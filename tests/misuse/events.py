@@ -5,9 +5,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import tissuereg as tr
-from scipy.spatial.transform import Rotation
 
 DATA = Path(__file__).parent / "data"
 BODIES = ("dome", "phantom", "slab", "beam", "ellipsoid")

@@ -1,9 +1,9 @@
 """Simulate the events of the bench once: `PYTHONPATH=tests python -m misuse.generate [BODY ...]` -> data/BODY.npz.
 
-A body has 40 events: one or two local pulls or pushes with a patch of 6 to 20 mm radius (largest motion 3 to 25 mm), own
-weight in any direction on top of every fourth, own weight alone in every tenth. Stored are places on the free
-surface and on the held one, with the outward normal of each, and for each event the displacement of the place itself and
-what a marker 1 mm off it moves in addition (its patch tilts).
+A body has 40 events: one or two local pulls or pushes with a patch of 6 to 20 mm radius (largest motion 3 to 25 mm),
+own weight in any direction on top of every fourth, own weight alone in every tenth. Stored are places on the free
+surface and on the held one, with the outward normal of each, and for each event the displacement of the place itself
+and what a marker 1 mm off it moves in addition (its patch tilts).
 """
 
 import sys

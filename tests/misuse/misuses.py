@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from misuse.events import BODIES, Event, stored
-from scipy.spatial.transform import Rotation
 
 Change = Callable[[Event, np.random.Generator], Event]
 
@@ -207,7 +207,11 @@ def alike(before: Event, after: Event) -> bool:
     """
     if _other_places(before, after):
         return bool(np.max(off_surface(after)) < 6.0)
-    if len(after.reference) != len(before.reference) or np.ptp(after.nodes) < 0.5 * np.ptp(before.nodes) or not np.isfinite(after.measured).all():
+    if (
+        len(after.reference) != len(before.reference)
+        or np.ptp(after.nodes) < 0.5 * np.ptp(before.nodes)
+        or not np.isfinite(after.measured).all()
+    ):
         return False
     changed = np.abs(np.vstack([after.reference - before.reference, after.measured - before.measured])).max()
     if np.allclose(after.nodes, before.nodes) and 0 < changed < 3.0 + 3.0 * before.std:

@@ -1,4 +1,4 @@
-"""The one question: does the geometry of the markers say that the input is misread?"""
+"""What in the geometry of the markers says that the input is misread."""
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def suspect(mesh: Mesh, markers: Markers, observation: MarkerObservation | None 
     No mechanics: distances from the surface and smoothness of the motion, weighed for some 250 readings (units, axes,
     rigid motions, columns, orders of rows) with prior odds each. A reading is reported where it is a thousand times
     likelier than the input as given. What is alike under two readings cannot be told apart: a round body with two axes
-    negated. Cost: about 15 ms for 15 markers on 4,000 nodes; beyond 48 markers 48 of them are weighed.
+    negated. Cost: about 25 ms for 15 markers on 4,000 nodes; beyond 48 markers 48 of them are weighed.
 
     Examples
     --------

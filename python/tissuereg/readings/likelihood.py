@@ -10,10 +10,10 @@ Motion. The displacements v (n,) of the seen coordinates are a sample of a Gauss
 
     v ~ N(0, a^2 W K_l W + B S B' + noise^2),    W: freedom of each place, K_l: Matern 3/2 of length l,
 
-where the columns B (n, 18) are translations and rotations that fade as well, within a layer or along the body; six more do
-not fade where nothing is held or where the reading allows a rigid motion. Averaged over sizes a from 0.2 to 20 % of the body's extent,
-three lengths and three noises. K is diagonalised once a length, so that all sizes, noises and readings with the
-same places share one factorisation.
+where the columns B (n, 18) are translations and rotations that fade as well, within a layer or along the body; six
+more do not fade where nothing is held or where the reading allows a rigid motion. Averaged over sizes a from 0.2 to
+20 % of the body's extent, three lengths and three noises. K is diagonalised once a length, so that all sizes, noises
+and readings with the same places share one factorisation.
 """
 
 from functools import cache
@@ -86,7 +86,8 @@ def places_likelihood(
             anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
             parts.append(np.log((1 - _WRONG_SHARE) * good + _WRONG_SHARE * anywhere).sum(axis=1))
     glued = _HELD_ODDS * held.sum(axis=1)
-    return log_mean_exp(np.array(parts)) + glued + _layout(spread / skin_spread, distance.shape[1])
+    likely = log_mean_exp(np.array(parts))
+    return np.asarray(likely + glued + _layout(spread / skin_spread, distance.shape[1]))
 
 
 def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
@@ -140,7 +141,8 @@ def motion_likelihood(
         values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, length * extent)
         variance = sizes[:, None] ** 2 * values + noises[:, None] ** 2
         parts.append(_gaussian(variance, turned, mixed, factors) + weights[:, None])
-    return log_mean_exp(np.concatenate(parts)) + np.log(len(sizes))
+    # Weights are shares of one for each length.
+    return np.asarray(log_mean_exp(np.concatenate(parts)) + np.log(len(sizes)))
 
 
 @cache
@@ -170,7 +172,7 @@ def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
 
 
 def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tuple[list[FloatArray], FloatArray]:
-    """Return translations and rotations (n_markers, 3, 6): of unit size, fading in three ways; of a whole body's size."""
+    """Return translations and rotations (n_markers, 3, 6): of unit size, each fading; then of a whole body's size."""
     centred = arms - arms.mean(axis=0)
     radius = max(float(np.sqrt(np.sum(centred**2, axis=1).mean())), 0.1 * extent)
     columns = np.zeros((len(arms), 3, 6))
@@ -213,7 +215,7 @@ def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, fac
     weighted = factors[:, :, None] * (columns.T[None] / variance[:, None])
     inner = np.eye(columns.shape[1]) + (weighted @ columns) * factors[:, None]
     lower = np.linalg.cholesky(inner)
-    seen = np.linalg.solve(lower, weighted @ turned)
+    seen = np.linalg.inv(lower) @ (weighted @ turned)
     plain = (1.0 / variance) @ turned**2
     logs = np.log(2 * np.pi * variance).sum(axis=1) + 2.0 * np.log(np.einsum("hii->hi", lower)).sum(axis=1)
     return np.asarray(-0.5 * (plain - np.sum(seen**2, axis=1) + logs[:, None]))

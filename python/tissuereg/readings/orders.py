@@ -14,6 +14,9 @@ _SWAP_COST, _ORDER_COST = 6.0, 8.0
 #: All pairs are tried among this many markers; among more, those of the most unlike their neighbours.
 _ALL_PAIRS = 20
 
+#: Orders that are weighed: those after which the markers move the least, apart from what they move together.
+_N_WEIGHED = 32
+
 #: Markers beside whose motion one is looked at.
 _N_NEIGHBOURS = 5
 
@@ -24,12 +27,13 @@ def orders(given: Given) -> list[Reading]:
     if len(rows) < 2:
         return []
     x, y = given.reference[rows], given.measured[rows]
-    found: dict[tuple[int, ...], float] = {}
-    for order, cost in [*_pairs(x, y), *_rolls(x, y, [given.names[i] for i in rows]), *_matches(x, y)]:
-        key = tuple(int(i) for i in order)
-        if key != tuple(range(len(rows))):
-            found[key] = min(cost, found.get(key, np.inf))
-    return [_reading(given, rows, np.array(order), cost) for order, cost in found.items()]
+    tried = [*_pairs(x, y), *_rolls(x, y, [given.names[i] for i in rows]), *_matches(x, y)]
+    candidates, costs = np.array([order for order, _ in tried]), np.array([cost for _, cost in tried])
+    smooth = np.median(y - x, axis=0)
+    size = np.linalg.norm(y[candidates] - x - smooth, axis=2).sum(axis=1)
+    size += 1e6 * (candidates == np.arange(len(rows))).all(axis=1)
+    best = np.argsort(size, kind="stable")[:_N_WEIGHED]
+    return [_reading(given, rows, candidates[i], costs[i]) for i in best if size[i] < 1e6]
 
 
 def _reading(given: Given, rows: IntArray, order: IntArray, cost: float) -> Reading:

@@ -15,7 +15,7 @@ _FEWEST_PLACES, _FEWEST_MOVED = 7, 4
 #: A rigid motion smaller than this at the held nodes is no misreading, mm and share of the extent.
 _SMALLEST_MM, _SMALLEST_SHARE = 3.0, 0.03
 
-_N_ALIGN, _N_SLIDE = 12, 8
+_N_ALIGN, _N_SLIDE = 8, 8
 
 
 def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ from tissuereg._arrays import BoolArray, FloatArray, IntArray
 from tissuereg.mesh import Mesh
 
 #: Closest samples of the surface whose triangles are measured exactly.
-_N_CLOSEST = 5
+_N_CLOSEST = 4
 
 
 #: Lengths over which motion fades towards held nodes, as shares of the extent.
@@ -69,7 +69,7 @@ class Skin:
         shares = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0], [2.0, 2.0, 2.0]]) / 6.0
         self._samples = cKDTree(np.einsum("sc,tcx->tsx", shares, self._corners).reshape(-1, 3), balanced_tree=False)
         self.held: IntArray = mesh.node_sets.get("fixed", np.empty(0, np.int64))
-        self._held_triangles: BoolArray = np.isin(mesh.surface, self.held).all(axis=1)
+        self._held_triangles: BoolArray = np.asarray(np.isin(mesh.surface, self.held).all(axis=1))
         self._held_tree = cKDTree(mesh.nodes[self.held], balanced_tree=False) if len(self.held) else None
 
     def closest(self, points: FloatArray) -> Closest:
@@ -111,7 +111,7 @@ class Skin:
         if self._held_tree is None:
             return np.ones((len(_FADING), len(points)))
         distance = np.asarray(self._held_tree.query(points)[0]) / self.extent
-        return np.maximum(-np.expm1(-distance / np.array(_FADING)[:, None]), 0.02)
+        return np.asarray(np.maximum(-np.expm1(-distance / np.array(_FADING)[:, None]), 0.02))
 
 
 def _closest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray:

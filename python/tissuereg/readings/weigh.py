@@ -91,7 +91,7 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
         Markers that are weighed.
     """
     where: dict[int, int] = {}
-    stacked = []
+    stacked: list[FloatArray] = []
     for reading in readings:
         if id(reading.places) not in where:
             where[id(reading.places)] = len(stacked)
@@ -128,8 +128,9 @@ def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple
         elif reading.arms is given.arms or reading.rigid:
             same.append(number)
         else:
-            turned.append((_size(reading.motion[rows]), number))
-    smaller = [number for size, number in sorted(turned) if size < _size(given.motion[rows])]
+            turned.append(number)
+    size = _sizes([readings[i] for i in (0, *turned)], rows)
+    smaller = [turned[i] for i in np.argsort(size[1:], kind="stable") if size[1 + i] < size[0]]
     elsewhere.sort(key=lambda i: readings[i].cost - likely[i])
     return same, [*smaller[:_N_TURNED], *elsewhere[:_N_PLACES]]
 
@@ -147,9 +148,11 @@ def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, row
     return likely + best - reading.cost < plain.total + MARGIN
 
 
-def _size(motion: FloatArray) -> float:
-    values = np.abs(motion[np.isfinite(motion)])
-    return float(np.median(values)) if len(values) else 0.0
+def _sizes(readings: list[Reading], rows: IntArray) -> FloatArray:
+    """Return the median size of a seen coordinate of the motion under each reading, mm."""
+    motion = np.abs([reading.motion[rows] for reading in readings])
+    seen = np.isfinite(motion[0])
+    return np.median(motion[:, seen], axis=1) if seen.any() else np.zeros(len(readings))
 
 
 def _groups(readings: list[Reading], chosen: list[int]) -> list[list[int]]:

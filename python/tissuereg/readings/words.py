@@ -69,8 +69,8 @@ def far(names: Sequence[str], distance: Sequence[float], extent: float) -> Suspi
     """Return that markers lie off the surface and no reading explains it; distances in mm."""
     farthest = int(np.argmax(distance))
     sentence = (
-        f"far from the surface: {listed(names)} {_be(names)} up to {distance[farthest]:.1f} mm ({names[farthest]}) away "
-        f"from a body of extent {extent:.0f} mm, and no other unit, frame or rigid motion explains the places"
+        f"far from the surface: {listed(names)} {_be(names)} up to {distance[farthest]:.1f} mm ({names[farthest]}) "
+        f"away from a body of extent {extent:.0f} mm, and no other unit, frame or rigid motion explains the places"
     )
     return Suspicion("far from the surface", sentence, tuple(names))
 
@@ -106,9 +106,10 @@ def repeated(names: Sequence[str], what: str) -> Suspicion:
 
 def held(names: Sequence[str], size: float) -> Suspicion:
     """Return that markers on held surface move, by up to `size` mm."""
+    sit, move = ("sit", "move") if len(names) > 1 else ("sits", "moves")
     sentence = (
-        f"held: {listed(names)} {'sit' if len(names) > 1 else 'sits'} on surface that is held and yet "
-        f"{'move' if len(names) > 1 else 'moves'} by up to {size:.1f} mm; the support has slipped or the held nodes are wrong"
+        f"held: {listed(names)} {sit} on surface that is held and yet {move} by up to {size:.1f} mm; "
+        "the support has slipped or the held nodes are wrong"
     )
     return Suspicion("held", sentence, tuple(names))
 
