@@ -16,6 +16,9 @@ from tissuereg.readings.words import Suspicion
 #: Places as near to the surface as this share of the extent (root mean square) are not moved onto it.
 _NEAR_SHARE = 0.01
 
+#: A marker deeper inside the body than this share of its extent was not put there.
+_DEEPEST_SHARE = 0.2
+
 #: Costs of the two statements that name no other reading.
 _FAR_COST, _UNRELATED_COST = 5.0, 6.0
 
@@ -61,8 +64,8 @@ def suspect(mesh: Mesh, markers: Markers, observation: MarkerObservation | None 
     """
     given = Given.of(mesh, markers, np.arange(len(markers)))
     near = given.skin.closest(markers.reference)
-    distance = np.abs(near.distance) if observation is None else observation.distance
-    resting = near.held & (distance <= standoff(mesh.extent))
+    distance = near.distance if observation is None else np.copysign(observation.distance, near.distance)
+    resting = near.held & (np.abs(distance) <= standoff(mesh.extent))
     found, left = _repeats(markers, resting, mesh.extent)
     kept = np.flatnonzero(left)
     read = _other_reading(given if len(kept) == len(markers) else Given.of(mesh, markers, kept)) if len(kept) else []
@@ -90,7 +93,9 @@ def _other_reading(given: Given) -> list[Suspicion]:
     rows = chosen_rows(given)
     readings = [as_given(given), *frames.units(given), *frames.frames(given), *frames.columns(given)]
     readings += [*rigid.measured_moved(given), *orders.orders(given)]
-    if float(np.mean(given.skin.closest(given.reference).distance ** 2)) > _NEAR_SHARE**2 * given.skin.extent**2:
+    distance, near = given.skin.closest(given.reference).distance, _NEAR_SHARE * given.skin.extent
+    # Places that all lie inside the body were put there; a motion would have brought some out of it.
+    if float(np.mean(distance**2)) > near**2 and float(np.max(distance)) > 0.5 * near:
         readings += rigid.places_moved(given)
     plain, *others = weigh(given, readings, rows)
     extent = given.skin.extent
@@ -108,10 +113,10 @@ def _other_reading(given: Given) -> list[Suspicion]:
 
 
 def _lost(markers: Markers, distance: FloatArray, extent: float) -> list[Suspicion]:
-    """Return markers that lie farther off the surface than any marker stands."""
-    limit = 1.5 * standoff(extent) + 0.03 * extent + 4.0 * markers.std
-    rows = np.flatnonzero(distance > limit)
-    return [words.far([markers.names[i] for i in rows], distance[rows].tolist(), extent)] if len(rows) else []
+    """Return markers that lie farther off the surface (negative: inside) than any marker stands or is put."""
+    outside = 1.5 * standoff(extent) + 0.03 * extent + 4.0 * markers.std
+    rows = np.flatnonzero((distance > outside) | (-distance > np.maximum(outside, _DEEPEST_SHARE * extent)))
+    return [words.far([markers.names[i] for i in rows], np.abs(distance[rows]).tolist(), extent)] if len(rows) else []
 
 
 def _slipped(markers: Markers, resting: BoolArray, extent: float) -> list[Suspicion]:

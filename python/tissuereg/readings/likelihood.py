@@ -4,7 +4,7 @@ Places. A marker stands s above the skin, s shared by all, with an error of spre
 
     p(d_i | s, t) = 0.97 N(d_i; s, t^2) + 0.03 N(d_i; 0, (extent / 5)^2),      d_i: distance from the surface, signed,
 
-averaged over four s and three t. A layout that is a speck on the body, or far larger than it, is unlikely in itself.
+averaged over four s and three t; or all were put inside the body, at depths up to a tenth or two of its extent. A layout that is a speck on the body, or far larger than it, is unlikely in itself.
 
 Motion. The displacements v (n,) of the seen coordinates are a sample of a Gaussian field that fades towards held nodes,
 
@@ -27,6 +27,9 @@ STANDOFF_MM, STANDOFF_SHARE = 6.0, 0.06
 
 #: Share of markers that may lie anywhere.
 _WRONG_SHARE = 0.03
+
+#: Depth of markers that were put inside the body, share of the extent, and log-odds that all were.
+_DEPTH, _INSIDE_ODDS = 0.1, -5.0
 
 #: Log-odds of a marker on held surface.
 _HELD_ODDS = -1.5
@@ -86,7 +89,9 @@ def places_likelihood(
             anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
             parts.append(np.log((1 - _WRONG_SHARE) * good + _WRONG_SHARE * anywhere).sum(axis=1))
     glued = _HELD_ODDS * held.sum(axis=1)
-    likely = log_mean_exp(np.array(parts))
+    deep = np.exp(-0.5 * (distance / _DEPTH / extent) ** 2) / (_DEPTH * extent)
+    inside = np.log((1 - _WRONG_SHARE) * np.where(distance < 0.0, deep, 0.0) + _WRONG_SHARE * anywhere).sum(axis=1)
+    likely = np.logaddexp(log_mean_exp(np.array(parts)), _INSIDE_ODDS + inside)
     return np.asarray(likely + glued + _layout(spread / skin_spread, distance.shape[1]))
 
 
