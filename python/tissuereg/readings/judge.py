@@ -6,12 +6,16 @@ from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.observe import MarkerObservation
-from tissuereg.readings import frames, orders, rigid, words
+from tissuereg.readings.frames import columns, frames, units
 from tissuereg.readings.likelihood import nowhere_likelihood, standoff, unrelated_likelihood
+from tissuereg.readings.orders import orders
 from tissuereg.readings.reading import Given, as_given
 from tissuereg.readings.repeats import repeated, stale
+from tissuereg.readings.rigid import measured_moved, places_moved
 from tissuereg.readings.weigh import MARGIN, chosen_rows, weigh
-from tissuereg.readings.words import Suspicion
+from tissuereg.readings.words import Suspicion, explained, far, held, unrelated
+from tissuereg.readings.words import repeated as said_twice
+from tissuereg.readings.words import stale as said_stale
 
 #: Places as near to the surface as this share of the extent (root mean square) are not moved onto it.
 _NEAR_SHARE = 0.01
@@ -80,10 +84,10 @@ def _repeats(markers: Markers, resting: BoolArray, extent: float) -> tuple[list[
     left = np.ones(len(markers), dtype=bool)
     rows = stale(markers, resting)
     if rows:
-        found.append(words.stale([markers.names[i] for i in rows]))
+        found.append(said_stale([markers.names[i] for i in rows]))
         left[rows] = False
     for first, second, what in repeated(markers, extent):
-        found.append(words.repeated((markers.names[first], markers.names[second]), what))
+        found.append(said_twice((markers.names[first], markers.names[second]), what))
         left[second] = False
     return found, left
 
@@ -91,32 +95,32 @@ def _repeats(markers: Markers, resting: BoolArray, extent: float) -> tuple[list[
 def _other_reading(given: Given) -> list[Suspicion]:
     """Return the reading that beats the input as given, if one does."""
     rows = chosen_rows(given)
-    readings = [as_given(given), *frames.units(given), *frames.frames(given), *frames.columns(given)]
-    readings += [*rigid.measured_moved(given), *orders.orders(given)]
+    readings = [as_given(given), *units(given), *frames(given), *columns(given)]
+    readings += [*measured_moved(given), *orders(given)]
     distance, near = given.skin.closest(given.reference).distance, _NEAR_SHARE * given.skin.extent
     # Places that all lie inside the body were put there; a motion would have brought some out of it.
     if float(np.mean(distance**2)) > near**2 and float(np.max(distance)) > 0.5 * near:
-        readings += rigid.places_moved(given)
+        readings += places_moved(given)
     plain, *others = weigh(given, readings, rows)
     extent = given.skin.extent
     others = [weighed for weighed in others if weighed.total > plain.total and weighed.believable(extent)]
     best = max(others, key=lambda weighed: weighed.total, default=plain)
-    nowhere = plain.of_motion + nowhere_likelihood(plain.distance, extent) - _FAR_COST
-    apart = plain.of_places + unrelated_likelihood(plain.motion, extent) - _UNRELATED_COST
+    nowhere = plain.of_layout + plain.of_motion + nowhere_likelihood(plain.distance, extent) - _FAR_COST
+    apart = plain.of_layout + plain.of_places + unrelated_likelihood(plain.motion, extent) - _UNRELATED_COST
     if max(best.total, nowhere, apart) < plain.total + MARGIN:
         return []
     if best is not plain and best.total >= max(nowhere, apart):
-        return [words.explained(plain, best, others, given.names)]
+        return [explained(plain, best, others, given.names)]
     if nowhere >= apart:
-        return [words.far([given.names[i] for i in rows], np.abs(plain.distance).tolist(), extent)]
-    return [words.unrelated(plain.motion)]
+        return [far([given.names[i] for i in rows], np.abs(plain.distance).tolist(), extent)]
+    return [unrelated(plain.motion)]
 
 
 def _lost(markers: Markers, distance: FloatArray, extent: float) -> list[Suspicion]:
     """Return markers that lie farther off the surface (negative: inside) than any marker stands or is put."""
     outside = 1.5 * standoff(extent) + 0.03 * extent + 4.0 * markers.std
     rows = np.flatnonzero((distance > outside) | (-distance > np.maximum(outside, _DEEPEST_SHARE * extent)))
-    return [words.far([markers.names[i] for i in rows], np.abs(distance[rows]).tolist(), extent)] if len(rows) else []
+    return [far([markers.names[i] for i in rows], np.abs(distance[rows]).tolist(), extent)] if len(rows) else []
 
 
 def _slipped(markers: Markers, resting: BoolArray, extent: float) -> list[Suspicion]:
@@ -124,4 +128,4 @@ def _slipped(markers: Markers, resting: BoolArray, extent: float) -> list[Suspic
     seen = np.where(np.isfinite(markers.displacement), markers.displacement, 0.0)
     size = np.linalg.norm(seen, axis=1)
     rows = np.flatnonzero(resting & (size > max(_HELD_MM, _HELD_SHARE * extent) + 4.0 * markers.std))
-    return [words.held([markers.names[i] for i in rows], float(size[rows].max()))] if len(rows) else []
+    return [held([markers.names[i] for i in rows], float(size[rows].max()))] if len(rows) else []

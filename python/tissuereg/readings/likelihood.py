@@ -4,7 +4,8 @@ Places. A marker stands s above the skin, s shared by all, with an error of spre
 
     p(d_i | s, t) = 0.97 N(d_i; s, t^2) + 0.03 N(d_i; 0, (extent / 5)^2),      d_i: distance from the surface, signed,
 
-averaged over four s and three t; or all were put inside the body, at depths up to a tenth or two of its extent. A layout that is a speck on the body, or far larger than it, is unlikely in itself.
+averaged over four s and three t; or all were put inside the body, at depths up to a tenth or two of its extent. A
+layout that is a speck on the body, or far larger than it, is unlikely in itself, and so are markers on held surface.
 
 Motion. The displacements v (n,) of the seen coordinates are a sample of a Gaussian field that fades towards held nodes,
 
@@ -37,6 +38,9 @@ _HELD_ODDS = -1.5
 #: Spread of a layout over that of the skin, below and above which it becomes unlikely.
 _SPECK, _SPRAWL = 0.12, 1.3
 
+#: Fewest markers that have a spread worth the name.
+_FEWEST_SPREAD = 3
+
 #: Sizes of a deformation and lengths over which it varies, as shares of the extent; log-weights of the sizes.
 _SIZES, _LENGTHS = np.array([0.002, 0.008, 0.03, 0.08, 0.2]), (0.1, 0.3, 0.8)
 _SIZE_WEIGHTS = np.log([0.23, 0.23, 0.23, 0.23, 0.08])
@@ -56,20 +60,14 @@ def standoff(extent: float) -> float:
     return min(STANDOFF_MM, STANDOFF_SHARE * extent)
 
 
-def places_likelihood(
-    distance: FloatArray, held: BoolArray, spread: FloatArray, skin_spread: float, extent: float
-) -> FloatArray:
-    """Return the log-likelihood of the markers' places under each of many readings.
+def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
+    """Return the log-likelihood of the markers' distances from the surface under each of many readings.
 
     Parameters
     ----------
     distance : ndarray of float64, shape (n_readings, n_markers)
         From the surface, negative inside, mm.
-    held : ndarray of bool, shape (n_readings, n_markers)
-        Whether the closest surface is held: few markers are put there.
-    spread : ndarray of float64, shape (n_readings,)
-        Root mean square distance of the markers from their mean, mm.
-    skin_spread, extent : float
+    extent : float
         Of the body, mm.
 
     Returns
@@ -88,11 +86,9 @@ def places_likelihood(
             # Beyond the body's own size a marker costs no more: it is lost in any case.
             anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
             parts.append(np.log((1 - _WRONG_SHARE) * good + _WRONG_SHARE * anywhere).sum(axis=1))
-    glued = _HELD_ODDS * held.sum(axis=1)
     deep = np.exp(-0.5 * (distance / _DEPTH / extent) ** 2) / (_DEPTH * extent)
     inside = np.log((1 - _WRONG_SHARE) * np.where(distance < 0.0, deep, 0.0) + _WRONG_SHARE * anywhere).sum(axis=1)
-    likely = np.logaddexp(log_mean_exp(np.array(parts)), _INSIDE_ODDS + inside)
-    return np.asarray(likely + glued + _layout(spread / skin_spread, distance.shape[1]))
+    return np.asarray(np.logaddexp(log_mean_exp(np.array(parts)), _INSIDE_ODDS + inside))
 
 
 def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
@@ -101,11 +97,29 @@ def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
     return float(np.maximum(-0.5 * (distance / wide) ** 2, -8.0).sum() - len(distance) * np.log(wide))
 
 
-def _layout(ratio: FloatArray, n_markers: int) -> FloatArray:
-    """Return the log-likelihood of the markers' spread over that of the skin; the more markers, the less a speck."""
-    known = np.maximum(ratio, 1e-9)
-    outside = np.clip(np.log(_SPECK / known), 0.0, 3.0) + np.clip(np.log(known / _SPRAWL), 0.0, 3.0)
-    return np.asarray(-max(6.0, n_markers) * outside)
+def layout_likelihood(places: FloatArray, held: BoolArray, skin_spread: float) -> FloatArray:
+    """Return the log-likelihood of layouts on the body: the more markers, the less a speck; few on held surface.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (n_readings, n_markers, 3)
+        mm.
+    held : ndarray of bool, shape (n_readings, n_markers)
+        Whether the closest surface is held.
+    skin_spread : float
+        Root mean square distance of the surface from its mean, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_readings,)
+    """
+    glued, n_markers = _HELD_ODDS * held.sum(axis=1), places.shape[1]
+    if n_markers < _FEWEST_SPREAD:
+        return np.asarray(glued)
+    spread = np.sqrt(np.sum((places - places.mean(axis=1, keepdims=True)) ** 2, axis=2).mean(axis=1))
+    ratio = np.maximum(spread / skin_spread, 1e-9)
+    outside = np.clip(np.log(_SPECK / ratio), 0.0, 3.0) + np.clip(np.log(ratio / _SPRAWL), 0.0, 3.0)
+    return np.asarray(glued - max(6.0, n_markers) * outside)
 
 
 def motion_likelihood(

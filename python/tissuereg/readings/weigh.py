@@ -7,8 +7,8 @@ from math import log
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.readings import rigid
 from tissuereg.readings.likelihood import (
+    layout_likelihood,
     likeliest,
     motion_likelihood,
     nowhere_likelihood,
@@ -17,6 +17,7 @@ from tissuereg.readings.likelihood import (
 )
 from tissuereg.readings.orders import oddness
 from tissuereg.readings.reading import Given, Reading
+from tissuereg.readings.rigid import best_rigid, moved
 
 #: At most this many markers are weighed: some spread over the body, some of the most unlike their neighbours.
 _SPREAD_MARKERS, _ODD_MARKERS = 32, 16
@@ -40,20 +41,21 @@ class Weighed:
         Of the markers' places from the surface, signed, mm.
     motion : ndarray of float64, shape (n_weighed, 3)
         Displacements, mm, without the rigid motion of a body that nothing holds.
-    of_places, of_motion : float
-        Log-likelihoods.
+    of_layout, of_places, of_motion : float
+        Log-likelihoods: of where on the body the markers are, of their distances from its surface, of their motion.
     """
 
     reading: Reading
     distance: FloatArray
     motion: FloatArray
+    of_layout: float
     of_places: float
     of_motion: float
 
     @property
     def total(self) -> float:
         """Log-odds up to a constant."""
-        return self.of_places + self.of_motion - self.reading.cost
+        return self.of_layout + self.of_places + self.of_motion - self.reading.cost
 
     def believable(self, extent: float) -> bool:
         """Return whether places and motion are likelier than ones that have nothing to do with the body."""
@@ -99,8 +101,9 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
     places = np.array(stacked)
     near = given.skin.closest(places)
     distance = near.distance
-    spread = np.sqrt(np.sum((places - places.mean(axis=1, keepdims=True)) ** 2, axis=2).mean(axis=1))
-    likely = places_likelihood(distance, near.held, spread, given.skin.spread, given.skin.extent)
+    layout = layout_likelihood(places, near.held, given.skin.spread)
+    of_places = places_likelihood(distance, given.skin.extent)
+    likely = layout + of_places
     index = [where[id(reading.places)] for reading in readings]
     same, others = _worth(readings, likely[index], rows)
     found: list[Weighed] = []
@@ -109,7 +112,14 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
             continue
         motion, odds = _motion(given, [readings[i] for i in group], rows)
         found += [
-            Weighed(readings[i], distance[index[i]], motion[j], float(likely[index[i]]), float(odds[j]))
+            Weighed(
+                readings[i],
+                distance[index[i]],
+                motion[j],
+                float(layout[index[i]]),
+                float(of_places[index[i]]),
+                float(odds[j]),
+            )
             for j, i in enumerate(group)
         ]
     return found
@@ -141,7 +151,7 @@ def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, row
     Where the motion stays what it is, places must tell; else no motion is likelier than none at all.
     """
     if reading.motion is plain.reading.motion:
-        return likely - reading.cost < plain.of_places + MARGIN
+        return likely - reading.cost < plain.of_layout + plain.of_places + MARGIN
     values = reading.motion[rows]
     n_seen = int(np.isfinite(values).sum())
     best = n_seen * (reading.log_scale + likeliest(given.noise))
@@ -172,8 +182,8 @@ def _motion(given: Given, readings: Sequence[Reading], rows: IntArray) -> tuple[
     whole = np.isfinite(motion[0]).all(axis=1)
     if free and whole.sum() >= 3:
         ends = arms + motion
-        turn, shift = rigid.best_rigid(np.broadcast_to(arms[whole], ends[:, whole].shape), ends[:, whole])
-        motion = ends - rigid.moved(arms, turn, shift)
+        turn, shift = best_rigid(np.broadcast_to(arms[whole], ends[:, whole].shape), ends[:, whole])
+        motion = ends - moved(arms, turn, shift)
     scales = int(np.isfinite(motion[0]).sum()) * np.array([reading.log_scale for reading in readings])
     whole_body = free or readings[0].rigid
     odds = motion_likelihood(arms, freedom, motion, given.noise, given.skin.extent, rigid=whole_body)
