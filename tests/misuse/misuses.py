@@ -213,6 +213,8 @@ def alike(before: Event, after: Event) -> bool:
         or not np.isfinite(after.measured).all()
     ):
         return False
+    if (after.measured == after.reference).all(axis=1).any():
+        return False
     changed = np.abs(np.vstack([after.reference - before.reference, after.measured - before.measured])).max()
     if np.allclose(after.nodes, before.nodes) and 0 < changed < 3.0 + 3.0 * before.std:
         return True
