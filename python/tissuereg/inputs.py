@@ -12,6 +12,7 @@ from tissuereg.errors import MarkerError, ShapeError
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.readings import suspect
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ class RegisterInput:
         settings: RegisterSettings | None,
         seed: int,
         threads: int,
+        held: str = "sure",
     ) -> "RegisterInput":
         """Check what was given.
 
@@ -83,12 +85,26 @@ class RegisterInput:
             If something does not fit, or no marker was seen.
         """
         body, marks = as_mesh(mesh), as_markers(markers)
-        observed = MarkerObservation.of(body, marks)
+        observed, suspicions = _attached(body, marks, held)
         if not np.isfinite(marks.measured).any():
             message = f"at least one marker must have been seen; all {len(marks)} are missing"
             raise MarkerError(message, where="markers")
         inner = TargetObservation(body, targets or {})
-        return cls(body, marks, observed, inner, settings or RegisterSettings(), seed, threads, ())
+        return cls(body, marks, observed, inner, settings or RegisterSettings(), seed, threads, suspicions)
+
+
+def _attached(mesh: Mesh, markers: Markers, held: str) -> tuple[MarkerObservation, tuple[str, ...]]:
+    """Return how markers follow the mesh, and why they may be misread."""
+    try:
+        observed = MarkerObservation.of(mesh, markers)
+    except MarkerError as error:
+        # Refused; say which other reading would fit.
+        found = suspect(mesh, markers)
+        if found:
+            error.args = (f"{error}; {found[0].sentence}",)
+        raise
+    found = suspect(mesh, markers, observed)
+    return observed, tuple(one.sentence for one in found if held == "sure" or one.kind != "held")
 
 
 def as_mesh(mesh: Any) -> Mesh:

@@ -174,7 +174,7 @@ def _result(
         inverted_tets=int((ratios <= 0).sum()),
         trust=trust,
         model=dict(latent.card),
-        seconds=dict(clock.seconds),
+        seconds=clock.seconds,
         seed=given.seed,
         dropped_members=fit.ensemble.dropped,
     )

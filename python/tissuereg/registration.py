@@ -103,7 +103,7 @@ def register(
     clock = Clock()
     with threadpool_limits(limits=1, user_api="blas"), clock.stage("total"):
         with clock.stage("attach"):
-            given = RegisterInput.of(mesh, markers, targets, settings, seed, threads)
+            given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held)
         said = None if simulation is None else finite_field(simulation, given.mesh)
         if model is None:
             believed = ContactInput(load, said, material or Material(), element, held, held_nodes, progress)

@@ -311,7 +311,7 @@ def test_simulate_makes_a_data_set_and_finishes_one_that_was_begun(tmp_path, cap
 def test_register_writes_four_files_and_tells_all(inputs, capsys):
     out = inputs / "deep" / "out"
     words = ["register", inputs / "mesh.vtu", inputs / "markers.csv", "--targets", inputs / "targets.csv", "--out", out]
-    code, said, err = run_json(capsys, *words, "--prior-members", 60, "--members", 80, "--steps", 4)
+    code, said, err = run_json(capsys, *words, "--members", 80, "--steps", 4)
     assert code == 0
     assert "Traceback" not in err
     assert set(said) >= ENVELOPE | {"seed", "markers", "targets", "body", "trust", "model"}
@@ -332,7 +332,7 @@ def test_register_writes_four_files_and_tells_all(inputs, capsys):
 
 def test_register_takes_a_frame_of_an_experiment(tmp_path, capsys):
     rig = write_experiment(tmp_path / "rig")
-    words = ["register", rig, "--case", "lean", "--time", 11.1, "--out", tmp_path / "out", "--prior-members", 60]
+    words = ["register", rig, "--case", "lean", "--time", 11.1, "--out", tmp_path / "out"]
     code, said, _ = run_json(capsys, *words, "--quiet")
     assert code == 0
     assert said["markers"]["used"] == ["P1", "P2"]
@@ -439,6 +439,6 @@ def test_bench_times_ensembles_and_registrations(capsys):
     assert code == 0
     assert [row["name"] for row in said["rows"]][:3] == [
         "ensemble/phantom/tet4/8",
-        "register/phantom/fitted",
-        "register/phantom/fitted-kept",
+        "register/phantom/contacts-first",
+        "register/phantom/contacts",
     ]

@@ -46,7 +46,7 @@ def test_simulate_writes_what_the_tracker_sees_of_the_extended_model(folder, tmp
 
 def test_register_takes_a_frame_that_went_through_time(folder, tmp_path, capsys):
     file = extended(folder, Relaxation(g=(0.3,), tau_s=(1.0,)))
-    words = ["--case", "lean", "--time", 11, "--prior-members", 40, "--quiet"]
+    words = ["--case", "lean", "--time", 11, "--quiet"]
     code, said, _ = run_json(capsys, "register", file, *words, "--out", tmp_path / "out")
     assert code == 0
     assert said["markers"]["used"] == ["P1", "P2"]

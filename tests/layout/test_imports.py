@@ -76,7 +76,7 @@ def test_layers_point_downwards():
         {"errors", "_arrays", "_core", "_clock", "_locking", "_machine", "_version"},
         {"mesh", "material", "material_tests", "markers", "load", "experiment", "material_experiment", "trust"},
         {"effects"},
-        {"observe", "simulate", "latent", "assimilate", "io", "posterior", "widen", "phantom", "baselines"},
+        {"observe", "simulate", "latent", "assimilate", "io", "posterior", "widen", "phantom", "baselines", "readings"},
         {"contacts", "inputs"},
         {"registration", "contact_registration", "latent_registration", "result", "report", "diagnose"},
         {"demo", "bench", "frames"},

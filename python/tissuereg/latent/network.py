@@ -54,7 +54,7 @@ class NetworkModel:
                 f"the model in {self.folder} must have been trained for this mesh: it knows a mesh of "
                 f"{card['n_nodes']} nodes ({card['mesh_digest'][:12]}), got one of {mesh.n_nodes} nodes "
                 f"({mesh.digest()[:12]}); "
-                "train one (`tissuereg train`) or leave the model out, and a prior is fitted here"
+                "train one (`tissuereg train`) or leave the model out: contacts are then the prior"
             )
             raise ModelError(message, where=str(self.folder))
         self._card = card

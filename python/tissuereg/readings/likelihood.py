@@ -1,0 +1,246 @@
+r"""How likely markers are under a reading: their places on the skin, their motion as that of one soft body.
+
+Places. A marker stands s above the skin, s shared by all, with an error of spread t; one in thirty may lie anywhere:
+
+    p(d_i | s, t) = 0.97 N(d_i; s, t^2) + 0.03 N(d_i; 0, (extent / 5)^2),      d_i: distance from the surface, signed,
+
+averaged over four s and three t; or all were put inside the body, at depths up to a tenth or two of its extent. A
+layout that is a speck on the body, or far larger than it, is unlikely in itself, and so are markers on held surface.
+
+Motion. The displacements v (n,) of the seen coordinates are a sample of a Gaussian field that fades towards held nodes,
+
+    v ~ N(0, a^2 W K_l W + B S B' + noise^2),    W: freedom of each place, K_l: Matern 3/2 of length l,
+
+where the columns B (n, 18) are translations and rotations that fade as well, within a layer or along the body; six
+more do not fade where nothing is held or where the reading allows a rigid motion. Averaged over sizes a from 0.2 to
+20 % of the body's extent, three lengths and three noises. K is diagonalised once a length, so that all sizes, noises
+and readings with the same places share one factorisation.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from tissuereg._arrays import BoolArray, FloatArray
+
+#: Highest stand-off of a marker's middle, mm, and as a share of the extent where that is less.
+STANDOFF_MM, STANDOFF_SHARE = 6.0, 0.06
+
+#: Share of markers that may lie anywhere.
+_WRONG_SHARE = 0.03
+
+#: Depth of markers that were put inside the body, share of the extent, and log-odds that all were.
+_DEPTH, _INSIDE_ODDS = 0.1, -5.0
+
+#: Log-odds of a marker on held surface.
+_HELD_ODDS = -1.5
+
+#: Spread of a layout over that of the skin, below and above which it becomes unlikely.
+_SPECK, _SPRAWL = 0.12, 1.3
+
+#: Fewest markers that have a spread worth the name.
+_FEWEST_SPREAD = 3
+
+#: Sizes of a deformation and lengths over which it varies, as shares of the extent; log-weights of the sizes.
+_SIZES, _LENGTHS = np.array([0.002, 0.008, 0.03, 0.08, 0.2]), (0.1, 0.3, 0.8)
+_SIZE_WEIGHTS = np.log([0.23, 0.23, 0.23, 0.23, 0.08])
+
+#: Sizes of a rigid motion that fades towards held nodes: that of the deformation, or larger (a tip that swings).
+_TOGETHER, _TOGETHER_WEIGHTS = np.array([0.0, 0.12]), np.log([0.6, 0.4])
+
+#: What is added to the tracker's noise, mm, with log-weights: nothing, small misfits of the model, a wrong marker.
+_EXTRA_NOISE_MM, _NOISE_WEIGHTS = np.array([0.05, 0.7, 3.0]), np.log([0.6, 0.3, 0.1])
+
+#: Standard deviations of a rigid motion: share of the extent, and radian.
+_RIGID_SHARE, _RIGID_RADIAN = 0.3, 0.5
+
+
+def standoff(extent: float) -> float:
+    """Return the highest believable stand-off on a body of this extent, mm."""
+    return min(STANDOFF_MM, STANDOFF_SHARE * extent)
+
+
+def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
+    """Return the log-likelihood of the markers' distances from the surface under each of many readings.
+
+    Parameters
+    ----------
+    distance : ndarray of float64, shape (n_readings, n_markers)
+        From the surface, negative inside, mm.
+    extent : float
+        Of the body, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_readings,)
+        Up to a constant that all readings share.
+    """
+    highest = standoff(extent)
+    finest = 0.3 * highest / STANDOFF_MM + 0.003 * extent
+    parts = []
+    for height in highest * np.array([0.0, 0.25, 0.5, 0.9]):
+        for error in (finest, 2.0 * finest, 0.4 * highest):
+            wide = np.where(distance < height, min(error, 2.0 * finest), error)
+            good = np.exp(-0.5 * ((distance - height) / wide) ** 2) / error
+            anywhere = np.exp(-0.5 * (distance / (0.2 * extent)) ** 2) / (0.2 * extent)
+            # Beyond the body's own size a marker costs no more: it is lost in any case.
+            anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
+            parts.append(np.log((1 - _WRONG_SHARE) * good + _WRONG_SHARE * anywhere).sum(axis=1))
+    deep = np.exp(-0.5 * (distance / _DEPTH / extent) ** 2) / (_DEPTH * extent)
+    inside = np.log((1 - _WRONG_SHARE) * np.where(distance < 0.0, deep, 0.0) + _WRONG_SHARE * anywhere).sum(axis=1)
+    return np.asarray(np.logaddexp(log_mean_exp(np.array(parts)), _INSIDE_ODDS + inside))
+
+
+def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
+    """Return the log-likelihood of places that have nothing to do with the surface."""
+    wide = 0.2 * extent
+    return float(np.maximum(-0.5 * (distance / wide) ** 2, -8.0).sum() - len(distance) * np.log(wide))
+
+
+def layout_likelihood(places: FloatArray, held: BoolArray, skin_spread: float) -> FloatArray:
+    """Return the log-likelihood of layouts on the body: the more markers, the less a speck; few on held surface.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (n_readings, n_markers, 3)
+        mm.
+    held : ndarray of bool, shape (n_readings, n_markers)
+        Whether the closest surface is held.
+    skin_spread : float
+        Root mean square distance of the surface from its mean, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_readings,)
+    """
+    glued, n_markers = _HELD_ODDS * held.sum(axis=1), places.shape[1]
+    if n_markers < _FEWEST_SPREAD:
+        return np.asarray(glued)
+    spread = np.sqrt(np.sum((places - places.mean(axis=1, keepdims=True)) ** 2, axis=2).mean(axis=1))
+    ratio = np.maximum(spread / skin_spread, 1e-9)
+    outside = np.clip(np.log(_SPECK / ratio), 0.0, 3.0) + np.clip(np.log(ratio / _SPRAWL), 0.0, 3.0)
+    return np.asarray(glued - max(6.0, n_markers) * outside)
+
+
+def motion_likelihood(
+    arms: FloatArray, freedom: FloatArray, motion: FloatArray, noise: float, extent: float, *, rigid: bool = False
+) -> FloatArray:
+    """Return the log-likelihood of displacements under each of many readings that share their places.
+
+    Parameters
+    ----------
+    arms : ndarray of float64, shape (n_markers, 3)
+        Places, in the frame of the displacements, mm.
+    freedom : ndarray of float64, shape (3, n_markers)
+        Of the body at each place, as `Skin.freedom`.
+    motion : ndarray of float64, shape (n_readings, n_markers, 3)
+        Displacements in mm; NaN = not seen, the same coordinates in all readings.
+    noise : float
+        Standard deviation of a measured coordinate, mm.
+    extent : float
+        Of the body, mm.
+    rigid : bool
+        Whether the body may move rigidly as a whole.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_readings,)
+        mm counts as unit: a reading in other units adds the logarithm of its volume change.
+    """
+    seen = np.isfinite(motion[0])
+    if not seen.any():
+        return np.zeros(len(motion))
+    fading, whole = _rigid_columns(arms, freedom, extent)
+    columns = np.concatenate([*fading, whole], axis=2) if rigid else np.concatenate(fading, axis=2)
+    sizes, together, noises, weights = _grid(noise, extent)
+    factors = np.ones((len(sizes), columns.shape[2]))
+    factors[:, : 6 * len(freedom)] = together[:, None]
+    parts = []
+    for length in _LENGTHS:
+        values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, length * extent)
+        variance = sizes[:, None] ** 2 * values + noises[:, None] ** 2
+        parts.append(_gaussian(variance, turned, mixed, factors) + weights[:, None])
+    # Weights are shares of one for each length.
+    return np.asarray(log_mean_exp(np.concatenate(parts)) + np.log(len(sizes)))
+
+
+@cache
+def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return sizes of a deformation, of what markers move together, noises, all in mm, and log-weights: (h,) each."""
+    points = [
+        (size * extent, max(size, common) * extent, float(np.hypot(noise, extra)), of_size + of_common + of_noise)
+        for size, of_size in zip(_SIZES, _SIZE_WEIGHTS, strict=True)
+        for common, of_common in zip(_TOGETHER, _TOGETHER_WEIGHTS, strict=True)
+        for extra, of_noise in zip(_EXTRA_NOISE_MM, _NOISE_WEIGHTS, strict=True)
+        if common == 0.0 or common > size
+    ]
+    sizes, together, noises, weights = np.array(points).T
+    return sizes, together, noises, weights
+
+
+def likeliest(noise: float) -> float:
+    """Return the largest log-likelihood that any motion can have, a coordinate."""
+    return -float(np.log(np.sqrt(2 * np.pi) * np.hypot(noise, _EXTRA_NOISE_MM[0])))
+
+
+def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
+    """Return the log-likelihood of displacements (n_markers, 3) that no one body can have made."""
+    values = motion[np.isfinite(motion)]
+    wide = 0.35 * extent
+    return float(np.sum(-0.5 * (values / wide) ** 2) - len(values) * (np.log(wide) + 0.5 * np.log(2 * np.pi)))
+
+
+def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tuple[list[FloatArray], FloatArray]:
+    """Return translations and rotations (n_markers, 3, 6): of unit size, each fading; then of a whole body's size."""
+    centred = arms - arms.mean(axis=0)
+    radius = max(float(np.sqrt(np.sum(centred**2, axis=1).mean())), 0.1 * extent)
+    columns = np.zeros((len(arms), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    for axis, second, third in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        columns[:, second, 3 + axis] = -centred[:, third]
+        columns[:, third, 3 + axis] = centred[:, second]
+    local, whole = columns.copy(), columns.copy()
+    local[:, :, 3:] /= radius
+    whole[:, :, :3] *= _RIGID_SHARE * extent
+    whole[:, :, 3:] *= _RIGID_RADIAN
+    return [local * fade[:, None, None] for fade in freedom], whole
+
+
+def _diagonal(
+    arms: FloatArray, freedom: FloatArray, motion: FloatArray, columns: FloatArray, seen: BoolArray, length: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return eigenvalues (n,), and displacements (n, n_readings) and columns (n, c) in the eigenvectors' frame."""
+    gaps = np.sqrt(3.0) * np.linalg.norm(arms[:, None] - arms[None], axis=2) / length
+    covariance = (1.0 + gaps) * np.exp(-gaps) * freedom[:, None] * freedom[None]
+    values, turned, mixed = [], [], []
+    known: tuple[bytes, FloatArray, FloatArray] | None = None
+    for axis in range(3):
+        rows = seen[:, axis]
+        if not rows.any():
+            continue
+        if known is None or known[0] != rows.tobytes():
+            known = (rows.tobytes(), *np.linalg.eigh(covariance[np.ix_(rows, rows)]))
+        values.append(np.maximum(known[1], 0.0))
+        turned.append(known[2].T @ motion[:, rows, axis].T)
+        mixed.append(known[2].T @ columns[rows, axis])
+    return np.concatenate(values), np.concatenate(turned), np.concatenate(mixed)
+
+
+def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, factors: FloatArray) -> FloatArray:
+    """Return log N(v; 0, D + B B') for each of many variances: (h, n_readings).
+
+    D = diag(variance), (h, n); v = `turned`, (n, n_readings); B = `columns` (n, c) times `factors` (h, c).
+    """
+    weighted = factors[:, :, None] * (columns.T[None] / variance[:, None])
+    inner = np.eye(columns.shape[1]) + (weighted @ columns) * factors[:, None]
+    lower = np.linalg.cholesky(inner)
+    seen = np.linalg.inv(lower) @ (weighted @ turned)
+    plain = (1.0 / variance) @ turned**2
+    logs = np.log(2 * np.pi * variance).sum(axis=1) + 2.0 * np.log(np.einsum("hii->hi", lower)).sum(axis=1)
+    return np.asarray(-0.5 * (plain - np.sum(seen**2, axis=1) + logs[:, None]))
+
+
+def log_mean_exp(values: FloatArray) -> FloatArray:
+    """Return the logarithm of the mean of the exponentials along the first axis."""
+    top = values.max(axis=0)
+    return np.asarray(top + np.log(np.exp(values - top).mean(axis=0)))

@@ -1,0 +1,139 @@
+"""Misread inputs are found, and said so; good ones are left in peace; names and order do not matter."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import tissuereg as tr
+from misuse.events import BODIES, good, misusable
+from misuse.misuses import MISUSES
+from tissuereg.observe import MarkerObservation
+from tissuereg.readings import suspect
+
+#: One event of the development half whose mistakes all leave a trace: 15 markers or so on an ellipsoid off the origin.
+BODY, NUMBER = "ellipsoid", 6
+
+
+@pytest.fixture(scope="module")
+def event():
+    return misusable(BODY, NUMBER)
+
+
+def asked(event, **options):
+    return suspect(event.mesh(), tr.Markers(event.reference, event.measured, event.std, **options))
+
+
+@pytest.mark.parametrize("misuse", MISUSES, ids=[misuse.title for misuse in MISUSES])
+def test_a_mistake_is_named_or_refused(event, misuse):
+    misread = misuse.change(event, np.random.default_rng(3))
+    if misuse.title == "mesh in metres":
+        with pytest.raises(tr.errors.UnitError, match="must be in mm"):
+            misread.mesh()
+        return
+    found = asked(misread)
+    assert misuse.named & {suspicion.kind for suspicion in found}, found
+    assert all(suspicion.sentence.startswith(f"{suspicion.kind}: ") for suspicion in found)
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_good_events_are_left_in_peace(body):
+    for number in (0, 2, 4, 6):
+        assert asked(good(body, number)) == []
+
+
+def test_the_sentence_of_a_wrong_unit_says_which_and_how_much_better(event):
+    (found,) = asked(event.but(reference=event.reference / 1000, measured=event.measured / 1000))
+    assert found.kind == "unit"
+    assert "metres (times 1000)" in found.sentence
+    assert "mm from the surface instead of" in found.sentence
+
+
+def test_exchanged_markers_are_named(event):
+    measured = event.measured.copy()
+    measured[[1, 4]] = measured[[4, 1]]
+    (found,) = asked(event.but(measured=measured), names=[f"skin {i}" for i in range(len(measured))])
+    assert found.markers == ("skin 1", "skin 4")
+    assert found.sentence.startswith("swapped: the measured places if skin 1 and skin 4 are exchanged")
+
+
+def test_neither_names_nor_the_order_of_markers_matter(event):
+    measured = event.measured.copy()
+    measured[[1, 4]] = measured[[4, 1]]
+    order = np.random.default_rng(5).permutation(len(measured))
+    (first,) = asked(event.but(measured=measured))
+    (second,) = asked(event.but(reference=event.reference[order], measured=measured[order]))
+    assert {order[int(name[1:]) - 1] for name in second.markers} == {1, 4}
+    assert {int(name[1:]) - 1 for name in first.markers} == {1, 4}
+
+
+def test_a_rigid_motion_is_a_mistake_only_where_something_is_held(event):
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.1])
+    moved = event.but(measured=turn.apply(event.measured) + np.array([20.0, 5.0, -9.0]))
+    assert [suspicion.kind for suspicion in asked(moved)] == ["rigid motion"]
+    assert asked(moved.but(fixed=None)) == []
+
+
+def test_missing_coordinates_neither_break_nor_alarm(event):
+    measured = event.measured.copy()
+    measured[::3] = np.nan
+    measured[1::3, 0] = np.nan
+    assert asked(event.but(measured=measured)) == []
+    measured[:, 2] = np.nan
+    assert asked(event.but(measured=measured)) == []
+    assert asked(event.but(measured=np.full_like(measured, np.nan))) == []
+    (found,) = asked(event.but(measured=measured / 10))
+    assert found.kind == "unit"
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_markers_do_not_break_it(event, count):
+    few = event.but(reference=event.reference[:count], measured=event.measured[:count])
+    assert asked(few) == []
+
+
+def test_one_marker_that_is_off_is_left_to_the_mechanics(event):
+    measured = event.measured.copy()
+    measured[3] += (3.0, -3.0, 2.6)
+    assert asked(event.but(measured=measured)) == []
+
+
+def test_one_marker_far_from_the_surface_is_named(event):
+    step = 40.0 * (event.reference[2] - event.nodes.mean(axis=0)) / 60.0
+    reference, measured = event.reference.copy(), event.measured.copy()
+    reference[2] += step
+    measured[2] += step
+    (found,) = asked(event.but(reference=reference, measured=measured))
+    assert (found.kind, found.markers) == ("far from the surface", ("M3",))
+
+
+def test_equal_numbers_in_a_coarse_file_are_chance(event):
+    reference, measured = np.round(event.reference), np.round(event.measured)
+    measured[:3] = reference[:3]
+    assert asked(event.but(reference=reference, measured=measured, std=0.5)) == []
+    assert [s.kind for s in asked(event.but(measured=event.reference))] == ["stale"]
+
+
+def test_beads_inside_the_body_are_markers_too(event):
+    middle = event.nodes.mean(axis=0)
+    inner = middle + 0.8 * (event.reference - middle)
+    assert asked(event.but(reference=inner, measured=inner + (event.measured - event.reference))) == []
+
+
+def test_an_observation_gives_the_same_answer(event):
+    mesh, markers = event.mesh(), event.markers()
+    assert suspect(mesh, markers, MarkerObservation.of(mesh, markers)) == suspect(mesh, markers)
+    far = event.but(reference=event.reference + 50.0 * np.eye(3)[0], measured=event.measured + 50.0 * np.eye(3)[0])
+    assert suspect(far.mesh(), far.markers())[0].kind in {"rigid motion", "far from the surface"}
+
+
+def test_many_markers_are_weighed_by_some_of_them():
+    rng = np.random.default_rng(1)
+    event = good("dome", 4)
+    mesh = event.mesh()
+    places = mesh.nodes[rng.choice(np.setdiff1d(mesh.surface_nodes, mesh.fixed_nodes), 300, replace=False)]
+    motion = 8.0 * np.exp(-np.sum((places - places[0]) ** 2, axis=1) / 800.0)[:, None] * (0.0, 0.6, 0.8)
+    measured = places + motion + 0.1 * rng.standard_normal(places.shape)
+    assert suspect(mesh, tr.Markers(places, measured)) == []
+    measured[[7, 200]] = measured[[200, 7]]
+    (found,) = suspect(mesh, tr.Markers(places, measured))
+    assert found.markers == ("M8", "M201")
