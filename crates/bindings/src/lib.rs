@@ -23,8 +23,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::fem::{
-        Adjoints, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig, RigFrame, Solution, check_mesh,
-        surface_triangles,
+        Adjoints, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig, RigFrame, Solution,
+        check_mesh, surface_triangles,
     };
 
     /// Version of all parts, from the workspace.

@@ -41,9 +41,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let found = solve(&body, &material, &load, &settings)?.displacement;
         println!("{file}: {} nodes, {} threads", body.n_nodes(), settings.n_threads);
         for precision in [Precision::Double, Precision::Single] {
-            let make = || {
-                Linearised::in_precision(&body, &material, &load, &found, &settings, precision)
-            };
+            let make =
+                || Linearised::in_precision(&body, &material, &load, &found, &settings, precision);
             let (ms, here) = fastest(repeat, make);
             let here = here?;
             println!("  {precision:?}: factor {ms:.1} ms, {:?}", here.report());
@@ -75,9 +74,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 let (rest_ms, rest) = fastest(repeat, || solve(&body, &material, &near, &loose));
                 println!(
                     "    load x {by}: near {} iterations, {} factors, {ms:.1} ms; from rest {}, {rest_ms:.1} ms",
-                    report.iterations,
-                    report.factorisations,
-                    rest?.report.iterations
+                    report.iterations, report.factorisations, rest?.report.iterations
                 );
             }
         }

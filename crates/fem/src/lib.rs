@@ -124,12 +124,12 @@ pub use mesh::{DEGENERATE_LIMIT, Mesh};
 pub use rest_shape::{RestShape, rest_shape};
 pub use resultant::{Resultant, resultant};
 pub use sensitivity::{
-    Adjoint, Cause, Compliance, Derivative, FrameAdjoint, FrameCause, FrameDerivative, FrameObservation,
-    Linearised, Observation, TangentReport,
+    Adjoint, Cause, Compliance, Derivative, FrameAdjoint, FrameCause, FrameDerivative,
+    FrameObservation, Linearised, Observation, TangentReport,
 };
 pub use solve::{
-    LoadSteps, Method, Precision, Solution, SolveReport, SolveSettings, StageSeconds, internal_forces,
-    is_stable, solve, solve_from, spring_forces,
+    LoadSteps, Method, Precision, Solution, SolveReport, SolveSettings, StageSeconds,
+    internal_forces, is_stable, solve, solve_from, spring_forces,
 };
 pub use supports::Supports;
 pub use surface::{Friction, Skin, Springs};

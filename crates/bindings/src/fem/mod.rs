@@ -13,7 +13,9 @@ use numpy::IntoPyArray;
 use numpy::{PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tissuereg_fem::{Element, Load, LoadSteps, Material, Mesh, Method, Precision, SolveSettings, Supports};
+use tissuereg_fem::{
+    Element, Load, LoadSteps, Material, Mesh, Method, Precision, SolveSettings, Supports,
+};
 
 use self::bed::{Bed, Sheet, SheetOut};
 pub(crate) use self::law::Law;
@@ -91,7 +93,8 @@ impl Body {
             supports = bed.springs.iter().fold(supports, Supports::rest_on);
         }
         let body = py.detach(|| tissuereg_fem::Body::new(mesh, element, supports));
-        body.map(|body| Self(Arc::new(body), Arc::new(bed))).map_err(|error| errors::from_fem(py, &error, None))
+        body.map(|body| Self(Arc::new(body), Arc::new(bed)))
+            .map_err(|error| errors::from_fem(py, &error, None))
     }
 
     /// Undeformed positions of all nodes, float64 (n_nodes, 3), mm: corner nodes, then mid-edge nodes.

@@ -475,7 +475,11 @@ pub(super) fn triangles_of(name: &str, triangles: &Bound<'_, PyAny>) -> PyResult
 }
 
 /// As many numbers as are wanted.
-pub(super) fn exactly<const N: usize>(py: Python<'_>, name: &str, numbers: &[f64]) -> PyResult<[f64; N]> {
+pub(super) fn exactly<const N: usize>(
+    py: Python<'_>,
+    name: &str,
+    numbers: &[f64],
+) -> PyResult<[f64; N]> {
     numbers.try_into().map_err(|_| {
         let message = format!("`{name}` must have {N} numbers a set, got {}", numbers.len());
         errors::raise(py, Class::Shape, &message, Some(name))

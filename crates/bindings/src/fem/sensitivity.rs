@@ -8,7 +8,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tissuereg_fem::material::Parameter;
 use tissuereg_fem::{
-    self as fem, BehaviourParameter, FemError, FrameCause, Load, Observation, Precision, SolveSettings,
+    self as fem, BehaviourParameter, FemError, FrameCause, Load, Observation, Precision,
+    SolveSettings,
 };
 
 use super::bad_choice;
@@ -196,9 +197,8 @@ impl Linearised {
         let cancel = Arc::new(AtomicBool::new(false));
         let settings = SolveSettings { cancel: Some(cancel.clone()), ..settings };
         let own = body.0.clone();
-        let work = move || {
-            Inner::in_precision(own, &material, &load, &displacement, &settings, precision)
-        };
+        let work =
+            move || Inner::in_precision(own, &material, &load, &displacement, &settings, precision);
         let inner = lock::run_watched(py, &cancel, |_| Ok(()), work)?
             .map_err(|error| errors::from_fem(py, &error, None))?;
         let body = super::Body(body.0.clone(), body.1.clone());
@@ -315,8 +315,7 @@ impl Linearised {
         max_iterations: usize,
     ) -> PyResult<super::Solution> {
         let load = self.body.load(forces, body_force, prescribed, springs)?;
-        let settings =
-            super::settings_of(py, tolerance, max_iterations, "auto", 0, self.threads)?;
+        let settings = super::settings_of(py, tolerance, max_iterations, "auto", 0, self.threads)?;
         let answer = self.call(py, move |inner| {
             let settings = SolveSettings { cancel: inner.cancel_flag(), ..settings };
             inner.solve_near(&load, &settings)
@@ -328,13 +327,16 @@ impl Linearised {
     #[getter]
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let inner = self.inner.clone();
-        let report = py
-            .detach(move || inner.lock().unwrap_or_else(PoisonError::into_inner).report());
+        let report =
+            py.detach(move || inner.lock().unwrap_or_else(PoisonError::into_inner).report());
         let dict = PyDict::new(py);
-        dict.set_item("precision", match report.precision {
-            Precision::Double => "double",
-            Precision::Single => "single",
-        })?;
+        dict.set_item(
+            "precision",
+            match report.precision {
+                Precision::Double => "double",
+                Precision::Single => "single",
+            },
+        )?;
         dict.set_item("factorisations", report.factorisations)?;
         dict.set_item("right_hand_sides", report.right_hand_sides)?;
         dict.set_item("corrections", report.corrections)?;

@@ -61,9 +61,7 @@ impl Scene<'_> {
     /// What fields of moduli among causes share.
     pub(super) fn shared_forces(&self, causes: &[Cause]) -> Result<Shared, FemError> {
         let any = |is: fn(&Cause) -> bool| causes.iter().any(is);
-        let by = |parameter, wanted: bool| {
-            wanted.then(|| self.stresses_by(parameter)).transpose()
-        };
+        let by = |parameter, wanted: bool| wanted.then(|| self.stresses_by(parameter)).transpose();
         Ok(Shared {
             young: by(Parameter::Young, any(|c| matches!(c, Cause::YoungField(_))))?,
             poisson: by(Parameter::Poisson, any(|c| matches!(c, Cause::PoissonField(_))))?,

@@ -154,10 +154,11 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             }
             Ok(unbalanced)
         };
-        let columns: Vec<Vec<f64>> = self.settings.in_pool(|| match self.settings.is_parallel() {
-            true => causes.par_iter().map(one).collect::<Result<_, _>>(),
-            false => causes.iter().map(one).collect::<Result<_, _>>(),
-        })?;
+        let columns: Vec<Vec<f64>> =
+            self.settings.in_pool(|| match self.settings.is_parallel() {
+                true => causes.par_iter().map(one).collect::<Result<_, _>>(),
+                false => causes.iter().map(one).collect::<Result<_, _>>(),
+            })?;
         let mut all = Vec::with_capacity(columns.len() * n_nodes);
         columns.iter().for_each(|column| all.extend_from_slice(column.as_chunks::<3>().0));
         Ok(all)

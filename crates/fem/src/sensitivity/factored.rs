@@ -29,7 +29,7 @@ pub(crate) struct Factored {
     pub(crate) factor: Arc<Factor>,
     /// The tangent itself, where the factor is single.
     operator: Option<Operator>,
-    /// Factors made on the way.
+    /// Factors made on the way, the one that failed included.
     pub(crate) factorisations: usize,
 }
 
@@ -56,8 +56,10 @@ impl Factored {
             Precision::Double => make(Entries::Double)?,
             Precision::Single => make(Entries::SingleOrDouble)?,
         };
-        let mut factored = Self { factor: Arc::new(factor), operator: None, factorisations: 1 };
-        if matches!(*factored.factor, Factor::Single(_)) {
+        let is_single = matches!(factor, Factor::Single(_));
+        let factorisations = if is_single || precision == Precision::Double { 1 } else { 2 };
+        let mut factored = Self { factor: Arc::new(factor), operator: None, factorisations };
+        if is_single {
             let is_free = |axes: &[bool; 3]| *axes != [true; 3];
             let wanted: Vec<bool> = problem.body.held().iter().map(is_free).collect();
             factored.operator = problem.operator(state, &wanted);
@@ -74,10 +76,18 @@ impl Factored {
         let pattern = body.pattern();
         let mut buffers = Buffers::default();
         // No two neighbours pull alike.
-        let pull = |&flat: &u32| [if flat.wrapping_mul(0x9E37_79B9) >> 31 == 0 { 1.0 } else { -1.0 }];
+        let pull =
+            |&flat: &u32| [if flat.wrapping_mul(0x9E37_79B9) >> 31 == 0 { 1.0 } else { -1.0 }];
         let rhs: Vec<[f64; 1]> = pattern.unknown2flat.iter().map(pull).collect();
         let mut x = vec![[0.0]; rhs.len()];
-        self.factor.solve_wide_into(&pattern.fronts, 1.0, &rhs, &mut x, &mut buffers.solve, parallel);
+        self.factor.solve_wide_into(
+            &pattern.fronts,
+            1.0,
+            &rhs,
+            &mut x,
+            &mut buffers.solve,
+            parallel,
+        );
         let mut last = norms(&x)[0];
         for _ in 0..2 {
             let correction = norms(self.correction(body, &rhs, &x, &mut buffers, parallel))[0];

@@ -14,8 +14,8 @@ use crate::solve::carrier::Carrier;
 use crate::solve::report::SolveReport;
 use crate::solve::settings::{Method, SolveSettings};
 use crate::surface::{SurfaceTerms, WithFacets};
-use crate::system::{Operator, SolveScratch};
 use crate::system::factor::{Entries, Factor, Making};
+use crate::system::{Operator, SolveScratch};
 
 /// What the body is made of, and what of its past matters.
 #[derive(Debug, Clone, Copy)]

@@ -54,8 +54,19 @@ impl Factor {
         parallel: bool,
     ) {
         match self {
-            Self::Compact(f) => {
+            Self::Compact(f) if W == 1 => {
+                let (rhs, out) = (rhs.as_flattened(), out.as_flattened_mut());
+                let (rhs, out) = (rhs.as_chunks::<1>().0, out.as_chunks_mut::<1>().0);
                 f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
+            }
+            // A metric has one right-hand side at a time.
+            Self::Compact(f) => {
+                let mut found = vec![[0.0]; out.len()];
+                for w in 0..W {
+                    let column: Vec<[f64; 1]> = rhs.iter().map(|row| [row[w]]).collect();
+                    f.solve_into(fronts, scale, &column, &mut found, &mut scratch.single, parallel);
+                    out.iter_mut().zip(&found).for_each(|(row, [x])| row[w] = *x);
+                }
             }
             Self::Single(f) => {
                 f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
@@ -229,7 +240,12 @@ impl<E: Entry, const W: usize> Solving<'_, E, W> {
         }
     }
 
-    fn backward_children(&self, children: &[u32], local: &mut [[E::Real; W]], above: &[[E::Real; W]]) {
+    fn backward_children(
+        &self,
+        children: &[u32],
+        local: &mut [[E::Real; W]],
+        above: &[[E::Real; W]],
+    ) {
         match *children {
             [] => {}
             [one] => self.backward(one, local, Some(above)),
@@ -245,7 +261,12 @@ impl<E: Entry, const W: usize> Solving<'_, E, W> {
         }
     }
 
-    fn backward_front(&self, front: &Front, own: &mut [[E::Real; W]], above: Option<&[[E::Real; W]]>) {
+    fn backward_front(
+        &self,
+        front: &Front,
+        own: &mut [[E::Real; W]],
+        above: Option<&[[E::Real; W]]>,
+    ) {
         if let Some(above) = above {
             let rows = &mut own[front.n_own..];
             for (x, &place) in rows.iter_mut().zip(self.fronts.in_parent_of(front)) {
