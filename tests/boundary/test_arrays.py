@@ -201,7 +201,7 @@ def test_uniform_values_and_equal_values_a_tet_give_the_same_answer(body):
 
 
 def test_a_body_on_springs_survives_pickling(block_mesh):
-    bed = [(block_mesh.surface_triangles, [0.3, 0.1]), (block_mesh.surface_triangles[:2], [0.2, 0.0])]
+    bed = [(block_mesh.surface, [0.3, 0.1]), (block_mesh.surface[:2], [0.2, 0.0])]
     body = _core.Body(block_mesh.nodes, block_mesh.tets, NO_NODES, springs=bed, rests=True)
     again = pickle.loads(pickle.dumps(body))
     for (triangles, stiffness), (wanted, numbers) in zip(again.springs, bed, strict=True):

@@ -1,4 +1,4 @@
-"""Many right-hand sides at an equilibrium, forces that hold a displacement, bodies on springs, starts near the answer."""
+"""Many right-hand sides at an equilibrium, forces that hold a displacement, bodies on springs, starts near by."""
 
 import numpy as np
 import pytest
@@ -93,7 +93,7 @@ def test_internal_forces_hold_the_displacement(simulator):
 def on_springs(element="tet4", stiffness=(0.3, 0.1), **more):
     """Return a block that springs hold all over its surface, and nothing else."""
     mesh = block(cells=(2, 1, 3))
-    everywhere = mesh.surface_triangles
+    everywhere = mesh.surface
     return Simulator(mesh, element=element, held_nodes=(), springs=[(everywhere, stiffness)], **more)
 
 
