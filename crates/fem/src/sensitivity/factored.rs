@@ -91,8 +91,7 @@ impl Factored {
         let mut last = norms(&x)[0];
         for _ in 0..2 {
             let correction = norms(self.correction(body, &rhs, &x, &mut buffers, parallel))[0];
-            // Also where it is NaN.
-            if !(correction <= CONTRACTION * last) {
+            if correction.is_nan() || correction > CONTRACTION * last {
                 return false;
             }
             add(&mut x, self.last_correction(&buffers, rhs.len()), &[false]);
