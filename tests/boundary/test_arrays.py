@@ -56,6 +56,13 @@ def at_rest(body):
         ("tets", lambda b, m: _core.surface_triangles(m.nodes, m.tets[:, :3])),
         ("held_nodes", lambda b, m: _core.Body(m.nodes, m.tets, m.fixed_nodes[:, None])),
         ("young", lambda b, m: b.solve(np.ones(2), one(0.4))),
+        ("springs", lambda b, m: b.solve(one(9.0), one(0.4), springs=np.zeros((1, 2)))),
+        ("springs", lambda b, m: b.solve_many(one(9.0), one(0.4), springs=np.zeros((1, 1, 2)))),
+        ("start", lambda b, m: b.solve_many(one(9.0), one(0.4), start=np.zeros((2, len(m.nodes), 3)))),
+        ("displacement", lambda b, m: b.internal_forces(np.zeros((2, 3)), one(9.0), one(0.4))),
+        ("displacement", lambda b, m: b.spring_forces(np.zeros((2, 3)))),
+        ("forces", lambda b, m: at_rest(b).responses(np.zeros((len(m.nodes), 3)))),
+        ("weights", lambda b, m: at_rest(b).compliance([(np.array([3]), NO_WEIGHTS, *NOTHING)])),
         ("poisson", lambda b, m: b.solve(one(9.0), 0.4)),
         ("forces", lambda b, m: b.solve(one(9.0), one(0.4), forces=np.zeros((3, 3)))),
         ("body_force", lambda b, m: b.solve(one(9.0), one(0.4), body_force=np.zeros(2))),
@@ -191,6 +198,19 @@ def test_uniform_values_and_equal_values_a_tet_give_the_same_answer(body):
     c = body.solve_many(field[None], one(0.4), body_force=gravity[None]).displacement[0]
     np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-7 * np.abs(a).max())
     np.testing.assert_allclose(c, a, rtol=0.0, atol=1e-7 * np.abs(a).max())
+
+
+def test_a_body_on_springs_survives_pickling(block_mesh):
+    bed = [(block_mesh.surface, [0.3, 0.1]), (block_mesh.surface[:2], [0.2, 0.0])]
+    body = _core.Body(block_mesh.nodes, block_mesh.tets, NO_NODES, springs=bed, rests=True)
+    again = pickle.loads(pickle.dumps(body))
+    for (triangles, stiffness), (wanted, numbers) in zip(again.springs, bed, strict=True):
+        np.testing.assert_array_equal(triangles, wanted)
+        assert stiffness == numbers
+    load = {"body_force": np.array([0.0, 1e-3, 0.0])}
+    one_answer, other = (b.solve(one(9.0), one(0.4), **load).displacement for b in (body, again))
+    assert np.abs(one_answer).max() > 0.0
+    np.testing.assert_array_equal(one_answer, other)
 
 
 def test_a_body_survives_pickling(body):

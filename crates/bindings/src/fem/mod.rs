@@ -228,7 +228,7 @@ impl Body {
     }
 
     /// The exact tangent at an equilibrium, which answers derivatives; arguments as those of `solve`, `displacement` its
-    /// answer, float64 (n_nodes, 3) mm. The factor is kept in "double" precision or in "single", which takes half the time.
+    /// answer, float64 (n_nodes, 3) mm. The factor is in "double" precision or in "single", made sooner in half the memory.
     #[pyo3(signature = (displacement, young, poisson, *, law=None, forces=None, body_force=None, prescribed=None,
                         springs=None, precision="double", threads=0))]
     #[allow(clippy::too_many_arguments)] // keywords in Python

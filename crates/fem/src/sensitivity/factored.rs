@@ -29,7 +29,7 @@ pub(crate) struct Factored {
     pub(crate) factor: Arc<Factor>,
     /// The tangent itself, where the factor is single.
     operator: Option<Operator>,
-    /// Factors made on the way.
+    /// Factors made on the way, the one that failed included.
     pub(crate) factorisations: usize,
 }
 
@@ -56,8 +56,10 @@ impl Factored {
             Precision::Double => make(Entries::Double)?,
             Precision::Single => make(Entries::SingleOrDouble)?,
         };
-        let mut factored = Self { factor: Arc::new(factor), operator: None, factorisations: 1 };
-        if matches!(*factored.factor, Factor::Single(_)) {
+        let is_single = matches!(factor, Factor::Single(_));
+        let factorisations = if is_single || precision == Precision::Double { 1 } else { 2 };
+        let mut factored = Self { factor: Arc::new(factor), operator: None, factorisations };
+        if is_single {
             let is_free = |axes: &[bool; 3]| *axes != [true; 3];
             let wanted: Vec<bool> = problem.body.held().iter().map(is_free).collect();
             factored.operator = problem.operator(state, &wanted);
@@ -89,8 +91,7 @@ impl Factored {
         let mut last = norms(&x)[0];
         for _ in 0..2 {
             let correction = norms(self.correction(body, &rhs, &x, &mut buffers, parallel))[0];
-            // Also where it is NaN.
-            if !(correction <= CONTRACTION * last) {
+            if correction.is_nan() || correction > CONTRACTION * last {
                 return false;
             }
             add(&mut x, self.last_correction(&buffers, rhs.len()), &[false]);

@@ -116,8 +116,8 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
     ///
     /// # Cost
     ///
-    /// A single factor takes half of the time and memory of a double one, the tangent that refines
-    /// its solutions a quarter of the latter's.
+    /// A single factor takes half of the memory and, with the tangent that refines its solutions, 60 to
+    /// 80 % of the time of a double one (4,000 to 20,000 nodes). Its solutions take about as long.
     pub fn in_precision(
         body: B,
         material: &Material,

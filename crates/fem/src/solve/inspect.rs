@@ -66,8 +66,8 @@ pub fn internal_forces(
 
 /// Forces of springs on a body at a displacement.
 ///
-/// They are linear in the displacement: springs whose far ends move by `a` pull at a body at `u` as
-/// springs that stay do at `u − a`.
+/// Without friction they are linear in the displacement: springs whose far ends move by `a` pull at a
+/// body at `u` as springs that stay do at `u − a`.
 ///
 /// # Shapes
 ///

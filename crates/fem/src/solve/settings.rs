@@ -34,7 +34,7 @@ pub enum Precision {
     /// Double: a solution needs no refinement.
     #[default]
     Double,
-    /// Single, half the time and memory of a factor; solutions are refined with the tangent in double
+    /// Single, in less time and half the memory; solutions are refined with the tangent in double
     /// precision until they are right to 1e-9. Double is taken where the tangent is too close to
     /// singular for that.
     Single,

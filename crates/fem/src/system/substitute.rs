@@ -54,8 +54,19 @@ impl Factor {
         parallel: bool,
     ) {
         match self {
-            Self::Compact(f) => {
+            Self::Compact(f) if W == 1 => {
+                let (rhs, out) = (rhs.as_flattened(), out.as_flattened_mut());
+                let (rhs, out) = (rhs.as_chunks::<1>().0, out.as_chunks_mut::<1>().0);
                 f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
+            }
+            // A metric has one right-hand side at a time.
+            Self::Compact(f) => {
+                let mut found = vec![[0.0]; out.len()];
+                for w in 0..W {
+                    let column: Vec<[f64; 1]> = rhs.iter().map(|row| [row[w]]).collect();
+                    f.solve_into(fronts, scale, &column, &mut found, &mut scratch.single, parallel);
+                    out.iter_mut().zip(&found).for_each(|(row, [x])| row[w] = *x);
+                }
             }
             Self::Single(f) => {
                 f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
