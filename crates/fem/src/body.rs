@@ -10,6 +10,7 @@ use crate::error::FemError;
 use crate::mesh::{Mesh, ascending};
 use crate::solve::RestCache;
 use crate::supports::Supports;
+use crate::surface::{FacetOwners, facet_owners};
 use crate::system::pattern::Pattern;
 use crate::system::{PlainOrder, check_rigid_modes};
 
@@ -252,6 +253,11 @@ impl Body {
         self.plain_order.get_or_init(make).as_ref().map_err(FemError::clone)
     }
 
+    /// Owners of the surface's triangles, found when first asked for.
+    pub(crate) fn facet_owners(&self) -> &FacetOwners {
+        self.shape.facet_owners.get_or_init(|| facet_owners(self.mesh()))
+    }
+
     pub(crate) fn rest_cache(&self) -> &RestCache {
         &self.rest_cache
     }
@@ -331,6 +337,8 @@ struct ShapeOfBody {
     geometry: Geometry,
     /// Made when first asked for.
     gradients: OnceLock<NodalGradients>,
+    /// The same.
+    facet_owners: OnceLock<FacetOwners>,
 }
 
 impl ShapeOfBody {
@@ -340,7 +348,14 @@ impl ShapeOfBody {
         edges: Vec<[usize; 2]>,
         geometry: Geometry,
     ) -> Arc<Self> {
-        Arc::new(Self { mesh, nodes, edges, geometry, gradients: OnceLock::new() })
+        Arc::new(Self {
+            mesh,
+            nodes,
+            edges,
+            geometry,
+            gradients: OnceLock::new(),
+            facet_owners: OnceLock::new(),
+        })
     }
 }
 

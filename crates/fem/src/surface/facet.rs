@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use crate::body::Body;
 use crate::element::{EDGES, Element, cross};
 use crate::error::FemError;
-use crate::mesh::{FACES, ascending};
+use crate::mesh::{FACES, Mesh, ascending};
 
 /// Corners of the edges of a facet, in the order of its mid-edge nodes 3 to 5.
 const FACET_EDGES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
@@ -31,20 +31,29 @@ pub(crate) struct Facet {
 ///
 /// [`FemError::NotOnSurface`].
 pub(crate) fn facets_of(body: &Body, triangles: &[[usize; 3]]) -> Result<Vec<Facet>, FemError> {
-    let mut owners: HashMap<[usize; 3], Vec<(usize, usize)>> =
-        triangles.iter().map(|&triangle| (ascending(triangle), Vec::new())).collect();
-    for (tet, corners) in body.mesh().tets().iter().enumerate() {
+    let owners = body.facet_owners();
+    let facet = |(row, &triangle): (usize, &[usize; 3])| match owners.get(&ascending(triangle)) {
+        Some(&(tet, face)) => Ok(Facet::new(body, tet, FACES[face])),
+        None => Err(FemError::NotOnSurface { row, triangle }),
+    };
+    triangles.iter().enumerate().map(facet).collect()
+}
+
+/// Tetrahedron and face of every triangle of the surface, by its nodes in ascending order.
+pub(crate) type FacetOwners = HashMap<[usize; 3], (usize, usize)>;
+
+/// Find the owners of all facets of a mesh.
+pub(crate) fn facet_owners(mesh: &Mesh) -> FacetOwners {
+    let mut owners: FacetOwners =
+        mesh.surface_triangles().iter().map(|&triangle| (ascending(triangle), (0, 0))).collect();
+    for (tet, corners) in mesh.tets().iter().enumerate() {
         for (face, places) in FACES.iter().enumerate() {
-            if let Some(list) = owners.get_mut(&ascending(places.map(|a| corners[a]))) {
-                list.push((tet, face));
+            if let Some(owner) = owners.get_mut(&ascending(places.map(|a| corners[a]))) {
+                *owner = (tet, face);
             }
         }
     }
-    let facet = |(row, &triangle): (usize, &[usize; 3])| match owners.get(&ascending(triangle)) {
-        Some(list) if list.len() == 1 => Ok(Facet::new(body, list[0].0, FACES[list[0].1])),
-        _ => Err(FemError::NotOnSurface { row, triangle }),
-    };
-    triangles.iter().enumerate().map(facet).collect()
+    owners
 }
 
 impl Facet {

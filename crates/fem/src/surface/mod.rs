@@ -13,6 +13,7 @@ mod traction;
 
 pub(crate) use blocks::{FacetBlocks, WithFacets};
 use facet::facets_of;
+pub(crate) use facet::{FacetOwners, facet_owners};
 pub use friction::Friction;
 pub(crate) use friction::{Slip, must_stick};
 pub use skin::Skin;
