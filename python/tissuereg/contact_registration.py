@@ -19,13 +19,16 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.load import Load
 from tissuereg.material import Material
-from tissuereg.mesh import det_f
+from tissuereg.mesh import Mesh, det_f
 from tissuereg.result import MarkerFit, Registration, Target
 from tissuereg.simulate.solve import LoadParts
 from tissuereg.trust import Trust, judge
 
 #: A target is flagged where the markers take away less than this share of its variance under unseen contacts.
-LEAST_CONSTRAINED = 0.8
+LEAST_CONSTRAINED = 0.5
+
+#: Meshes of at most so many nodes get averaged elements, and so do Poisson's ratios above this.
+COARSE_NODES, STIFF_POISSON = 3000, 0.475
 
 #: What a flagged target is told.
 NO_MARKER = "no marker tells"
@@ -107,6 +110,12 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
         std = spread.nodes(rng)
     draw = _Draws(fit, spread, material, given)
     return _result(given, fit, start, points, std, draw, clock, believed)
+
+
+def fitting_element(mesh: Mesh, material: Material) -> str:
+    """Return the elements that suit a mesh: averaged ones where plain four-node tets would be much too stiff."""
+    coarse = mesh.n_nodes <= COARSE_NODES
+    return "tet4-averaged" if coarse or float(np.max(material.poisson_array)) > STIFF_POISSON else "tet4"
 
 
 def _believed(body: ContactBody, believed: ContactInput, threads: int) -> tuple[LoadParts, FloatArray | None]:

@@ -7,12 +7,13 @@ Algorithm 1 (`tissuereg.latent_registration`).
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from tissuereg._clock import Clock
-from tissuereg.contact_registration import ContactInput, register_by_contacts
+from tissuereg.contact_registration import ContactInput, fitting_element, register_by_contacts
 from tissuereg.inputs import RegisterInput, RegisterSettings, finite_field
 from tissuereg.latent.model import LatentModel
 from tissuereg.latent_registration import register_by_model
@@ -35,12 +36,13 @@ def register(
     targets: Mapping[str, Any] | None = None,
     load: Load | None = None,
     material: Material | None = None,
-    element: str = "tet4",
+    element: str = "auto",
     held: str = "sure",
     held_nodes: Any = None,
     seed: int = 0,
     threads: int = 0,
     settings: RegisterSettings | None = None,
+    polish: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Registration:
     """Register a deformed body to a few measured markers.
@@ -64,8 +66,9 @@ def register(
         What is believed to act; direction, size and place stay uncertain.
     material : Material, optional
         What is believed of the material. Without a load its stiffness scales forces alone.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements of our own simulations.
+    element : {"auto", "tet4", "tet4-averaged", "tet10"}
+        Elements of our own simulations. ``"auto"`` without a model: averaged ones on coarse meshes and near
+        incompressibility, where plain four-node tets are too stiff; ``"tet4"`` else.
     held : {"sure", "perhaps", "free"}
         How the node set ``fixed`` is taken.
     held_nodes : array_like of int, optional
@@ -76,6 +79,9 @@ def register(
         Threads to use; 0 takes all cores.
     settings : RegisterSettings, optional
         Prior of contacts; ensemble size and steps with a model.
+    polish : bool
+        With a model: take its answer for the simulation of a registration by contacts, so that the body becomes an
+        equilibrium and meets the markers.
     progress : callable of (int, int), optional
         Called with passes finished and passes at most.
 
@@ -105,11 +111,19 @@ def register(
         with clock.stage("attach"):
             given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held)
         said = None if simulation is None else finite_field(simulation, given.mesh)
+        stuff = material or Material()
+        own = fitting_element(given.mesh, stuff) if element == "auto" else element
         if model is None:
-            believed = ContactInput(load, said, material or Material(), element, held, held_nodes, progress)
+            believed = ContactInput(load, said, stuff, own, held, held_nodes, progress)
             return register_by_contacts(given, believed, clock)
         if said is None and load is not None:
             with clock.stage("simulate"):
-                simulator = Simulator(given.mesh, element=element, held_nodes=held_nodes)
-                said = simulator.solve(load, material or Material(), threads=threads).displacement
-        return register_by_model(given, model, said, clock)
+                plain = "tet4" if element == "auto" else element
+                simulator = Simulator(given.mesh, element=plain, held_nodes=held_nodes)
+                said = simulator.solve(load, stuff, threads=threads).displacement
+        result = register_by_model(given, model, said, clock)
+        if not polish:
+            return result
+        believed = ContactInput(None, result.displacement, stuff, own, held, held_nodes, progress)
+        polished = register_by_contacts(given, believed, clock)
+        return replace(polished, model={**result.model, "polished": True})

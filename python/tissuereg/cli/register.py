@@ -49,8 +49,10 @@ def add_parser(commands: Any) -> None:
     how = parser.add_argument_group("method")
     text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
-    text = "elements of our own simulations (default: tet4)"
-    how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], default="tet4", help=text)
+    text = "elements of our own simulations (default: auto, those that suit the mesh)"
+    choices = ["auto", "tet4", "tet4-averaged", "tet10"]
+    how.add_argument("--element", choices=choices, default="auto", help=text)
+    how.add_argument("--polish", action="store_true", help="with a model: make its answer an equilibrium")
     how.add_argument(
         "--members", type=whole_number(8), metavar="N", help="ensemble members, with a model (default: 200)"
     )
@@ -103,6 +105,7 @@ def run(args: argparse.Namespace) -> Outcome:
             **given,
             model=args.model,
             element=args.element,
+            polish=args.polish,
             **({} if args.held is None else {"held": args.held}),
             seed=args.seed or 0,
             threads=args.threads,
@@ -177,7 +180,8 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
         if getattr(args, name) is None:
             _refuse(f"--{name} must be given with an experiment", f"--{name}")
     experiment = read_experiment(args.path)
-    return frame_input(experiment, args.case, args.time, element=args.element, threads=args.threads)
+    plain = "tet4" if args.element == "auto" else args.element
+    return frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
 
 
 def _refuse(message: str, where: str) -> NoReturn:

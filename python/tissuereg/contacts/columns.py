@@ -85,14 +85,15 @@ class Columns:
     def of(cls, body: ContactBody, young: float, believed: LoadParts, settings: ContactSettings) -> "Columns":
         """Return the columns of a body under a believed load."""
         n_patches = 3 * body.patches.n_patches
-        families = [Family.of("background", slice(0, n_patches), _BACKGROUND**2, settings.background)]
-        blocks = [("weight", 3, settings.weight)]
+        extent = body.mesh.extent
+        families = [Family.of("background", slice(0, n_patches), _BACKGROUND**2, _in_mm(settings.background, extent))]
+        blocks = [("weight", 3, _in_mm(settings.weight, extent))]
         if any(part is not None for part in believed.values()):
             blocks.append(("believed", 3, settings.believed))
         if body.base is not None:
-            blocks.append(("supports", 3 * body.base.n_patches, settings.supports))
+            blocks.append(("supports", 3 * body.base.n_patches, _in_mm(settings.supports, extent)))
         if body.supports.moves:
-            blocks.append(("frame", 6, settings.frame_mm))
+            blocks.append(("frame", 6, _in_mm(settings.frame, extent)))
         first = n_patches
         for name, count, size in blocks:
             families.append(Family.of(name, slice(first, first + count), 1.0, size))
@@ -224,13 +225,23 @@ class Columns:
         return found
 
 
+def _in_mm(size: tuple[float, float], extent: float) -> tuple[float, float]:
+    """Return a size over the extent in mm."""
+    return (size[0] * extent, size[1])
+
+
+def contact_sizes(columns: Columns, settings: ContactSettings) -> FloatArray:
+    """Return the sizes of a contact that are tried, mm, shape (n_sizes,)."""
+    return np.array(settings.sizes) * columns.body.mesh.extent
+
+
 def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:
     """Return the logarithm of the prior probability of a slot's patch and size, shape (n_patches, n_sizes).
 
     The odds are spread evenly over radii, then over centres; sizes above a share of the radius become unlikely.
     """
     patches = columns.body.patches
-    sizes = np.array(settings.sizes_mm)
+    sizes = contact_sizes(columns, settings)
     by_size = -0.5 * (sizes / (settings.largest_share * patches.radii[:, None])) ** 2
     by_size -= np.log(np.exp(by_size).sum(axis=1, keepdims=True))
     count = np.bincount(patches.level)
@@ -265,7 +276,7 @@ def sampler(columns: Columns, settings: ContactSettings, responses: FloatArray, 
         np.ascontiguousarray(responses),
         texture=patches.texture,
         neighbours=patches.neighbours,
-        variances=np.array(settings.sizes_mm) ** 2,
+        variances=contact_sizes(columns, settings) ** 2,
         log_filled=log_filled(columns, settings),
         log_empty=-float(np.log1p(settings.odds)),
         n_slots=settings.n_slots,

@@ -13,20 +13,21 @@ class ContactSettings:
         Contacts at most.
     odds : float
         Odds of a slot being filled.
-    sizes_mm : tuple of float
-        Sizes of a contact that are tried: motion of its patch by itself.
+    sizes : tuple of float
+        Sizes of a contact that are tried: motion of its patch by itself, over the body's extent.
     largest_share : float
         A patch is not pushed by more than about this share of its radius.
     background : tuple of float
-        Median and standard deviation of the logarithm of the size of a background on all patches, mm.
+        Median of the size of a background on all patches, over the body's extent, and standard deviation of its
+        logarithm.
     weight : tuple of float
-        The same of a body force, in body forces that move the body by about 1 mm.
+        The same of a body force, by the motion that it makes.
     believed : tuple of float
         The same of the error of a believed load, over the load.
     supports : tuple of float
-        The same of the motion of supports that are perhaps held, mm.
-    frame_mm : tuple of float
-        The same of a rigid motion of a body that nothing holds for sure, mm.
+        The same of the motion of supports that are perhaps held.
+    frame : tuple of float
+        The same of a rigid motion of a body that nothing holds for sure.
     wrong_odds : float
         Odds that a marker is wrong.
     wrong_share : float
@@ -55,13 +56,13 @@ class ContactSettings:
 
     n_slots: int = 3
     odds: float = 0.4
-    sizes_mm: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+    sizes: tuple[float, ...] = (0.0008, 0.0025, 0.008, 0.025, 0.08, 0.25)
     largest_share: float = 0.5
-    background: tuple[float, float] = (0.0165, 1.0)
-    weight: tuple[float, float] = (0.1, 2.0)
+    background: tuple[float, float] = (0.00025, 1.0)
+    weight: tuple[float, float] = (0.0008, 2.0)
     believed: tuple[float, float] = (0.5, 0.7)
-    supports: tuple[float, float] = (0.1, 1.5)
-    frame_mm: tuple[float, float] = (1.0, 1.5)
+    supports: tuple[float, float] = (0.0008, 1.5)
+    frame: tuple[float, float] = (0.008, 1.5)
     wrong_odds: float = 0.005
     wrong_share: float = 0.05
     model_error: float = 0.02
