@@ -297,7 +297,10 @@ def _trust(given: RegisterInput, fit: ContactFit, known: _Known, used: Any, min_
     # Whether a marker is wrong has been asked with the contacts; here its residual is held against its noise alone.
     spread = np.zeros((3 * len(used), 3 * len(used)))
     names = tuple(markers.names[i] for i in used)
-    return judge(names, np.nan_to_num(left), np.diag(variance), spread, fit.prior_misfit, min_det_f, notes)
+    residual = np.nan_to_num(left)
+    # The innovation's misfit counts the data term once more: what it has beyond that is the prior's.
+    prior_term = max(0.0, fit.misfit - float(np.sum(residual.ravel() ** 2 / variance)))
+    return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes)
 
 
 __all__ = ["ContactInput", "FoundContact", "register_by_contacts"]

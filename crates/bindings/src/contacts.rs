@@ -119,8 +119,8 @@ impl Contacts {
         self.0.n_uniforms(&settings)
     }
 
-    /// Moments over samples: coefficients, their gain, and means, covariances and prior covariances of points, whose
-    /// responses are float64 (3 n_points, n_columns).
+    /// Moments over samples: coefficients, their gain, means, covariances and prior covariances of points, whose responses
+    /// are float64 (3 n_points, n_columns), and the misfit.
     #[pyo3(signature = (samples, points, *, threads=0))]
     fn moments<'py>(
         &self,
@@ -145,6 +145,7 @@ impl Contacts {
             arrays::from_points(py, found.means)?,
             square(found.covariances)?,
             square(found.prior_covariances)?,
+            found.misfit,
         ))
     }
 
@@ -173,13 +174,14 @@ impl Contacts {
     }
 }
 
-/// Coefficients and their gain; means, covariances and prior covariances of points.
+/// Coefficients and their gain; means, covariances and prior covariances of points; misfit.
 type Moments<'py> = (
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray3<f64>>,
+    f64,
 );
 
 /// Entries column by column.

@@ -34,6 +34,8 @@ pub struct Moments {
     pub covariances: Vec<[[f64; 3]; 3]>,
     /// Mean over samples of each point's covariance before anything was observed.
     pub prior_covariances: Vec<[[f64; 3]; 3]>,
+    /// Mean over samples of `d' C^-1 d`: about `n_obs` where prior and noise are what they claim.
+    pub misfit: f64,
 }
 
 impl Problem {
@@ -134,7 +136,9 @@ impl Problem {
             left
         });
         let covariance = covariance.collect();
-        Ok(Conditional { inverse: inverse(evidence.factor.as_ref()), mean, covariance, prior })
+        let misfit = evidence.white.iter().map(|x| x * x).sum();
+        let inverse = inverse(evidence.factor.as_ref());
+        Ok(Conditional { inverse, mean, covariance, prior, misfit })
     }
 
     /// Mean of `D J' C^-1` over samples: families share their columns, so that only their inverses are averaged.
@@ -260,6 +264,8 @@ struct Conditional {
     mean: Vec<f64>,
     covariance: Vec<[[f64; 3]; 3]>,
     prior: Vec<[[f64; 3]; 3]>,
+    /// `d' C^-1 d`
+    misfit: f64,
 }
 
 fn prior_of_points(points: MatRef<'_, f64>, variances: &[f64]) -> Vec<[[f64; 3]; 3]> {
@@ -305,7 +311,8 @@ fn mixture(
             }
         }
     }
-    Moments { coefficients, gain, means, covariances, prior_covariances }
+    let misfit = share * each.iter().map(|one| one.misfit).sum::<f64>();
+    Moments { coefficients, gain, means, covariances, prior_covariances, misfit }
 }
 
 fn dot<'a>(a: impl Iterator<Item = &'a f64>, b: impl Iterator<Item = &'a f64>) -> f64 {

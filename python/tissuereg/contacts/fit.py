@@ -105,8 +105,8 @@ class ContactFit:
         How all components of all markers follow the columns.
     wrong : ndarray of float64, shape (n_markers,)
         Probability that a marker is wrong; zero where it was not seen.
-    prior_misfit : float
-        Mean over samples of the prior term of the misfit, that of the coefficients.
+    misfit : float
+        Mean over samples of the squared Mahalanobis length of the innovation at the end.
     residual_rms : list of float
         Root mean square distance of the markers after each pass, mm.
     counters : dict of str to int
@@ -120,7 +120,7 @@ class ContactFit:
     samples: Samples
     responses: FloatArray
     wrong: FloatArray
-    prior_misfit: float
+    misfit: float
     residual_rms: list[float]
     counters: dict[str, int]
 
@@ -337,18 +337,10 @@ class Passes:
             samples,
             responses,
             wrong,
-            self._prior_misfit(moment, responses, wrong),
+            float(core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[5]),
             history,
             dict(self.counters),
         )
-
-    def _prior_misfit(self, moment: Moment, responses: FloatArray, wrong: FloatArray) -> float:
-        """Return the prior term of the misfit, ``c' D^-1 c = (J c)' C_d^-1 r``, since ``c = D J' C_d^-1 r``."""
-        rows = self.seen.rows
-        left = (self._measured(moment) - self._predicted(moment)).ravel()[rows]
-        moved = responses[rows] @ moment.coefficients
-        weights = (wrong[rows // 3] < 0.5) / self.seen.std(self.settings.model_error) ** 2
-        return float(max(0.0, np.sum(weights * moved * left)))
 
     def _count(self, name: str, value: int) -> None:
         self.counters[name] = self.counters.get(name, 0) + value

@@ -88,7 +88,7 @@ class Spread:
         fit = self._fit
         compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
         responses = fit.columns.responses(compliance, places)
-        _, gain, _, covariance, _ = fit.sampler.moments(
+        _, gain, _, covariance, *_ = fit.sampler.moments(
             list(fit.samples), np.ascontiguousarray(responses), threads=self._threads
         )
         left = (self._by_model(compliance) - responses @ (gain @ self._model_at_markers)).reshape(len(places), 3, -1)
