@@ -97,7 +97,7 @@ def _free_place(
             outside = np.maximum(frame[0] - box[0], 0.0).sum() + np.maximum(box[1] - frame[1], 0.0).sum()
             covers = sum(_overlap(box, other) for other in taken)
             leader = _leader(anchor, box)
-            clear, body = (_inside(places, box) for places in drawn)
+            clear, body = (_inside(places, box + _GAP * np.array([[-1.0], [1.0]])) for places in drawn)
             clear += sum(_inside(leader, other) for other in taken)
             cost = reach + 10.0 * outside + 1e3 * covers + _COVERED * clear + _ON_BODY * min(1.0, 0.25 * body)
             if cost < least:
