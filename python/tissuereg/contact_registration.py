@@ -243,8 +243,15 @@ def _result(
         dropped_members=[],
         contacts=find_contacts(fit),
         work=dict(fit.counters),
+        forces=_forces(fit),
         draw=draw,
     )
+
+
+def _forces(fit: ContactFit) -> FloatArray:
+    """Return the nodal forces (n_nodes, 3) of the mean load in the tracker's frame, mN."""
+    forces = np.asarray(fit.columns.load(fit.moment.coefficients).forces)
+    return np.asarray(forces[: fit.columns.body.mesh.n_nodes] @ fit.moment.frame.rotation.T)
 
 
 def _targets(given: RegisterInput, known: _Known, start: Moment | None) -> dict[str, Target]:

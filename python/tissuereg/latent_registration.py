@@ -124,7 +124,7 @@ def _result(
     notes = list(given.suspicions)
     if fit.widening > 9.0:
         times = np.sqrt(fit.widening)
-        notes.append(f"the simulation is farther off than it usually is: its prior had to be widened {times:.1f}-fold")
+        notes.append(f"simulation: it is farther off than usual; its prior had to be widened {times:.1f}-fold")
     trust = judge(
         tuple(markers.names[i] for i in seen),
         residual,

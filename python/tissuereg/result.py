@@ -156,6 +156,9 @@ class Registration:
         Where the body is believed to be pushed or pulled; empty with a trained model.
     work : dict of str to int
         Factorisations, right-hand sides, solves, sweeps; empty with a trained model.
+    forces : ndarray of float64, shape (n_nodes, 3), or None
+        Nodal forces in mN at the believed modulus of the load that holds the body, the believed one included, its body
+        force not; None with a trained model.
     draw : callable of int, optional
         Returns posterior displacement fields; see `draws`.
     """
@@ -177,6 +180,7 @@ class Registration:
     dropped_members: list[tuple[int, str]]
     contacts: tuple[FoundContact, ...] = ()
     work: dict[str, int] = field(default_factory=dict)
+    forces: FloatArray | None = None
     draw: Callable[[int], FloatArray] | None = None
 
     def draws(self, count: int) -> FloatArray:

@@ -31,7 +31,8 @@ class Trust:
     p_value : float
         Chance of a misfit this large if prior and noise are what they claim.
     reasons : list of str
-        What speaks against it, in sentences.
+        What speaks against it, in sentences that start with their kind: ``misfit``, ``wrong marker``,
+        ``inverted tets``, ``simulation``, or a kind of `tissuereg.readings.Suspicion`.
     chi_square : float
         J above.
     residual_chi_square : float
@@ -90,7 +91,7 @@ def judge(
     reasons = list(notes)
     if p_value < LEVEL:
         reasons.append(
-            f"markers and model disagree: misfit {total:.1f} where {flat.size} is expected (p = {p_value:.2g}); "
+            f"misfit: markers and model disagree, {total:.1f} where {flat.size} is expected (p = {p_value:.2g}); "
             "the noise is larger than stated, the prior too narrow, or the model misses something"
         )
     limit = float(chi2.isf(LEVEL / max(len(names), 1), 3))
@@ -98,9 +99,10 @@ def judge(
         rows = slice(3 * index, 3 * index + 3)
         score = _marker_score(flat[rows], noise[rows, rows], posterior_spread[rows, rows])
         if score > limit:
-            reasons.append(f"marker {name} does not fit the others: {np.sqrt(score):.1f} standard deviations off")
+            off = np.sqrt(score)
+            reasons.append(f"wrong marker: {name} does not fit the others, {off:.1f} standard deviations off")
     if min_det_f <= 0:
-        reasons.append(f"the registered body turns tets inside out: smallest det F {min_det_f:.3g}")
+        reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
     return Trust(not reasons, p_value, total, data_misfit, int(flat.size), reasons)
 
 

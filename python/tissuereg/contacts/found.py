@@ -26,7 +26,7 @@ class FoundContact:
     radius_mm : float
         Mean radius of its patches.
     direction : ndarray of float64, shape (3,)
-        Unit vector of the force on the body.
+        Unit vector of the force on the registered body.
     size_mm : float
         How far the surface there has moved.
     force_mN : float
@@ -75,7 +75,8 @@ def find_contacts(fit: ContactFit) -> tuple[FoundContact, ...]:
         left &= ~taken
         if contact.probability < _LEAST_PROBABILITY:
             break
-        found.append(contact)
+        if contact.force_mN > 0.0:
+            found.append(contact)
     return tuple(sorted(found, key=lambda contact: -contact.probability))
 
 
@@ -93,7 +94,7 @@ def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, B
     weights = count[members] / count[members].sum()
     centre = weights @ patches.centres[members]
     radius = float(weights @ patches.radii[members])
-    force = _force(fit, centre, radius)
+    force = fit.moment.frame.rotation @ _force(fit, centre, radius)
     size = float(np.linalg.norm(force))
     nodes = fit.columns.body.mesh.surface_nodes
     node = nodes[np.argmin(np.linalg.norm(fit.columns.body.mesh.nodes[nodes] - centre, axis=1))]

@@ -37,6 +37,8 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
         If the folder cannot be written; nothing is changed then.
     """
     fields = {"displacement_mm": result.displacement, "std_mm": result.std}
+    if result.forces is not None:
+        fields["contact_force_mN"] = result.forces
     held = np.zeros(result.mesh.n_nodes, dtype=np.int8)
     held[result.mesh.node_sets.get("fixed", np.empty(0, np.int64))] = 1
     content = result.to_json()

@@ -7,11 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tissuereg._arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
 from tissuereg.report.markup import document, escape, table
+from tissuereg.report.scene import Surface, contact_verb
+from tissuereg.report.words import silent, verdict
 
 if TYPE_CHECKING:
     from tissuereg.result import Registration
+
+_STYLE = """
+.verdict { font-size: 1.9rem; font-weight: bold; margin: .5rem 0; } .silent { color: #7a12a8; }
+"""
 
 
 def write_page(result: "Registration", path: Path) -> Path:
@@ -37,12 +44,15 @@ def write_page(result: "Registration", path: Path) -> Path:
     parts = [
         _summary(result),
         _picture(result),
+        _contacts(result),
         _targets(result),
+        _dropped(result),
         _markers(result),
         _model(result),
+        _work(result),
         _times(result),
     ]
-    text = document("Registration", parts)
+    text = document("Registration", parts, _STYLE)
     with atomic_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
     return path
@@ -50,14 +60,16 @@ def write_page(result: "Registration", path: Path) -> Path:
 
 def _summary(result: "Registration") -> str:
     trust, fit = result.trust, result.markers
-    verdict = "<b class='yes'>Nothing speaks against this result.</b>" if trust.ok else "<b class='no'>Be careful.</b>"
     reasons = "".join(f"<li>{escape(reason)}</li>" for reason in trust.reasons)
+    flagged = [name for name, target in result.targets.items() if target.flag]
     return (
-        f"<h1>Registration</h1><p>{verdict} {len(fit.used)} markers lie {fit.after_rms_mm:.2f} mm (rms) from the "
-        f"registered body, {fit.before_rms_mm:.2f} mm before. Misfit {trust.chi_square:.1f} for {trust.n_obs} measured "
+        f"<h1>Registration</h1><p class='verdict {'yes' if trust.ok else 'no'}'>{verdict(trust.ok)}</p>"
+        + (f"<ul class='no'>{reasons}</ul>" if reasons else "")
+        + (f"<p class='silent'>{escape(silent(flagged))}</p>" if flagged else "")
+        + f"<p>{len(fit.used)} markers lie {fit.after_rms_mm:.2f} mm (rms) from the registered body, "
+        f"{fit.before_rms_mm:.2f} mm before. Misfit {trust.chi_square:.1f} for {trust.n_obs} measured "
         f"coordinates, p = {trust.p_value:.2g}. Smallest volume ratio of a tet {result.min_det_f:.2f}, "
         f"{result.inverted_tets} inverted.</p>"
-        f"<ul>{reasons}</ul>"
     )
 
 
@@ -68,6 +80,36 @@ def _picture(result: "Registration") -> str:
     return f"<img alt='body before and after' src='data:image/png;base64,{data}'>"
 
 
+def _contacts(result: "Registration") -> str:
+    if not result.contacts:
+        return ""
+    surface = Surface.of(result)
+    rows = []
+    for contact in result.contacts:
+        node = surface.nearest(contact.centre_mm, result.mesh.nodes)
+        rows.append(
+            (
+                contact_verb(contact, surface.normals[node]),
+                _triple(contact.centre_mm, 1),
+                f"{contact.radius_mm:.1f}",
+                _triple(contact.direction),
+                f"{contact.size_mm:.1f}",
+                f"{contact.force_mN:,.0f}",
+                f"{contact.probability:.2f}",
+            )
+        )
+    head = (
+        "",
+        "centre on the undeformed surface, mm",
+        "radius, mm",
+        "direction of the force on the body",
+        "surface moved, mm",
+        "force at the believed modulus, mN",
+        "probability",
+    )
+    return "<h2>Contacts</h2>" + table(head, rows)
+
+
 def _targets(result: "Registration") -> str:
     rows = [
         (
@@ -76,18 +118,40 @@ def _targets(result: "Registration") -> str:
             _triple(t.mean),
             _triple(t.region(0.90).radii),
             _norm(t.mean - t.reference),
+            "" if t.constrained is None else f"{t.constrained:.2f}",
+            f"<span class='silent'>{escape(t.flag)}</span>" if t.flag else "",
         )
-        for name, t in {**result.targets, **{f"{n} (not seen)": t for n, t in result.unseen.items()}}.items()
+        for name, t in result.targets.items()
     ]
     if not rows:
         return ""
-    head = ("target", "undeformed, mm", "registered, mm", "90 % region, half-axes, mm", "moved, mm")
-    return "<h2>Targets</h2>" + table(head, rows)
+    head = ("target", "undeformed, mm", "registered, mm", "90 % region, half-axes, mm", "moved, mm", "constrained", "")
+    note = (
+        "<p>Constrained: the share of a target's variance under contacts that nobody saw which the markers take away; "
+        "1 is best.</p>"
+    )
+    known = any(target.constrained is not None for target in result.targets.values())
+    return "<h2>Targets</h2>" + table(head, rows) + (note if known else "")
+
+
+def _dropped(result: "Registration") -> str:
+    rows = [
+        (
+            escape(name),
+            escape(reason),
+            _triple(result.unseen[name].mean),
+            _triple(result.unseen[name].region(0.90).radii),
+        )
+        for name, reason in result.markers.dropped
+    ]
+    if not rows:
+        return ""
+    head = ("marker", "reason", "where a tracker would see it, mm", "90 % region, half-axes, mm")
+    return "<h2>Markers that do not count</h2>" + table(head, rows)
 
 
 def _markers(result: "Registration") -> str:
     rows = [(escape(name), _triple(row), _norm(row)) for name, row in result.markers.residual_mm.items()]
-    rows += [(escape(name), escape(reason), "") for name, reason in result.markers.dropped]
     return "<h2>Markers</h2>" + table(("marker", "measured - registered, mm", "length, mm"), rows)
 
 
@@ -99,14 +163,21 @@ def _model(result: "Registration") -> str:
     return "<h2>Model</h2>" + table(("", ""), [*rows, ("seed", str(result.seed))])
 
 
+def _work(result: "Registration") -> str:
+    if not result.work:
+        return ""
+    rows = [(name.replace("_", " "), f"{count:,}") for name, count in result.work.items()]
+    return "<h2>Work</h2>" + table(("", "count"), rows)
+
+
 def _times(result: "Registration") -> str:
     rows = [(stage, f"{1000 * seconds:.0f}") for stage, seconds in result.seconds.items()]
     return "<h2>Time</h2>" + table(("stage", "ms"), rows)
 
 
-def _triple(vector: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> str:
-    return ", ".join(f"{x:.2f}" for x in vector)
+def _triple(vector: FloatArray, digits: int = 2) -> str:
+    return ", ".join(f"{x:.{digits}f}" if np.isfinite(x) else "-" for x in vector)
 
 
-def _norm(vector: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> str:
-    return f"{float(np.linalg.norm(vector)):.2f}"
+def _norm(vector: FloatArray) -> str:
+    return f"{float(np.linalg.norm(vector)):.2f}" if np.isfinite(vector).all() else "-"

@@ -1,20 +1,36 @@
 """Pictures of a registration by matplotlib, without a display."""
 
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg.report import scene
+from tissuereg.report.labels import on_page, place_labels
+from tissuereg.report.words import silent, verdict
 
 if TYPE_CHECKING:
     from tissuereg.result import Registration
 
-#: View directions: elevation and azimuth in degrees.
-_VIEWS = ((18.0, -60.0), (18.0, 30.0))
+#: Elevation of the eye, and azimuths of the two views, in degrees.
+_ELEVATION, _AZIMUTHS = 18.0, (-60.0, 30.0)
+
+#: With contacts, the views look at the first of them from this many degrees to its left and right.
+_ASIDE = (-40.0, 50.0)
+
+#: Reasons that are written out, and how many letters a line of them has.
+_MOST_REASONS, _LETTERS = 3, 165
+
+#: Share of a view that the body fills along its longer side.
+_FILLED = 0.72
+
+#: Share of the nodes whose spread lies within the scale of colours.
+_SHOWN = 0.99
 
 
 def registration_figure(result: "Registration") -> Any:
-    """Return a figure: the undeformed and the registered body, markers, targets with their regions.
+    """Return a figure: the registered body from two sides, its markers, contacts, and targets with their regions.
 
     Parameters
     ----------
@@ -29,85 +45,156 @@ def registration_figure(result: "Registration") -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12.5, 5.6), layout="constrained")
+    figure = Figure(figsize=(13.0, 6.8))
     FigureCanvasAgg(figure)
-    colours: Any = None
-    for column, view in enumerate(_VIEWS):
-        axes: Any = figure.add_subplot(1, 2, column + 1, projection="3d")
-        axes.computed_zorder = False  # markers and regions stay readable through the body
-        colours = _draw_body(axes, result)
-        _draw_markers(axes, result)
-        for name, target in result.targets.items():
-            _draw_region(axes, target.region(0.90), name)
-        axes.view_init(*view)
-        _equal_box(axes, result)
-        if column == 0:
-            axes.legend(loc="upper left", fontsize=8, frameon=False)
-    figure.colorbar(colours, ax=figure.axes, shrink=0.65, label="posterior standard deviation, mm")
-    fit = result.markers
-    figure.suptitle(
-        f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)   |   "
-        f"trusted: {'yes' if result.trust.ok else 'no'} (p = {result.trust.p_value:.2g})",
-        fontsize=10,
-    )
+    surface, colours = scene.Surface.of(result), _colours(result)
+    body = surface.places[surface.nodes]
+    views = [_view(figure, column, azimuth, body) for column, azimuth in enumerate(_azimuths(result))]
+    _fit(figure, views, body)
+    for view in views:
+        scene.draw_body(view, result, surface, colours)
+        scene.draw_contacts(view, result, surface)
+        scene.draw_markers(view, result, surface)
+        scene.draw_targets(view, result)
+        _triad(figure, view)
+    place_labels(figure, views, body)
+    _scale_bar(figure, views[0], result.mesh.extent)
+    bar = figure.add_axes((0.935, 0.18, 0.012, 0.55))
+    figure.colorbar(colours, cax=bar, extend="max", label="standard deviation of the surface, mm")
+    _legend(figure, result)
+    _head(figure, result)
     return figure
 
 
-def _draw_body(axes: Any, result: "Registration") -> Any:
+def _view(figure: Any, column: int, azimuth: float, body: FloatArray) -> scene.View:
+    """Return one empty view with equal scales along all axes."""
+    axes: Any = figure.add_axes((0.015 + 0.455 * column, 0.075, 0.45, 0.78), projection="3d", proj_type="ortho")
+    axes.set_axis_off()
+    axes.computed_zorder = False  # markers and regions stay readable through the body
+    axes.view_init(_ELEVATION, azimuth)
+    low, high = body.min(axis=0), body.max(axis=0)
+    for set_limits, a, b in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, strict=True):
+        set_limits(a, b)
+    axes.set_box_aspect(high - low)
+    return scene.View(axes, _towards(azimuth))
+
+
+def _fit(figure: Any, views: list[scene.View], body: FloatArray) -> None:
+    """Zoom all views alike, so that the body fills them but for a border for labels."""
+    zooms = []
+    for view in views:
+        frame = view.axes.get_position(original=True)
+        size = np.ptp(on_page(figure, view, body), axis=0)
+        room = np.array([frame.width * figure.get_figwidth() / figure.get_figheight(), frame.height])
+        zooms.append(float(np.min(_FILLED * room / size)))
+    for view in views:
+        low, high = body.min(axis=0), body.max(axis=0)
+        view.axes.set_box_aspect(high - low, zoom=min(zooms))
+
+
+def _triad(figure: Any, view: scene.View) -> None:
+    """Draw the directions of the axes in the lower left corner of a view."""
+    from matplotlib.lines import Line2D
+
+    ratio = figure.get_figwidth() / figure.get_figheight()
+    frame = view.axes.get_position(original=True)
+    origin = np.array([frame.x0 * ratio + 0.06, frame.y0 + 0.06])
+    tips = on_page(figure, view, np.vstack([np.zeros(3), np.eye(3)]))
+    ways = 0.045 * (tips[1:] - tips[0]) / np.linalg.norm(tips[1:] - tips[0], axis=1).max()
+    for way, name in zip(ways, "xyz", strict=True):
+        line = np.stack([origin, origin + way]) / (ratio, 1.0)
+        figure.add_artist(Line2D(*line.T, color="dimgray", lw=1.2))
+        figure.text(
+            *((origin + 1.35 * way) / (ratio, 1.0)), name, fontsize=8, color="dimgray", ha="center", va="center"
+        )
+
+
+def _scale_bar(figure: Any, view: scene.View, extent: float) -> None:
+    """Draw a round length; an orthographic view has one scale."""
+    from matplotlib.lines import Line2D
+
+    ratio = figure.get_figwidth() / figure.get_figheight()
+    across = np.cross([0.0, 0.0, 1.0], view.towards)
+    ends = on_page(figure, view, np.stack([np.zeros(3), across / np.linalg.norm(across)]))
+    power = 10.0 ** np.floor(np.log10(0.2 * extent))
+    length = power * max(step for step in (1.0, 2.0, 5.0) if step * power <= 0.2 * extent)
+    width, left, low = float(np.linalg.norm(ends[1] - ends[0])) * length / ratio, 0.12, 0.105
+    figure.add_artist(Line2D([left, left + width], [low, low], color="dimgray", lw=2.5, solid_capstyle="butt"))
+    figure.text(left + 0.5 * width, low + 0.012, f"{length:g} mm", fontsize=8, color="dimgray", ha="center")
+
+
+def _azimuths(result: "Registration") -> tuple[float, float]:
+    """Return azimuths that show the most probable contact from both views."""
+    if not result.contacts:
+        return _AZIMUTHS
+    x, y, _ = result.contacts[0].centre_mm - result.mesh.nodes.mean(axis=0)
+    towards = float(np.degrees(np.arctan2(y, x)))
+    return towards + _ASIDE[0], towards + _ASIDE[1]
+
+
+def _towards(azimuth: float) -> FloatArray:
+    up, around = np.radians(_ELEVATION), np.radians(azimuth)
+    return np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+
+
+def _colours(result: "Registration") -> Any:
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    mesh = result.mesh
-    moved = (mesh.nodes + result.displacement)[mesh.surface]
-    spread = result.std[mesh.surface].mean(axis=1)
-    scale = ScalarMappable(Normalize(0.0, max(float(spread.max()), 1e-9)), colormaps["viridis"])
-    normals = np.cross(moved[:, 1] - moved[:, 0], moved[:, 2] - moved[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    light = 0.72 + 0.28 * np.clip(normals @ (np.array([0.3, -0.5, 0.8]) / 0.99), 0.0, 1.0)
-    faces = scale.to_rgba(spread)
-    faces[:, :3] *= light[:, None]
-    faces[:, 3] = 0.55
-    axes.add_collection3d(Poly3DCollection(moved, facecolors=faces, edgecolors=(0, 0, 0, 0.08), linewidths=0.2))
-    axes.add_collection3d(
-        Poly3DCollection(
-            mesh.nodes[mesh.surface],
-            facecolors=(0, 0, 0, 0),
-            edgecolors=(0.4, 0.4, 0.4, 0.10),
-            linewidths=0.3,
-        )
+    largest = float(np.quantile(result.std[result.mesh.surface_nodes], _SHOWN))
+    return ScalarMappable(Normalize(0.0, max(largest, 1e-9)), colormaps["YlGnBu"])
+
+
+def _head(figure: Any, result: "Registration") -> None:
+    """Write the verdict, large, with its reasons."""
+    fit, trust = result.markers, result.trust
+    figure.text(
+        0.02, 0.965, verdict(trust.ok), fontsize=19, weight="bold", va="top", color="#176f2c" if trust.ok else "#a3180d"
     )
-    return scale
+    facts = (
+        f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)"
+        f"   |   chance of this misfit p = {trust.p_value:.2g}"
+    )
+    figure.text(0.98, 0.955, facts, fontsize=10, va="top", ha="right")
+    lines = [
+        line
+        for reason in trust.reasons[:_MOST_REASONS]
+        for line in textwrap.wrap(reason, _LETTERS, initial_indent="• ", subsequent_indent="   ")[:2]
+    ]
+    more = len(trust.reasons) - _MOST_REASONS
+    if more > 0:
+        lines.append(f"• and {more} more in the report")
+    figure.text(0.02, 0.905, "\n".join(lines), fontsize=9, va="top", color="#a3180d", linespacing=1.3)
+    flagged = [name for name, target in result.targets.items() if target.flag]
+    if flagged:
+        text = "\n".join(textwrap.wrap(silent(flagged), _LETTERS)[:2])
+        figure.text(0.02, 0.9 - 0.026 * len(lines), text, fontsize=9, va="top", color=scene.FLAGGED)
 
 
-def _draw_markers(axes: Any, result: "Registration") -> None:
-    seen = result.all_markers.seen
-    measured = result.all_markers.measured[seen]
-    start = result.start_markers[seen]
-    fitted = measured - np.array([result.markers.residual_mm[name] for name in result.markers.used])
-    axes.scatter(*start.T, s=16, c="tab:orange", marker="x", depthshade=False, label="before")
-    axes.scatter(*fitted.T, s=18, c="tab:blue", depthshade=False, label="registered")
-    axes.scatter(*measured.T, s=46, facecolors="none", edgecolors="tab:red", depthshade=False, label="measured")
-    for a, b in zip(start, measured, strict=True):
-        axes.plot(*np.array([a, b]).T, c="tab:orange", lw=0.8)
+def _legend(figure: Any, result: "Registration") -> None:
+    """Explain below the views what is drawn, and nothing else."""
+    from matplotlib.lines import Line2D
 
+    def sign(label: str, colour: str, **style: Any) -> Any:
+        return Line2D([], [], color=colour, label=label, **{"ls": "none", **style})
 
-def _draw_region(axes: Any, region: Any, name: str) -> None:
-    around, along = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
-    unit = np.stack([np.cos(around) * np.sin(along), np.sin(around) * np.sin(along), np.cos(along)], axis=-1)
-    shell = region.centre + (unit * region.radii) @ region.axes
-    axes.plot_wireframe(*np.moveaxis(shell, -1, 0), color="crimson", linewidth=0.6, alpha=0.9, zorder=8)
-    axes.text(*region.centre, f"   {name}, 90 %", color="crimson", fontsize=9, weight="bold", zorder=9)
-
-
-def _equal_box(axes: Any, result: "Registration") -> None:
-    points: FloatArray = np.concatenate([result.mesh.nodes, result.mesh.nodes + result.displacement])
-    low, high = points.min(axis=0), points.max(axis=0)
-    axes.set_box_aspect(high - low, zoom=1.15)
-    for set_limits, a, b, title in zip(
-        (axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, ("x, mm", "y, mm", "z, mm"), strict=True
-    ):
-        set_limits(a, b)
-        getattr(axes, f"set_{title[0]}label")(title, fontsize=8)
-    axes.tick_params(labelsize=7)
+    signs = [
+        sign("marker before", scene.BEFORE, marker="x", ms=5),
+        sign("registered", scene.FITTED, marker="o", ms=4.5),
+        sign("measured", scene.MEASURED, marker="o", ms=7, mfc="none"),
+    ]
+    reasons = {reason for _, reason in result.markers.dropped}
+    if "wrong" in reasons:
+        signs.append(sign("wrong marker, not used", scene.WRONG, marker="X", ms=8))
+    if "not seen" in reasons:
+        signs.append(sign("not seen: where it must be", "gray", marker="$?$", ms=7))
+    if result.contacts:
+        signs.append(sign("contact: force on the body", scene.CONTACT, marker=r"$\rightarrow$", ms=12))
+    flags = {target.flag is not None for target in result.targets.values()}
+    if False in flags:
+        signs.append(sign("target, 90 % region", scene.TARGET, ls="-", lw=1.2, marker="+", ms=6))
+    if True in flags:
+        signs.append(sign("target, no marker tells", scene.FLAGGED, ls="--", lw=1.2, marker="+", ms=6))
+    figure.legend(handles=signs, loc="lower left", bbox_to_anchor=(0.015, 0.005), ncols=len(signs), fontsize=9,
+                  frameon=False, columnspacing=1.6, handletextpad=0.5)  # fmt: skip

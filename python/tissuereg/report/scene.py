@@ -1,0 +1,237 @@
+"""What one view of a registration shows: body, markers, contacts, targets, each with the words that belong to it."""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.contacts.patches import surface_of_nodes
+from tissuereg.mesh import Mesh
+
+if TYPE_CHECKING:
+    from tissuereg.contacts.found import FoundContact
+    from tissuereg.result import Region, Registration
+
+#: Colours by what they stand for.
+BEFORE, FITTED, MEASURED, WRONG = "tab:orange", "tab:blue", "black", "magenta"
+CONTACT, TARGET, FLAGGED = "firebrick", "black", "darkviolet"
+
+#: The longest arrow over the extent of the body, and the shortest over the longest.
+_ARROW, _LEAST_ARROW = 0.22, 0.45
+
+#: Where more targets than this are given, only those without a marker to tell are labelled.
+_MOST_LABELS = 8
+
+#: Things on the side turned away are this much fainter.
+_FAR_ALPHA = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """Words about a place.
+
+    Attributes
+    ----------
+    place : ndarray of float64, shape (3,)
+        mm.
+    text : str
+        One or two lines.
+    colour : str
+        Of words and leader.
+    """
+
+    place: FloatArray
+    text: str
+    colour: str
+
+
+@dataclass(eq=False)
+class View:
+    """One axes object with its direction of view and the labels that it wants.
+
+    Attributes
+    ----------
+    axes : matplotlib axes
+        Three-dimensional.
+    towards : ndarray of float64, shape (3,)
+        Unit vector from the body to the eye.
+    labels : list of Label
+        Filled by the functions below.
+    keep_clear : list of ndarray of float64, shape (3,)
+        Places that labels had better not cover, filled as well.
+    """
+
+    axes: Any
+    towards: FloatArray
+    labels: list[Label] = field(default_factory=list)
+    keep_clear: list[FloatArray] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The registered surface.
+
+    Attributes
+    ----------
+    places : ndarray of float64, shape (n_nodes, 3)
+        All nodes, mm.
+    normals : ndarray of float64, shape (n_nodes, 3)
+        Outward unit normals of its nodes, zero inside.
+    nodes : ndarray of int64, shape (n,)
+        Nodes of the surface.
+    """
+
+    places: FloatArray
+    normals: FloatArray
+    nodes: Any
+
+    @classmethod
+    def of(cls, result: "Registration") -> "Surface":
+        """Return that of a result."""
+        moved = Mesh(result.mesh.nodes + result.displacement, result.mesh.tets) if result.inverted_tets == 0 else None
+        normals = surface_of_nodes(moved or result.mesh)[1]
+        return cls(result.mesh.nodes + result.displacement, normals, result.mesh.surface_nodes)
+
+    def nearest(self, place: FloatArray, where: FloatArray) -> int:
+        """Return the node of the surface whose entry in `where` (n_nodes, 3) is closest to a place."""
+        return int(self.nodes[np.argmin(np.linalg.norm(where[self.nodes] - place, axis=1))])
+
+
+def contact_verb(contact: "FoundContact", normal: FloatArray) -> str:
+    """Return "pull", "push" or "sideways" by the angle between the force and the outward normal."""
+    along = float(contact.direction @ normal)
+    return "pull" if along > 0.5 else "push" if along < -0.5 else "sideways"
+
+
+def draw_body(view: View, result: "Registration", surface: Surface, colours: Any) -> None:
+    """Draw the side of the registered body that faces the eye, and the outline of the undeformed one."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    mesh = result.mesh
+    moved = surface.places[mesh.surface]
+    normals = np.cross(moved[:, 1] - moved[:, 0], moved[:, 2] - moved[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    facing = normals @ view.towards > 0.0
+    faces = colours.to_rgba(result.std[mesh.surface].mean(axis=1))
+    faces[:, :3] *= (0.8 + 0.2 * np.clip(normals @ view.towards, 0.0, 1.0))[:, None]
+    faces[:, 3] = 0.8
+    view.axes.add_collection3d(
+        Poly3DCollection(moved[facing], facecolors=faces[facing], edgecolors=(1, 1, 1, 0.12), linewidths=0.2, zorder=2)
+    )
+    rest = mesh.nodes[mesh.surface]
+    view.axes.add_collection3d(
+        Poly3DCollection(rest, facecolors=(0, 0, 0, 0), edgecolors=(0.4, 0.4, 0.4, 0.10), linewidths=0.3, zorder=1)
+    )
+
+
+def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
+    """Draw markers that count: before, registered, measured; and those that do not, each with its name and reason."""
+    fit, every = result.markers, result.all_markers
+    used = np.array([name in fit.residual_mm for name in every.names])
+    start, measured = result.start_markers, every.measured
+    residual = np.array([fit.residual_mm.get(name, np.zeros(3)) for name in every.names])
+    whole = used & np.isfinite(measured).all(axis=1)
+    near = np.array([surface.normals[surface.nearest(place, result.mesh.nodes)] @ view.towards > -0.1
+                     for place in every.reference])  # fmt: skip
+    for side, faint in ((near, 1.0), (~near, _FAR_ALPHA)):
+        chosen = whole & side
+        fitted = measured[chosen] - residual[chosen]
+        plain: dict[str, Any] = {"depthshade": False, "alpha": faint}
+        view.axes.scatter(*start[chosen].T, s=16, c=BEFORE, marker="x", zorder=6, **plain)
+        view.axes.scatter(*fitted.T, s=16, c=FITTED, zorder=7, **plain)
+        ring: dict[str, Any] = {"facecolors": "none", "edgecolors": MEASURED, "linewidths": 0.9}
+        view.axes.scatter(*measured[chosen].T, s=44, zorder=8, **ring, **plain)
+        for a, b in zip(start[chosen], measured[chosen], strict=True):
+            view.axes.plot(*np.array([a, b]).T, c=BEFORE, lw=0.8, alpha=faint, zorder=5)
+        view.keep_clear += [*measured[chosen], *start[chosen]]
+    for index in np.flatnonzero(used & near):
+        name = every.names[index]
+        if any(reason.startswith(f"wrong marker: {name} ") for reason in result.trust.reasons):
+            view.axes.scatter(*measured[index], s=120, facecolors="none", edgecolors=WRONG, depthshade=False, zorder=9)
+            view.labels.append(Label(measured[index], f"{name}: does not fit", WRONG))
+    reasons = dict(fit.dropped)
+    for index in np.flatnonzero(~used):
+        _draw_dropped(view, result, index, reasons[every.names[index]], 1.0 if near[index] else _FAR_ALPHA)
+
+
+def _draw_dropped(view: View, result: "Registration", index: Any, reason: str, faint: float) -> None:
+    """Draw a marker that does not count where it was measured, or else where it must be."""
+    name = result.all_markers.names[index]
+    measured, expected = result.all_markers.measured[index], result.unseen[name].mean
+    seen = bool(np.isfinite(measured).all())
+    place = measured if seen else expected
+    style: dict[str, Any] = {"depthshade": False, "alpha": faint, "zorder": 9, "c": WRONG if seen else "gray"}
+    view.axes.scatter(*place, s=70 if seen else 40, marker="X" if seen else "$?$", **style)
+    if seen:
+        view.axes.plot(*np.array([place, expected]).T, c=WRONG, lw=1.0, ls=":", alpha=faint, zorder=9)
+    if faint == 1.0:
+        view.labels.append(Label(place, f"{name}: {reason}", WRONG if seen else "dimgray"))
+
+
+def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
+    """Draw every contact: the border of its patch, an arrow along the force on the body, its figures."""
+    largest = max((contact.force_mN for contact in result.contacts), default=0.0)
+    for contact in result.contacts:
+        node = surface.nearest(contact.centre_mm, result.mesh.nodes)
+        centre, normal = surface.places[node], surface.normals[node]
+        faint = 1.0 if normal @ view.towards > -0.1 else _FAR_ALPHA
+        _draw_rim(view, result.mesh, surface, node, contact.radius_mm)
+        share = max(_LEAST_ARROW, contact.force_mN / largest) if largest > 0.0 else _LEAST_ARROW
+        arrow = _ARROW * result.mesh.extent * share * contact.direction
+        # A pull leads away from the surface, a push ends on it.
+        tail = centre - arrow if contact.direction @ normal < 0.0 else centre
+        view.axes.quiver(*tail, *arrow, color=CONTACT, lw=2.4, arrow_length_ratio=0.28, alpha=faint, zorder=10)
+        if faint == 1.0:
+            text = (
+                f"{contact_verb(contact, normal)}: {contact.size_mm:.1f} mm, {contact.force_mN:,.0f} mN\n"
+                f"probability {contact.probability:.2f}"
+            )
+            view.labels.append(Label(centre, text, CONTACT))
+        view.keep_clear += [tail + share * arrow for share in np.linspace(0.0, 1.0, 7)]
+
+
+def _draw_rim(view: View, mesh: Mesh, surface: Surface, node: int, radius: float) -> None:
+    """Draw the border of a patch on the deformed surface: where the undeformed distance to its centre is its radius."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    corners = mesh.surface[(surface.normals[mesh.surface] @ surface.normals[node] > 0.0).all(axis=1)]
+    inside = np.linalg.norm(mesh.nodes[corners] - mesh.nodes[node], axis=2) - radius
+    corners, inside = (part[(inside < 0.0).any(axis=1) & (inside > 0.0).any(axis=1)] for part in (corners, inside))
+    if len(corners) == 0:
+        return
+    # The corner that is alone on its side of the border; the border cuts the two edges that meet there.
+    alone = np.argmax(np.where((inside < 0.0).sum(axis=1, keepdims=True) == 1, -inside, inside), axis=1)
+    rows, ends = np.arange(len(corners)), []
+    for step in (1, 2):
+        other = (alone + step) % 3
+        a, b = inside[rows, alone], inside[rows, other]
+        share = (a / (a - b))[:, None]
+        ends.append((1.0 - share) * surface.places[corners[rows, alone]] + share * surface.places[corners[rows, other]])
+    facing = surface.normals[corners].mean(axis=1) @ view.towards > 0.0
+    lines = np.stack(ends, axis=1)
+    for side, faint in ((facing, 1.0), (~facing, _FAR_ALPHA)):
+        if side.any():
+            view.axes.add_collection3d(Line3DCollection(lines[side], colors=CONTACT, lw=1.5, alpha=faint, zorder=4))
+
+
+def draw_targets(view: View, result: "Registration") -> None:
+    """Draw every target with the ellipsoid of its 90 % region; dashed where no marker tells."""
+    many = len(result.targets) > _MOST_LABELS
+    for name, target in result.targets.items():
+        region, flagged = target.region(0.90), target.flag is not None
+        colour = FLAGGED if flagged else TARGET
+        _draw_region(view, region, colour, "--" if flagged else "-")
+        view.axes.scatter(*region.centre, s=34, marker="+", c=colour, depthshade=False, zorder=12)
+        if flagged or not many:
+            half = f"90 % within {region.radii[-1]:.2g} mm"
+            view.labels.append(Label(region.centre, f"{name}: {target.flag or half}", colour))
+
+
+def _draw_region(view: View, region: "Region", colour: str, style: str) -> None:
+    """Draw an ellipsoid by its three ellipses through the half-axes."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 41)[:, None]
+    along = region.radii[:, None] * region.axes
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        ellipse = region.centre + np.cos(angles) * along[a] + np.sin(angles) * along[b]
+        view.axes.plot(*ellipse.T, c=colour, lw=1.1, ls=style, zorder=11)
