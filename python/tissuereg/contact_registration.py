@@ -57,6 +57,8 @@ class ContactInput:
         Nodes in its place.
     progress : callable or None
         Called with passes finished and passes at most.
+    ensemble : int
+        Posterior loads solved for the covariance of nodes; 0: draws to first order.
     """
 
     load: Load | None
@@ -66,6 +68,7 @@ class ContactInput:
     held: str
     held_nodes: Any
     progress: Callable[[int, int], None] | None
+    ensemble: int = 0
 
 
 def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Clock) -> Registration:
@@ -107,9 +110,14 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     with clock.stage("spread"):
         spread = Spread(fit, seen, material, settings, given.threads)
         points = _points(given, fit, spread)
-        std = spread.nodes(rng)
-    draw = _Draws(fit, spread, material, given)
-    return _result(given, fit, start, points, std, draw, clock, believed)
+        draw = _Draws(fit, spread, material, given)
+        if believed.ensemble:
+            with clock.stage("ensemble"):
+                fields = draw(believed.ensemble)
+            covariance = spread.nodes(rng, fields)
+        else:
+            covariance = spread.nodes(rng)
+    return _result(given, fit, start, points, covariance, draw, clock, believed)
 
 
 def fitting_element(mesh: Mesh, material: Material) -> str:
@@ -202,7 +210,7 @@ def _result(
     fit: ContactFit,
     start: Moment,
     known: _Known,
-    std: FloatArray,
+    covariance: FloatArray,
     draw: _Draws,
     clock: Clock,
     believed: ContactInput,
@@ -222,7 +230,8 @@ def _result(
     return Registration(
         mesh=mesh,
         displacement=displacement,
-        std=std,
+        std=np.sqrt(np.trace(covariance, axis1=1, axis2=2)),
+        node_covariance=covariance,
         targets=_targets(given, known, start if knows else None),
         unseen=_unseen(given, known, begun if knows else None, lost),
         markers=MarkerFit(

@@ -43,6 +43,7 @@ def register(
     threads: int = 0,
     settings: RegisterSettings | None = None,
     polish: bool = False,
+    ensemble: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Registration:
     """Register a deformed body to a few measured markers.
@@ -82,6 +83,9 @@ def register(
     polish : bool
         With a model: take its answer for the simulation of a registration by contacts, so that the body becomes an
         equilibrium and meets the markers.
+    ensemble : int
+        Without a model: that many posterior loads are solved, and the covariance of every node comes from them in place
+        of draws to first order; for motions so large that regions bend.
     progress : callable of (int, int), optional
         Called with passes finished and passes at most.
 
@@ -114,7 +118,7 @@ def register(
         stuff = material or Material()
         own = fitting_element(given.mesh, stuff) if element == "auto" else element
         if model is None:
-            believed = ContactInput(load, said, stuff, own, held, held_nodes, progress)
+            believed = ContactInput(load, said, stuff, own, held, held_nodes, progress, ensemble)
             return register_by_contacts(given, believed, clock)
         if said is None and load is not None:
             with clock.stage("simulate"):
@@ -124,6 +128,6 @@ def register(
         result = register_by_model(given, model, said, clock)
         if not polish:
             return result
-        believed = ContactInput(None, result.displacement, stuff, own, held, held_nodes, progress)
+        believed = ContactInput(None, result.displacement, stuff, own, held, held_nodes, progress, ensemble)
         polished = register_by_contacts(given, believed, clock)
         return replace(polished, model={**result.model, "polished": True})

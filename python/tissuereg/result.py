@@ -159,6 +159,8 @@ class Registration:
     forces : ndarray of float64, shape (n_nodes, 3), or None
         Nodal forces in mN at the believed modulus of the load that holds the body, the believed one included, its body
         force not; None with a trained model.
+    node_covariance : ndarray of float64, shape (n_nodes, 3, 3), or None
+        Covariance of every node, mm^2; None with a trained model.
     draw : callable of int, optional
         Returns posterior displacement fields; see `draws`.
     """
@@ -181,6 +183,7 @@ class Registration:
     contacts: tuple[FoundContact, ...] = ()
     work: dict[str, int] = field(default_factory=dict)
     forces: FloatArray | None = None
+    node_covariance: FloatArray | None = None
     draw: Callable[[int], FloatArray] | None = None
 
     def draws(self, count: int) -> FloatArray:

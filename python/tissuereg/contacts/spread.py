@@ -110,18 +110,37 @@ class Spread:
         before, left = (part.reshape(-1, 3).sum(axis=1) for part in (before, before - taken))
         return np.sqrt(np.maximum(left, 0.0)), 1.0 - np.maximum(left, 0.0) / np.maximum(before, 1e-300)
 
-    def nodes(self, rng: np.random.Generator) -> FloatArray:
-        """Return the root of the trace of every node's covariance, (n_nodes,) in mm, from draws."""
-        fit, n_nodes = self._fit, self._fit.columns.body.mesh.n_nodes
-        drawn = self.coefficients(rng, self._settings.n_draws) - fit.moment.coefficients
+    def nodes(self, rng: np.random.Generator, fields: FloatArray | None = None) -> FloatArray:
+        """Return the covariance of every node, from draws.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            All chance.
+        fields : ndarray of float64, shape (n_draws, n_nodes, 3), optional
+            Posterior fields in equilibrium, tracker's frame, mm; draws to first order where absent.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_nodes, 3, 3)
+            mm^2, contacts and model, tracker's frame. Cost: one right-hand side a draw.
+        """
+        fit = self._fit
+        turn = fit.moment.frame.rotation
+        drawn = np.zeros((self._settings.n_draws, fit.columns.n_columns))
+        if fields is None:
+            drawn = self.coefficients(rng, self._settings.n_draws) - fit.moment.coefficients
         errors = rng.standard_normal((len(drawn), len(self._model_forces)))
         # What errors of the model do to the markers is met by loads that are not there.
-        _, gain, *_ = fit.sampler.moments(
-            list(fit.samples), np.zeros((0, fit.columns.n_columns)), threads=self._threads
-        )
-        drawn -= errors @ (gain @ self._model_at_markers).T
+        gain = fit.sampler.moments(list(fit.samples), np.zeros((0, fit.columns.n_columns)), threads=self._threads)[1]
+        drawn = drawn - errors @ (gain @ self._model_at_markers).T
         moved = linear_fields(fit.linearised, fit, drawn, np.tensordot(errors, self._model_forces, 1))
-        return np.asarray(np.sqrt(np.mean(np.sum(moved[:, :n_nodes] ** 2, axis=2), axis=0)))
+        moved = moved[:, : fit.columns.body.mesh.n_nodes] @ turn.T
+        spread = np.einsum("dna,dnb->nab", moved, moved) / len(moved)
+        if fields is not None:
+            off = fields - fields.mean(axis=0)
+            spread += np.einsum("dna,dnb->nab", off, off) / max(1, len(fields) - 1)
+        return np.asarray(spread)
 
     def coefficients(self, rng: np.random.Generator, count: int) -> FloatArray:
         """Return coefficients drawn from the posterior, shape (count, n_columns)."""
