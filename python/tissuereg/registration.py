@@ -38,6 +38,7 @@ def register(
     element: str = "tet4",
     held: str = "sure",
     held_nodes: Any = None,
+    frame: str = "known",
     seed: int = 0,
     threads: int = 0,
     settings: RegisterSettings | None = None,
@@ -70,6 +71,9 @@ def register(
         How the node set ``fixed`` is taken.
     held_nodes : array_like of int, optional
         Nodes that the load prescribes, where they differ from the set ``fixed``.
+    frame : {"known", "drifts"}
+        Whether the tracker kept its place beside the body's supports, or may have moved rigidly a little in between.
+        The answer is in the tracker's frame at the measurement.
     seed : int
         Of all chance: the same seed gives the same result at any thread count.
     threads : int
@@ -91,7 +95,7 @@ def register(
     ModelError
         If the model was trained for another mesh, or a file of it is spoilt.
     ShapeError, SupportError
-        If an array does not fit the mesh, or `held` is none of these.
+        If an array does not fit the mesh, or `held` or `frame` is none of these.
     ConvergenceError, EnsembleError
         If no equilibrium is found, or too few ensemble members survive.
 
@@ -106,7 +110,7 @@ def register(
             given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held)
         said = None if simulation is None else finite_field(simulation, given.mesh)
         if model is None:
-            believed = ContactInput(load, said, material or Material(), element, held, held_nodes, progress)
+            believed = ContactInput(load, said, material or Material(), element, held, held_nodes, frame, progress)
             return register_by_contacts(given, believed, clock)
         if said is None and load is not None:
             with clock.stage("simulate"):

@@ -82,8 +82,10 @@ class Columns:
     _offsets: dict[str, slice] = field(repr=False)
 
     @classmethod
-    def of(cls, body: ContactBody, young: float, believed: LoadParts, settings: ContactSettings) -> "Columns":
-        """Return the columns of a body under a believed load."""
+    def of(
+        cls, body: ContactBody, young: float, believed: LoadParts, settings: ContactSettings, *, drifts: bool = False
+    ) -> "Columns":
+        """Return the columns of a body under a believed load; `drifts`: the tracker may have moved a little."""
         n_patches = 3 * body.patches.n_patches
         families = [Family.of("background", slice(0, n_patches), _BACKGROUND**2, settings.background)]
         blocks = [("weight", 3, settings.weight)]
@@ -91,8 +93,8 @@ class Columns:
             blocks.append(("believed", 3, settings.believed))
         if body.base is not None:
             blocks.append(("supports", 3 * body.base.n_patches, settings.supports))
-        if body.supports.moves:
-            blocks.append(("frame", 6, settings.frame_mm))
+        if body.supports.moves or drifts:
+            blocks.append(("frame", 6, settings.frame_mm if body.supports.moves else settings.drift_mm))
         first = n_patches
         for name, count, size in blocks:
             families.append(Family.of(name, slice(first, first + count), 1.0, size))
@@ -111,6 +113,11 @@ class Columns:
     def n_patches(self) -> int:
         """Number of patches that slots choose among."""
         return self.body.patches.n_patches
+
+    @property
+    def moves(self) -> bool:
+        """Whether a rigid motion between body and tracker is unknown."""
+        return "frame" in self._offsets
 
     @property
     def _body_force_unit(self) -> float:

@@ -27,6 +27,8 @@ class ContactSettings:
         The same of the motion of supports that are perhaps held, mm.
     frame_mm : tuple of float
         The same of a rigid motion of a body that nothing holds for sure, mm.
+    drift_mm : tuple of float
+        The same of a drift of the tracker beside a body that is held (``frame="drifts"``), mm.
     wrong_odds : float
         Odds that a marker is wrong.
     wrong_share : float
@@ -62,6 +64,7 @@ class ContactSettings:
     believed: tuple[float, float] = (0.5, 0.7)
     supports: tuple[float, float] = (0.1, 1.5)
     frame_mm: tuple[float, float] = (1.0, 1.5)
+    drift_mm: tuple[float, float] = (0.3, 1.0)
     wrong_odds: float = 0.005
     wrong_share: float = 0.05
     model_error: float = 0.02
