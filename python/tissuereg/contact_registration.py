@@ -12,7 +12,7 @@ from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.columns import Columns
 from tissuereg.contacts.fit import ContactFit, Moment, Passes, Seen, start_of
 from tissuereg.contacts.found import FoundContact, find_contacts
-from tissuereg.contacts.frame import Frame
+from tissuereg.contacts.frame import Frame, drifts
 from tissuereg.contacts.spread import Points, Spread
 from tissuereg.contacts.supports import Supports
 from tissuereg.errors import ConvergenceError
@@ -55,6 +55,8 @@ class ContactInput:
         How the node set ``fixed`` is taken.
     held_nodes : array_like of int or None
         Nodes in its place.
+    frame : str
+        Whether the tracker drifts.
     progress : callable or None
         Called with passes finished and passes at most.
     ensemble : int
@@ -67,6 +69,7 @@ class ContactInput:
     element: str
     held: str
     held_nodes: Any
+    frame: str
     progress: Callable[[int, int], None] | None
     ensemble: int = 0
 
@@ -102,7 +105,8 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     seen = Seen(given.observed, given.markers)
     with clock.stage("simulate"):
         parts, field = _believed(body, believed, given.threads)
-        columns = Columns.of(body, float(np.mean(material.young_array)), parts, settings)
+        young = float(np.mean(material.young_array))
+        columns = Columns.of(body, young, parts, settings, drifts=drifts(believed.frame))
         start = start_of(columns, material, field, _first_frame(seen, supports), given.threads)
     rng = np.random.default_rng([given.seed, 7])
     passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
@@ -200,9 +204,14 @@ class _Draws:
                 f"every draw must find equilibrium; {len(found.failed)} of {count} do not, the first of them: {reason}"
             )
             raise ConvergenceError(message, where=f"draw {index}")
-        frames = [fit.moment.frame.followed_by(fit.columns.frame(one), fit.columns.rigid) for one in coefficients]
+        frames = [self._frame(one) for one in coefficients]
         moved = mesh.nodes + found.displacement
         return np.stack([frame.apply(places) for frame, places in zip(frames, moved, strict=True)]) - mesh.nodes
+
+    def _frame(self, coefficients: FloatArray) -> Frame:
+        columns = self.fit.columns
+        first = self.fit.moment.frame if columns.body.supports.moves else Frame.still()
+        return first.followed_by(columns.frame(coefficients), columns.rigid)
 
 
 def _result(
@@ -288,7 +297,7 @@ def _unseen(given: RegisterInput, known: _Known, begun: FloatArray | None, lost:
         markers.names[i]: Target(
             markers.reference[i],
             markers.reference[i] + known.displacement[first + i],
-            known.points.covariance[first + i] + markers.std[i] ** 2 * np.eye(3),
+            known.points.covariance[first + i] + np.diag(markers.axis_std[i] ** 2),
             None if begun is None else markers.reference[i] + begun[i],
             float(known.points.constrained[first + i]),
             NO_MARKER if known.points.constrained[first + i] < LEAST_CONSTRAINED else None,
@@ -307,7 +316,7 @@ def _trust(given: RegisterInput, fit: ContactFit, known: _Known, used: Any, min_
     ]
     left = markers.displacement[used] - known.displacement[first + used]
     size = np.linalg.norm(np.where(np.isfinite(left), markers.displacement[used], 0.0), axis=1)
-    variance = np.repeat(markers.std[used] ** 2 + (model_error * size) ** 2, 3)
+    variance = (markers.axis_std[used] ** 2 + (model_error * size[:, None]) ** 2).ravel()
     # A component that was not seen says nothing.
     variance[~np.isfinite(left.ravel())] = 1e12
     # Whether a marker is wrong has been asked with the contacts; here its residual is held against its noise alone.

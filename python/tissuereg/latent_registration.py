@@ -156,7 +156,7 @@ def _result(
                 # What a tracker would see: the body's spread and the tracker's own.
                 posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
                 + posterior.marker_error[i]
-                + markers.std[i] ** 2 * np.eye(3),
+                + np.diag(markers.axis_std[i] ** 2),
                 None if simulation is None else markers.reference[i] + start[i],
             )
             for i in unseen
@@ -204,5 +204,5 @@ def _predictor(latent: LatentModel, observed: MarkerObservation, seen: Any) -> C
 def _noise(own: FloatArray, observed: MarkerObservation, markers: Markers, seen: Any) -> FloatArray:
     """Return C_d: the tracker's noise and the model's own errors (fields) at the markers."""
     errors = observed.predict(own[:, observed.nodes])[:, seen]
-    tracker = np.repeat(markers.std[seen] ** 2, 3)
+    tracker = (markers.axis_std[seen] ** 2).ravel()
     return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), -1)))

@@ -18,8 +18,9 @@ class Markers:
         Place on or near the undeformed surface in mm.
     measured : array_like of float, shape (n_markers, 3)
         Place where the marker was seen in mm; NaN = not seen.
-    std : float or array_like of float, shape (n_markers,)
-        Standard deviation of a measured coordinate in mm.
+    std : float or array_like of float, shape (n_markers,) or (n_markers, 3)
+        Standard deviation of a measured coordinate in mm, along x, y and z of the tracker where they differ. Infinite
+        along an axis = that coordinate was not seen.
     names : sequence of str, optional
         One a marker, no repeats; ``M1``, ``M2``, ... where absent.
 
@@ -29,23 +30,34 @@ class Markers:
         If the shapes do not match.
     MarkerError
         If a reference place is not finite, a coordinate infinite, `std` not positive, or a name repeated.
+
+    Attributes
+    ----------
+    std : ndarray of float64, shape (n_markers,)
+        Root mean square over a marker's axes of their standard deviations, mm.
+    axis_std : ndarray of float64, shape (n_markers, 3)
+        Standard deviation along each axis, mm. An axis that was said to be infinite has that of the marker's others
+        and its coordinate is NaN.
     """
 
     def __init__(self, reference: Any, measured: Any, std: Any = 0.1, names: Sequence[str] | None = None) -> None:
         places = float_array("reference", reference, (None, 3))
         seen = float_array("measured", measured, (len(places), 3))
-        spread = np.atleast_1d(
-            float_array("std", np.broadcast_to(std, len(places)) if np.ndim(std) == 0 else std, (len(places),))
-        )
+        spread = _spread(std, len(places))
         titles = tuple(f"M{i + 1}" for i in range(len(places))) if names is None else tuple(str(n) for n in names)
         _check_names(titles, len(places))
         _check_rows("reference places must be finite", titles, np.isfinite(places).all(axis=1), places)
         _check_rows("measured places must be finite, or NaN where not seen", titles, ~np.isinf(seen).any(axis=1), seen)
-        _check_rows("std must be positive, in mm", titles, np.isfinite(spread) & (spread > 0), spread)
+        known = np.isfinite(spread)
+        good = (spread > 0).all(axis=1) & known.any(axis=1)
+        _check_rows("std must be positive, in mm, and finite along one axis or more", titles, good, _as_given(spread))
+        squared = np.where(known, spread, 0.0) ** 2
+        overall = np.sqrt(squared.sum(axis=1) / known.sum(axis=1))
         self.names = titles
         self.reference: FloatArray = frozen(places.copy())
-        self.measured: FloatArray = frozen(seen.copy())
-        self.std: FloatArray = frozen(spread.copy())
+        self.measured: FloatArray = frozen(np.where(known, seen, np.nan))
+        self.std: FloatArray = frozen(overall)
+        self.axis_std: FloatArray = frozen(np.where(known, spread, overall[:, None]))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -77,7 +89,20 @@ class Markers:
             In their order.
         """
         rows = np.arange(len(self))[keep]
-        return Markers(self.reference[rows], self.measured[rows], self.std[rows], [self.names[i] for i in rows])
+        return Markers(self.reference[rows], self.measured[rows], self.axis_std[rows], [self.names[i] for i in rows])
+
+
+def _spread(std: Any, n_markers: int) -> FloatArray:
+    """Return standard deviations (n_markers, 3) of one for all, one a marker, or one an axis."""
+    if np.ndim(std) == 2:
+        return float_array("std", std, (n_markers, 3))
+    by_marker = float_array("std", np.broadcast_to(std, n_markers) if np.ndim(std) == 0 else std, (n_markers,))
+    return np.repeat(by_marker[:, None], 3, axis=1)
+
+
+def _as_given(spread: FloatArray) -> FloatArray:
+    """Return one number a marker where its axes agree, as it was given."""
+    return spread[:, 0] if len(spread) and np.array_equal(spread, spread[:, [0, 0, 0]], equal_nan=True) else spread
 
 
 def _check_names(names: tuple[str, ...], n_markers: int) -> None:

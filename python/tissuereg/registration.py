@@ -39,6 +39,7 @@ def register(
     element: str = "auto",
     held: str = "sure",
     held_nodes: Any = None,
+    frame: str = "known",
     seed: int = 0,
     threads: int = 0,
     settings: RegisterSettings | None = None,
@@ -74,6 +75,9 @@ def register(
         How the node set ``fixed`` is taken.
     held_nodes : array_like of int, optional
         Nodes that the load prescribes, where they differ from the set ``fixed``.
+    frame : {"known", "drifts"}
+        Whether the tracker kept its place beside the body's supports, or may have moved rigidly a little in between.
+        The answer is in the tracker's frame at the measurement.
     seed : int
         Of all chance: the same seed gives the same result at any thread count.
     threads : int
@@ -101,7 +105,7 @@ def register(
     ModelError
         If the model was trained for another mesh, or a file of it is spoilt.
     ShapeError, SupportError
-        If an array does not fit the mesh, or `held` is none of these.
+        If an array does not fit the mesh, or `held` or `frame` is none of these.
     ConvergenceError, EnsembleError
         If no equilibrium is found, or too few ensemble members survive.
 
@@ -118,7 +122,7 @@ def register(
         stuff = material or Material()
         own = fitting_element(given.mesh, stuff) if element == "auto" else element
         if model is None:
-            believed = ContactInput(load, said, stuff, own, held, held_nodes, progress, ensemble)
+            believed = ContactInput(load, said, stuff, own, held, held_nodes, frame, progress, ensemble)
             return register_by_contacts(given, believed, clock)
         if said is None and load is not None:
             with clock.stage("simulate"):
@@ -128,6 +132,6 @@ def register(
         result = register_by_model(given, model, said, clock)
         if not polish:
             return result
-        believed = ContactInput(None, result.displacement, stuff, own, held, held_nodes, progress, ensemble)
+        believed = ContactInput(None, result.displacement, stuff, own, held, held_nodes, frame, progress, ensemble)
         polished = register_by_contacts(given, believed, clock)
         return replace(polished, model={**result.model, "polished": True})

@@ -82,8 +82,10 @@ class Columns:
     _offsets: dict[str, slice] = field(repr=False)
 
     @classmethod
-    def of(cls, body: ContactBody, young: float, believed: LoadParts, settings: ContactSettings) -> "Columns":
-        """Return the columns of a body under a believed load."""
+    def of(
+        cls, body: ContactBody, young: float, believed: LoadParts, settings: ContactSettings, *, drifts: bool = False
+    ) -> "Columns":
+        """Return the columns of a body under a believed load; `drifts`: the tracker may have moved a little."""
         n_patches = 3 * body.patches.n_patches
         extent = body.mesh.extent
         families = [Family.of("background", slice(0, n_patches), _BACKGROUND**2, _in_mm(settings.background, extent))]
@@ -92,8 +94,9 @@ class Columns:
             blocks.append(("believed", 3, settings.believed))
         if body.base is not None:
             blocks.append(("supports", 3 * body.base.n_patches, _in_mm(settings.supports, extent)))
-        if body.supports.moves:
-            blocks.append(("frame", 6, _in_mm(settings.frame, extent)))
+        if body.supports.moves or drifts:
+            moved = settings.frame if body.supports.moves else settings.drift
+            blocks.append(("frame", 6, _in_mm(moved, extent)))
         first = n_patches
         for name, count, size in blocks:
             families.append(Family.of(name, slice(first, first + count), 1.0, size))
@@ -112,6 +115,11 @@ class Columns:
     def n_patches(self) -> int:
         """Number of patches that slots choose among."""
         return self.body.patches.n_patches
+
+    @property
+    def moves(self) -> bool:
+        """Whether a rigid motion between body and tracker is unknown."""
+        return "frame" in self._offsets
 
     @property
     def _body_force_unit(self) -> float:

@@ -72,8 +72,8 @@ class Seen:
         """Return the standard deviation of each component seen: the tracker's and the model's, mm."""
         moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
         size = model_error * np.linalg.norm(moved, axis=1)
-        both = np.hypot(self.markers.std, size)
-        return np.repeat(both, 3)[self.rows]
+        both = np.hypot(self.markers.axis_std, size[:, None])
+        return np.asarray(both.ravel()[self.rows])
 
 
 @dataclass(eq=False)
@@ -102,7 +102,7 @@ class ContactFit:
     samples : tuple of ndarray
         Slots, levels and wrong groups of every sample.
     responses : ndarray of float64, shape (3 n_markers, n_columns)
-        How all components of all markers follow the columns.
+        How all components of all markers follow the columns, in the tracker's frame.
     wrong : ndarray of float64, shape (n_markers,)
         Probability that a marker is wrong; zero where it was not seen.
     misfit : float
@@ -216,25 +216,23 @@ class Passes:
             rows = observation.rows(moment.displacement[observation.nodes])
             compliance = linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
             self._count("right_hand_sides", len(rows))
-            return self.columns.responses(compliance, self.seen.markers.reference + self._predicted(moment))
+            found = self.columns.responses(compliance, self.seen.markers.reference + self._predicted(moment))
+            return moment.frame.turn(found)
 
     def _predicted(self, moment: Moment) -> FloatArray:
         """Return displacements (n_markers, 3) of all markers in the body's frame, mm."""
         observation = self.seen.observation
         return observation.predict(moment.displacement[observation.nodes])
 
-    def _measured(self, moment: Moment) -> FloatArray:
-        """Return the measured displacement in the body's frame; NaN where not seen."""
+    def _left(self, moment: Moment) -> FloatArray:
+        """Return measured minus predicted of the components seen, in the tracker's frame, shape (n_obs,), mm."""
         measured, reference = self.seen.markers.measured, self.seen.markers.reference
-        if not moment.frame.moves:
-            return np.asarray(measured - reference)
-        # Components that were not seen are filled by what is predicted: a rotation mixes them.
-        filled = np.where(self.seen.mask, measured, moment.frame.apply(reference + self._predicted(moment)))
-        return moment.frame.undo(filled) - reference
+        places = moment.frame.apply(reference + self._predicted(moment))
+        return np.asarray((measured - places).ravel()[self.seen.rows])
 
     def _sampler(self, responses: FloatArray, moment: Moment) -> Any:
         rows = self.seen.rows
-        left = (self._measured(moment) - self._predicted(moment)).ravel()[rows]
+        left = self._left(moment)
         own = responses[rows]
         std = self.seen.std(self.settings.model_error)
         data = {
@@ -296,14 +294,16 @@ class Passes:
             return None
         self._count("solves", 1)
         self._count("iterations", int(found.report["iterations"]))
+        turned = self.columns.frame(coefficients)
         if not self.columns.body.supports.moves:
-            return Moment(coefficients, found.all_displacement, moment.frame)
-        frame = moment.frame.followed_by(self.columns.frame(coefficients), self.columns.rigid)
+            # A drift is small and keeps its prior: its coefficients count from no motion.
+            return Moment(coefficients, found.all_displacement, Frame.still().followed_by(turned, self.columns.rigid))
+        frame = moment.frame.followed_by(turned, self.columns.rigid)
         return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
     def residual_rms(self, moment: Moment, samples: Samples) -> float:
         """Return the root mean square residual of markers that are not wrong, over their standard deviation."""
-        left = (self._measured(moment) - self._predicted(moment)).ravel()[self.seen.rows]
+        left = self._left(moment)
         scaled = (left / self.seen.std(self.settings.model_error)) ** 2
         right = 1.0 - samples[2].mean(axis=0)
         weights = np.concatenate([np.full(len(g), w) for g, w in zip(self.seen.groups, right, strict=True)])

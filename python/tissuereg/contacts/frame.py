@@ -5,6 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg.errors import SupportError
+
+#: What a tracker's frame may do beside a body that is held.
+FRAMES = ("known", "drifts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +53,12 @@ class Frame:
         """Return places (..., 3) of the tracker's frame in the body's."""
         return np.asarray((places - self.shift) @ self.rotation)
 
+    def turn(self, rows: FloatArray) -> FloatArray:
+        """Return responses (3 n_points, n_columns) of the body's frame in the tracker's."""
+        if not self.moves:
+            return rows
+        return np.asarray(np.matmul(self.rotation, rows.reshape(-1, 3, rows.shape[1])).reshape(rows.shape))
+
     def followed_by(self, coefficients: FloatArray, rigid: FloatArray) -> "Frame":
         """Return this motion after a small one in the body's frame.
 
@@ -64,6 +74,20 @@ class Frame:
         # x -> pivot + turn (x - pivot) + t, then this motion.
         move = pivot - turn @ pivot + coefficients[:3]
         return Frame(self.rotation @ turn, self.rotation @ move + self.shift)
+
+
+def drifts(frame: str) -> bool:
+    """Return whether the tracker's frame drifts.
+
+    Raises
+    ------
+    SupportError
+        If `frame` is neither "known" nor "drifts".
+    """
+    if frame not in FRAMES:
+        message = f"`frame` must be 'known' or 'drifts', got {frame!r}"
+        raise SupportError(message, where="frame")
+    return frame == "drifts"
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

@@ -28,6 +28,8 @@ class ContactSettings:
         The same of the motion of supports that are perhaps held.
     frame : tuple of float
         The same of a rigid motion of a body that nothing holds for sure.
+    drift : tuple of float
+        The same of a drift of the tracker beside a body that is held (``frame="drifts"``).
     wrong_odds : float
         Odds that a marker is wrong.
     wrong_share : float
@@ -63,6 +65,7 @@ class ContactSettings:
     believed: tuple[float, float] = (0.5, 0.7)
     supports: tuple[float, float] = (0.0008, 1.5)
     frame: tuple[float, float] = (0.008, 1.5)
+    drift: tuple[float, float] = (0.0025, 1.0)
     wrong_odds: float = 0.005
     wrong_share: float = 0.05
     model_error: float = 0.02

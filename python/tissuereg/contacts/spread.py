@@ -61,7 +61,7 @@ class Spread:
         observation = seen.observation
         rows = observation.rows(fit.moment.displacement[observation.nodes])
         compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
-        self._model_at_markers = self._by_model(compliance)[seen.rows]
+        self._model_at_markers = fit.moment.frame.turn(self._by_model(compliance))[seen.rows]
 
     def _by_model(self, compliance: Compliance) -> FloatArray:
         """Return what errors of the model do to observations, (n_rows, n_errors), mm."""
@@ -181,7 +181,7 @@ def linear_fields(linearised: Linearised, fit: ContactFit, change: FloatArray, f
         total[index] += np.asarray(load.forces) - base.forces
         total[index] += columns.weight_forces(np.asarray(load.body_force) - base.body_force)
     fields = linearised.responses(np.ascontiguousarray(total))
-    if columns.body.supports.moves:
+    if columns.moves:
         places = columns.body.simulator.body.nodes + fit.moment.displacement
         rigid = columns.rigid_field(places)
         frames = np.stack([columns.frame(one) for one in change])

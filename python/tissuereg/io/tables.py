@@ -16,6 +16,7 @@ DEFAULT_STD = 0.1
 
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _MOVED = ("moved_x_mm", "moved_y_mm", "moved_z_mm")
+_STD = ("std_x_mm", "std_y_mm", "std_z_mm")
 
 
 def read_markers(path: str | os.PathLike[str], std: float | None = None) -> Markers:
@@ -25,7 +26,8 @@ def read_markers(path: str | os.PathLike[str], std: float | None = None) -> Mark
     ----------
     path : path-like
         Table ``marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm]``: the marker's place on or
-        off the undeformed surface, then where it was measured; empty (or ``nan``) = not seen.
+        off the undeformed surface, then where it was measured; empty (or ``nan``) = not seen. Columns
+        ``std_x_mm,std_y_mm,std_z_mm`` may follow where axes differ; an empty cell takes the marker's own or `std`.
     std : float, optional
         Standard deviation in mm of a measured coordinate, for markers without their own; 0.1 where absent.
 
@@ -41,7 +43,7 @@ def read_markers(path: str | os.PathLike[str], std: float | None = None) -> Mark
     MarkerError
         If a standard deviation is not positive.
     """
-    rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm",))
+    rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm", *_STD))
     names = _unique_names(rows, "marker")
     spread = [_own_std(row, DEFAULT_STD if std is None else std) for row in rows]
     reference = [row.numbers(_PLACE) for row in rows]
@@ -86,9 +88,11 @@ def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
     markers : Markers
         Those that were not seen get empty cells.
     """
-    rows = zip(markers.names, markers.reference, markers.measured, markers.std, strict=True)
-    cells = [(name, *map(float, place), *map(float, seen), float(std)) for name, place, seen, std in rows]
-    write_table(path, ("marker", *_PLACE, *_MOVED, "std_mm"), cells)
+    same = np.array_equal(markers.axis_std, markers.axis_std[:, [0, 0, 0]])
+    spread = markers.axis_std[:, :1] if same else markers.axis_std
+    rows = zip(markers.names, markers.reference, markers.measured, spread, strict=True)
+    cells = [(name, *map(float, place), *map(float, seen), *map(float, std)) for name, place, seen, std in rows]
+    write_table(path, ("marker", *_PLACE, *_MOVED, *(("std_mm",) if same else _STD)), cells)
 
 
 def write_points(path: str | os.PathLike[str], points: Mapping[str, Any]) -> None:
@@ -131,8 +135,9 @@ def _target_cells(values: Mapping[str, Any]) -> list[float | None]:
     return [*map(float, cells), *((None, None, None) if simulated is None else map(float, simulated))]
 
 
-def _own_std(row: Row, default: float) -> float:
-    return row.number("std_mm") if row.cells.get("std_mm") else default
+def _own_std(row: Row, default: float) -> list[float]:
+    own = row.number("std_mm") if row.cells.get("std_mm") else default
+    return [row.number(name) if row.cells.get(name) else own for name in _STD]
 
 
 def _unique_names(rows: list[Row], column: str) -> list[str]:
