@@ -49,6 +49,11 @@ def register(
 ) -> Registration:
     """Register a deformed body to a few measured markers.
 
+    Where is every point of the body now? Without a trained model nothing need be known of what pushed or pulled: the
+    contacts on the free surface that explain the markers are found, the body is brought to equilibrium under them,
+    and every point gets the covariance that is left over loads and errors of the model. ``docs/registration.md`` in the
+    repository tells how.
+
     Parameters
     ----------
     mesh : Mesh or (nodes, tets, fixed_nodes)
@@ -111,8 +116,24 @@ def register(
 
     Notes
     -----
+    A result is always returned, also where it cannot be trusted: read ``result.trust`` and the targets' ``flag`` first.
     Cost without a model: two or three passes, each with one factorisation, one right-hand side a marker component and a
     few solves. What depends on the mesh alone is kept for the next call in the same process.
+
+    Examples
+    --------
+    The shipped phantom, pressed by two pads of which nothing is told:
+
+    >>> from tissuereg.phantom.event import LESION_MM, make_event
+    >>> event = make_event(seed=0)
+    >>> result = register(event.mesh, event.markers, targets={"lesion": LESION_MM})
+    >>> result.trust.ok, result.target("lesion").flag
+    (True, None)
+    >>> off = result.target("lesion").mean - event.true_lesion
+    >>> float(off @ off) < 1.0
+    True
+    >>> len(result.contacts)
+    2
     """
     clock = Clock()
     with threadpool_limits(limits=1, user_api="blas"), clock.stage("total"):

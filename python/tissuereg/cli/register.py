@@ -22,13 +22,17 @@ if TYPE_CHECKING:
     from tissuereg.registration import RegisterSettings
 
 _DETAILS = (
-    "From MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set 'fixed') and MARKERS (csv: marker,"
-    "x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen), or from one frame of an experiment "
-    "folder. DIR gets registered.vtu, targets.csv, registration.json and registered.png, all or none. Without "
-    "--model the load is unknown: the body is brought to an equilibrium under the contacts that the markers suggest."
+    "Where is every point of a soft body now, given where a few markers were before and are after? Nothing need be "
+    "known of what pushed or pulled: contacts on the surface that explain the markers are found, and the body is "
+    "brought to equilibrium under them. Input: MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set "
+    "'fixed') and MARKERS (csv: marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen), or "
+    "one frame of an experiment folder. DIR gets registered.vtu (displacement, its standard deviation, forces of the "
+    "contacts), targets.csv, registration.json and registered.png, all or none. The last line says whether to trust "
+    "the answer; exit code 0 means that there is one."
 )
 _WRITTEN = ("registered.vtu", "targets.csv", "registration.json", "registered.png")
 _EXAMPLE = """tissuereg register breast.vtu markers.csv --targets lesion.csv --out registered
+  tissuereg register liver.vtu markers.csv --held perhaps --std 0.5 --out registered
   tissuereg register my-rig --case push_x --time 14.0 --out registered"""
 
 
@@ -40,7 +44,7 @@ def add_parser(commands: Any) -> None:
     commands : argparse sub-parsers action
         Where to.
     """
-    purpose = "register a body to its markers, with its spread"
+    purpose = "register a body to its markers, load unknown, with regions"
     parser = command_parser(commands, "register", purpose, _DETAILS, _EXAMPLE)
     parser.add_argument("path", metavar="MESH|EXPERIMENT", help="mesh file, or experiment folder or file")
     parser.add_argument("markers", metavar="MARKERS", nargs="*", help="table of markers; with a mesh only")
@@ -72,7 +76,7 @@ def _add_input_options(parser: Parser) -> None:
     more.add_argument("--targets", metavar="FILE", help=text)
     text = "held nodes: 'plane nx ny nz d tol' (within tol mm of n . x = d mm), or the name of a node set"
     more.add_argument("--fixed", metavar="RULE", help=text)
-    text = "how the node set 'fixed' is taken (default: sure); a mesh without held nodes is free"
+    text = "whether the node set 'fixed' is held for sure, perhaps, or not at all (default: sure)"
     more.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
     text = "noise of a marker coordinate without its own std_mm, in mm (default: 0.1)"
     more.add_argument("--std", type=positive_number, metavar="MM", help=text)
