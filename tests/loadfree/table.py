@@ -34,12 +34,13 @@ INTRODUCTION = """# Registration with nothing known of the load
 
 Five bodies (dome, breast phantom, half ellipsoid with a hole, slab glued on one side, clamped beam) with forty events
 each: dead tractions, bonded pads, sliding pads, two contacts at once, own weight with a contact. The truth comes from
-another solver and other meshes: ten-node elements of scikit-fem, finer under the contacts; in half of the events another
-Poisson's ratio, Young's modulus or law, or a ball five times as stiff. Each event is registered with four layouts of
-fifteen markers (0.1 mm noise): spread over the surface, at random, in the third of it nearest to the contacts, in the
-third farthest from them. A body counts by the mean over its nodes; *targets that move most*: the upper third of sixty
-inner points. M2: squared Mahalanobis distance of a target. *Good* targets are off by less than 20 % of their motion. In
-brackets: 95 % intervals by resampling whole events. How the truth is made: `tests/loadfree/README.md`.
+another solver and other meshes: ten-node elements of scikit-fem, finer under the contacts; half of the events have
+another Poisson's ratio, Young's modulus or law, or a ball five times as stiff. Each event is registered with four
+layouts of fifteen markers (0.1 mm noise): spread over the surface, at random, in the third of it nearest to the
+contacts, in the third farthest from them. A body counts by the mean over its nodes; *targets that move most*: the upper
+third of sixty inner points. M2: squared Mahalanobis distance of a target. *Good* targets are off by less than 20 % of
+their motion. In brackets: 95 % intervals by resampling whole events. How the truth is made:
+`tests/loadfree/README.md`.
 """
 
 #: The method whose figures are shown in full by layout, kind and body.
