@@ -93,8 +93,9 @@ def events_of(body: Body, half: str) -> list[Event]:
 def true_load(body: Body, event: Event) -> Load:
     """Return what a user would believe who knew it all: contacts as smooth dead tractions, and the weight.
 
-    Every contact becomes a parabolic traction of its true total force about its true centre, on the user's nodes.
-    Forces are those at the believed modulus; the weight is what it is.
+    Every contact becomes a traction on the user's nodes: a parabola about its true centre times a linear function, so
+    that its total force and its first moments (a pad also turns what it is glued to) are the true ones. Forces are
+    those at the believed modulus; the weight is what it is.
     """
     mesh, told = body.mesh, event.told
     forces = np.zeros((mesh.n_nodes, 3))
@@ -103,10 +104,21 @@ def true_load(body: Body, event: Event) -> Load:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     for contact in told["contacts"]:
         spot = _patch(mesh, mesh.surface[free], normals, contact)
-        forces += spot[:, None] / spot.sum() * np.asarray(contact["force_mN"])
+        forces += _spread(spot / spot.sum(), mesh.nodes - np.asarray(contact["centre"]), contact)
     forces[mesh.fixed_nodes] = 0.0
     weight = np.asarray(told["weight_mN_per_mm3"])
     return Load(forces=forces, body_force=weight if weight.any() else None)
+
+
+def _spread(spot: np.ndarray, arms: np.ndarray, contact: dict) -> np.ndarray:
+    """Return nodal forces (n, 3), `spot` times a linear function of the arms, with a contact's force and moments."""
+    force = np.asarray(contact["force_mN"])
+    middle = spot @ arms
+    arms = arms - middle
+    dipole = np.asarray(contact["dipole_mN_mm"]) - np.outer(force, middle)
+    # Across a nearly flat patch there is no arm: that direction is left out.
+    slope = dipole @ np.linalg.pinv(arms.T @ (spot[:, None] * arms), rcond=0.05, hermitian=True)
+    return spot[:, None] * (force + arms @ slope.T)
 
 
 def _patch(mesh: Mesh, triangles: np.ndarray, normals: np.ndarray, contact: dict) -> np.ndarray:

@@ -72,14 +72,16 @@ class Bench:
     def _told(self, plan, contacts, weight, start, draw):
         """Return what an event is, as plain data; forces of contacts as they would be at the believed modulus."""
         run = start.run
-        forces = run.forces() * (YOUNG_KPA / run.physics.young)
+        believed = YOUNG_KPA / run.physics.young
+        forces, dipoles = believed * run.forces(), believed * run.dipoles([np.asarray(c.centre) for c in contacts])
+        acts = [{"force_mN": _rounded(f), "dipole_mN_mm": _rounded(d, 3)} for f, d in zip(forces, dipoles, strict=True)]
         told = {
             "body": plan.body,
             "event": plan.number,
             "kind": plan.kind,
             "difference": plan.difference,
             "truth": plan.told,
-            "contacts": [c.told() | {"force_mN": _rounded(f)} for c, f in zip(contacts, forces, strict=True)],
+            "contacts": [c.told() | act for c, act in zip(contacts, acts, strict=True)],
             "weight_mN_per_mm3": _rounded(run.stroke[0] * run.heavy * np.asarray(weight), 9),
             "largest_mm": float(np.linalg.norm(run.u, axis=1).max()),
             "gradient": float(run.gradient_size(run.u)),
@@ -97,4 +99,4 @@ class Bench:
 
 
 def _rounded(values, digits=4):
-    return [float(v) for v in np.round(values, digits)]
+    return np.round(values, digits).tolist()

@@ -104,6 +104,15 @@ class EventRun(Run):
         """Return the force of each contact on the body (n_parts, 3) in mN."""
         return np.array([np.einsum("kqx,kq->x", self._traction(part, self.u)[0], part[0].dx) for part in self.parts])
 
+    def dipoles(self, centres):
+        """Return first moments of each contact's traction about its centre, force by arm, (n_parts, 3, 3) in mN mm."""
+        return np.array(
+            [
+                np.einsum("kqx,kqy,kq->xy", self._traction(part, self.u)[0], part[0].points - centre, part[0].dx)
+                for part, centre in zip(self.parts, centres, strict=True)
+            ]
+        )
+
     def _traction(self, part, u):
         surface, load, tie, weight = part
         return self.stroke[0] * weight * load - np.einsum("kqxy,kqy->kqx", tie, surface.at(u)), tie
