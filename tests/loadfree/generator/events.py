@@ -35,11 +35,11 @@ class Bench:
             contacts, weight, shares = acting(plan, self.skin, rng)
             truth = physics(plan, self.skin, self.body, rng)
             start = prepare(self.body_under(contacts), truth, contacts, tuple(weight), shares, largest_mm(rng))
-            run = start.run
+            run, reader = start.run, self.reader(start.run.body)
             try:
-                if self.moves_markers(self.seen(run.body, start.linear)):
+                if self.moves_markers(self.seen(reader, start.linear)):
                     solve(start)
-                    fields = self.seen(run.body, run.u)
+                    fields = self.seen(reader, run.u)
                     if self.moves_markers(fields):
                         return fields, self._told(plan, contacts, weight, start, draw)
             except (FloatingPointError, TooHardError):
@@ -59,13 +59,16 @@ class Bench:
         spots = [(c.centre, max(c.radii), max(EDGE_SHARE * min(c.radii), EDGE_MM)) for c in contacts]
         return HeldBody(self.stored.data_mesh(spots), self.stored.axis)
 
-    def seen(self, body, u):
+    def reader(self, body):
+        """Return the matrix that reads a field of the data's body at the user's nodes, the pool and the targets."""
+        stored = self.stored
+        return interpolation(body, np.concatenate([stored.nodes_mm, stored.pool_mm, stored.targets_mm]))[0]
+
+    def seen(self, reader, u):
         """Return displacements in mm by place: ``nodes``, ``pool``, ``targets``; the user's base stays where it is."""
         stored = self.stored
-        places = {"nodes": stored.nodes_mm, "pool": stored.pool_mm, "targets": stored.targets_mm}
-        matrix, _ = interpolation(body, np.concatenate(list(places.values())))
-        ends = np.cumsum([len(points) for points in places.values()])[:-1]
-        fields = dict(zip(places, np.split(matrix @ u, ends), strict=True))
+        ends = np.cumsum([len(stored.nodes_mm), len(stored.pool_mm)])
+        fields = dict(zip(("nodes", "pool", "targets"), np.split(reader @ u, ends), strict=True))
         fields["nodes"][stored.fixed_nodes] = 0.0
         return fields
 

@@ -9,7 +9,7 @@ from blind.generator.solver import Body, Run
 from loadfree.generator.meshing import skin_facets
 
 #: Shares of the final motion at which equilibrium is found on the way.
-STEPS = (0.35, 0.7, 1.0)
+STEPS = (0.5, 1.0)
 
 #: Largest change of the last iteration in mm: the force of a pad is its tie times what is left of its slip.
 TOLERANCE_MM = 2e-6
