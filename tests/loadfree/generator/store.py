@@ -62,8 +62,9 @@ def pack(body):
     found = [path for plan in plans(body) if (path := path_of(plan)).exists()]
     events = [np.load(path) for path in found]
     arrays = {key: np.stack([_whole(event[key]) for event in events]) for key in FIELDS} if events else {}
+    partial = DATA / f"{body}.part.npz"
     np.savez_compressed(
-        DATA / f"{body}.npz",
+        partial,
         nodes_mm=stored.nodes_mm,
         tets=stored.tets,
         fixed_nodes=stored.fixed_nodes,
@@ -73,6 +74,7 @@ def pack(body):
         told=np.array([str(event["told"]) for event in events]),
         **arrays,
     )
+    partial.rename(DATA / f"{body}.npz")
     return len(events)
 
 
