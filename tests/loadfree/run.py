@@ -26,6 +26,7 @@ def arguments(words: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--layouts", nargs="+", choices=LAYOUTS, default=list(LAYOUTS))
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=["contacts", *QUICK])
     parser.add_argument("--limit", type=int, help="the first events of each body only")
+    parser.add_argument("--events", nargs="+", type=int, help="events of these numbers only")
     parser.add_argument("--jobs", type=int, default=1, help="events side by side, one thread each")
     parser.add_argument("--again", action="store_true", help="forget what these methods have answered so far")
     return parser.parse_args(words)
@@ -78,7 +79,8 @@ def _since(begun: float) -> float:
 def _wanted(told: argparse.Namespace):
     for name in told.bodies:
         for event in events_of(read_body(name), told.half)[: told.limit]:
-            yield name, event.number
+            if not told.events or event.number in told.events:
+                yield name, event.number
 
 
 def _left(told: argparse.Namespace, body: str, number: int, done: set) -> list[str]:
@@ -105,7 +107,13 @@ def _run(tasks: list, jobs: int, path) -> None:
 
 def _conditions(told: argparse.Namespace) -> dict:
     """Return under which commit and settings rows are made."""
-    settings = {"bodies": told.bodies, "layouts": told.layouts, "limit": told.limit, "jobs": told.jobs}
+    settings = {
+        "bodies": told.bodies,
+        "layouts": told.layouts,
+        "limit": told.limit,
+        "events": told.events,
+        "jobs": told.jobs,
+    }
     return {
         "commit": _git("rev-parse", "--short=12", "HEAD"),
         "changed_files": bool(_git("status", "--porcelain", "--untracked-files=no", "--", "python", "crates", "tests")),
