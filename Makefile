@@ -12,7 +12,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -28,6 +28,8 @@ help:
 	@echo "                     blind-without, blind-rivals, blind-ablations; TIER=quick or fine: of that tier)"
 	@echo "make blind-sizes     how large what is uncertain must be, on its nulls that have been answered"
 	@echo "make blind-data      its data, made by a foreign solver (hours; resumable; ONE=name: one, compared)"
+	@echo "make loadfree        registration with nothing known of the load, on 200 true events -> docs/loadfree.md (HALF=test or"
+	@echo "                     both, METHODS=..., JOBS=2); make loadfree-data: the events, by a foreign solver (an hour; resumable)"
 	@echo "make bench           times by stage -> benchmarks/results/"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
@@ -130,6 +132,18 @@ blind-sizes: $(VENV)/.installed-dev
 blind-data: $(VENV)/.installed-dev
 	PYTHONPATH=tests OMP_NUM_THREADS=1 ONE=$(ONE) $(BIN)/python -m blind.generator
 	$(if $(ONE),,PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m blind.generator.store)
+
+# Registration without a known load on true events (tests/loadfree/README.md): a run that was stopped goes on.
+HALF ?= dev
+METHODS ?= contacts none rigid spline gaussian
+
+loadfree: $(VENV)/.installed-dev
+	$(BIN)/python benchmarks/loadfree.py --half $(HALF) --jobs $(JOBS) --methods $(METHODS)
+	PYTHONPATH=tests $(BIN)/python -m loadfree.table
+
+# Events that are missing, by scikit-fem (and pypardiso, where it is there), then the archive of each body.
+loadfree-data: $(VENV)/.installed-dev
+	PYTHONPATH=tests OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m loadfree.generator
 
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/run.py

@@ -1,7 +1,7 @@
 """Registration without a known load: contacts found by their traces at the markers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -99,6 +99,9 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
         If what is believed does not fit the body.
     """
     settings, material = given.settings.contacts, believed.material
+    if given.suspicions:
+        # Input that is misread is not worth many passes: the answer will not be trusted.
+        settings = replace(settings, max_passes=1)
     with clock.stage("body"):
         supports = Supports.of(given.mesh, believed.held, believed.held_nodes)
         body = ContactBody.of(given.mesh, supports, believed.element)

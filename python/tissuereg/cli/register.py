@@ -106,9 +106,8 @@ def run(args: argparse.Namespace) -> Outcome:
     reading = clock.lap("read")
     with progress_bar("passes", quiet=args.quiet) as progress:
         result = register(
-            **given,
+            **{"element": args.element, **given},
             model=args.model,
-            element=args.element,
             polish=args.polish,
             **({} if args.held is None else {"held": args.held}),
             seed=args.seed or 0,
@@ -185,7 +184,9 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
             _refuse(f"--{name} must be given with an experiment", f"--{name}")
     experiment = read_experiment(args.path)
     plain = "tet4" if args.element == "auto" else args.element
-    return frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
+    given = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
+    # What the frame's simulation is made of is what the registration goes on with.
+    return {**given, "element": plain}
 
 
 def _refuse(message: str, where: str) -> NoReturn:

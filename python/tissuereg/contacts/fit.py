@@ -29,6 +29,9 @@ _TOLERANCE = 3e-7
 #: Shortest share of a step towards the mean load.
 _SHORTEST_STEP = 0.02
 
+#: A load that takes more iterations than this is not worth the wait: a shorter step is tried.
+_MOST_ITERATIONS = 150
+
 #: A step must take away this part of what it promises, or leave the markers within this many times the limit.
 _DECREASE, _GOOD_ENOUGH = 0.3, 1.5
 
@@ -289,7 +292,8 @@ class Passes:
     def _towards(self, linearised: Linearised, moment: Moment, coefficients: FloatArray) -> Moment | None:
         """Return the equilibrium under coefficients; None where there is none."""
         try:
-            found = linearised.solve_near(self.columns.load(coefficients), tolerance=_TOLERANCE)
+            load = self.columns.load(coefficients)
+            found = linearised.solve_near(load, tolerance=_TOLERANCE, max_iterations=_MOST_ITERATIONS)
         except ConvergenceError:
             return None
         self._count("solves", 1)

@@ -66,7 +66,7 @@ class ContactSettings:
     supports: tuple[float, float] = (0.0008, 1.5)
     frame: tuple[float, float] = (0.008, 1.5)
     drift: tuple[float, float] = (0.0025, 1.0)
-    wrong_odds: float = 0.005
+    wrong_odds: float = 0.02
     wrong_share: float = 0.05
     model_error: float = 0.02
     young_log_std: float = 0.2

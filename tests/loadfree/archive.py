@@ -1,0 +1,105 @@
+"""Results on disk: rows of single registrations as they come, and one compact file a half for the repository."""
+
+import json
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+
+from loadfree.events import read_body
+from tissuereg._machine import machine, versions
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+RESULTS = REPOSITORY / "benchmarks" / "results"
+SCRATCH = REPOSITORY / "build" / "loadfree"
+
+SCHEMA = "tissuereg.loadfree/1"
+
+
+def result_path(half: str) -> Path:
+    """Return where a half's results lie."""
+    return RESULTS / f"loadfree-{half}.json"
+
+
+def scratch_path(half: str, method: str) -> Path:
+    """Return where rows of a method are kept while it runs."""
+    return SCRATCH / f"{half}-{method}.jsonl"
+
+
+def key_of(row: dict) -> tuple[str, int, str]:
+    """Return what makes a row of a method unique."""
+    return row["body"], row["event"], row["layout"]
+
+
+def read_rows(path: Path) -> list[dict]:
+    """Return the rows of a scratch file; a last line that was cut off is left out."""
+    if not path.exists():
+        return []
+    whole, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
+    return [json.loads(line) for line in whole.splitlines()]
+
+
+def read_results(path: Path) -> dict:
+    """Return a half's results, empty where there are none."""
+    if not path.exists():
+        return {"schema": SCHEMA, "methods": {}, "events": [], "rows": {}}
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def write_results(path: Path, half: str, method: str, rows: list[dict], run: dict) -> None:
+    """Put a method's rows into a half's results; other methods' rows stay.
+
+    Parameters
+    ----------
+    path : Path
+    half, method : str
+    rows : list of dict
+    run : dict
+        Commit, command and settings under which they were made.
+    """
+    answer = read_results(path)
+    answer["half"] = half
+    answer["methods"][method] = run | {
+        "date": datetime.now(timezone.utc).date().isoformat(),
+        "machine": machine(),
+        "versions": versions(),
+        "n": len(rows),
+    }
+    answer["rows"][method] = sorted(rows, key=key_of)
+    answer["events"] = _events(answer["rows"])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".part")
+    partial.write_text(_compact(answer), encoding="utf-8")
+    partial.rename(path)
+
+
+def _events(rows: dict[str, list[dict]]) -> list[dict]:
+    """Return what is true of every event that has a row."""
+    used = sorted({(row["body"], row["event"]) for some in rows.values() for row in some})
+    found = []
+    for name, number in used:
+        event = next(event for event in read_body(name).events if event.number == number)
+        found.append(
+            {
+                "body": name,
+                "event": number,
+                "kind": event.kind,
+                "difference": event.told["difference"],
+                "largest_mm": round(event.told["largest_mm"], 3),
+                "body_moved_mm": round(float(np.linalg.norm(event.nodes, axis=1).mean()), 5),
+                "moved_um": [int(v) for v in np.rint(1e3 * np.linalg.norm(event.targets, axis=1))],
+            }
+        )
+    return found
+
+
+def _compact(answer: dict) -> str:
+    """Return JSON with one line an event and one a row."""
+    head = {key: value for key, value in answer.items() if key not in ("events", "rows")}
+    parts = [json.dumps(head, indent=1)[:-2] + ',\n "events": [\n' + _lines(answer["events"]) + '\n ],\n "rows": {\n']
+    parts.append(",\n".join(f'  "{name}": [\n{_lines(rows)}\n  ]' for name, rows in sorted(answer["rows"].items())))
+    return "".join(parts) + "\n }\n}\n"
+
+
+def _lines(rows: list[dict]) -> str:
+    return ",\n".join("   " + json.dumps(row, separators=(",", ":")) for row in rows)

@@ -1,0 +1,133 @@
+"""What is compared: registration with nothing known of the load, and beside it simpler methods and the true load.
+
+A method is a function from a `Case` to an `Answer`; `METHODS` holds them by name.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+import tissuereg as tr
+from loadfree.events import Body, Event, true_load
+from loadfree.gaussian import gaussian_answer
+from loadfree.layouts import NOISE_MM, chosen, markers
+from tissuereg.baselines import rigid_displacement, spline_displacement
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One registration: a body, an event, and markers of a layout."""
+
+    body: Body
+    event: Event
+    layout: str
+
+    @property
+    def markers(self) -> tr.Markers:
+        """What is measured."""
+        return markers(self.body, self.event, self.layout)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a method says.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (n_nodes, 3)
+        Displacement in mm.
+    targets : ndarray, shape (n_targets, 3)
+        Displacement of the targets, mm.
+    covariances : ndarray, shape (n_targets, 3, 3), or None
+        mm^2; None: the method gives no region.
+    constrained : list of float, or None
+        Share of each target's prior variance that the markers take away, where the method says it.
+    flagged : list of bool, or None
+        Targets of which the method says that no marker tells, where it says so.
+    trusted : bool or None
+        The method's own trust.
+    counters : dict
+        Work, where the method counts it.
+    """
+
+    nodes: np.ndarray
+    targets: np.ndarray
+    covariances: np.ndarray | None = None
+    constrained: list | None = None
+    flagged: list | None = None
+    trusted: bool | None = None
+    counters: dict = field(default_factory=dict)
+
+
+def registered(case: Case, **options) -> Answer:
+    """Return the package's answer; `options` are further arguments of ``tissuereg.register``."""
+    names = [f"t{i}" for i in range(len(case.body.targets))]
+    targets = dict(zip(names, case.body.targets, strict=True))
+    result = tr.register(case.body.mesh, case.markers, targets=targets, seed=0, threads=1, **options)
+    found = [result.target(name) for name in names]
+    said = [getattr(target, "constrained", None) for target in found]
+    return Answer(
+        np.asarray(result.displacement),
+        np.array([target.mean for target in found]) - case.body.targets,
+        np.array([target.covariance for target in found]),
+        None if None in said else [float(share) for share in said],
+        [target.flag is not None for target in found] if hasattr(found[0], "flag") else None,
+        bool(result.trust.ok),
+        dict(getattr(result, "counters", None) or {}),
+    )
+
+
+def contacts(case: Case) -> Answer:
+    """Register with nothing known of the load: the package's first call."""
+    return registered(case)
+
+
+def fitted(case: Case) -> Answer:
+    """Register with principal components fitted to random events."""
+    return registered(case)
+
+
+def oracle(case: Case) -> Answer:
+    """Register about the true load: contacts as smooth tractions of their true force and place, and the weight."""
+    return registered(case, load=true_load(case.body, case.event))
+
+
+def gaussian(case: Case) -> Answer:
+    """Tractions of a Gaussian field, to first order."""
+    seen = case.markers
+    places = chosen(case.body, case.event, case.layout)
+    return Answer(*gaussian_answer(case.body, places, np.asarray(seen.displacement), NOISE_MM))
+
+
+def rigid(case: Case) -> Answer:
+    """The markers' best rigid motion."""
+    return _interpolated(case, rigid_displacement)
+
+
+def spline(case: Case) -> Answer:
+    """A thin-plate spline through the markers."""
+    return _interpolated(case, spline_displacement)
+
+
+def none(case: Case) -> Answer:
+    """Nothing moves."""
+    return Answer(np.zeros_like(case.event.nodes), np.zeros_like(case.event.targets))
+
+
+def _interpolated(case: Case, rule: Callable) -> Answer:
+    seen = case.markers
+    mesh, targets = case.body.mesh, case.body.targets
+    moved = rule(seen.reference, seen.measured, np.concatenate([mesh.nodes, targets]))
+    return Answer(moved[: mesh.n_nodes], moved[mesh.n_nodes :])
+
+
+METHODS: dict[str, Callable[[Case], Answer]] = {
+    "contacts": contacts,
+    "rigid": rigid,
+    "spline": spline,
+    "gaussian": gaussian,
+    "fitted": fitted,
+    "oracle": oracle,
+    "none": none,
+}

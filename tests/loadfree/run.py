@@ -1,0 +1,126 @@
+"""Runs methods on events and layouts, resumable by registration: see ``benchmarks/loadfree.py``."""
+
+import argparse
+import json
+import multiprocessing
+import subprocess
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+
+from loadfree.archive import REPOSITORY, SCRATCH, key_of, read_rows, result_path, scratch_path, write_results
+from loadfree.events import BODIES, HALVES, events_of, read_body
+from loadfree.layouts import LAYOUTS, N_MARKERS, NOISE_MM
+from loadfree.rivals import METHODS, Case
+from loadfree.score import scored
+from tissuereg import TissueRegError
+
+#: Methods that take no more than moments.
+QUICK = ("none", "rigid", "spline", "gaussian")
+
+
+def arguments(words: list[str] | None) -> argparse.Namespace:
+    """Return the command line's settings."""
+    parser = argparse.ArgumentParser(prog="python benchmarks/loadfree.py", description=__doc__)
+    parser.add_argument("--half", choices=[*HALVES], default="dev", help="dev: even events; test: odd ones")
+    parser.add_argument("--bodies", nargs="+", choices=BODIES, default=list(BODIES))
+    parser.add_argument("--layouts", nargs="+", choices=LAYOUTS, default=list(LAYOUTS))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=["contacts", *QUICK])
+    parser.add_argument("--limit", type=int, help="the first events of each body only")
+    parser.add_argument("--events", nargs="+", type=int, help="events of these numbers only")
+    parser.add_argument("--jobs", type=int, default=1, help="events side by side, one thread each")
+    parser.add_argument("--again", action="store_true", help="forget what these methods have answered so far")
+    return parser.parse_args(words)
+
+
+def main(words: list[str] | None = None) -> None:
+    """Run what is missing, then write the results of the half and say where they are."""
+    told = arguments(words)
+    SCRATCH.mkdir(parents=True, exist_ok=True)
+    for method in told.methods:
+        path = scratch_path(told.half, method)
+        if told.again:
+            path.unlink(missing_ok=True)
+        wanted = list(_wanted(told))
+        done = {key_of(row) for row in read_rows(path)}
+        tasks = [(method, body, number, _left(told, body, number, done)) for body, number in wanted]
+        begun = time.time()
+        _run([task for task in tasks if task[3]], told.jobs, path)
+        rows = [
+            row for row in read_rows(path) if (row["body"], row["event"]) in wanted and row["layout"] in told.layouts
+        ]
+        failed = sum("error" in row for row in rows)
+        write_results(result_path(told.half), told.half, method, rows, _conditions(told))
+        print(f"{method}: {len(rows)} registrations, {failed} failed, {time.time() - begun:.0f} s", flush=True)
+
+
+def answer_event(task: tuple[str, str, int, list[str]]) -> list[dict]:
+    """Return the rows of one method on one event, one a layout."""
+    method, name, number, layouts = task
+    body = read_body(name)
+    event = next(event for event in body.events if event.number == number)
+    rows = []
+    for layout in layouts:
+        row = {"body": name, "event": number, "layout": layout}
+        begun = time.perf_counter()
+        try:
+            answer = METHODS[method](Case(body, event, layout))
+        except TissueRegError as error:
+            rows.append(row | {"error": f"{type(error).__name__}: {error}", "seconds": _since(begun)})
+            continue
+        seconds = _since(begun)
+        rows.append(row | scored(event.nodes, event.targets, answer) | {"seconds": seconds})
+    return rows
+
+
+def _since(begun: float) -> float:
+    return round(time.perf_counter() - begun, 4)
+
+
+def _wanted(told: argparse.Namespace):
+    for name in told.bodies:
+        for event in events_of(read_body(name), told.half)[: told.limit]:
+            if not told.events or event.number in told.events:
+                yield name, event.number
+
+
+def _left(told: argparse.Namespace, body: str, number: int, done: set) -> list[str]:
+    return [layout for layout in told.layouts if (body, number, layout) not in done]
+
+
+def _run(tasks: list, jobs: int, path) -> None:
+    """Answer events and keep each row as soon as it is there."""
+    with path.open("a", encoding="utf-8") as out:
+
+        def keep(rows: list[dict]) -> None:
+            out.writelines(json.dumps(row) + "\n" for row in rows)
+            out.flush()
+
+        if jobs == 1:
+            for task in tasks:
+                keep(answer_event(task))
+            return
+        # Solvers keep threads of their own: a forked process would hang.
+        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+            for future in as_completed([pool.submit(answer_event, task) for task in tasks]):
+                keep(future.result())
+
+
+def _conditions(told: argparse.Namespace) -> dict:
+    """Return under which commit and settings rows are made."""
+    settings = {
+        "bodies": told.bodies,
+        "layouts": told.layouts,
+        "limit": told.limit,
+        "events": told.events,
+        "jobs": told.jobs,
+    }
+    return {
+        "commit": _git("rev-parse", "--short=12", "HEAD"),
+        "changed_files": bool(_git("status", "--porcelain", "--untracked-files=no", "--", "python", "crates", "tests")),
+        "settings": settings | {"n_markers": N_MARKERS, "noise_mm": NOISE_MM},
+    }
+
+
+def _git(*words: str) -> str:
+    done = subprocess.run(["git", *words], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    return done.stdout.strip()

@@ -1,0 +1,113 @@
+"""The rivals do what their names say; runs go on where they stopped; the page is what the results say."""
+
+import json
+
+import numpy as np
+import pytest
+
+from loadfree import archive, run, table
+from loadfree.events import read_body
+from loadfree.gaussian import LENGTHS, gaussian_answer, responses
+from loadfree.layouts import NOISE_MM, chosen
+from loadfree.rivals import METHODS, Case
+from tissuereg import Load
+from tissuereg.errors import ConvergenceError
+
+BODY = read_body("phantom")
+
+
+def test_the_gaussian_field_finds_tractions_of_its_own_kind():
+    rng = np.random.default_rng(1)
+    found = responses("phantom")
+    nodes, covered = BODY.mesh.nodes[found.free], []
+    forces = np.zeros((BODY.mesh.n_nodes, 3))
+    places = chosen(BODY, BODY.events[0], "spread", 40)
+    for _ in range(3):
+        push = rng.normal(size=(6, 3)) * 25.0
+        centres = nodes[rng.choice(len(nodes), 6)]
+        width = LENGTHS[3] * BODY.mesh.extent
+        forces[found.free] = np.exp(-0.5 * (np.linalg.norm(nodes[:, None] - centres, axis=2) / width) ** 2) @ push
+        truth = found.at_rest.derivatives([Load(forces=forces)]).displacement[0]
+        seen = _at_pool(truth)[places] + NOISE_MM * rng.normal(size=(len(places), 3))
+        answer, targets, spread = gaussian_answer(BODY, places, seen, NOISE_MM)
+        assert np.linalg.norm(answer - truth, axis=1).mean() < 0.1 * np.linalg.norm(truth, axis=1).mean()
+        off = targets - _at_targets(truth)
+        covered.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread), off) < 6.251)
+    assert np.mean(covered) > 0.8
+
+
+def _at_pool(field):
+    from loadfree.gaussian import on_surface
+
+    nodes, weights = on_surface(BODY)
+    return np.einsum("na,nax->nx", weights, field[nodes])
+
+
+def _at_targets(field):
+    from loadfree.gaussian import in_tets
+
+    nodes, weights = in_tets(BODY)
+    return np.einsum("na,nax->nx", weights, field[nodes])
+
+
+@pytest.mark.parametrize("name", ["none", "rigid", "spline", "gaussian"])
+def test_quick_rivals_answer_at_every_node_and_target(name):
+    event = BODY.events[0]
+    answer = METHODS[name](Case(BODY, event, "spread"))
+    assert answer.nodes.shape == event.nodes.shape
+    assert answer.targets.shape == event.targets.shape
+    assert (answer.covariances is not None) == (name == "gaussian")
+    if name != "none":
+        off = np.linalg.norm(answer.nodes - event.nodes, axis=1).mean()
+        assert off < np.linalg.norm(event.nodes, axis=1).mean()
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.setattr(archive, "RESULTS", tmp_path)
+    monkeypatch.setattr(archive, "SCRATCH", tmp_path)
+    monkeypatch.setattr(run, "SCRATCH", tmp_path)
+    return tmp_path
+
+
+def test_a_run_goes_on_where_it_stopped_and_keeps_other_methods(elsewhere, monkeypatch):
+    words = ["--bodies", "beam", "--limit", "2", "--methods"]
+    run.main([*words, "rigid"])
+    scratch = elsewhere / "dev-rigid.jsonl"
+    lines = scratch.read_text().splitlines()
+    assert len(lines) == 8
+    scratch.write_text("\n".join(lines[:5]) + "\n" + lines[5][:20])
+    asked = []
+    monkeypatch.setattr(run, "answer_event", lambda task: asked.append(task) or [])
+    run.main([*words, "rigid"])
+    assert [(task[2], task[3]) for task in asked] == [(2, ["random", "near", "far"])]
+    monkeypatch.undo()
+
+
+def test_an_error_of_the_package_is_a_row_without_an_answer(monkeypatch):
+    def failing(case):
+        message = "no equilibrium"
+        raise ConvergenceError(message)
+
+    monkeypatch.setitem(METHODS, "rigid", failing)
+    (row,) = run.answer_event(("rigid", "beam", 0, ["far"]))
+    assert row["error"] == "ConvergenceError: no equilibrium"
+    assert "body_mm" not in row
+
+
+def test_results_are_read_as_written_and_methods_stand_beside_each_other(elsewhere):
+    for method in ("none", "rigid"):
+        run.main(["--bodies", "beam", "--limit", "1", "--methods", method])
+    answer = json.loads((elsewhere / "loadfree-dev.json").read_text())
+    assert set(answer["rows"]) == {"none", "rigid"}
+    assert answer["methods"]["rigid"]["n"] == 4
+    assert [(event["body"], event["event"]) for event in answer["events"]] == [("beam", 0)]
+    assert len(answer["events"][0]["moved_um"]) == len(answer["rows"]["none"][0]["off_um"]) == 60
+    # Not moving is off by the motion itself.
+    assert answer["rows"]["none"][0]["off_um"] == answer["events"][0]["moved_um"]
+
+
+def test_the_page_is_what_its_command_writes(tmp_path):
+    again = tmp_path / "loadfree.md"
+    table.write(again)
+    assert again.read_text(encoding="utf-8") == table.PAGE.read_text(encoding="utf-8")
