@@ -4,8 +4,12 @@
 //! neighbouring patches and sizes), every family's level and every group that may be wrong. All chance comes from a row
 //! of uniform numbers; every step takes its numbers whether it uses them or not.
 
+use faer::Mat;
+
+use crate::gain::gain_of;
+use crate::linalg::{backward, column, forward_in_place};
 use crate::state::{Configuration, Contact, Evidence};
-use crate::table::{Table, without};
+use crate::table::Table;
 use crate::{ChainSettings, Problem};
 
 /// How often steps were tried and taken.
@@ -28,6 +32,7 @@ pub(crate) struct Chain<'a> {
     uniforms: std::slice::Iter<'a, f64>,
     pub(crate) state: Configuration,
     evidence: Evidence,
+    table: Table,
     pub(crate) counters: Counters,
 }
 
@@ -40,21 +45,22 @@ pub(crate) fn uniforms_a_sweep(problem: &Problem, settings: &ChainSettings) -> u
 }
 
 impl<'a> Chain<'a> {
-    /// None where the start's covariance cannot be factored.
+    /// The first bad pivot where the start's covariance cannot be factored.
     pub(crate) fn new(
         problem: &'a Problem,
         settings: &'a ChainSettings,
         start: Configuration,
         uniforms: &'a [f64],
-    ) -> Option<Self> {
+    ) -> Result<Self, usize> {
         let evidence = Evidence::of_state(problem, &start)?;
         let counters = Counters::default();
-        Some(Self {
+        Ok(Self {
             problem,
             settings,
             uniforms: uniforms.iter(),
             state: start,
             evidence,
+            table: Table::default(),
             counters,
         })
     }
@@ -87,15 +93,16 @@ impl<'a> Chain<'a> {
     /// Draw a slot's content from all, weighed without texture, and correct for it.
     fn jump(&mut self, slot: usize, power: f64) {
         let (place, chance) = (self.uniform(), self.uniform());
-        let Some(rest) = without(self.problem, &self.state, slot) else { return };
-        let table = Table::new(self.problem, &rest, power * self.settings.sharpness);
+        let rest = self.state.covariance(self.problem, Some(slot));
+        let Ok(rest) = Evidence::of(self.problem, rest) else { return };
+        self.table.fill(self.problem, &rest, power * self.settings.sharpness);
         self.counters.tables += 1;
         self.counters.factorisations += 1;
-        let (now, proposed) = (self.state.slots[slot], table.draw(place));
+        let (now, proposed) = (self.state.slots[slot], self.table.draw(place));
         if now == proposed {
             return;
         }
-        let correction = table.log_probability(now) - table.log_probability(proposed);
+        let correction = self.table.log_probability(now) - self.table.log_probability(proposed);
         let mut next = self.state.clone();
         next.slots[slot] = proposed;
         if self.accept(next, power, correction, chance) {
@@ -128,8 +135,12 @@ impl<'a> Chain<'a> {
         let dictionary = &self.problem.dictionary;
         let around = &dictionary.patch(now.patch).neighbours;
         let patch = *around.get((which * around.len() as f64) as usize)?;
-        let back = dictionary.patch(patch).neighbours.len();
-        Some((Contact { patch, ..now }, (around.len() as f64).ln() - (back as f64).ln()))
+        let share = |list: &[usize], one: usize| {
+            list.iter().filter(|&&entry| entry == one).count() as f64 / list.len() as f64
+        };
+        // Minus infinity where there is no way back.
+        let back = share(&dictionary.patch(patch).neighbours, now.patch);
+        Some((Contact { patch, ..now }, back.ln() - share(around, patch).ln()))
     }
 
     /// Propose the next level of a family.
@@ -144,29 +155,30 @@ impl<'a> Chain<'a> {
         self.accept(next, power, 0.0, chance);
     }
 
-    /// Decide for every group whether it is wrong, given all others.
+    /// Turn every group between right and wrong, given all others.
+    ///
+    /// A wrong group has one more variance on each of its rows: three or fewer are weighed in closed form, from a block
+    /// of `C^-1`, and only what is taken is factored. Everything else, also the way back, is factored first.
     fn question(&mut self, power: f64) {
+        let mut inverse = None;
         for group in 0..self.state.wrong.len() {
             let chance = self.uniform();
-            if !self.worth_a_look(group) {
-                continue;
+            let few = self.problem.prior.wrong.rows[group].len() <= 3;
+            if few && !self.state.wrong[group] {
+                let inverse = inverse.get_or_insert_with(|| Inverse::of(&self.evidence));
+                let prior = self.problem.prior.wrong.log_odds;
+                let change = inverse.gain(self.problem, group);
+                // No chance at all of being taken: rounding of either way is far below one.
+                if chance.ln() >= power * change + prior + 1e-3 {
+                    continue;
+                }
             }
             let mut next = self.state.clone();
             next.wrong[group] = !next.wrong[group];
-            self.accept(next, power, 0.0, chance);
+            if self.accept(next, power, 0.0, chance) {
+                inverse = None;
+            }
         }
-    }
-
-    /// A group that fits is turned only where it is wrong now: its residual is within three deviations of its own
-    /// covariance.
-    fn worth_a_look(&self, group: usize) -> bool {
-        if self.state.wrong[group] {
-            return true;
-        }
-        let dual = crate::linalg::backward(self.evidence.factor.as_ref(), &self.evidence.white);
-        let rows = &self.problem.prior.wrong.rows[group];
-        let noise = &self.problem.observed.noise;
-        rows.iter().any(|&row| (dual[row] * noise[(row, row)].sqrt()).abs() > 1.0)
     }
 
     fn accept(&mut self, next: Configuration, power: f64, correction: f64, chance: f64) -> bool {
@@ -175,7 +187,7 @@ impl<'a> Chain<'a> {
         if after == f64::NEG_INFINITY {
             return false;
         }
-        let Some(evidence) = Evidence::of_state(self.problem, &next) else { return false };
+        let Ok(evidence) = Evidence::of_state(self.problem, &next) else { return false };
         self.counters.factorisations += 1;
         let change = power * (evidence.value - self.evidence.value) + after - before + correction;
         let taken = chance.ln() < change;
@@ -184,5 +196,38 @@ impl<'a> Chain<'a> {
             self.evidence = evidence;
         }
         taken
+    }
+}
+
+/// What closed forms of groups need of `C^-1`.
+struct Inverse {
+    /// `L^-1` (`n_obs`, `n_obs`)
+    root: Mat<f64>,
+    /// `C^-1 d` (`n_obs`)
+    dual: Vec<f64>,
+}
+
+impl Inverse {
+    fn of(evidence: &Evidence) -> Self {
+        let mut root = Mat::identity(evidence.white.len(), evidence.white.len());
+        forward_in_place(evidence.factor.as_ref(), root.as_mut());
+        Self { root, dual: backward(evidence.factor.as_ref(), &evidence.white) }
+    }
+
+    /// Change of the logarithm of the evidence where a group of at most three rows becomes wrong.
+    fn gain(&self, problem: &Problem, group: usize) -> f64 {
+        let wrong = &problem.prior.wrong;
+        let rows = &wrong.rows[group];
+        let mut data = [0.0; 3];
+        for (entry, &row) in data.iter_mut().zip(rows) {
+            *entry = self.dual[row];
+        }
+        let block = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]].map(|[a, b]| {
+            let (Some(&a), Some(&b)) = (rows.get(a), rows.get(b)) else { return 0.0 };
+            let (a, b) = (column(self.root.as_ref(), a), column(self.root.as_ref(), b));
+            a.iter().zip(b).map(|(x, y)| x * y).sum()
+        });
+        let (exponent, determinant) = gain_of(&block, &data, wrong.variance);
+        0.5 * (exponent - determinant.ln())
     }
 }

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use faer::{Mat, MatRef};
 
 use crate::ContactsError;
-use crate::linalg::add_outer;
+use crate::linalg::product;
 
 /// How a patch lies to others.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -13,7 +13,8 @@ pub struct Patch {
     /// Smaller patches inside, each with the standard deviation of its coefficients over that of this patch: a
     /// contact is not uniform.
     pub texture: Vec<(usize, f64)>,
-    /// Patches that are much alike: those close by, and those at the same place of the next radii.
+    /// Patches that are much alike: those close by, and those at the same place of the next radii. A step is proposed
+    /// along an entry only where the other patch lists this one as well.
     pub neighbours: Vec<usize>,
 }
 
@@ -60,6 +61,9 @@ impl Dictionary {
         let limit = patches.len();
         for (patch, lies) in patches.iter().enumerate() {
             let outside = |index: &&usize| **index >= limit;
+            for (entry, &(_, ratio)) in lies.texture.iter().enumerate() {
+                check_finite("texture", entry, ratio)?;
+            }
             let inner: Vec<usize> = lies.texture.iter().map(|&(index, _)| index).collect();
             if let Some(&index) = inner.iter().find(outside) {
                 return Err(ContactsError::Index { argument: "texture", patch, index, limit });
@@ -111,12 +115,12 @@ impl Dictionary {
     pub(crate) fn covariance(&self, patch: usize) -> MatRef<'_, f64> {
         self.covariances[patch]
             .get_or_init(|| {
-                let mut sum = Mat::zeros(self.n_obs(), self.n_obs());
-                for (inner, ratio) in self.shares(patch) {
-                    let own = self.own(inner);
-                    add_outer(sum.as_mut(), own, own, ratio * ratio);
-                }
-                sum
+                let shares: Vec<(usize, f64)> = self.shares(patch).collect();
+                let scaled = Mat::from_fn(self.n_obs(), 3 * shares.len(), |i, j| {
+                    let (inner, ratio) = shares[j / 3];
+                    ratio * self.columns[(i, 3 * inner + j % 3)]
+                });
+                product(scaled.as_ref(), scaled.transpose())
             })
             .as_ref()
     }

@@ -46,6 +46,7 @@
 mod chain;
 mod dictionary;
 mod error;
+mod gain;
 mod linalg;
 mod moments;
 mod prior;

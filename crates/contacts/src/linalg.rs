@@ -32,10 +32,11 @@ pub(crate) fn forward_in_place(factor: MatRef<'_, f64>, right: MatMut<'_, f64>) 
 pub(crate) fn forward(factor: MatRef<'_, f64>, right: &[f64]) -> Vec<f64> {
     let mut x = right.to_vec();
     for j in 0..x.len() {
-        let value = x[j] / factor[(j, j)];
+        let below = &column(factor, j)[j..];
+        let value = x[j] / below[0];
         x[j] = value;
-        for i in j + 1..x.len() {
-            x[i] -= factor[(i, j)] * value;
+        for (left, entry) in x[j + 1..].iter_mut().zip(&below[1..]) {
+            *left -= entry * value;
         }
     }
     x
@@ -45,8 +46,9 @@ pub(crate) fn forward(factor: MatRef<'_, f64>, right: &[f64]) -> Vec<f64> {
 pub(crate) fn backward(factor: MatRef<'_, f64>, right: &[f64]) -> Vec<f64> {
     let mut x = right.to_vec();
     for j in (0..x.len()).rev() {
-        let below: f64 = (j + 1..x.len()).map(|i| factor[(i, j)] * x[i]).sum();
-        x[j] = (x[j] - below) / factor[(j, j)];
+        let own = &column(factor, j)[j..];
+        let below: f64 = own[1..].iter().zip(&x[j + 1..]).map(|(entry, x)| entry * x).sum();
+        x[j] = (x[j] - below) / own[0];
     }
     x
 }
@@ -70,6 +72,21 @@ pub(crate) fn add_scaled(mut out: MatMut<'_, f64>, other: MatRef<'_, f64>, scale
             out[(i, j)] += scale * other[(i, j)];
         }
     }
+}
+
+/// `out += scale other` in the lower half, whole columns at a time.
+pub(crate) fn add_scaled_lower(out: &mut Mat<f64>, other: MatRef<'_, f64>, scale: f64) {
+    for j in 0..out.ncols() {
+        let own = &mut out.col_as_slice_mut(j)[j..];
+        for (sum, value) in own.iter_mut().zip(&column(other, j)[j..]) {
+            *sum += scale * value;
+        }
+    }
+}
+
+/// A column of a matrix that is stored column by column.
+pub(crate) fn column(matrix: MatRef<'_, f64>, j: usize) -> &[f64] {
+    matrix.col(j).try_as_col_major().map_or(&[], |column| column.as_slice())
 }
 
 /// `(L L')^-1`.

@@ -16,8 +16,10 @@ use faer::{Mat, MatRef, Par};
 use rayon::prelude::*;
 
 use crate::dictionary::check_finite;
-use crate::linalg::{add_outer, add_scaled, backward, forward_in_place, inverse, product};
-use crate::prior::{check_length, scaled_columns};
+use crate::linalg::{
+    add_outer, add_scaled, backward, column, forward, forward_in_place, inverse, product,
+};
+use crate::prior::{check_length, covariance};
 use crate::state::Evidence;
 use crate::{Configuration, ContactsError, Problem};
 
@@ -47,6 +49,12 @@ impl Problem {
                 *sum += family.factors[level] * variance;
             }
         }
+        self.add_slots(one, &mut all);
+        all
+    }
+
+    /// Variances of the slots' coefficients, added to those of all.
+    fn add_slots(&self, one: &Configuration, all: &mut [f64]) {
         for contact in one.slots.iter().flatten() {
             let variance = self.prior.variances[contact.size];
             for (patch, ratio) in self.dictionary.shares(contact.patch) {
@@ -55,7 +63,6 @@ impl Problem {
                 }
             }
         }
-        all
     }
 
     /// Moments of coefficients and of points over samples that count alike; `points` (`3 n_points`, `n_columns`) are the
@@ -81,11 +88,11 @@ impl Problem {
         for one in samples {
             self.check_configuration(one)?;
         }
-        let families = self.prior.families.iter().map(|family| {
-            let scaled = scaled_columns(points, &family.variances);
-            product(scaled.as_ref(), self.dictionary.columns().transpose())
+        let families = self.prior.families.iter().map(|family| OfFamily {
+            cross: covariance(points, self.dictionary.columns(), &family.variances),
+            prior: prior_of_points(points, &family.variances),
         });
-        let families: Vec<Mat<f64>> = families.collect();
+        let families: Vec<OfFamily> = families.collect();
         let one = |sample| self.conditional(sample, points, &families);
         let each: Vec<Result<Conditional, ContactsError>> = match par {
             Par::Seq => samples.iter().map(one).collect(),
@@ -114,14 +121,14 @@ impl Problem {
         &self,
         sample: &Configuration,
         points: MatRef<'_, f64>,
-        families: &[Mat<f64>],
+        families: &[OfFamily],
     ) -> Result<Conditional, ContactsError> {
         let evidence = Evidence::of_state(self, sample)
-            .ok_or(ContactsError::NotPositiveDefinite { pivot: 0 })?;
+            .map_err(|pivot| ContactsError::NotPositiveDefinite { pivot })?;
         let dual = backward(evidence.factor.as_ref(), &evidence.white);
         let x = self.cross(sample, points, families);
         let mean = (0..x.nrows()).map(|i| dot(x.row(i).iter(), dual.iter())).collect();
-        let prior = prior_of_points(points, &self.variances(sample));
+        let prior = self.prior_of_sample(sample, points, families);
         // L^-1 X': its columns' inner products are what the observations take away.
         let mut taken = x.transpose().to_owned();
         forward_in_place(evidence.factor.as_ref(), taken.as_mut());
@@ -151,9 +158,18 @@ impl Problem {
                 let factor = family.factors[sample.levels[index]];
                 add_scaled(mean.as_mut(), conditional.inverse.as_ref(), share * factor);
             }
-            let scaled = scaled_columns(columns, &family.variances);
-            let part = product(scaled.transpose(), mean.as_ref());
-            add_scaled(gain.as_mut(), part.as_ref(), 1.0);
+            // Few families hold more than a few columns.
+            let some: Vec<usize> =
+                (0..columns.ncols()).filter(|&j| family.variances[j] > 0.0).collect();
+            let scaled = Mat::from_fn(columns.nrows(), some.len(), |i, k| {
+                columns[(i, some[k])] * family.variances[some[k]]
+            });
+            let part = product(mean.transpose(), scaled.as_ref());
+            for (k, &j) in some.iter().enumerate() {
+                for i in 0..gain.ncols() {
+                    gain[(j, i)] += part[(i, k)];
+                }
+            }
         }
         for (sample, conditional) in samples.iter().zip(each) {
             for contact in sample.slots.iter().flatten() {
@@ -176,12 +192,12 @@ impl Problem {
         &self,
         sample: &Configuration,
         points: MatRef<'_, f64>,
-        families: &[Mat<f64>],
+        families: &[OfFamily],
     ) -> Mat<f64> {
         let mut sum = Mat::zeros(points.nrows(), self.dictionary.n_obs());
         let by_family = families.iter().zip(&self.prior.families).zip(&sample.levels);
-        for ((matrix, family), &level) in by_family {
-            add_scaled(sum.as_mut(), matrix.as_ref(), family.factors[level]);
+        for ((own, family), &level) in by_family {
+            add_scaled(sum.as_mut(), own.cross.as_ref(), family.factors[level]);
         }
         for contact in sample.slots.iter().flatten() {
             let variance = self.prior.variances[contact.size];
@@ -189,6 +205,26 @@ impl Problem {
                 let theirs = points.get(.., 3 * patch..3 * patch + 3);
                 let ours = self.dictionary.own(patch);
                 add_outer(sum.as_mut(), theirs, ours, variance * ratio * ratio);
+            }
+        }
+        sum
+    }
+
+    /// Covariance of every point before anything was observed.
+    fn prior_of_sample(
+        &self,
+        sample: &Configuration,
+        points: MatRef<'_, f64>,
+        families: &[OfFamily],
+    ) -> Vec<[[f64; 3]; 3]> {
+        let mut slots = vec![0.0; self.dictionary.n_columns()];
+        self.add_slots(sample, &mut slots);
+        let mut sum = prior_of_points(points, &slots);
+        for ((own, family), &level) in families.iter().zip(&self.prior.families).zip(&sample.levels)
+        {
+            let entries = own.prior.as_flattened().as_flattened();
+            for (sum, value) in sum.as_flattened_mut().as_flattened_mut().iter_mut().zip(entries) {
+                *sum += family.factors[level] * value;
             }
         }
         sum
@@ -217,6 +253,9 @@ impl Problem {
         for one in samples {
             self.check_configuration(one)?;
         }
+        for (entry, &value) in normals.col_iter().flat_map(|column| column.iter()).enumerate() {
+            check_finite("normals", entry, value)?;
+        }
         let one = |draw: usize| {
             let own: Vec<f64> = normals.col(draw).iter().copied().collect();
             self.draw(&samples[draw % samples.len()], &own)
@@ -231,8 +270,8 @@ impl Problem {
 
     /// Matheron's rule: a draw from the prior, corrected by what it does not explain.
     fn draw(&self, sample: &Configuration, normals: &[f64]) -> Result<Vec<f64>, ContactsError> {
-        let bad = || ContactsError::NotPositiveDefinite { pivot: 0 };
-        let evidence = Evidence::of_state(self, sample).ok_or_else(bad)?;
+        let bad = |pivot| ContactsError::NotPositiveDefinite { pivot };
+        let evidence = Evidence::of_state(self, sample).map_err(bad)?;
         let (columns, variances) = (self.dictionary.columns(), self.variances(sample));
         let (for_causes, for_noise) = normals.split_at(columns.ncols());
         let mut drawn: Vec<f64> =
@@ -241,20 +280,32 @@ impl Problem {
         for (rows, _) in self.prior.wrong.rows.iter().zip(&sample.wrong).filter(|(_, w)| **w) {
             rows.iter().for_each(|&row| noise[(row, row)] += self.prior.wrong.variance);
         }
-        crate::linalg::cholesky_in_place(noise.as_mut())
-            .map_err(|pivot| ContactsError::NotPositiveDefinite { pivot })?;
+        crate::linalg::cholesky_in_place(noise.as_mut()).map_err(bad)?;
         let mut left = self.observed.innovation.clone();
-        for i in 0..left.len() {
-            let made: f64 = (0..=i).map(|j| noise[(i, j)] * for_noise[j]).sum();
-            left[i] -= made + dot(columns.row(i).iter(), drawn.iter());
+        let subtract = |left: &mut [f64], column: &[f64], factor: f64| {
+            left.iter_mut().zip(column).for_each(|(left, entry)| *left -= factor * entry);
+        };
+        for (j, &factor) in for_noise.iter().enumerate() {
+            subtract(&mut left[j..], &column(noise.as_ref(), j)[j..], factor);
+        }
+        for (j, &factor) in drawn.iter().enumerate().filter(|(_, factor)| **factor != 0.0) {
+            subtract(&mut left, column(columns, j), factor);
         }
         let factor = evidence.factor.as_ref();
-        let dual = backward(factor, &crate::linalg::forward(factor, &left));
+        let dual = backward(factor, &forward(factor, &left));
         for (j, coefficient) in drawn.iter_mut().enumerate().filter(|(j, _)| variances[*j] > 0.0) {
-            *coefficient += variances[j] * dot(columns.col(j).iter(), dual.iter());
+            *coefficient += variances[j] * dot(column(columns, j).iter(), dual.iter());
         }
         Ok(drawn)
     }
+}
+
+/// What samples share of one family, at factor one.
+struct OfFamily {
+    /// `T D J'` (`3 n_points`, `n_obs`)
+    cross: Mat<f64>,
+    /// `T D T'`, each point's own block.
+    prior: Vec<[[f64; 3]; 3]>,
 }
 
 /// One sample's part.

@@ -3,6 +3,7 @@
 use faer::{Mat, MatRef};
 
 use crate::dictionary::check_finite;
+use crate::table::Packed;
 use crate::{ContactsError, Dictionary};
 
 /// Causes that act together with one unknown size: a Gaussian whose variances share a factor.
@@ -64,6 +65,8 @@ pub struct Problem {
     pub(crate) observed: Observed,
     /// Covariance of the observations under each family at factor one.
     pub(crate) families: Vec<Mat<f64>>,
+    /// Columns of patches in the order of tables.
+    pub(crate) packed: Packed,
 }
 
 impl Problem {
@@ -99,8 +102,9 @@ impl Problem {
         crate::linalg::cholesky_in_place(factor.as_mut())
             .map_err(|pivot| ContactsError::NotPositiveDefinite { pivot })?;
         let families =
-            prior.families.iter().map(|f| covariance(dictionary.columns(), &f.variances)).collect();
-        Ok(Self { dictionary, prior, observed, families })
+            prior.families.iter().map(|f| covariance(dictionary.columns(), dictionary.columns(), &f.variances)).collect();
+        let packed = Packed::new(&dictionary);
+        Ok(Self { dictionary, prior, observed, families, packed })
     }
 
     /// The dictionary.
@@ -112,12 +116,18 @@ impl Problem {
 impl Prior {
     fn check(&self, dictionary: &Dictionary) -> Result<(), ContactsError> {
         let n_sizes = self.variances.len();
+        if n_sizes == 0 {
+            return Err(ContactsError::Shape { argument: "variances", wanted: 1, found: 0 });
+        }
         positive("variances", &self.variances)?;
         check_length("log_filled", dictionary.n_patches() * n_sizes, self.log_filled.len())?;
         not_nan("log_filled", &self.log_filled)?;
         check_finite("log_empty", 0, self.log_empty)?;
         for family in &self.families {
             check_length("variances of a family", dictionary.n_columns(), family.variances.len())?;
+            if family.factors.is_empty() {
+                return Err(ContactsError::Shape { argument: "factors", wanted: 1, found: 0 });
+            }
             check_length("log_prior", family.factors.len(), family.log_prior.len())?;
             positive("factors", &family.factors)?;
             not_nan("log_prior", &family.log_prior)?;
@@ -127,13 +137,11 @@ impl Prior {
                 let (argument, must) = ("variances of a family", "be finite and not negative");
                 return Err(ContactsError::Range { argument, must, entry, value });
             }
-            if family.factors.is_empty() {
-                return Err(ContactsError::Shape { argument: "factors", wanted: 1, found: 0 });
-            }
+            possible("log_prior", &family.log_prior)?;
         }
         if !self.wrong.rows.is_empty() {
             positive("variance of a wrong group", &[self.wrong.variance])?;
-            not_nan("log_odds", &[self.wrong.log_odds])?;
+            check_finite("log_odds", 0, self.wrong.log_odds)?;
         }
         for (patch, &index) in self.wrong.rows.iter().flatten().enumerate() {
             let limit = dictionary.n_obs();
@@ -145,15 +153,19 @@ impl Prior {
     }
 }
 
-/// `columns diag(variances) columns'`.
-pub(crate) fn covariance(columns: MatRef<'_, f64>, variances: &[f64]) -> Mat<f64> {
-    let scaled = scaled_columns(columns, variances);
-    crate::linalg::product(scaled.as_ref(), columns.transpose())
-}
-
-/// `columns diag(factors)`.
-pub(crate) fn scaled_columns(columns: MatRef<'_, f64>, factors: &[f64]) -> Mat<f64> {
-    Mat::from_fn(columns.nrows(), columns.ncols(), |i, j| columns[(i, j)] * factors[j])
+/// `left diag(variances) right'`; only columns with a variance are read.
+pub(crate) fn covariance(
+    left: MatRef<'_, f64>,
+    right: MatRef<'_, f64>,
+    variances: &[f64],
+) -> Mat<f64> {
+    let some: Vec<usize> = (0..variances.len()).filter(|&j| variances[j] > 0.0).collect();
+    let part = |of: MatRef<'_, f64>, scaled: bool| {
+        Mat::from_fn(of.nrows(), some.len(), |i, k| {
+            of[(i, some[k])] * if scaled { variances[some[k]] } else { 1.0 }
+        })
+    };
+    crate::linalg::product(part(left, true).as_ref(), part(right, false).transpose())
 }
 
 pub(crate) fn check_length(
@@ -172,6 +184,15 @@ fn positive(argument: &'static str, values: &[f64]) -> Result<(), ContactsError>
         }
         None => Ok(()),
     }
+}
+
+/// Of the levels of a family at least one can be.
+fn possible(argument: &'static str, log_prior: &[f64]) -> Result<(), ContactsError> {
+    if log_prior.iter().any(|value| value.is_finite()) {
+        return Ok(());
+    }
+    let (must, value) = ("leave one level possible", f64::NEG_INFINITY);
+    Err(ContactsError::Range { argument, must, entry: 0, value })
 }
 
 /// Logarithms of probabilities: minus infinity is allowed.

@@ -85,12 +85,21 @@ impl Problem {
         check_length("uniforms", self.n_uniforms(settings), uniforms.ncols())?;
         for start in starts {
             self.check_configuration(start)?;
+            let value = start.log_prior(self);
+            if !value.is_finite() {
+                let (argument, must) = ("prior probability of a start", "not be zero");
+                return Err(ContactsError::Range { argument, must, entry: 0, value });
+            }
         }
         let rows = (0..uniforms.nrows())
             .map(|chain| uniforms.row(chain).iter().copied().collect::<Vec<f64>>());
         let rows: Vec<Vec<f64>> = rows.collect();
         for (entry, &value) in rows.iter().flatten().enumerate() {
             check_finite("uniforms", entry, value)?;
+            if !(0.0..1.0).contains(&value) {
+                let (argument, must) = ("uniforms", "lie in [0, 1)");
+                return Err(ContactsError::Range { argument, must, entry, value });
+            }
         }
         let one = |(chain, row): (usize, &Vec<f64>)| self.chain(settings, row, starts, chain);
         let chains: Vec<Result<Run, ContactsError>> = match par {
@@ -121,7 +130,7 @@ impl Problem {
             false => starts[index % starts.len()].clone(),
         };
         let chain = Chain::new(self, settings, start, uniforms);
-        let mut chain = chain.ok_or(ContactsError::NotPositiveDefinite { pivot: 0 })?;
+        let mut chain = chain.map_err(|pivot| ContactsError::NotPositiveDefinite { pivot })?;
         let first_kept = settings.powers.len() - settings.n_kept;
         let mut samples = Vec::with_capacity(settings.n_kept);
         for (sweep, &power) in settings.powers.iter().enumerate() {

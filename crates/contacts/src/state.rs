@@ -3,7 +3,7 @@
 use faer::Mat;
 
 use crate::Problem;
-use crate::linalg::{add_scaled, cholesky_in_place, forward};
+use crate::linalg::{add_scaled_lower, cholesky_in_place, forward};
 
 /// A filled slot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -57,12 +57,12 @@ impl Configuration {
         slots + levels + wrong * problem.prior.wrong.log_odds
     }
 
-    /// Covariance (`n_obs`, `n_obs`) of the observations; `without` leaves one slot out.
+    /// Lower half of the covariance (`n_obs`, `n_obs`) of the observations; `without` leaves one slot out.
     pub(crate) fn covariance(&self, problem: &Problem, without: Option<usize>) -> Mat<f64> {
         let mut sum = problem.observed.noise.clone();
         let families = problem.families.iter().zip(&problem.prior.families);
         for ((covariance, family), &level) in families.zip(&self.levels) {
-            add_scaled(sum.as_mut(), covariance.as_ref(), family.factors[level]);
+            add_scaled_lower(&mut sum, covariance.as_ref(), family.factors[level]);
         }
         for (rows, _) in problem.prior.wrong.rows.iter().zip(&self.wrong).filter(|(_, w)| **w) {
             rows.iter().for_each(|&row| sum[(row, row)] += problem.prior.wrong.variance);
@@ -70,7 +70,7 @@ impl Configuration {
         for (index, slot) in self.slots.iter().enumerate() {
             if let Some(contact) = slot.filter(|_| Some(index) != without) {
                 let variance = problem.prior.variances[contact.size];
-                add_scaled(sum.as_mut(), problem.dictionary.covariance(contact.patch), variance);
+                add_scaled_lower(&mut sum, problem.dictionary.covariance(contact.patch), variance);
             }
         }
         sum
@@ -89,16 +89,19 @@ pub(crate) struct Evidence {
 }
 
 impl Evidence {
-    /// None where the covariance is not positive definite in floating point.
-    pub(crate) fn of(problem: &Problem, mut covariance: Mat<f64>) -> Option<Self> {
-        cholesky_in_place(covariance.as_mut()).ok()?;
+    /// From the lower half of a covariance; the first bad pivot where it is not positive definite in floating point.
+    pub(crate) fn of(problem: &Problem, mut covariance: Mat<f64>) -> Result<Self, usize> {
+        cholesky_in_place(covariance.as_mut())?;
         let white = forward(covariance.as_ref(), &problem.observed.innovation);
         let half_log: f64 = (0..white.len()).map(|i| covariance[(i, i)].ln()).sum();
         let value = -half_log - 0.5 * white.iter().map(|x| x * x).sum::<f64>();
-        value.is_finite().then_some(Self { factor: covariance, white, value })
+        if value.is_finite() {
+            return Ok(Self { factor: covariance, white, value });
+        }
+        Err(white.iter().position(|x| !x.is_finite()).unwrap_or(0))
     }
 
-    pub(crate) fn of_state(problem: &Problem, state: &Configuration) -> Option<Self> {
+    pub(crate) fn of_state(problem: &Problem, state: &Configuration) -> Result<Self, usize> {
         Self::of(problem, state.covariance(problem, None))
     }
 }

@@ -7,149 +7,302 @@
 //! -1/2 log|I + v S| + 1/2 v b' (I + v S)^-1 b,     S = J' C^-1 J  (3, 3),     b = J' C^-1 d  (3)
 //! ```
 //!
-//! Its texture is left out here; the chain that draws from the table corrects for that.
+//! Its texture is left out here, and `L^-1 J` is computed in single precision, many patches beside each other: the
+//! table only proposes. It depends on everything but the slot's own content, so that the chain that draws from it
+//! corrects for both exactly.
 
-use faer::{Mat, MatRef};
+use pulp::Simd;
 
-use crate::Problem;
-use crate::linalg::forward_in_place;
-use crate::state::{Configuration, Contact, Evidence};
+use crate::dictionary::Dictionary;
+use crate::gain::gain_of;
+use crate::prior::Problem;
+use crate::state::{Contact, Evidence};
 
-/// Lanes of a partial sum: a sum over observations has one fixed order.
-const LANES: usize = 8;
+/// Patches beside each other; a multiple of every machine's lanes.
+const LANES: usize = 16;
 
-/// Weights of every content of a slot, normalised.
+/// Rows that one step of the triangular solve finishes.
+const ROWS: usize = 4;
+
+/// Smallest logarithm of a weight over the largest that may be drawn.
+const LEAST: f64 = -60.0;
+
+/// Columns of all patches as the table reads them: blocks of `LANES` patches, in them row by row the three directions.
+#[derive(Debug)]
+pub(crate) struct Packed {
+    blocks: Vec<[f32; LANES]>,
+    n_patches: usize,
+    /// Rows with those that fill up the last step.
+    n_rows: usize,
+}
+
+impl Packed {
+    pub(crate) fn new(dictionary: &Dictionary) -> Self {
+        let n_patches = dictionary.n_patches();
+        let n_rows = dictionary.n_obs().next_multiple_of(ROWS);
+        let mut blocks = vec![[0.0; LANES]; n_patches.div_ceil(LANES) * n_rows * 3];
+        for patch in 0..n_patches {
+            let (block, lane) = (patch / LANES, patch % LANES);
+            for (axis, column) in dictionary.own(patch).col_iter().enumerate() {
+                for (row, &value) in column.iter().enumerate() {
+                    blocks[(block * n_rows + row) * 3 + axis][lane] = value as f32;
+                }
+            }
+        }
+        Self { blocks, n_patches, n_rows }
+    }
+}
+
+/// Weights of every content of a slot: patch by patch, size by size, the empty slot last.
+#[derive(Debug, Default)]
 pub(crate) struct Table {
-    /// Logarithm of each probability: patch by patch, size by size, the empty slot last.
-    log_probability: Vec<f64>,
+    log_weight: Vec<f64>,
     cumulative: Vec<f64>,
+    log_sum: f64,
     n_sizes: usize,
+    factor: Vec<[f32; ROWS]>,
+    innovation: Vec<f32>,
+    white: Vec<[f32; LANES]>,
 }
 
 impl Table {
-    /// Weigh the contents given everything else: `evidence` is of the covariance without the slot; likelihoods are
-    /// raised to the power `sharpness`.
-    pub(crate) fn new(problem: &Problem, evidence: &Evidence, sharpness: f64) -> Self {
-        let (n_patches, variances) = (problem.dictionary.n_patches(), &problem.prior.variances);
-        let mut white = problem.dictionary.columns().get(.., ..3 * n_patches).to_owned();
-        forward_in_place(evidence.factor.as_ref(), white.as_mut());
-        let mut weights = vec![0.0; n_patches * variances.len() + 1];
+    /// Weigh the contents given everything else: `rest` is of the covariance without the slot; likelihoods are raised
+    /// to the power `sharpness`.
+    pub(crate) fn fill(&mut self, problem: &Problem, rest: &Evidence, sharpness: f64) {
+        let (packed, prior) = (&problem.packed, &problem.prior);
+        self.n_sizes = prior.variances.len();
+        self.pack(rest, packed.n_rows);
+        self.white.resize(3 * packed.n_rows, [0.0; LANES]);
+        self.log_weight.resize(packed.n_patches * self.n_sizes + 1, 0.0);
         pulp::Arch::new().dispatch(Gains {
-            white: &white,
-            innovation: &evidence.white,
-            variances,
-            out: &mut weights,
+            packed,
+            factor: &self.factor,
+            innovation: &self.innovation,
+            variances: &prior.variances,
+            white: &mut self.white,
+            out: &mut self.log_weight,
         });
-        let filled =
-            problem.prior.log_filled.iter().chain(std::iter::once(&problem.prior.log_empty));
-        for (weight, log_prior) in weights.iter_mut().zip(filled) {
-            *weight = sharpness * *weight + log_prior;
+        let filled = prior.log_filled.iter().chain(std::iter::once(&prior.log_empty));
+        if let Some(empty) = self.log_weight.last_mut() {
+            *empty = 0.0;
         }
-        Self::normalised(weights, variances.len())
+        let mut largest = f64::NEG_INFINITY;
+        for (weight, log_prior) in self.log_weight.iter_mut().zip(filled) {
+            *weight = sharpness * *weight + log_prior;
+            largest = largest.max(*weight);
+        }
+        self.cumulative.clear();
+        let mut sum = 0.0;
+        self.cumulative.extend(self.log_weight.iter().map(|weight| {
+            sum += if weight - largest > LEAST { (weight - largest).exp() } else { 0.0 };
+            sum
+        }));
+        self.log_sum = largest + sum.ln();
     }
 
-    fn normalised(mut weights: Vec<f64>, n_sizes: usize) -> Self {
-        let largest = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let mut sum = 0.0;
-        let cumulative: Vec<f64> = weights
-            .iter()
-            .map(|w| {
-                // Below this nothing is ever drawn.
-                sum += if w - largest > -40.0 { (w - largest).exp() } else { 0.0 };
-                sum
-            })
-            .collect();
-        let log_sum = largest + sum.ln();
-        weights.iter_mut().for_each(|w| *w -= log_sum);
-        Self { log_probability: weights, cumulative, n_sizes }
+    /// The factor by steps of `ROWS` rows, in single precision: for each step the columns before it and its own, the
+    /// diagonal inverted.
+    fn pack(&mut self, rest: &Evidence, n_rows: usize) {
+        let n_obs = rest.white.len();
+        self.factor.clear();
+        for first in (0..n_rows).step_by(ROWS) {
+            for j in 0..first + ROWS {
+                self.factor.push(std::array::from_fn(|r| match first + r {
+                    i if i >= n_obs || j >= n_obs => f32::from(i == j),
+                    i if i == j => (1.0 / rest.factor[(i, j)]) as f32,
+                    i if i > j => rest.factor[(i, j)] as f32,
+                    _ => 0.0,
+                }));
+            }
+        }
+        self.innovation.clear();
+        self.innovation.extend(rest.white.iter().map(|&x| x as f32));
+        self.innovation.resize(n_rows, 0.0);
     }
 
     /// The content at a share `uniform` of the total weight.
     pub(crate) fn draw(&self, uniform: f64) -> Option<Contact> {
         let total = self.cumulative.last().copied().unwrap_or(0.0);
         let found = self.cumulative.partition_point(|&sum| sum <= uniform * total);
-        self.content(found.min(self.cumulative.len() - 1))
-    }
-
-    fn content(&self, entry: usize) -> Option<Contact> {
-        let filled = entry + 1 < self.cumulative.len();
-        filled.then(|| Contact { patch: entry / self.n_sizes, size: entry % self.n_sizes })
+        let filled = found + 1 < self.cumulative.len();
+        filled.then(|| Contact { patch: found / self.n_sizes, size: found % self.n_sizes })
     }
 
     /// Logarithm of the probability with which a content is drawn.
     pub(crate) fn log_probability(&self, slot: Option<Contact>) -> f64 {
-        match slot {
-            Some(contact) => self.log_probability[contact.patch * self.n_sizes + contact.size],
-            None => self.log_probability.last().copied().unwrap_or(f64::NEG_INFINITY),
-        }
+        let weight = match slot {
+            Some(contact) => Some(&self.log_weight[contact.patch * self.n_sizes + contact.size]),
+            None => self.log_weight.last(),
+        };
+        weight.map_or(f64::NEG_INFINITY, |weight| weight - self.log_sum)
     }
 }
 
 /// Changes of the logarithm of the evidence by every patch and size.
 struct Gains<'a> {
-    white: &'a Mat<f64>,
-    innovation: &'a [f64],
+    packed: &'a Packed,
+    factor: &'a [[f32; ROWS]],
+    innovation: &'a [f32],
     variances: &'a [f64],
+    white: &'a mut [[f32; LANES]],
     out: &'a mut [f64],
 }
 
-impl pulp::NullaryFnOnce for Gains<'_> {
+impl pulp::WithSimd for Gains<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let Self { white, innovation, variances, out } = self;
-        let columns = |j: usize| column(white.as_ref(), j);
-        for (patch, out) in out.chunks_exact_mut(variances.len()).enumerate() {
-            if 3 * patch + 3 > white.ncols() {
-                break;
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { packed, factor, innovation, variances, white, out } = self;
+        let blocks = packed.blocks.chunks_exact(3 * packed.n_rows);
+        let n_sizes = variances.len();
+        for (columns, out) in blocks.zip(out.chunks_mut(LANES * n_sizes)) {
+            let mut sums = [[0.0_f32; LANES]; 9];
+            for part in 0..LANES / S::F32_LANES {
+                let given = Part { simd, columns, factor, innovation, part };
+                for (sum, value) in sums.iter_mut().zip(given.sums(white)) {
+                    S::as_mut_simd_f32s(sum).0[part] = value;
+                }
             }
-            let [x, y, z] = [0, 1, 2].map(|k| columns(3 * patch + k));
-            let s = [dot(x, x), dot(y, y), dot(z, z), dot(x, y), dot(x, z), dot(y, z)];
-            let b = [dot(x, innovation), dot(y, innovation), dot(z, innovation)];
-            for (gain, &variance) in out.iter_mut().zip(variances) {
-                *gain = gain_of(&s, &b, variance);
+            for (size, &variance) in variances.iter().enumerate() {
+                let (mut exponent, mut determinant) = ([0.0_f64; LANES], [0.0_f64; LANES]);
+                for lane in 0..LANES {
+                    let s = std::array::from_fn(|k| f64::from(sums[k][lane]));
+                    let b = std::array::from_fn(|k| f64::from(sums[6 + k][lane]));
+                    (exponent[lane], determinant[lane]) = gain_of(&s, &b, variance);
+                }
+                let mut logs = [0.0_f64; LANES];
+                for lane in 0..LANES {
+                    logs[lane] = determinant[lane].ln();
+                }
+                for (lane, out) in out.chunks_exact_mut(n_sizes).enumerate() {
+                    out[size] = 0.5 * (exponent[lane] - logs[lane]);
+                }
             }
         }
     }
 }
 
-#[inline(always)]
-fn column(matrix: MatRef<'_, f64>, j: usize) -> &[f64] {
-    matrix.col(j).try_as_col_major().map_or(&[], |c| c.as_slice())
+/// Some lanes of a block.
+struct Part<'a, S> {
+    simd: S,
+    columns: &'a [[f32; LANES]],
+    factor: &'a [[f32; ROWS]],
+    innovation: &'a [f32],
+    part: usize,
 }
 
-#[inline(always)]
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; LANES];
-    let (a_chunks, a_rest) = a.as_chunks::<LANES>();
-    let (b_chunks, b_rest) = b.as_chunks::<LANES>();
-    for (x, y) in a_chunks.iter().zip(b_chunks) {
-        for lane in 0..LANES {
-            sums[lane] += x[lane] * y[lane];
+impl<S: Simd> Part<'_, S> {
+    /// `S = [xx, yy, zz, xy, xz, yz]` and `b` of every lane; `white` is overwritten by `L^-1 J`.
+    #[inline(always)]
+    fn sums(&self, white: &mut [[f32; LANES]]) -> [S::f32s; 9] {
+        let (simd, part) = (self.simd, self.part);
+        let zero = simd.splat_f32s(0.0);
+        let mut sums = [zero; 9];
+        let mut factor = self.factor;
+        for (step, columns) in self.columns.chunks_exact(3 * ROWS).enumerate() {
+            let first = step * ROWS;
+            let (before, rest) = factor.split_at(first);
+            let (own, rest) = rest.split_at(ROWS);
+            factor = rest;
+            let mut x = [[zero; 3]; ROWS];
+            for (r, row) in columns.chunks_exact(3).enumerate() {
+                for k in 0..3 {
+                    x[r][k] = S::as_simd_f32s(&row[k]).0[part];
+                }
+            }
+            for (l, solved) in before.iter().zip(white.chunks_exact(3)) {
+                let solved = [0, 1, 2].map(|k| S::as_simd_f32s(&solved[k]).0[part]);
+                for r in 0..ROWS {
+                    let l = simd.splat_f32s(l[r]);
+                    for k in 0..3 {
+                        x[r][k] = simd.negate_mul_add_e_f32s(l, solved[k], x[r][k]);
+                    }
+                }
+            }
+            for r in 0..ROWS {
+                let inverse = simd.splat_f32s(own[r][r]);
+                let data = simd.splat_f32s(self.innovation[first + r]);
+                for k in 0..3 {
+                    for before in 0..r {
+                        let l = simd.splat_f32s(own[before][r]);
+                        x[r][k] = simd.negate_mul_add_e_f32s(l, x[before][k], x[r][k]);
+                    }
+                    x[r][k] = simd.mul_f32s(x[r][k], inverse);
+                    S::as_mut_simd_f32s(&mut white[3 * (first + r) + k]).0[part] = x[r][k];
+                    sums[6 + k] = simd.mul_add_e_f32s(x[r][k], data, sums[6 + k]);
+                }
+                for (sum, [i, j]) in [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]].iter().enumerate() {
+                    sums[sum] = simd.mul_add_e_f32s(x[r][*i], x[r][*j], sums[sum]);
+                }
+            }
+        }
+        sums
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use faer::Mat;
+
+    use super::*;
+    use crate::{Configuration, Observed, Patch, Prior, Wrong};
+
+    /// Seven observations of 20 patches: numbers of the golden ratio.
+    fn problem() -> Problem {
+        let number = |k: usize| (0.618_033_988_75 * k as f64).fract() - 0.5;
+        let columns = Mat::from_fn(7, 60, |i, j| number(1 + i + 7 * j));
+        let dictionary = Dictionary::new(columns, vec![Patch::default(); 20]).unwrap();
+        let prior = Prior {
+            n_slots: 2,
+            variances: vec![0.01, 1.0, 900.0],
+            log_empty: -0.3,
+            log_filled: (0..60).map(|k| -4.0 + number(k)).collect(),
+            families: Vec::new(),
+            wrong: Wrong { rows: Vec::new(), variance: 1.0, log_odds: 0.0 },
+        };
+        let noise = Mat::from_fn(7, 7, |i, j| if i == j { 0.01 } else { 0.002 });
+        let innovation = (0..7).map(|i| 3.0 * number(11 * i)).collect();
+        Problem::new(dictionary, prior, Observed { innovation, noise }).unwrap()
+    }
+
+    #[test]
+    fn weights_are_differences_of_evidences_with_the_prior() {
+        let problem = problem();
+        let mut state = Configuration::empty(&problem);
+        state.slots[1] = Some(Contact { patch: 17, size: 1 });
+        let rest = Evidence::of_state(&problem, &state).unwrap();
+        let mut table = Table::default();
+        table.fill(&problem, &rest, 0.7);
+        let of_empty = table.log_probability(None);
+        for (patch, size) in (0..20).flat_map(|patch| (0..3).map(move |size| (patch, size))) {
+            let contact = Some(Contact { patch, size });
+            state.slots[0] = contact;
+            let evidence = Evidence::of_state(&problem, &state).unwrap();
+            let prior = problem.prior.log_filled[3 * patch + size] - problem.prior.log_empty;
+            let wanted = 0.7 * (evidence.value - rest.value) + prior;
+            let found = table.log_probability(contact) - of_empty;
+            // Single precision of numbers that sum to a few hundred.
+            assert!((found - wanted).abs() < 2e-4 * (1.0 + wanted.abs()), "{found} {wanted}");
         }
     }
-    let rest: f64 = a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum();
-    let halves = [0, 1, 2, 3].map(|k| sums[k] + sums[k + 4]);
-    (halves[0] + halves[2]) + (halves[1] + halves[3]) + rest
-}
 
-/// The formula above for `S = [xx, yy, zz, xy, xz, yz]`.
-#[inline(always)]
-fn gain_of(s: &[f64; 6], b: &[f64; 3], variance: f64) -> f64 {
-    let [xx, yy, zz] = [1.0 + variance * s[0], 1.0 + variance * s[1], 1.0 + variance * s[2]];
-    let [xy, xz, yz] = [variance * s[3], variance * s[4], variance * s[5]];
-    let (c0, c1, c2) = (yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy);
-    let determinant = xx * c0 + xy * c1 + xz * c2;
-    let (d1, d2, e2) = (xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy);
-    let along = b[0] * (c0 * b[0] + c1 * b[1] + c2 * b[2])
-        + b[1] * (c1 * b[0] + d1 * b[1] + d2 * b[2])
-        + b[2] * (c2 * b[0] + d2 * b[1] + e2 * b[2]);
-    // Rounding may leave next to nothing of a determinant that is at least one.
-    0.5 * (variance * along / determinant.max(1.0) - determinant.max(1.0).ln())
-}
-
-/// A configuration's covariance without a slot, factored.
-pub(crate) fn without(problem: &Problem, state: &Configuration, slot: usize) -> Option<Evidence> {
-    Evidence::of(problem, state.covariance(problem, Some(slot)))
+    #[test]
+    fn contents_are_drawn_as_often_as_their_probabilities_say() {
+        let problem = problem();
+        let rest = Evidence::of_state(&problem, &Configuration::empty(&problem)).unwrap();
+        let mut table = Table::default();
+        // Filled twice: nothing of the first weights stays.
+        table.fill(&problem, &rest, 1.0);
+        table.fill(&problem, &rest, 0.02);
+        let (n, mut count) = (100_000, vec![0.0; 61]);
+        for k in 0..n {
+            let drawn = table.draw((f64::from(k) + 0.5) / f64::from(n));
+            count[drawn.map_or(60, |c| 3 * c.patch + c.size)] += 1.0 / f64::from(n);
+        }
+        for (entry, share) in count.iter().enumerate() {
+            let contact = (entry < 60).then_some(Contact { patch: entry / 3, size: entry % 3 });
+            assert!((share - table.log_probability(contact).exp()).abs() < 2.0 / f64::from(n));
+        }
+    }
 }
