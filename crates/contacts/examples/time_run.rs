@@ -9,7 +9,12 @@ fn main() {
     let (problem, settings) = (case.problem(), ChainSettings::default());
     let r = run(&problem, &settings, 16, Par::Seq);
     println!("{:?}", r.counters);
-    for (name, powers, n_local, n_level) in [("all", settings.powers.clone(), 4, 2), ("tables", vec![1.0; 9], 0, 0), ("steps", vec![1.0; 9], 4, 0), ("levels", vec![1.0;9], 0, 2)] {
+    for (name, powers, n_local, n_level) in [
+        ("all", settings.powers.clone(), 4, 2),
+        ("tables", vec![1.0; 9], 0, 0),
+        ("steps", vec![1.0; 9], 4, 0),
+        ("levels", vec![1.0; 9], 0, 2),
+    ] {
         let s = ChainSettings { powers, n_kept: 1, n_local, n_level, ..settings.clone() };
         let mut best = f64::MAX;
         let mut c = None;

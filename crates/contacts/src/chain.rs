@@ -1,8 +1,9 @@
 //! One Markov chain over configurations.
 //!
 //! A sweep visits every slot (a draw from the table of all contents, accepted with its texture included; steps to
-//! neighbouring patches and sizes), every family's level and every group that may be wrong. All chance comes from a row
-//! of uniform numbers; every step takes its numbers whether it uses them or not.
+//! neighbouring patches and sizes; an exchange of the contact for a wrong group, or back), every family's level and every
+//! group that may be wrong. All chance comes from a row of uniform numbers; every step takes its numbers whether it uses
+//! them or not.
 
 use faer::Mat;
 
@@ -39,7 +40,7 @@ pub(crate) struct Chain<'a> {
 /// Uniform numbers that a sweep takes.
 pub(crate) fn uniforms_a_sweep(problem: &Problem, settings: &ChainSettings) -> usize {
     let prior = &problem.prior;
-    prior.n_slots * (2 + 3 * settings.n_local)
+    prior.n_slots * (5 + 3 * settings.n_local)
         + 2 * settings.n_level * prior.families.len()
         + prior.wrong.rows.len()
 }
@@ -81,6 +82,7 @@ impl<'a> Chain<'a> {
             for _ in 0..self.settings.n_local {
                 self.step(slot, power);
             }
+            self.exchange(slot, power);
         }
         for family in 0..self.state.levels.len() {
             for _ in 0..self.settings.n_level {
@@ -105,6 +107,54 @@ impl<'a> Chain<'a> {
         let correction = self.table.log_probability(now) - self.table.log_probability(proposed);
         let mut next = self.state.clone();
         next.slots[slot] = proposed;
+        if self.accept(next, power, correction, chance) {
+            self.counters.jumps += 1;
+        }
+    }
+
+    /// Exchange a contact for a wrong group, or a wrong group for a contact.
+    ///
+    /// A group that is off alone looks like a contact under it, and each hides the other: no change of one at a time leads
+    /// from here to there. A filled slot is emptied while the group that its patch moves most becomes wrong; an empty one
+    /// is filled from the table while a wrong group becomes right, if that group is the one that the patch moves most.
+    fn exchange(&mut self, slot: usize, power: f64) {
+        let (which, place, chance) = (self.uniform(), self.uniform(), self.uniform());
+        let filled = self.state.slots[slot];
+        let wrong: Vec<usize> =
+            (0..self.state.wrong.len()).filter(|&group| self.state.wrong[group]).collect();
+        let group = match filled {
+            Some(contact) => self.problem.strongest_group(contact.patch),
+            None => wrong.get((which * wrong.len() as f64) as usize).copied(),
+        };
+        let Some(group) = group.filter(|&g| self.state.wrong[g] == filled.is_none()) else {
+            return;
+        };
+        // The table of the slot where the group is right serves both ways.
+        let mut right = self.state.clone();
+        right.wrong[group] = false;
+        let Ok(rest) = Evidence::of(self.problem, right.covariance(self.problem, Some(slot)))
+        else {
+            return;
+        };
+        self.table.fill(self.problem, &rest, power * self.settings.sharpness);
+        self.counters.tables += 1;
+        self.counters.factorisations += 1;
+        let mut next = right;
+        let correction = match filled {
+            Some(_) => {
+                next.wrong[group] = true;
+                next.slots[slot] = None;
+                self.table.log_probability(filled) - ((wrong.len() + 1) as f64).ln()
+            }
+            None => {
+                next.slots[slot] = self.table.draw(place);
+                let patch = next.slots[slot].map(|contact| contact.patch);
+                if patch.is_none_or(|patch| self.problem.strongest_group(patch) != Some(group)) {
+                    return;
+                }
+                (wrong.len() as f64).ln() - self.table.log_probability(next.slots[slot])
+            }
+        };
         if self.accept(next, power, correction, chance) {
             self.counters.jumps += 1;
         }

@@ -101,10 +101,24 @@ impl Problem {
         let mut factor = observed.noise.clone();
         crate::linalg::cholesky_in_place(factor.as_mut())
             .map_err(|pivot| ContactsError::NotPositiveDefinite { pivot })?;
-        let families =
-            prior.families.iter().map(|f| covariance(dictionary.columns(), dictionary.columns(), &f.variances)).collect();
+        let families = prior
+            .families
+            .iter()
+            .map(|f| covariance(dictionary.columns(), dictionary.columns(), &f.variances))
+            .collect();
         let packed = Packed::new(&dictionary);
         Ok(Self { dictionary, prior, observed, families, packed })
+    }
+
+    /// The group whose observations a patch moves most, over their noise; none without groups.
+    pub(crate) fn strongest_group(&self, patch: usize) -> Option<usize> {
+        let own = self.dictionary.own(patch);
+        let moved = |rows: &[usize]| -> f64 {
+            let square = |row: usize| (0..3).map(|axis| own[(row, axis)].powi(2)).sum::<f64>();
+            rows.iter().map(|&row| square(row) / self.observed.noise[(row, row)]).sum()
+        };
+        let sizes = self.prior.wrong.rows.iter().map(|rows| moved(rows));
+        sizes.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).map(|(group, _)| group)
     }
 
     /// The dictionary.
