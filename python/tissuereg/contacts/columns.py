@@ -116,19 +116,23 @@ class Columns:
     def _body_force_unit(self) -> float:
         return 2.0 * self.young / (0.5 * self.body.mesh.extent) ** 2
 
-    def responses(self, compliance: Compliance, places: FloatArray) -> FloatArray:
+    def responses(
+        self, compliance: Compliance, places: FloatArray, directions: FloatArray | None = None
+    ) -> FloatArray:
         """Return how observations follow the columns.
 
         Parameters
         ----------
         compliance : Compliance
-            Of the observations, three rows a point.
+            Of the observations.
         places : ndarray of float64, shape (n_points, 3)
             Deformed places of the points, mm, for rigid motions.
+        directions : ndarray of float64, shape (n_points, 3), optional
+            Unit vector along which each is read; three rows a point, one an axis, where absent.
 
         Returns
         -------
-        ndarray of float64, shape (3 n_points, n_columns)
+        ndarray of float64, shape (n_points, n_columns) or (3 n_points, n_columns)
             mm a unit.
         """
         n_nodes = self.body.mesh.n_nodes
@@ -147,7 +151,9 @@ class Columns:
                 moved = np.ascontiguousarray(compliance.prescribed[:, :, axis].T)
                 out[:, block.start + axis : block.stop : 3] = (shapes @ moved).T
         if "frame" in self._offsets:
-            out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T
+            moved = self.rigid_field(places)
+            along = moved.reshape(6, -1) if directions is None else np.einsum("kpx,px->kp", moved, directions)
+            out[:, self._offsets["frame"]] = along.T
         return out
 
     def rigid_field(self, places: FloatArray) -> FloatArray:

@@ -1,8 +1,9 @@
-"""From markers to contacts: linearise, sample, solve, until the body meets the markers.
+"""From data to contacts: linearise, sample, solve, until the body meets what was seen.
 
-A pass takes the sensitivities of all markers at the present equilibrium, samples which contacts explain what is left,
-and solves the equilibrium under the mean load. What the model gets wrong enters the samples through the noise of the
-markers alone: as unknowns of its own it would explain away motion that the equilibrium then lacks.
+A pass takes the sensitivities of all observations at the present equilibrium, samples which contacts explain what is
+left, and solves the equilibrium under the mean load. What the model gets wrong enters the samples through the noise of
+the data alone: as unknowns of its own it would explain away motion that the equilibrium then lacks. Points without
+labels are matched anew in every pass: first fewer of them, in more passes, then all.
 """
 
 from collections.abc import Callable
@@ -11,16 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg.contacts.columns import Columns, sampler
 from tissuereg.contacts.frame import Frame
+from tissuereg.contacts.moment import Moment
+from tissuereg.contacts.posed import Posed, posed
+from tissuereg.contacts.seen import Reading, Seen
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.errors import ConvergenceError
 from tissuereg.load import Load
-from tissuereg.markers import Markers
 from tissuereg.material import Material
-from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.sensitivity import Linearised, Observation
 
 #: Residual of an equilibrium that is linearised, over its load.
@@ -32,57 +34,16 @@ _SHORTEST_STEP = 0.02
 #: A step must take away this part of what it promises, or leave the markers within this many times the limit.
 _DECREASE, _GOOD_ENOUGH = 0.3, 1.5
 
+#: The same where points without labels are matched anew: the first part of the way is the slowest.
+_DECREASE_UNMATCHED = 0.05
+
+#: Passes with few points at most, and with all of them.
+_COARSE_PASSES, _FINE_PASSES = 8, 5
+
+#: Matches have settled where a pass takes away less than this share.
+_SETTLED = 0.05
+
 Samples = tuple[Any, Any, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What was seen of the markers.
-
-    Attributes
-    ----------
-    observation : MarkerObservation
-        How markers follow the mesh.
-    markers : Markers
-        As given.
-    mask : ndarray of bool, shape (n_markers, 3)
-        Components that were seen.
-    """
-
-    observation: MarkerObservation
-    markers: Markers
-
-    @property
-    def mask(self) -> BoolArray:
-        """Components that were seen, shape (n_markers, 3)."""
-        return np.asarray(np.isfinite(self.markers.measured))
-
-    @property
-    def rows(self) -> IntArray:
-        """Indices of the components seen among all, shape (n_obs,)."""
-        return np.flatnonzero(self.mask.ravel())
-
-    @property
-    def groups(self) -> list[list[int]]:
-        """Places among `rows` of each marker that was seen."""
-        owner = self.rows // 3
-        return [np.flatnonzero(owner == marker).tolist() for marker in np.unique(owner)]
-
-    def std(self, model_error: float) -> FloatArray:
-        """Return the standard deviation of each component seen: the tracker's and the model's, mm."""
-        moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
-        size = model_error * np.linalg.norm(moved, axis=1)
-        both = np.hypot(self.markers.std, size)
-        return np.repeat(both, 3)[self.rows]
-
-
-@dataclass(eq=False)
-class Moment:
-    """A deformed body on the way: coefficients, equilibrium, frame."""
-
-    coefficients: FloatArray
-    displacement: FloatArray
-    frame: Frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,18 +58,20 @@ class ContactFit:
         The equilibrium under the mean load.
     linearised : Linearised
         The tangent there.
+    posed : Posed
+        Data of the last pass, as the sampler has them.
+    reading : Reading
+        The same as read.
     sampler : _core.Contacts
         Dictionary, prior and data of the last pass.
     samples : tuple of ndarray
         Slots, levels and wrong groups of every sample.
-    responses : ndarray of float64, shape (3 n_markers, n_columns)
-        How all components of all markers follow the columns.
     wrong : ndarray of float64, shape (n_markers,)
         Probability that a marker is wrong; zero where it was not seen.
     prior_misfit : float
         Mean over samples of the prior term of the misfit, that of the coefficients.
     residual_rms : list of float
-        Root mean square distance of the markers after each pass, mm.
+        Root mean square residual after each pass, over standard deviations.
     counters : dict of str to int
         Work.
     """
@@ -116,9 +79,10 @@ class ContactFit:
     columns: Columns
     moment: Moment
     linearised: Linearised
+    posed: Posed
+    reading: Reading
     sampler: Any
     samples: Samples
-    responses: FloatArray
     wrong: FloatArray
     prior_misfit: float
     residual_rms: list[float]
@@ -177,29 +141,48 @@ class Passes:
         ConvergenceError
             If no equilibrium is found even with a short step.
         """
-        moment = start
-        samples: Samples | None = None
+        moment, samples, history = start, None, list[float]()
+        full = self.seen
+        for seen, most in self._stages():
+            self.seen = seen
+            moment, samples, reached = self._approach(moment, samples, most)
+            history += reached
+        self.seen = full
+        linearised = self._linearise(moment)
+        reading, problem, core = self._pose(linearised, moment)
+        return self._fit(moment, linearised, (reading, problem, core), samples, history)
+
+    def _stages(self) -> list[tuple[Seen, int]]:
+        """Return the data of each stage with its passes at most."""
+        if not self.seen.rematches:
+            return [(self.seen, self.settings.max_passes)]
+        coarse = self.seen.coarser()
+        if coarse.n_obs == self.seen.n_obs:
+            return [(self.seen, _COARSE_PASSES + _FINE_PASSES)]
+        return [(coarse, _COARSE_PASSES), (self.seen, _FINE_PASSES)]
+
+    def _approach(
+        self, moment: Moment, samples: Samples | None, most: int
+    ) -> tuple[Moment, Samples, list[float]]:
+        """Return the closest body of at most so many passes, its samples, and what each pass left."""
         history: list[float] = []
         reached: list[tuple[Moment, Samples]] = []
-        for index in range(self.settings.max_passes + 1):
-            last = index == self.settings.max_passes or self._ended(history)
-            if last and reached:
-                # Past a limit point of the load passes may lead away again: the closest one counts.
-                moment, samples = reached[int(np.argmin(history))]
+        while len(history) < most and not self._ended(history):
             linearised = self._linearise(moment)
-            responses = self._responses(linearised, moment)
-            core = self._sampler(responses, moment)
-            if last and samples is not None:
-                return self._fit(moment, linearised, core, samples, responses, history)
+            _, _, core = self._pose(linearised, moment)
             samples = self._sample(core, samples)
             with self.clock.stage("solve"):
                 moment = self._solve(linearised, core, samples, moment)
             history.append(self.residual_rms(moment, samples))
             reached.append((moment, samples))
             if self.progress is not None:
-                self.progress(index + 1, self.settings.max_passes)
-        message = "at least one pass must be allowed"
-        raise ConvergenceError(message, where="max_passes")
+                self.progress(self.counters["passes"], sum(stage[1] for stage in self._stages()))
+        if not reached:
+            message = "at least one pass must be allowed"
+            raise ConvergenceError(message, where="max_passes")
+        # Past a limit point of the load passes may lead away again: the closest one counts.
+        moment, samples = reached[int(np.argmin(history))]
+        return moment, samples, history
 
     def _linearise(self, moment: Moment) -> Linearised:
         self._count("factorisations", 1)
@@ -210,40 +193,22 @@ class Passes:
                 simulator, load, self.material, moment.displacement, precision="single", threads=self.threads
             )
 
-    def _responses(self, linearised: Linearised, moment: Moment) -> FloatArray:
-        observation = self.seen.observation
+    def _pose(self, linearised: Linearised, moment: Moment) -> tuple[Reading, Posed, Any]:
+        """Return the observations at a body, as read and as the sampler has them, and the sampler."""
+        with self.clock.stage("match"):
+            reading = self.seen.read(moment)
         with self.clock.stage("sensitivities"):
-            rows = observation.rows(moment.displacement[observation.nodes])
-            compliance = linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
-            self._count("right_hand_sides", len(rows))
-            return self.columns.responses(compliance, self.seen.markers.reference + self._predicted(moment))
-
-    def _predicted(self, moment: Moment) -> FloatArray:
-        """Return displacements (n_markers, 3) of all markers in the body's frame, mm."""
-        observation = self.seen.observation
-        return observation.predict(moment.displacement[observation.nodes])
-
-    def _measured(self, moment: Moment) -> FloatArray:
-        """Return the measured displacement in the body's frame; NaN where not seen."""
-        measured, reference = self.seen.markers.measured, self.seen.markers.reference
-        if not moment.frame.moves:
-            return np.asarray(measured - reference)
-        # Components that were not seen are filled by what is predicted: a rotation mixes them.
-        filled = np.where(self.seen.mask, measured, moment.frame.apply(reference + self._predicted(moment)))
-        return moment.frame.undo(filled) - reference
-
-    def _sampler(self, responses: FloatArray, moment: Moment) -> Any:
-        rows = self.seen.rows
-        left = (self._measured(moment) - self._predicted(moment)).ravel()[rows]
-        own = responses[rows]
-        std = self.seen.std(self.settings.model_error)
-        data = {
-            "innovation": left + own @ moment.coefficients,
-            "noise": np.diag(std**2),
-            "groups": self.seen.groups,
-        }
+            compliance = linearised.compliance([Observation(nodes, weights) for nodes, weights in reading.rows])
+            self._count("right_hand_sides", len(reading.rows))
+            responses = self.columns.responses(compliance, reading.places, reading.directions)
         with self.clock.stage("prepare"):
-            return sampler(self.columns, self.settings, own, data)
+            problem = posed(reading, responses, moment.coefficients, self.columns, self.settings)
+            data = {
+                "innovation": problem.innovation,
+                "noise": np.diag(problem.variances),
+                "groups": problem.groups,
+            }
+            return reading, problem, sampler(self.columns, self.settings, problem.responses, data)
 
     def _sample(self, core: Any, before: Samples | None) -> Samples:
         settings = self.settings
@@ -272,6 +237,7 @@ class Passes:
         """Return the equilibrium under the mean load, or as far towards it as the markers come closer."""
         wanted = core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[0]
         before, share = self.residual_rms(moment, samples), 1.0
+        decrease = _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
         best: tuple[float, Moment] | None = None
         while share > _SHORTEST_STEP:
             found = self._towards(linearised, moment, moment.coefficients + share * (wanted - moment.coefficients))
@@ -279,7 +245,7 @@ class Passes:
                 left = self.residual_rms(found, samples)
                 if best is None or left < best[0]:
                     best = (left, found)
-                if left < max((1.0 - _DECREASE * share) * before, _GOOD_ENOUGH * self.settings.fit_limit):
+                if left < max((1.0 - decrease * share) * before, _GOOD_ENOUGH * self.settings.fit_limit):
                     return found
             share *= 0.5
             self._count("halved_steps", 1)
@@ -303,17 +269,18 @@ class Passes:
 
     def residual_rms(self, moment: Moment, samples: Samples) -> float:
         """Return the root mean square residual of markers that are not wrong, over their standard deviation."""
-        left = (self._measured(moment) - self._predicted(moment)).ravel()[self.seen.rows]
-        scaled = (left / self.seen.std(self.settings.model_error)) ** 2
-        right = 1.0 - samples[2].mean(axis=0)
-        weights = np.concatenate([np.full(len(g), w) for g, w in zip(self.seen.groups, right, strict=True)])
-        order = np.concatenate([np.asarray(g) for g in self.seen.groups])
-        return float(np.sqrt(np.average(scaled[order], weights=np.maximum(weights, 1e-6))))
+        reading = self.seen.read(moment)
+        weights = np.ones(len(reading.cost))
+        for group, wrong in zip(reading.groups, samples[2].mean(axis=0), strict=True):
+            weights[group] = max(1.0 - wrong, 1e-6)
+        return float(np.sqrt(np.average(reading.cost, weights=weights)))
 
     def _ended(self, history: list[float]) -> bool:
-        """Return whether the markers are met, or the last two passes brought nothing."""
+        """Return whether the data are met, or the last passes brought nothing."""
         if len(history) < 2:
             return False
+        if self.seen.rematches:
+            return history[-1] > (1.0 - _SETTLED) * history[-2]
         return history[-1] < self.settings.fit_limit or (
             len(history) > 3 and min(history[-2:]) > 0.95 * min(history[:-2])
         )
@@ -322,33 +289,45 @@ class Passes:
         self,
         moment: Moment,
         linearised: Linearised,
-        core: Any,
+        data: tuple[Reading, Posed, Any],
         samples: Samples,
-        responses: FloatArray,
         history: list[float],
     ) -> ContactFit:
-        wrong = np.zeros(len(self.seen.markers))
-        wrong[np.unique(self.seen.rows // 3)] = samples[2].mean(axis=0)
+        reading, problem, core = data
         return ContactFit(
             self.columns,
             moment,
             linearised,
+            problem,
+            reading,
             core,
             samples,
-            responses,
-            wrong,
-            self._prior_misfit(moment, responses, wrong),
+            self._wrong(moment, samples),
+            self._prior_misfit(moment, problem, samples),
             history,
             dict(self.counters),
         )
 
-    def _prior_misfit(self, moment: Moment, responses: FloatArray, wrong: FloatArray) -> float:
+    def _wrong(self, moment: Moment, samples: Samples) -> FloatArray:
+        """Return the probability that each marker is wrong, (n_markers,); zero where it was not seen."""
+        markers = self.seen.markers
+        if markers is None:
+            return np.zeros(0)
+        wrong = np.zeros(len(markers.markers))
+        found = samples[2].mean(axis=0)
+        if self.seen.weighed:
+            spread = self.settings.wrong_share * self.columns.body.mesh.extent
+            found = markers.wrong(moment, float(np.log(self.settings.wrong_odds)), spread)
+        wrong[np.unique(markers.rows // 3)] = found
+        return wrong
+
+    def _prior_misfit(self, moment: Moment, problem: Posed, samples: Samples) -> float:
         """Return the prior term of the misfit, ``c' D^-1 c = (J c)' C_d^-1 r``, since ``c = D J' C_d^-1 r``."""
-        rows = self.seen.rows
-        left = (self._measured(moment) - self._predicted(moment)).ravel()[rows]
-        moved = responses[rows] @ moment.coefficients
-        weights = (wrong[rows // 3] < 0.5) / self.seen.std(self.settings.model_error) ** 2
-        return float(max(0.0, np.sum(weights * moved * left)))
+        moved = problem.responses @ moment.coefficients
+        weights = 1.0 / problem.variances
+        for group, wrong in zip(problem.groups, samples[2].mean(axis=0), strict=True):
+            weights[group] *= wrong < 0.5
+        return float(max(0.0, np.sum(weights * moved * (problem.innovation - moved))))
 
     def _count(self, name: str, value: int) -> None:
         self.counters[name] = self.counters.get(name, 0) + value

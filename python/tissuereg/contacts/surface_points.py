@@ -1,0 +1,217 @@
+r"""Unlabelled points of a deformed surface: each pass matches every point to the closest place of the body's surface.
+
+Sliding along the surface is not seen: a point with the foot x on a triangle with the normal n says only
+
+    n . (p - x) = 0  +  noise,        row:  n times the barycentric weights of the foot's corners.
+
+Its noise grows with what is left of it (Student's tail). A point whose match is unsure, since the body is still far
+off, counts little in the first passes, and one that belongs to something else counts little to the end.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.contacts.moment import Moment
+from tissuereg.contacts.seen import Reading, tail_cost, tail_variance
+from tissuereg.mesh import Mesh
+from tissuereg.readings.skin import closest_on_triangles
+from tissuereg.surface import SurfacePoints, evenly
+
+#: Points of first passes.
+N_COARSE = 150
+
+#: Errors of the model are alike within this share of the body's extent: points so close do not count apart.
+_ALIKE_SHARE = 0.08
+
+#: Edges across which the surface turns by more (cosine) are edges of the body, not of the mesh.
+_LEAST_COSINE = 0.8
+
+#: A point counts as an outlier beyond this many standard deviations.
+OUTLIER = 4.0
+
+#: Closest samples of the surface whose triangles are measured exactly.
+_N_CLOSEST = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Feet:
+    """Closest places of a deformed surface.
+
+    Attributes
+    ----------
+    corners : ndarray of int64, shape (n_points, 3)
+        Nodes of the triangle that holds each foot.
+    weights : ndarray of float64, shape (n_points, 3)
+        Barycentric.
+    places : ndarray of float64, shape (n_points, 3)
+        mm.
+    normals : ndarray of float64, shape (n_points, 3)
+        Outward.
+    triangles : ndarray of int64, shape (n_points,)
+        Which triangle of the surface.
+    """
+
+    corners: IntArray
+    weights: FloatArray
+    places: FloatArray
+    normals: FloatArray
+    triangles: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoints:
+    """What was seen of the surface.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    places : ndarray of float64, shape (n_points, 3)
+        In the tracker's frame, mm.
+    noise : float
+        Standard deviation along the normal, mm.
+    model_error : float
+        Standard deviation of what the model gets wrong at a point, over its motion.
+    """
+
+    mesh: Mesh
+    places: FloatArray
+    noise: float
+    model_error: float
+
+    @classmethod
+    def of(cls, mesh: Mesh, points: SurfacePoints, model_error: float) -> "SeenPoints":
+        """Return the data of checked points."""
+        return cls(mesh, points.places, points.std, model_error)
+
+    @property
+    def n_obs(self) -> int:
+        """Number of points."""
+        return len(self.places)
+
+    @cached_property
+    def _alike(self) -> FloatArray:
+        """Return how many points lie close to each, itself included, shape (n_points,)."""
+        from scipy.spatial import cKDTree
+
+        tree = cKDTree(self.places)
+        near = tree.query_ball_point(self.places, _ALIKE_SHARE * self.mesh.extent, return_length=True)
+        return np.asarray(near, np.float64)
+
+    @cached_property
+    def _facets(self) -> FloatArray:
+        return facet_errors(self.mesh)
+
+    def feet(self, moment: Moment) -> Feet:
+        """Return the closest places of the deformed surface, in the body's frame."""
+        moved = self.mesh.nodes + moment.displacement[: self.mesh.n_nodes]
+        return closest_feet(moved, self.mesh.surface, moment.frame.undo(self.places))
+
+    def read(self, moment: Moment, *, weighed: bool = True) -> Reading:
+        """Return one observation a point; points have weights in any case."""
+        del weighed
+        feet = self.feet(moment)
+        left = np.einsum("px,px->p", moment.frame.undo(self.places) - feet.places, feet.normals)
+        std = self.std(moment, feet)
+        scaled = (left / std) ** 2
+        across = feet.weights[:, :, None] * feet.normals[:, None, :]
+        return Reading(
+            list(zip(feet.corners, across, strict=True)),
+            feet.places,
+            feet.normals,
+            left,
+            std * np.sqrt(tail_variance(scaled, 1)),
+            tail_cost(scaled, 1),
+            [],
+        )
+
+    def std(self, moment: Moment, feet: Feet) -> FloatArray:
+        """Return the standard deviation of each point before its tail, (n_points,), mm.
+
+        That of the instrument, and what the model and the facets get wrong. The latter is the same at points close to
+        each other, so that its variance is multiplied by their number.
+        """
+        motion = moment.displacement[feet.corners]
+        size = self.model_error * np.linalg.norm(np.einsum("pc,pcx->px", feet.weights, motion), axis=1)
+        facet = self._facets[feet.triangles]
+        return np.asarray(np.sqrt(self.noise**2 + self._alike * (size**2 + facet**2)))
+
+    def distances(self, moment: Moment) -> tuple[FloatArray, FloatArray]:
+        """Return the distance of every point from the surface along the normal, mm, and over its standard deviation."""
+        feet = self.feet(moment)
+        left = np.einsum("px,px->p", moment.frame.undo(self.places) - feet.places, feet.normals)
+        return np.abs(left), np.abs(left) / self.std(moment, feet)
+
+    def largest_motion(self, moment: Moment) -> float:
+        """Return how far the body has moved at the points' feet, mm."""
+        feet = self.feet(moment)
+        moved = np.einsum("pc,pcx->px", feet.weights, moment.displacement[feet.corners])
+        return float(np.linalg.norm(moved, axis=1).max())
+
+    def coarser(self) -> "SeenPoints":
+        """Return fewer points, spread evenly."""
+        return replace(self, places=self.places[evenly(self.places, N_COARSE)])
+
+
+def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> Feet:
+    """Return the closest places of a surface.
+
+    Parameters
+    ----------
+    nodes : ndarray of float64, shape (n_nodes, 3)
+        Deformed places of nodes, mm.
+    triangles : ndarray of int64, shape (n_triangles, 3)
+        Their surface, outward.
+    points : ndarray of float64, shape (n_points, 3)
+        mm.
+
+    Returns
+    -------
+    Feet
+        Cost: about 3 ms for 500 points on 5,000 triangles.
+    """
+    from scipy.spatial import cKDTree
+
+    corners = nodes[triangles]
+    shares = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0], [2.0, 2.0, 2.0]]) / 6.0
+    samples: Any = cKDTree(np.einsum("sc,tcx->tsx", shares, corners).reshape(-1, 3), balanced_tree=False)
+    near = np.asarray(samples.query(points, k=min(_N_CLOSEST, 4 * len(triangles)))[1]) // 4
+    feet = closest_on_triangles(points[:, None], corners[near])
+    best = np.argmin(np.sum((points[:, None] - feet) ** 2, axis=2), axis=1)
+    rows = np.arange(len(points))
+    chosen, place = near[rows, best], feet[rows, best]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[chosen]
+    size = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    # Barycentric weights of a foot are shares of area: w_a = n . ((b - foot) x (c - foot)) / |2 area|.
+    arms = corners[chosen] - place[:, None]
+    parts = np.stack([np.cross(arms[:, i], arms[:, j]) for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
+    weights = np.clip(np.einsum("pcx,px->pc", parts, across) / size**2, 0.0, None)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return Feet(triangles[chosen], weights, place, across / size, chosen)
+
+
+def facet_errors(mesh: Mesh) -> FloatArray:
+    """Return how far each flat triangle may lie from the curved surface that it stands for, (n_triangles,), mm.
+
+    A third of the largest arrow height ``edge x angle / 8`` of its edges, with the angle between the corners' mean
+    normals; triangles that turn sharply from their neighbours lie on edges of the body and count as flat there.
+    """
+    corners = mesh.nodes[mesh.surface]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    own = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    mean = np.zeros((mesh.n_nodes, 3))
+    for corner in range(3):
+        np.add.at(mean, mesh.surface[:, corner], across)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+    normals = mean[mesh.surface]
+    smooth = np.einsum("tcx,tx->tc", normals, own) > _LEAST_COSINE
+    height = np.zeros(len(corners))
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        edge = np.linalg.norm(corners[:, a] - corners[:, b], axis=1)
+        angle = np.linalg.norm(normals[:, a] - normals[:, b], axis=1)
+        height = np.maximum(height, np.where(smooth[:, a] & smooth[:, b], edge * angle / 8.0, 0.0))
+    return np.asarray(height / 3.0)
