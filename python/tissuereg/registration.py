@@ -109,7 +109,8 @@ def register(
     Notes
     -----
     Cost without a model: two or three passes, each with one factorisation, one right-hand side a marker component and a
-    few solves; with points of the surface ten passes or so. What depends on the mesh alone is kept for the next call in the same process.
+    few solves; with points of the surface six passes or so. What depends on the mesh alone is kept for the next call in
+    the same process.
     """
     clock = Clock()
     with threadpool_limits(limits=1, user_api="blas"), clock.stage("total"):

@@ -94,8 +94,8 @@ def judge(
     reasons = list(notes)
     if p_value < LEVEL:
         reasons.append(
-            f"{_data(len(names), points[1])} and model disagree: misfit {total:.1f} where {n_obs} is expected (p = {p_value:.2g}); "
-            "the noise is larger than stated, the prior too narrow, or the model misses something"
+            f"{_data(len(names), points[1])} and model disagree: misfit {total:.1f} where {n_obs} is expected "
+            f"(p = {p_value:.2g}); the noise is larger than stated, the prior too narrow, or the model misses something"
         )
     limit = float(chi2.isf(LEVEL / max(len(names), 1), 3))
     for index, name in enumerate(names):

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._clock import Clock
 from tissuereg.contacts.columns import Columns, sampler
 from tissuereg.contacts.frame import Frame
 from tissuereg.contacts.moment import Moment
-from tissuereg.contacts.posed import Posed, posed
+from tissuereg.contacts.posed import MOST_KEPT, MOST_KEPT_COARSE, Basis, Posed, moving_variances, plain, projected
 from tissuereg.contacts.seen import Reading, Seen
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.errors import ConvergenceError
@@ -60,8 +60,6 @@ class ContactFit:
         The tangent there.
     posed : Posed
         Data of the last pass, as the sampler has them.
-    reading : Reading
-        The same as read.
     sampler : _core.Contacts
         Dictionary, prior and data of the last pass.
     samples : tuple of ndarray
@@ -80,7 +78,6 @@ class ContactFit:
     moment: Moment
     linearised: Linearised
     posed: Posed
-    reading: Reading
     sampler: Any
     samples: Samples
     wrong: FloatArray
@@ -122,6 +119,7 @@ class Passes:
     clock: Clock
     progress: Callable[[int, int], None] | None = None
     counters: dict[str, int] = field(default_factory=dict)
+    _basis: Basis | None = None
 
     def run(self, start: Moment) -> ContactFit:
         """Return the fit from a start in equilibrium.
@@ -142,15 +140,12 @@ class Passes:
             If no equilibrium is found even with a short step.
         """
         moment, samples, history = start, None, list[float]()
-        full = self.seen
         for seen, most in self._stages():
-            self.seen = seen
+            self.seen, self._basis = seen, None
             moment, samples, reached = self._approach(moment, samples, most)
             history += reached
-        self.seen = full
         linearised = self._linearise(moment)
-        reading, problem, core = self._pose(linearised, moment)
-        return self._fit(moment, linearised, (reading, problem, core), samples, history)
+        return self._fit(moment, linearised, self._pose(linearised, moment), samples, history)
 
     def _stages(self) -> list[tuple[Seen, int]]:
         """Return the data of each stage with its passes at most."""
@@ -161,15 +156,13 @@ class Passes:
             return [(self.seen, _COARSE_PASSES + _FINE_PASSES)]
         return [(coarse, _COARSE_PASSES), (self.seen, _FINE_PASSES)]
 
-    def _approach(
-        self, moment: Moment, samples: Samples | None, most: int
-    ) -> tuple[Moment, Samples, list[float]]:
+    def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple[Moment, Samples, list[float]]:
         """Return the closest body of at most so many passes, its samples, and what each pass left."""
         history: list[float] = []
         reached: list[tuple[Moment, Samples]] = []
         while len(history) < most and not self._ended(history):
             linearised = self._linearise(moment)
-            _, _, core = self._pose(linearised, moment)
+            core = self._pose(linearised, moment)[1]
             samples = self._sample(core, samples)
             with self.clock.stage("solve"):
                 moment = self._solve(linearised, core, samples, moment)
@@ -193,22 +186,42 @@ class Passes:
                 simulator, load, self.material, moment.displacement, precision="single", threads=self.threads
             )
 
-    def _pose(self, linearised: Linearised, moment: Moment) -> tuple[Reading, Posed, Any]:
-        """Return the observations at a body, as read and as the sampler has them, and the sampler."""
+    def _pose(self, linearised: Linearised, moment: Moment) -> tuple[Posed, Any]:
+        """Return the observations at a body as the sampler has them, and the sampler."""
         with self.clock.stage("match"):
             reading = self.seen.read(moment)
-        with self.clock.stage("sensitivities"):
-            compliance = linearised.compliance([Observation(nodes, weights) for nodes, weights in reading.rows])
-            self._count("right_hand_sides", len(reading.rows))
-            responses = self.columns.responses(compliance, reading.places, reading.directions)
+        problem = self._posed(linearised, reading, moment.coefficients)
         with self.clock.stage("prepare"):
-            problem = posed(reading, responses, moment.coefficients, self.columns, self.settings)
             data = {
                 "innovation": problem.innovation,
                 "noise": np.diag(problem.variances),
                 "groups": problem.groups,
             }
-            return reading, problem, sampler(self.columns, self.settings, problem.responses, data)
+            return problem, sampler(self.columns, self.settings, problem.responses, data)
+
+    def _posed(self, linearised: Linearised, reading: Reading, coefficients: FloatArray) -> Posed:
+        """Return observations as they are, or, where they are many, as few that say nearly the same."""
+        rigid = self.columns.rigid_rows(reading.places, reading.directions)
+        if not self.seen.weighed:
+            return plain(reading, self._responses(linearised, reading.rows, rigid), coefficients)
+        if self._basis is None:
+            every = self._responses(linearised, reading.rows, rigid)
+            with self.clock.stage("prepare"):
+                most = MOST_KEPT if self.seen is self._stages()[-1][0] else MOST_KEPT_COARSE
+                self._basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
+            few = (self._basis.vectors / reading.std) @ every
+        else:
+            few = self._responses(linearised, self._basis.rows(reading), (self._basis.vectors / reading.std) @ rigid)
+        return projected(reading, self._basis, few, coefficients)
+
+    def _responses(
+        self, linearised: Linearised, rows: list[tuple[IntArray, FloatArray]], rigid: FloatArray
+    ) -> FloatArray:
+        """Return how rows of nodes and weights follow the columns, (n_rows, n_columns)."""
+        with self.clock.stage("sensitivities"):
+            compliance = linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
+            self._count("right_hand_sides", len(rows))
+            return self.columns.responses(compliance, np.empty((0, 3)), rigid)
 
     def _sample(self, core: Any, before: Samples | None) -> Samples:
         settings = self.settings
@@ -289,17 +302,16 @@ class Passes:
         self,
         moment: Moment,
         linearised: Linearised,
-        data: tuple[Reading, Posed, Any],
+        data: tuple[Posed, Any],
         samples: Samples,
         history: list[float],
     ) -> ContactFit:
-        reading, problem, core = data
+        problem, core = data
         return ContactFit(
             self.columns,
             moment,
             linearised,
             problem,
-            reading,
             core,
             samples,
             self._wrong(moment, samples),

@@ -54,9 +54,7 @@ class Reading:
 
     def followed_by(self, other: "Reading") -> "Reading":
         """Return these observations and others behind them."""
-        mine, theirs = (
-            (r.places, r.directions, r.left, r.std, r.cost) for r in (self, other)
-        )
+        mine, theirs = ((r.places, r.directions, r.left, r.std, r.cost) for r in (self, other))
         joined = [np.concatenate(pair) for pair in zip(mine, theirs, strict=True)]
         groups = [*self.groups, *([i + len(self.left) for i in group] for group in other.groups)]
         return Reading([*self.rows, *other.rows], *joined, groups)

@@ -59,8 +59,8 @@ class Spread:
     ) -> None:
         self._fit, self._seen, self._settings, self._threads = fit, seen, settings, threads
         self._model_forces = -fit.linearised.unbalanced(_model_errors(fit, material, settings))
-        compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in fit.reading.rows])
-        self._model_at_data = fit.posed.project(self._by_model(compliance))
+        compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in fit.posed.rows])
+        self._model_at_data = self._by_model(compliance)
 
     def _by_model(self, compliance: Compliance) -> FloatArray:
         """Return what errors of the model do to observations, (n_rows, n_errors), mm."""

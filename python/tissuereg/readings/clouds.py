@@ -59,7 +59,10 @@ def suspect_points(mesh: Mesh, points: FloatArray, *, free: bool) -> list[Suspic
         )
         return [Suspicion(found[1], text)]
     if typical > _LOST * mesh.extent:
-        text = f"far from the surface: the surface points lie typically {typical:.1f} mm from a body of extent {mesh.extent:.1f} mm"
+        text = (
+            f"far from the surface: the surface points lie typically {typical:.1f} mm from a body of extent "
+            f"{mesh.extent:.1f} mm"
+        )
         return [Suspicion("far from the surface", text)]
     return []
 
@@ -75,7 +78,9 @@ def _turned(points: FloatArray) -> list[tuple[str, FloatArray]]:
         for signs in product((1.0, -1.0), repeat=3):
             if order == (0, 1, 2) and signs == (1.0, 1.0, 1.0):
                 continue
-            words = ", ".join(f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True))
+            words = ", ".join(
+                f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)
+            )
             found.append((words, points[:, order] * np.array(signs)))
     return found
 
