@@ -139,11 +139,15 @@ class Passes:
         ConvergenceError
             If no equilibrium is found even with a short step.
         """
-        moment, samples, history = start, None, list[float]()
+        moment, history = start, list[float]()
+        samples: Samples | None = None
         for seen, most in self._stages():
             self.seen, self._basis = seen, None
             moment, samples, reached = self._approach(moment, samples, most)
             history += reached
+        if samples is None:
+            message = "at least one pass must be allowed"
+            raise ConvergenceError(message, where="max_passes")
         linearised = self._linearise(moment)
         return self._fit(moment, linearised, self._pose(linearised, moment), samples, history)
 
@@ -156,7 +160,9 @@ class Passes:
             return [(self.seen, _COARSE_PASSES + _FINE_PASSES)]
         return [(coarse, _COARSE_PASSES), (self.seen, _FINE_PASSES)]
 
-    def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple[Moment, Samples, list[float]]:
+    def _approach(
+        self, moment: Moment, samples: Samples | None, most: int
+    ) -> tuple[Moment, Samples | None, list[float]]:
         """Return the closest body of at most so many passes, its samples, and what each pass left."""
         history: list[float] = []
         reached: list[tuple[Moment, Samples]] = []
@@ -170,11 +176,9 @@ class Passes:
             reached.append((moment, samples))
             if self.progress is not None:
                 self.progress(self.counters["passes"], sum(stage[1] for stage in self._stages()))
-        if not reached:
-            message = "at least one pass must be allowed"
-            raise ConvergenceError(message, where="max_passes")
-        # Past a limit point of the load passes may lead away again: the closest one counts.
-        moment, samples = reached[int(np.argmin(history))]
+        if reached:
+            # Past a limit point of the load passes may lead away again: the closest one counts.
+            moment, samples = reached[int(np.argmin(history))]
         return moment, samples, history
 
     def _linearise(self, moment: Moment) -> Linearised:

@@ -70,7 +70,7 @@ def _iterated(mesh: Mesh, points: FloatArray, frame: Frame, count: int) -> tuple
         near = np.argsort(np.linalg.norm(off, axis=1), kind="stable")[: max(3, int(_SHARE * len(points)))]
         pivot = feet.places[near].mean(axis=0)
         rows, goal = _rows(feet.places[near] - pivot, feet.normals[near], off[near], length)
-        move = np.linalg.lstsq(rows, goal, rcond=1e-9)[0]
+        move = np.asarray(np.linalg.lstsq(rows, goal, rcond=1e-9)[0], np.float64)
         frame = frame.followed_by(move, np.stack([pivot, np.full(3, length)]))
         if float(np.linalg.norm(move)) < 1e-4 * mesh.extent:
             break

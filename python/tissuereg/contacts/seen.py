@@ -54,10 +54,19 @@ class Reading:
 
     def followed_by(self, other: "Reading") -> "Reading":
         """Return these observations and others behind them."""
-        mine, theirs = ((r.places, r.directions, r.left, r.std, r.cost) for r in (self, other))
-        joined = [np.concatenate(pair) for pair in zip(mine, theirs, strict=True)]
-        groups = [*self.groups, *([i + len(self.left) for i in group] for group in other.groups)]
-        return Reading([*self.rows, *other.rows], *joined, groups)
+
+        def joined(mine: FloatArray, theirs: FloatArray) -> FloatArray:
+            return np.concatenate([mine, theirs])
+
+        return Reading(
+            [*self.rows, *other.rows],
+            joined(self.places, other.places),
+            joined(self.directions, other.directions),
+            joined(self.left, other.left),
+            joined(self.std, other.std),
+            joined(self.cost, other.cost),
+            [*self.groups, *([i + len(self.left) for i in group] for group in other.groups)],
+        )
 
 
 class Part(Protocol):

@@ -37,20 +37,33 @@ def registration_figure(result: "Registration") -> Any:
         axes.computed_zorder = False  # markers and regions stay readable through the body
         colours = _draw_body(axes, result)
         _draw_markers(axes, result)
+        _draw_surface_points(axes, result)
         for name, target in result.targets.items():
             _draw_region(axes, target.region(0.90), name)
         axes.view_init(*view)
         _equal_box(axes, result)
-        if column == 0:
+        if column == 0 and (len(result.all_markers) or result.surface is not None):
             axes.legend(loc="upper left", fontsize=8, frameon=False)
     figure.colorbar(colours, ax=figure.axes, shrink=0.65, label="posterior standard deviation, mm")
-    fit = result.markers
     figure.suptitle(
-        f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)   |   "
-        f"trusted: {'yes' if result.trust.ok else 'no'} (p = {result.trust.p_value:.2g})",
+        f"{_title(result)}   |   trusted: {'yes' if result.trust.ok else 'no'} (p = {result.trust.p_value:.2g})",
         fontsize=10,
     )
     return figure
+
+
+def _title(result: "Registration") -> str:
+    """Return how far the data lay from the body before and after."""
+    fit, surface, words = result.markers, result.surface, []
+    if fit.used:
+        words.append(
+            f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)"
+        )
+    if surface is not None:
+        words.append(
+            f"{surface.used} surface points: {surface.before_rms_mm:.2f} mm before, {surface.after_rms_mm:.2f} mm after"
+        )
+    return "   |   ".join(words)
 
 
 def _draw_body(axes: Any, result: "Registration") -> Any:
@@ -81,8 +94,15 @@ def _draw_body(axes: Any, result: "Registration") -> Any:
     return scale
 
 
+def _draw_surface_points(axes: Any, result: "Registration") -> None:
+    if result.surface is not None:
+        axes.scatter(*result.surface.places.T, s=3, c="tab:red", depthshade=False, label="surface points")
+
+
 def _draw_markers(axes: Any, result: "Registration") -> None:
     seen = result.all_markers.seen
+    if not seen.any():
+        return
     measured = result.all_markers.measured[seen]
     start = result.start_markers[seen]
     fitted = measured - np.array([result.markers.residual_mm[name] for name in result.markers.used])
