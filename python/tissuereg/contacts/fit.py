@@ -35,7 +35,13 @@ _SHORTEST_STEP = 0.02
 _DECREASE, _GOOD_ENOUGH = 0.3, 1.5
 
 #: The same where points without labels are matched anew: the first part of the way is the slowest.
-_DECREASE_UNMATCHED = 0.05
+_DECREASE_UNMATCHED = 0.01
+
+#: And a step that is not shorter than this is taken where it brings anything.
+_SHORTEST_UNMATCHED = 0.2
+
+#: First passes that are made in any case, while the points are not met.
+_LEAST_ROUGH = 4
 
 #: Passes with few points at most, and with all of them.
 _COARSE_PASSES, _FINE_PASSES = 8, 5
@@ -155,10 +161,7 @@ class Passes:
         """Return the data of each stage with its passes at most."""
         if not self.seen.rematches:
             return [(self.seen, self.settings.max_passes)]
-        coarse = self.seen.coarser()
-        if coarse.n_obs == self.seen.n_obs:
-            return [(self.seen, _COARSE_PASSES + _FINE_PASSES)]
-        return [(coarse, _COARSE_PASSES), (self.seen, _FINE_PASSES)]
+        return [(self.seen.coarser(), _COARSE_PASSES), (self.seen, _FINE_PASSES)]
 
     def _approach(
         self, moment: Moment, samples: Samples | None, most: int
@@ -253,23 +256,26 @@ class Passes:
     def _solve(self, linearised: Linearised, core: Any, samples: Samples, moment: Moment) -> Moment:
         """Return the equilibrium under the mean load, or as far towards it as the markers come closer."""
         wanted = core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[0]
-        before, share = self.residual_rms(moment, samples), 1.0
-        decrease = _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
+        share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
+        # Points are matched anew, but weighed as they were for this step: it promises no more than that.
+        std = self.seen.read(moment).std if self.seen.rough else None
+        before = self.residual_rms(moment, samples, std)
         best: tuple[float, Moment] | None = None
-        while share > _SHORTEST_STEP:
+        while share > (_SHORTEST_UNMATCHED if self.seen.rematches and best is not None else _SHORTEST_STEP):
             found = self._towards(linearised, moment, moment.coefficients + share * (wanted - moment.coefficients))
             if found is not None:
-                left = self.residual_rms(found, samples)
+                left = self.residual_rms(found, samples, std)
                 if best is None or left < best[0]:
                     best = (left, found)
-                if left < max((1.0 - decrease * share) * before, _GOOD_ENOUGH * self.settings.fit_limit):
+                enough = 0.0 if self.seen.rematches else _GOOD_ENOUGH * self.settings.fit_limit
+                if left < max((1.0 - decrease * share) * before, enough):
                     return found
             share *= 0.5
             self._count("halved_steps", 1)
         if best is None:
             message = "no load between the last and the one that the markers suggest finds an equilibrium"
             raise ConvergenceError(message, where="load")
-        return best[1]
+        return best[1] if best[0] < before or not self.seen.rematches else moment
 
     def _towards(self, linearised: Linearised, moment: Moment, coefficients: FloatArray) -> Moment | None:
         """Return the equilibrium under coefficients; None where there is none."""
@@ -284,9 +290,11 @@ class Passes:
         frame = moment.frame.followed_by(self.columns.frame(coefficients), self.columns.rigid)
         return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
-    def residual_rms(self, moment: Moment, samples: Samples) -> float:
-        """Return the root mean square residual of markers that are not wrong, over their standard deviation."""
+    def residual_rms(self, moment: Moment, samples: Samples, std: FloatArray | None = None) -> float:
+        """Return the root mean square residual of what is not wrong, over standard deviations: given ones, or its own."""
         reading = self.seen.read(moment)
+        if std is not None:
+            return float(np.sqrt(np.mean((reading.left / std) ** 2)))
         weights = np.ones(len(reading.cost))
         for group, wrong in zip(reading.groups, samples[2].mean(axis=0), strict=True):
             weights[group] = max(1.0 - wrong, 1e-6)
@@ -297,7 +305,8 @@ class Passes:
         if len(history) < 2:
             return False
         if self.seen.rematches:
-            return history[-1] > (1.0 - _SETTLED) * history[-2]
+            few = len(history) < _LEAST_ROUGH and self.seen.rough and history[-1] > self.settings.fit_limit
+            return not few and history[-1] > (1.0 - _SETTLED) * history[-2]
         return history[-1] < self.settings.fit_limit or (
             len(history) > 3 and min(history[-2:]) > 0.95 * min(history[:-2])
         )

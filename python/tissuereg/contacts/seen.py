@@ -204,10 +204,13 @@ class Seen:
         Markers first.
     weighed : bool
         Whether markers, too, have a heavy tail instead of indicators: data are then projected.
+    rough : bool
+        Whether these are data of first passes.
     """
 
     parts: tuple[Part, ...]
     weighed: bool
+    rough: bool = False
 
     @classmethod
     def of(cls, *parts: Part | None) -> "Seen":
@@ -243,7 +246,7 @@ class Seen:
 
     def coarser(self) -> "Seen":
         """Return the same data with fewer points, with the same kind of noise."""
-        return Seen(tuple(part.coarser() for part in self.parts), self.weighed)
+        return Seen(tuple(part.coarser() for part in self.parts), self.weighed, rough=True)
 
 
 def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:

@@ -27,6 +27,9 @@ N_COARSE = 150
 #: Errors of the model are alike within this share of the body's extent: points so close do not count apart.
 _ALIKE_SHARE = 0.08
 
+#: Errors of first matches are alike within this share.
+_MATCHED_SHARE = 0.12
+
 #: Edges across which the surface turns by more (cosine) are edges of the body, not of the mesh.
 _LEAST_COSINE = 0.8
 
@@ -76,12 +79,15 @@ class SeenPoints:
         Standard deviation along the normal, mm.
     model_error : float
         Standard deviation of what the model gets wrong at a point, over its motion.
+    rough : bool
+        Whether the body is still far off: points close to each other are then mismatched alike, and count less.
     """
 
     mesh: Mesh
     places: FloatArray
     noise: float
     model_error: float
+    rough: bool = False
 
     @classmethod
     def of(cls, mesh: Mesh, points: SurfacePoints, model_error: float) -> "SeenPoints":
@@ -95,11 +101,18 @@ class SeenPoints:
 
     @cached_property
     def _alike(self) -> FloatArray:
-        """Return how many points lie close to each, itself included, shape (n_points,)."""
+        """Return how many points share the model's error with each, itself included, shape (n_points,)."""
+        return self._within(_ALIKE_SHARE)
+
+    @cached_property
+    def _matched(self) -> FloatArray:
+        """Return how many points share the error of its match with each, itself included, shape (n_points,)."""
+        return self._within(_MATCHED_SHARE) if self.rough else np.ones(self.n_obs)
+
+    def _within(self, share: float) -> FloatArray:
         from scipy.spatial import cKDTree
 
-        tree = cKDTree(self.places)
-        near = tree.query_ball_point(self.places, _ALIKE_SHARE * self.mesh.extent, return_length=True)
+        near = cKDTree(self.places).query_ball_point(self.places, share * self.mesh.extent, return_length=True)
         return np.asarray(near, np.float64)
 
     @cached_property
@@ -124,7 +137,7 @@ class SeenPoints:
             feet.places,
             feet.normals,
             left,
-            std * np.sqrt(tail_variance(scaled, 1)),
+            std * np.sqrt(tail_variance(self._matched * scaled, 1)),
             tail_cost(scaled, 1),
             [],
         )
@@ -154,7 +167,7 @@ class SeenPoints:
 
     def coarser(self) -> "SeenPoints":
         """Return fewer points, spread evenly."""
-        return replace(self, places=self.places[evenly(self.places, N_COARSE)])
+        return replace(self, places=self.places[evenly(self.places, N_COARSE)], rough=True)
 
 
 def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> Feet:
