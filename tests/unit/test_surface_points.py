@@ -82,7 +82,7 @@ def test_sliding_along_the_surface_is_not_seen(block_mesh):
     still = Moment(np.zeros(1), np.zeros((block_mesh.n_nodes, 3)), Frame.still())
     top = np.stack([*np.meshgrid(np.linspace(8, 22, 6), np.linspace(6, 14, 5)), np.full((5, 6), 40.0)], axis=-1)
     seen = SeenPoints(block_mesh, top.reshape(-1, 3), 0.1, 0.02)
-    slid = Moment(np.zeros(1), np.zeros((block_mesh.n_nodes, 3)) + (1.5, -1.0, 0.0), Frame.still())
+    slid = Moment(np.zeros(1), np.tile((1.5, -1.0, 0.0), (block_mesh.n_nodes, 1)), Frame.still())
     assert np.allclose(seen.read(slid).left, seen.read(still).left, atol=1e-12)
     assert np.allclose(seen.read(still).directions, (0.0, 0.0, 1.0))
 
@@ -144,14 +144,14 @@ def test_points_with_a_trained_model_are_refused(block_mesh):
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "metres"), (0.1, "centimetres"), (1.0 / 25.4, "inches")])
 def test_points_in_other_units_are_refused_with_the_unit_named(block_mesh, factor, unit):
-    far = tr.Mesh(block_mesh.nodes + (100.0, 50.0, 20.0), block_mesh.tets, {"fixed": block_mesh.fixed_nodes})
+    far = tr.Mesh(block_mesh.nodes + np.array([100.0, 50.0, 20.0]), block_mesh.tets, {"fixed": block_mesh.fixed_nodes})
     points = cloud(far, bent(block_mesh), 100, np.random.default_rng(4), 0.1)
     with pytest.raises(SurfaceError, match=f"unit: .* in {unit}"):
         tr.register(far, surface=factor * points)
 
 
 def test_points_in_another_frame_are_suspected(block_mesh):
-    far = tr.Mesh(block_mesh.nodes + (30.0, 20.0, 20.0), block_mesh.tets, {"fixed": block_mesh.fixed_nodes})
+    far = tr.Mesh(block_mesh.nodes + np.array([30.0, 20.0, 20.0]), block_mesh.tets, {"fixed": block_mesh.fixed_nodes})
     points = cloud(far, bent(block_mesh), 100, np.random.default_rng(4), 0.1)
     assert suspect_points(far, points, free=False) == []
     (found,) = suspect_points(far, points * (-1.0, -1.0, 1.0), free=False)

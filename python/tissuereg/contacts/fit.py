@@ -291,7 +291,7 @@ class Passes:
         return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
     def residual_rms(self, moment: Moment, samples: Samples, std: FloatArray | None = None) -> float:
-        """Return the root mean square residual of what is not wrong, over standard deviations: given ones, or its own."""
+        """Return the root mean square residual of what is not wrong, over given standard deviations or its own."""
         reading = self.seen.read(moment)
         if std is not None:
             return float(np.sqrt(np.mean((reading.left / std) ** 2)))

@@ -4,7 +4,7 @@ Each kind of data answers `read`: at a deformed body, which rows of sensitivitie
 of them, and how uncertain they are. Nothing else of it is known to the passes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -98,11 +98,14 @@ class SeenMarkers:
         As given.
     model_error : float
         Standard deviation of what the model gets wrong at a marker, over the marker's motion.
+    rough : bool
+        Whether points without labels are still far off: markers then lead, without a tail.
     """
 
     observation: MarkerObservation
     markers: Markers
     model_error: float
+    rough: bool = False
 
     @property
     def n_obs(self) -> int:
@@ -142,7 +145,7 @@ class SeenMarkers:
         all_rows = observation.rows(here)
         scaled = (left / self.std) ** 2
         std, cost = self.std, scaled
-        if weighed:
+        if weighed and not self.rough:
             std, cost = std.copy(), cost.copy()
             for group in self.groups:
                 std[group] *= np.sqrt(tail_variance(scaled[group].sum(), len(group)))
@@ -190,8 +193,8 @@ class SeenMarkers:
         return float(np.linalg.norm(moved, axis=1).max())
 
     def coarser(self) -> "SeenMarkers":
-        """Return the same: markers have labels, and each of them counts from the first pass."""
-        return self
+        """Return the same markers, which have labels and so lead in the first passes."""
+        return replace(self, rough=True)
 
 
 @dataclass(frozen=True, eq=False)

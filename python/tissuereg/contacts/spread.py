@@ -66,7 +66,8 @@ class Spread:
         """Return what errors of the model do to observations, (n_rows, n_errors), mm."""
         n_errors = len(self._model_forces)
         return np.asarray(
-            compliance.forces.reshape(len(compliance.forces), -1) @ self._model_forces.reshape(n_errors, -1).T
+            compliance.forces.reshape(len(compliance.forces), self._model_forces[0].size)
+            @ self._model_forces.reshape(n_errors, -1).T
         )
 
     def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
@@ -90,7 +91,8 @@ class Spread:
         _, gain, _, covariance, _ = fit.sampler.moments(
             list(fit.samples), np.ascontiguousarray(responses), threads=self._threads
         )
-        left = (self._by_model(compliance) - responses @ (gain @ self._model_at_data)).reshape(len(places), 3, -1)
+        left = self._by_model(compliance) - responses @ (gain @ self._model_at_data)
+        left = left.reshape(len(places), 3, len(self._model_forces))
         covariance = covariance + np.einsum("pak,pbk->pab", left, left)
         unseen, constrained = self._unseen(responses)
         turn = fit.moment.frame.rotation

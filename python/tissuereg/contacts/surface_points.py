@@ -33,6 +33,9 @@ _MATCHED_SHARE = 0.12
 #: Edges across which the surface turns by more (cosine) are edges of the body, not of the mesh.
 _LEAST_COSINE = 0.8
 
+#: A point is far off beyond this many standard deviations of its noise.
+_FAR = 3.0
+
 #: A point counts as an outlier beyond this many standard deviations.
 OUTLIER = 4.0
 
@@ -63,6 +66,19 @@ class Feet:
     places: FloatArray
     normals: FloatArray
     triangles: IntArray
+
+    def off(self, points: FloatArray, near: float) -> tuple[FloatArray, FloatArray]:
+        """Return how far points are off along the normal, (n_points,), mm, and along which direction, (n_points, 3).
+
+        That is the slope of the distance: the normal within a triangle, and the way to the point from an edge of the
+        body, for points farther off than `near` mm.
+        """
+        away = points - self.places
+        along = np.einsum("px,px->p", away, self.normals)
+        size = np.linalg.norm(away, axis=1)
+        straight = away / np.maximum(size, 1e-300)[:, None] * np.where(along < 0.0, -1.0, 1.0)[:, None]
+        directions = np.where((size > near)[:, None], straight, self.normals)
+        return np.einsum("px,px->p", away, directions), directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +144,14 @@ class SeenPoints:
         """Return one observation a point; points have weights in any case."""
         del weighed
         feet = self.feet(moment)
-        left = np.einsum("px,px->p", moment.frame.undo(self.places) - feet.places, feet.normals)
         std = self.std(moment, feet)
+        left, directions = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
         scaled = (left / std) ** 2
-        across = feet.weights[:, :, None] * feet.normals[:, None, :]
+        across = feet.weights[:, :, None] * directions[:, None, :]
         return Reading(
             list(zip(feet.corners, across, strict=True)),
             feet.places,
-            feet.normals,
+            directions,
             left,
             std * np.sqrt(tail_variance(self._matched * scaled, 1)),
             tail_cost(scaled, 1),
@@ -156,7 +172,7 @@ class SeenPoints:
     def distances(self, moment: Moment) -> tuple[FloatArray, FloatArray]:
         """Return the distance of every point from the surface along the normal, mm, and over its standard deviation."""
         feet = self.feet(moment)
-        left = np.einsum("px,px->p", moment.frame.undo(self.places) - feet.places, feet.normals)
+        left, _ = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
         return np.abs(left), np.abs(left) / self.std(moment, feet)
 
     def largest_motion(self, moment: Moment) -> float:
