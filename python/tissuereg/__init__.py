@@ -16,7 +16,7 @@ from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.material_experiments import read_material_experiment
 from tissuereg.io.meshes import read_mesh
-from tissuereg.io.tables import read_markers, read_targets
+from tissuereg.io.tables import read_markers, read_surface, read_targets
 from tissuereg.load import Load
 from tissuereg.markers import Markers
 from tissuereg.material import Fibre, Material
@@ -46,6 +46,7 @@ __all__ = [
     "read_markers",
     "read_material_experiment",
     "read_mesh",
+    "read_surface",
     "read_targets",
     "register",
     "register_frame",

@@ -10,11 +10,16 @@ from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.columns import Columns
-from tissuereg.contacts.fit import ContactFit, Moment, Passes, Seen, start_of
+from tissuereg.contacts.fit import ContactFit, Passes, start_of
 from tissuereg.contacts.found import FoundContact, find_contacts
 from tissuereg.contacts.frame import Frame, drifts
+from tissuereg.contacts.icp import closest_frame
+from tissuereg.contacts.moment import Moment
+from tissuereg.contacts.seen import Seen, SeenMarkers
 from tissuereg.contacts.spread import Points, Spread
 from tissuereg.contacts.supports import Supports
+from tissuereg.contacts.surface_fit import SurfaceFit
+from tissuereg.contacts.surface_points import SeenPoints
 from tissuereg.errors import ConvergenceError
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.load import Load
@@ -105,12 +110,12 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     with clock.stage("body"):
         supports = Supports.of(given.mesh, believed.held, believed.held_nodes)
         body = ContactBody.of(given.mesh, supports, believed.element)
-    seen = Seen(given.observed, given.markers)
+    seen = _seen(given)
     with clock.stage("simulate"):
         parts, field = _believed(body, believed, given.threads)
         young = float(np.mean(material.young_array))
         columns = Columns.of(body, young, parts, settings, drifts=drifts(believed.frame))
-        start = start_of(columns, material, field, _first_frame(seen, supports), given.threads)
+        start = start_of(columns, material, field, _first_frame(given, supports), given.threads)
     rng = np.random.default_rng([given.seed, 7])
     passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
     fit = passes.run(start)
@@ -149,12 +154,33 @@ def _believed(body: ContactBody, believed: ContactInput, threads: int) -> tuple[
     return parts, field
 
 
-def _first_frame(seen: Seen, supports: Supports) -> Frame:
-    """Return the rigid motion of the markers where nothing is held for sure; none with too few of them."""
-    whole = seen.mask.all(axis=1)
-    if not supports.moves or supports.holds or whole.sum() < 3:
+def _seen(given: RegisterInput) -> Seen:
+    """Return the data: markers, points of the surface, or both."""
+    model_error = given.settings.contacts.model_error
+    return Seen.of(SeenMarkers(given.observed, given.markers, model_error), _seen_points(given))
+
+
+def _seen_points(given: RegisterInput) -> SeenPoints | None:
+    if given.surface is None:
+        return None
+    return SeenPoints.of(given.mesh, given.surface, given.settings.contacts.model_error)
+
+
+def _first_frame(given: RegisterInput, supports: Supports) -> Frame:
+    """Return the rigid motion of the markers, or else of the points, where nothing is held for sure."""
+    if not supports.moves or supports.holds:
         return Frame.still()
-    return Frame.between(seen.markers.reference[whole], seen.markers.measured[whole])
+    whole = given.markers.seen
+    if whole.sum() >= 3:
+        return Frame.between(given.markers.reference[whole], given.markers.measured[whole])
+    return Frame.still() if given.surface is None else closest_frame(given.mesh, given.surface.places)
+
+
+def _surface_fit(given: RegisterInput, start: Moment, end: Moment) -> SurfaceFit | None:
+    points = _seen_points(given)
+    if given.surface is None or points is None:
+        return None
+    return SurfaceFit.of(points, given.surface, start, end)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +264,7 @@ def _result(
     wrong = np.asarray(fit.wrong >= _WRONG)
     used, lost = np.flatnonzero(some & ~wrong), np.flatnonzero(~some | wrong)
     ratios = det_f(mesh, moment.displacement[: mesh.n_nodes])
+    surface = _surface_fit(given, start, moment)
     knows = believed.load is not None or believed.simulation is not None
     return Registration(
         mesh=mesh,
@@ -257,7 +284,8 @@ def _result(
         start_markers=markers.reference + begun,
         min_det_f=float(ratios.min()),
         inverted_tets=int((ratios <= 0).sum()),
-        trust=_trust(given, fit, known, used, float(ratios.min())),
+        trust=_trust(given, fit, known, (used, surface), float(ratios.min())),
+        surface=surface,
         model={"kind": "contacts", "source": "fitted here", "patches": fit.columns.n_patches},
         seconds=clock.seconds,
         seed=given.seed,
@@ -309,7 +337,10 @@ def _unseen(given: RegisterInput, known: _Known, begun: FloatArray | None, lost:
     }
 
 
-def _trust(given: RegisterInput, fit: ContactFit, known: _Known, used: Any, min_det_f: float) -> Trust:
+def _trust(
+    given: RegisterInput, fit: ContactFit, known: _Known, data: tuple[Any, SurfaceFit | None], min_det_f: float
+) -> Trust:
+    used, surface = data
     markers, first = given.markers, len(given.targets.names)
     model_error = given.settings.contacts.model_error
     notes = list(given.suspicions)
@@ -317,6 +348,8 @@ def _trust(given: RegisterInput, fit: ContactFit, known: _Known, used: Any, min_
         f"wrong marker: {markers.names[i]} does not fit the others (probability {fit.wrong[i]:.2f})"
         for i in np.flatnonzero(fit.wrong >= _WRONG)
     ]
+    notes += [] if surface is None else surface.reasons()
+    points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
     left = markers.displacement[used] - known.displacement[first + used]
     size = np.linalg.norm(np.where(np.isfinite(left), markers.displacement[used], 0.0), axis=1)
     variance = (markers.axis_std[used] ** 2 + (model_error * size[:, None]) ** 2).ravel()
@@ -328,7 +361,7 @@ def _trust(given: RegisterInput, fit: ContactFit, known: _Known, used: Any, min_
     residual = np.nan_to_num(left)
     # The innovation's misfit counts the data term once more: what it has beyond that is the prior's.
     prior_term = max(0.0, fit.misfit - float(np.sum(residual.ravel() ** 2 / variance)))
-    return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes)
+    return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes, points)
 
 
 __all__ = ["ContactInput", "FoundContact", "register_by_contacts"]

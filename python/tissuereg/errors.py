@@ -55,6 +55,10 @@ class MarkerError(TissueRegError, ValueError):
     """Markers or targets cannot be used."""
 
 
+class SurfaceError(TissueRegError, ValueError):
+    """Points of a surface cannot be used."""
+
+
 class FormatError(TissueRegError, ValueError):
     """A file is not what its name or place promises."""
 

@@ -8,11 +8,13 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg.contacts.settings import ContactSettings
-from tissuereg.errors import MarkerError, ShapeError
+from tissuereg.errors import MarkerError, ShapeError, SurfaceError
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.readings import suspect
+from tissuereg.readings.clouds import suspect_points
+from tissuereg.surface import SurfacePoints
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ class RegisterInput:
         Of all chance; to use.
     suspicions : tuple of str
         Why the input may be misread, in sentences.
+    surface : SurfacePoints or None
+        Points of the surface.
     """
 
     mesh: Mesh
@@ -65,6 +69,7 @@ class RegisterInput:
     seed: int
     threads: int
     suspicions: tuple[str, ...]
+    surface: SurfacePoints | None = None
 
     @classmethod
     def of(
@@ -76,25 +81,33 @@ class RegisterInput:
         seed: int,
         threads: int,
         held: str = "sure",
+        surface: SurfacePoints | None = None,
     ) -> "RegisterInput":
         """Check what was given.
 
         Raises
         ------
-        ShapeError, MarkerError
-            If something does not fit, or no marker was seen.
+        ShapeError, MarkerError, SurfaceError
+            If something does not fit, or nothing was seen.
         """
         body, marks = as_mesh(mesh), as_markers(markers)
+        if markers is None and surface is None:
+            message = "markers or points of the surface must be given; there are neither"
+            raise MarkerError(message, where="markers")
         observed, suspicions = _attached(body, marks, held)
-        if not np.isfinite(marks.measured).any():
+        if surface is None and not np.isfinite(marks.measured).any():
             message = f"at least one marker must have been seen; all {len(marks)} are missing"
             raise MarkerError(message, where="markers")
+        if surface is not None:
+            suspicions = (*suspicions, *_points_suspected(body, surface, held))
         inner = TargetObservation(body, targets or {})
-        return cls(body, marks, observed, inner, settings or RegisterSettings(), seed, threads, suspicions)
+        return cls(body, marks, observed, inner, settings or RegisterSettings(), seed, threads, suspicions, surface)
 
 
 def _attached(mesh: Mesh, markers: Markers, held: str) -> tuple[MarkerObservation, tuple[str, ...]]:
     """Return how markers follow the mesh, and why they may be misread."""
+    if not len(markers):
+        return MarkerObservation.of(mesh, markers), ()
     try:
         observed = MarkerObservation.of(mesh, markers)
     except MarkerError as error:
@@ -105,6 +118,15 @@ def _attached(mesh: Mesh, markers: Markers, held: str) -> tuple[MarkerObservatio
         raise
     found = suspect(mesh, markers, observed)
     return observed, tuple(one.sentence for one in found if held == "sure" or one.kind != "held")
+
+
+def _points_suspected(mesh: Mesh, surface: SurfacePoints, held: str) -> tuple[str, ...]:
+    """Return why points of the surface may be misread; refuse those that belong to no body here."""
+    free = held == "free" or not any(len(mesh.node_sets.get(name, ())) for name in ("fixed", "perhaps_fixed"))
+    found = suspect_points(mesh, surface.places, free=free)
+    if found and found[0].kind in ("unit", "far from the surface"):
+        raise SurfaceError(found[0].sentence, where="surface")
+    return tuple(one.sentence for one in found)
 
 
 def as_mesh(mesh: Any) -> Mesh:
@@ -118,7 +140,9 @@ def as_mesh(mesh: Any) -> Mesh:
 
 
 def as_markers(markers: Any) -> Markers:
-    """Return markers, made of (reference, measured) where they are not markers already."""
+    """Return markers, made of (reference, measured) where they are not markers already; None holds none."""
+    if markers is None:
+        return Markers(np.empty((0, 3)), np.empty((0, 3)))
     if isinstance(markers, Markers):
         return markers
     if not isinstance(markers, tuple) or len(markers) != 2:

@@ -220,6 +220,8 @@ def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic
 
 
 def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    if not len(places):
+        return np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3))
     import trimesh
 
     surface = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)

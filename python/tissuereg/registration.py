@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from tissuereg._clock import Clock
 from tissuereg.contact_registration import ContactInput, fitting_element, register_by_contacts
+from tissuereg.errors import ModelError
 from tissuereg.inputs import RegisterInput, RegisterSettings, finite_field
 from tissuereg.latent.model import LatentModel
 from tissuereg.latent_registration import register_by_model
@@ -23,14 +24,17 @@ from tissuereg.material import Material
 from tissuereg.mesh import Mesh
 from tissuereg.result import Registration
 from tissuereg.simulate.solve import Simulator
+from tissuereg.surface import SurfacePoints
 
 __all__ = ["RegisterSettings", "register"]
 
 
 def register(
     mesh: Mesh | tuple[Any, Any, Any],
-    markers: Markers | tuple[Any, Any],
+    markers: Markers | tuple[Any, Any] | None = None,
     *,
+    surface: Any = None,
+    surface_std: float = 0.1,
     model: "str | os.PathLike[str] | LatentModel | None" = None,
     simulation: Any = None,
     targets: Mapping[str, Any] | None = None,
@@ -47,7 +51,7 @@ def register(
     ensemble: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Registration:
-    """Register a deformed body to a few measured markers.
+    """Register a deformed body to a few measured markers, to points of its surface, or to both.
 
     Where is every point of the body now? Without a trained model nothing need be known of what pushed or pulled: the
     contacts on the free surface that explain the markers are found, the body is brought to equilibrium under them,
@@ -59,8 +63,13 @@ def register(
     mesh : Mesh or (nodes, tets, fixed_nodes)
         Undeformed body in mm; its node set ``fixed`` is held, its node set ``perhaps_fixed`` perhaps. A mesh without
         either, or one whose sets are empty, is free: a rigid motion is then unknown as well.
-    markers : Markers or (reference, measured)
+    markers : Markers or (reference, measured), optional
         Where markers sit and where they were seen, mm; NaN = not seen, also in single components.
+    surface : array_like of float, shape (n, 3), optional
+        Points on the deformed surface, or on a part of it, without labels, mm: each counts by its distance from the
+        surface along the normal, and is matched anew in every pass. More than 500 are thinned evenly.
+    surface_std : float
+        Standard deviation of such a point along the normal, mm. Some may belong to something else.
     model : path-like or LatentModel, optional
         Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the answer is
         an equilibrium under unknown contacts.
@@ -107,8 +116,10 @@ def register(
     ------
     MarkerError
         If no marker was seen, or one lies far off the body.
+    SurfaceError
+        If points of the surface are in other units or lie far off the body.
     ModelError
-        If the model was trained for another mesh, or a file of it is spoilt.
+        If the model was trained for another mesh, or a file of it is spoilt, or points of a surface are given with it.
     ShapeError, SupportError
         If an array does not fit the mesh, or `held` or `frame` is none of these.
     ConvergenceError, EnsembleError
@@ -118,7 +129,8 @@ def register(
     -----
     A result is always returned, also where it cannot be trusted: read ``result.trust`` and the targets' ``flag`` first.
     Cost without a model: two or three passes, each with one factorisation, one right-hand side a marker component and a
-    few solves. What depends on the mesh alone is kept for the next call in the same process.
+    few solves; with points of the surface six passes or so. What depends on the mesh alone is kept for the next call in
+    the same process.
 
     Examples
     --------
@@ -138,7 +150,11 @@ def register(
     clock = Clock()
     with threadpool_limits(limits=1, user_api="blas"), clock.stage("total"):
         with clock.stage("attach"):
-            given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held)
+            if surface is not None and model is not None:
+                message = "points of a surface are registered without a trained model; leave out `model` or `surface`"
+                raise ModelError(message, where="surface")
+            points = None if surface is None else SurfacePoints(surface, surface_std)
+            given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held, points)
         said = None if simulation is None else finite_field(simulation, given.mesh)
         stuff = material or Material()
         own = fitting_element(given.mesh, stuff) if element == "auto" else element

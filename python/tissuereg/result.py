@@ -10,6 +10,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.contacts.found import FoundContact
+from tissuereg.contacts.surface_fit import SurfaceFit
 from tissuereg.errors import MarkerError, ModelError
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
@@ -154,6 +155,8 @@ class Registration:
         Ensemble members that were lost, with the reason.
     contacts : tuple of FoundContact
         Where the body is believed to be pushed or pulled; empty with a trained model.
+    surface : SurfaceFit or None
+        How points of the surface fared; None where none were given.
     work : dict of str to int
         Factorisations, right-hand sides, solves, sweeps; empty with a trained model.
     forces : ndarray of float64, shape (n_nodes, 3), or None
@@ -181,6 +184,7 @@ class Registration:
     seed: int
     dropped_members: list[tuple[int, str]]
     contacts: tuple[FoundContact, ...] = ()
+    surface: SurfaceFit | None = None
     work: dict[str, int] = field(default_factory=dict)
     forces: FloatArray | None = None
     node_covariance: FloatArray | None = None
@@ -240,6 +244,7 @@ class Registration:
                 "after_rms_mm": fit.after_rms_mm,
                 "residual_mm": {name: _row_json(row) for name, row in fit.residual_mm.items()},
             },
+            "surface": None if self.surface is None else self.surface.to_json(),
             "targets": {name: _target_json(target) for name, target in self.targets.items()},
             "unseen_markers": {name: _target_json(target) for name, target in self.unseen.items()},
             "body": {

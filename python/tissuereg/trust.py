@@ -57,6 +57,7 @@ def judge(
     prior_misfit: float,
     min_det_f: float,
     notes: list[str],
+    points: tuple[float, int] = (0.0, 0),
 ) -> Trust:
     """Return whether a registration can be trusted, and why not.
 
@@ -76,6 +77,8 @@ def judge(
         Smallest volume ratio of the registered body.
     notes : list of str
         What the registration noticed on its way.
+    points : (float, int)
+        Data term of points of the surface, and how many there are.
 
     Returns
     -------
@@ -85,14 +88,15 @@ def judge(
     from scipy.stats import chi2
 
     flat = residual.ravel()
-    data_misfit = float(flat @ np.linalg.solve(noise, flat))
+    n_obs = int(flat.size) + points[1]
+    data_misfit = float(flat @ np.linalg.solve(noise, flat)) + points[0]
     total = data_misfit + prior_misfit
-    p_value = float(chi2.sf(total, flat.size))
+    p_value = float(chi2.sf(total, n_obs))
     reasons = list(notes)
     if p_value < LEVEL:
         reasons.append(
-            f"misfit: markers and model disagree, {total:.1f} where {flat.size} is expected (p = {p_value:.2g}); "
-            "the noise is larger than stated, the prior too narrow, or the model misses something"
+            f"misfit: {_data(len(names), points[1])} and model disagree, {total:.1f} where {n_obs} is expected "
+            f"(p = {p_value:.2g}); the noise is larger than stated, the prior too narrow, or the model misses something"
         )
     limit = float(chi2.isf(LEVEL / max(len(names), 1), 3))
     for index, name in enumerate(names):
@@ -103,7 +107,12 @@ def judge(
             reasons.append(f"wrong marker: {name} does not fit the others, {off:.1f} standard deviations off")
     if min_det_f <= 0:
         reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
-    return Trust(not reasons, p_value, total, data_misfit, int(flat.size), reasons)
+    return Trust(not reasons, p_value, total, data_misfit, n_obs, reasons)
+
+
+def _data(n_markers: int, n_points: int) -> str:
+    """Return what was measured, in words."""
+    return " and ".join(word for word, count in (("markers", n_markers), ("surface points", n_points)) if count)
 
 
 def _marker_score(residual: FloatArray, noise: FloatArray, absorbed: FloatArray) -> float:

@@ -442,3 +442,55 @@ def test_bench_times_ensembles_and_registrations(capsys):
         "register/phantom/contacts-first",
         "register/phantom/contacts",
     ]
+
+
+# --- register --surface ---
+
+
+def surface_file(folder, mesh, displacement=0.0):
+    """Write points of a block's free surface."""
+    free = mesh.surface[~np.isin(mesh.surface, mesh.fixed_nodes).all(axis=1)]
+    places = (mesh.nodes + displacement)[free].mean(axis=1)
+    lines = [",".join(f"{x:.4f}" for x in place) for place in places]
+    (folder / "points.csv").write_text("x_mm,y_mm,z_mm\n" + "\n".join(lines) + "\n")
+    return folder / "points.csv"
+
+
+def test_register_takes_points_of_a_surface_without_markers(inputs, capsys):
+    mesh = block()
+    points = surface_file(inputs, mesh, np.stack([0.002 * mesh.nodes[:, 2] ** 2, *np.zeros((2, mesh.n_nodes))], 1))
+    out = inputs / "out"
+    words = ["register", inputs / "mesh.vtu", "--surface", points, "--surface-std", 0.2, "--out", out]
+    code, said, err = run_json(capsys, *words)
+    assert (code, "Traceback" in err) == (0, False)
+    assert said["markers"]["used"] == []
+    assert said["surface"]["points"] == 146
+    assert said["surface"]["after_rms_mm"] < 0.5 * said["surface"]["before_rms_mm"]
+    saved = json.loads((out / "registration.json").read_text())
+    assert saved["surface"] == said["surface"]
+    code, text, _ = run(capsys, *words)
+    assert code == 0
+    assert "146 surface points used, 0 outliers" in text
+
+
+def test_register_takes_points_beside_markers(inputs, capsys):
+    points = surface_file(inputs, block())
+    words = ["register", inputs / "mesh.vtu", inputs / "markers.csv", "--surface", points, "--out", inputs / "out"]
+    code, said, _ = run_json(capsys, *words)
+    assert code == 0
+    assert said["surface"]["points"] == 146
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--surface-std", 0.2, "markers.csv"], "--surface-std must come with --surface"),
+        (["--surface", "targets.csv"], "must begin with the header x_mm,y_mm,z_mm"),
+        ([], "one MARKERS must be given"),
+    ],
+)
+def test_bad_words_about_a_surface_exit_with_two(inputs, capsys, words, message):
+    words = [inputs / word if str(word).endswith(".csv") else word for word in words]
+    code, said, _ = run_json(capsys, "register", inputs / "mesh.vtu", *words, "--out", inputs / "out")
+    assert code == 2
+    assert message in said["message"]

@@ -74,7 +74,17 @@ def test_torch_and_the_training_package_are_reached_by_the_train_command_alone()
 def test_layers_point_downwards():
     layers = [
         {"errors", "_arrays", "_core", "_clock", "_locking", "_machine", "_version"},
-        {"mesh", "material", "material_tests", "markers", "load", "experiment", "material_experiment", "trust"},
+        {
+            "mesh",
+            "material",
+            "material_tests",
+            "markers",
+            "load",
+            "surface",
+            "experiment",
+            "material_experiment",
+            "trust",
+        },
         {"effects"},
         {"observe", "simulate", "latent", "assimilate", "io", "posterior", "widen", "phantom", "baselines", "readings"},
         {"contacts", "inputs"},

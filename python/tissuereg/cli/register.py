@@ -19,19 +19,21 @@ from tissuereg.cli.options import (
 from tissuereg.errors import MeshError
 
 if TYPE_CHECKING:
+    from tissuereg.mesh import Mesh
     from tissuereg.registration import RegisterSettings
 
 _DETAILS = (
     "Where is every point of a soft body now, given where a few markers were before and are after? Nothing need be "
     "known of what pushed or pulled: contacts on the surface that explain the markers are found, and the body is "
     "brought to equilibrium under them. Input: MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set "
-    "'fixed') and MARKERS (csv: marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen), or "
-    "one frame of an experiment folder. DIR gets registered.vtu (displacement, its standard deviation, forces of the "
-    "contacts), targets.csv, registration.json and registered.png, all or none. The last line says whether to trust "
+    "'fixed') and MARKERS (csv: marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen), "
+    "points of the deformed surface (--surface), or both; or one frame of an experiment folder. DIR gets "
+    "registered.vtu (displacement, its standard deviation, forces of the contacts), targets.csv, registration.json and registered.png, all or none. The last line says whether to trust "
     "the answer; exit code 0 means that there is one."
 )
 _WRITTEN = ("registered.vtu", "targets.csv", "registration.json", "registered.png")
 _EXAMPLE = """tissuereg register breast.vtu markers.csv --targets lesion.csv --out registered
+  tissuereg register liver.vtu --surface points.csv --out registered
   tissuereg register liver.vtu markers.csv --held perhaps --std 0.5 --out registered
   tissuereg register my-rig --case push_x --time 14.0 --out registered"""
 
@@ -78,6 +80,10 @@ def _add_input_options(parser: Parser) -> None:
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "whether the node set 'fixed' is held for sure, perhaps, or not at all (default: sure)"
     more.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
+    text = "table x_mm,y_mm,z_mm of points on the deformed surface, or on a part of it, without labels"
+    more.add_argument("--surface", metavar="FILE", help=text)
+    text = "noise of such a point along the surface's normal, in mm (default: 0.1)"
+    more.add_argument("--surface-std", type=positive_number, metavar="MM", help=text)
     text = "noise of a marker coordinate without its own std_mm, in mm (default: 0.1)"
     more.add_argument("--std", type=positive_number, metavar="MM", help=text)
 
@@ -98,7 +104,7 @@ def run(args: argparse.Namespace) -> Outcome:
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.registration import register
 
-    inputs = [args.path, *args.markers, args.simulation, args.targets, Path(args.path) / "targets.csv"]
+    inputs = [args.path, *args.markers, args.simulation, args.targets, args.surface, Path(args.path) / "targets.csv"]
     refuse_overwriting([Path(args.out) / name for name in _WRITTEN], inputs)
     check_folder_target(args.out)
     clock = Stopwatch()
@@ -140,21 +146,26 @@ def _input(args: argparse.Namespace) -> dict[str, Any]:
     """Return what `register` is given, by argument."""
     from tissuereg.io.experiments import is_experiment
     from tissuereg.io.problems import read_simulation
-    from tissuereg.io.tables import read_targets
+    from tissuereg.io.tables import read_surface, read_targets
 
     given = _from_experiment(args) if is_experiment(args.path) else _from_files(args)
     if args.targets is not None:
         given["targets"] = {**given["targets"], **read_targets(args.targets)}
     if args.simulation is not None:
         given["simulation"] = read_simulation(args.simulation, given["mesh"].n_nodes)
+    if args.surface is not None:
+        given["surface"] = read_surface(args.surface)
+        if args.surface_std is not None:
+            given["surface_std"] = args.surface_std
+    elif args.surface_std is not None:
+        _refuse("--surface-std must come with --surface", "--surface-std")
     return given
 
 
 def _from_files(args: argparse.Namespace) -> dict[str, Any]:
     from tissuereg.io.meshes import read_mesh
-    from tissuereg.io.tables import read_markers
 
-    if len(args.markers) != 1:
+    if len(args.markers) > 1 or (not args.markers and args.surface is None):
         found = f"got {len(args.markers)} files"
         _refuse(f"one MARKERS must be given with a mesh file (only an experiment brings its own), {found}", "MARKERS")
     for name in ("case", "time"):
@@ -162,13 +173,20 @@ def _from_files(args: argparse.Namespace) -> dict[str, Any]:
             _refuse(f"--{name} must be left out with a mesh file; it chooses a frame of an experiment", f"--{name}")
     mesh = read_mesh(args.path, fixed=args.fixed)
     if args.model is None and (args.held == "free" or "perhaps_fixed" in mesh.node_sets):
-        return {"mesh": mesh, "markers": read_markers(args.markers[0], std=args.std), "targets": {}}
+        return _with_markers(mesh, args)
     try:
         _ = mesh.fixed_nodes  # says at once that nothing is held
     except MeshError as error:
         error.args = (f"{args.path}: {error}; name the held nodes with --fixed, or say --held free",)
         raise
-    return {"mesh": mesh, "markers": read_markers(args.markers[0], std=args.std), "targets": {}}
+    return _with_markers(mesh, args)
+
+
+def _with_markers(mesh: "Mesh", args: argparse.Namespace) -> dict[str, Any]:
+    from tissuereg.io.tables import read_markers
+
+    markers = read_markers(args.markers[0], std=args.std) if args.markers else None
+    return {"mesh": mesh, "markers": markers, "targets": {}}
 
 
 def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
@@ -193,15 +211,23 @@ def _refuse(message: str, where: str) -> NoReturn:
     raise UsageError(message, where=where)
 
 
+def _surface_line(surface: dict[str, Any]) -> str:
+    thinned = "" if surface["thinned_from"] is None else f" (thinned evenly from {surface['thinned_from']})"
+    return (
+        f"{surface['used']} of {surface['points']} surface points used{thinned}, {len(surface['outliers'])} outliers; "
+        f"rms distance along the normal {surface['before_rms_mm']:.3f} mm before, "
+        f"{surface['after_rms_mm']:.3f} mm after"
+    )
+
+
 def _summary(content: dict[str, Any], out: str) -> str:
     """Return what was found; contacts, flags and the verdict stand last."""
     markers, trust, body, model = (content[name] for name in ("markers", "trust", "body", "model"))
-    lost = ", ".join(f"{item['marker']} ({item['reason']})" for item in markers["dropped"])
     p_value = "not known" if trust["p_value"] is None else f"{trust['p_value']:.3g}"
     return "\n".join(
         [
-            f"{len(markers['used'])} markers used{f'; dropped: {lost}' if lost else ''}; rms distance "
-            f"{markers['before_rms_mm']:.3f} mm before, {markers['after_rms_mm']:.3f} mm after",
+            *([_marker_line(markers)] if markers["used"] or markers["dropped"] else []),
+            *([_surface_line(content["surface"])] if content["surface"] is not None else []),
             *(_target_line(name, target) for name, target in content["targets"].items()),
             f"smallest det F {body['min_det_f']:.3f}, {body['inverted_tets']} inverted tets; p-value of the "
             f"residuals {p_value}",
@@ -211,6 +237,14 @@ def _summary(content: dict[str, Any], out: str) -> str:
             *(_contact_line(contact) for contact in content["contacts"]),
             *_verdict_lines(content["targets"], trust),
         ]
+    )
+
+
+def _marker_line(markers: dict[str, Any]) -> str:
+    lost = ", ".join(f"{item['marker']} ({item['reason']})" for item in markers["dropped"])
+    return (
+        f"{len(markers['used'])} markers used{f'; dropped: {lost}' if lost else ''}; rms distance "
+        f"{markers['before_rms_mm']:.3f} mm before, {markers['after_rms_mm']:.3f} mm after"
     )
 
 

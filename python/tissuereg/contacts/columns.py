@@ -125,19 +125,21 @@ class Columns:
     def _body_force_unit(self) -> float:
         return 2.0 * self.young / (0.5 * self.body.mesh.extent) ** 2
 
-    def responses(self, compliance: Compliance, places: FloatArray) -> FloatArray:
+    def responses(self, compliance: Compliance, places: FloatArray, rigid: FloatArray | None = None) -> FloatArray:
         """Return how observations follow the columns.
 
         Parameters
         ----------
         compliance : Compliance
-            Of the observations, three rows a point.
+            Of the observations.
         places : ndarray of float64, shape (n_points, 3)
-            Deformed places of the points, mm, for rigid motions.
+            Deformed places of the points, mm, for rigid motions; three rows a point.
+        rigid : ndarray of float64, shape (n_rows, 6), optional
+            How rows follow rigid motions, where they are not three a point.
 
         Returns
         -------
-        ndarray of float64, shape (3 n_points, n_columns)
+        ndarray of float64, shape (n_rows, n_columns)
             mm a unit.
         """
         n_nodes = self.body.mesh.n_nodes
@@ -156,8 +158,12 @@ class Columns:
                 moved = np.ascontiguousarray(compliance.prescribed[:, :, axis].T)
                 out[:, block.start + axis : block.stop : 3] = (shapes @ moved).T
         if "frame" in self._offsets:
-            out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T
+            out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T if rigid is None else rigid
         return out
+
+    def rigid_rows(self, places: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return how places (n, 3), read along unit vectors (n, 3), follow unit rigid motions, (n, 6), mm."""
+        return np.asarray(np.einsum("kpx,px->pk", self.rigid_field(places), directions))
 
     def rigid_field(self, places: FloatArray) -> FloatArray:
         """Return the motions (6, n_points, 3) of places by unit translations and rotations, mm."""

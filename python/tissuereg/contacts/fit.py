@@ -1,8 +1,9 @@
-"""From markers to contacts: linearise, sample, solve, until the body meets the markers.
+"""From data to contacts: linearise, sample, solve, until the body meets what was seen.
 
-A pass takes the sensitivities of all markers at the present equilibrium, samples which contacts explain what is left,
-and solves the equilibrium under the mean load. What the model gets wrong enters the samples through the noise of the
-markers alone: as unknowns of its own it would explain away motion that the equilibrium then lacks.
+A pass takes the sensitivities of all observations at the present equilibrium, samples which contacts explain what is
+left, and solves the equilibrium under the mean load. What the model gets wrong enters the samples through the noise of
+the data alone: as unknowns of its own it would explain away motion that the equilibrium then lacks. Points without
+labels are matched anew in every pass: first fewer of them, in more passes, then all.
 """
 
 from collections.abc import Callable
@@ -11,16 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._clock import Clock
 from tissuereg.contacts.columns import Columns, sampler
 from tissuereg.contacts.frame import Frame
+from tissuereg.contacts.moment import Moment
+from tissuereg.contacts.posed import MOST_KEPT, MOST_KEPT_COARSE, Basis, Posed, moving_variances, plain, projected
+from tissuereg.contacts.seen import Reading, Seen
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.errors import ConvergenceError
 from tissuereg.load import Load
-from tissuereg.markers import Markers
 from tissuereg.material import Material
-from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.sensitivity import Linearised, Observation
 
 #: Residual of an equilibrium that is linearised, over its load.
@@ -35,57 +37,22 @@ _MOST_ITERATIONS = 150
 #: A step must take away this part of what it promises, or leave the markers within this many times the limit.
 _DECREASE, _GOOD_ENOUGH = 0.3, 1.5
 
+#: The same where points without labels are matched anew: the first part of the way is the slowest.
+_DECREASE_UNMATCHED = 0.01
+
+#: And a step that is not shorter than this is taken where it brings anything.
+_SHORTEST_UNMATCHED = 0.2
+
+#: First passes that are made in any case, while the points are not met.
+_LEAST_ROUGH = 4
+
+#: Passes with few points at most, and with all of them.
+_COARSE_PASSES, _FINE_PASSES = 8, 5
+
+#: Matches have settled where a pass takes away less than this share.
+_SETTLED = 0.05
+
 Samples = tuple[Any, Any, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What was seen of the markers.
-
-    Attributes
-    ----------
-    observation : MarkerObservation
-        How markers follow the mesh.
-    markers : Markers
-        As given.
-    mask : ndarray of bool, shape (n_markers, 3)
-        Components that were seen.
-    """
-
-    observation: MarkerObservation
-    markers: Markers
-
-    @property
-    def mask(self) -> BoolArray:
-        """Components that were seen, shape (n_markers, 3)."""
-        return np.asarray(np.isfinite(self.markers.measured))
-
-    @property
-    def rows(self) -> IntArray:
-        """Indices of the components seen among all, shape (n_obs,)."""
-        return np.flatnonzero(self.mask.ravel())
-
-    @property
-    def groups(self) -> list[list[int]]:
-        """Places among `rows` of each marker that was seen."""
-        owner = self.rows // 3
-        return [np.flatnonzero(owner == marker).tolist() for marker in np.unique(owner)]
-
-    def std(self, model_error: float) -> FloatArray:
-        """Return the standard deviation of each component seen: the tracker's and the model's, mm."""
-        moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
-        size = model_error * np.linalg.norm(moved, axis=1)
-        both = np.hypot(self.markers.axis_std, size[:, None])
-        return np.asarray(both.ravel()[self.rows])
-
-
-@dataclass(eq=False)
-class Moment:
-    """A deformed body on the way: coefficients, equilibrium, frame."""
-
-    coefficients: FloatArray
-    displacement: FloatArray
-    frame: Frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,18 +67,18 @@ class ContactFit:
         The equilibrium under the mean load.
     linearised : Linearised
         The tangent there.
+    posed : Posed
+        Data of the last pass, as the sampler has them.
     sampler : _core.Contacts
         Dictionary, prior and data of the last pass.
     samples : tuple of ndarray
         Slots, levels and wrong groups of every sample.
-    responses : ndarray of float64, shape (3 n_markers, n_columns)
-        How all components of all markers follow the columns, in the tracker's frame.
     wrong : ndarray of float64, shape (n_markers,)
         Probability that a marker is wrong; zero where it was not seen.
     misfit : float
         Mean over samples of the squared Mahalanobis length of the innovation at the end.
     residual_rms : list of float
-        Root mean square distance of the markers after each pass, mm.
+        Root mean square residual after each pass, over standard deviations.
     counters : dict of str to int
         Work.
     """
@@ -119,9 +86,9 @@ class ContactFit:
     columns: Columns
     moment: Moment
     linearised: Linearised
+    posed: Posed
     sampler: Any
     samples: Samples
-    responses: FloatArray
     wrong: FloatArray
     misfit: float
     residual_rms: list[float]
@@ -161,6 +128,7 @@ class Passes:
     clock: Clock
     progress: Callable[[int, int], None] | None = None
     counters: dict[str, int] = field(default_factory=dict)
+    _basis: Basis | None = None
 
     def run(self, start: Moment) -> ContactFit:
         """Return the fit from a start in equilibrium.
@@ -180,29 +148,44 @@ class Passes:
         ConvergenceError
             If no equilibrium is found even with a short step.
         """
-        moment = start
+        moment, history = start, list[float]()
         samples: Samples | None = None
+        for seen, most in self._stages():
+            self.seen, self._basis = seen, None
+            moment, samples, reached = self._approach(moment, samples, most)
+            history += reached
+        if samples is None:
+            message = "at least one pass must be allowed"
+            raise ConvergenceError(message, where="max_passes")
+        linearised = self._linearise(moment)
+        return self._fit(moment, linearised, self._pose(linearised, moment), samples, history)
+
+    def _stages(self) -> list[tuple[Seen, int]]:
+        """Return the data of each stage with its passes at most."""
+        if not self.seen.rematches:
+            return [(self.seen, self.settings.max_passes)]
+        return [(self.seen.coarser(), _COARSE_PASSES), (self.seen, _FINE_PASSES)]
+
+    def _approach(
+        self, moment: Moment, samples: Samples | None, most: int
+    ) -> tuple[Moment, Samples | None, list[float]]:
+        """Return the closest body of at most so many passes, its samples, and what each pass left."""
         history: list[float] = []
         reached: list[tuple[Moment, Samples]] = []
-        for index in range(self.settings.max_passes + 1):
-            last = index == self.settings.max_passes or self._ended(history)
-            if last and reached:
-                # Past a limit point of the load passes may lead away again: the closest one counts.
-                moment, samples = reached[int(np.argmin(history))]
+        while len(history) < most and not self._ended(history):
             linearised = self._linearise(moment)
-            responses = self._responses(linearised, moment)
-            core = self._sampler(responses, moment)
-            if last and samples is not None:
-                return self._fit(moment, linearised, core, samples, responses, history)
+            core = self._pose(linearised, moment)[1]
             samples = self._sample(core, samples)
             with self.clock.stage("solve"):
                 moment = self._solve(linearised, core, samples, moment)
             history.append(self.residual_rms(moment, samples))
             reached.append((moment, samples))
             if self.progress is not None:
-                self.progress(index + 1, self.settings.max_passes)
-        message = "at least one pass must be allowed"
-        raise ConvergenceError(message, where="max_passes")
+                self.progress(self.counters["passes"], sum(stage[1] for stage in self._stages()))
+        if reached:
+            # Past a limit point of the load passes may lead away again: the closest one counts.
+            moment, samples = reached[int(np.argmin(history))]
+        return moment, samples, history
 
     def _linearise(self, moment: Moment) -> Linearised:
         self._count("factorisations", 1)
@@ -213,38 +196,42 @@ class Passes:
                 simulator, load, self.material, moment.displacement, precision="single", threads=self.threads
             )
 
-    def _responses(self, linearised: Linearised, moment: Moment) -> FloatArray:
-        observation = self.seen.observation
+    def _pose(self, linearised: Linearised, moment: Moment) -> tuple[Posed, Any]:
+        """Return the observations at a body as the sampler has them, and the sampler."""
+        with self.clock.stage("match"):
+            reading = self.seen.read(moment)
+        problem = self._posed(linearised, reading, moment.coefficients)
+        with self.clock.stage("prepare"):
+            data = {
+                "innovation": problem.innovation,
+                "noise": np.diag(problem.variances),
+                "groups": problem.groups,
+            }
+            return problem, sampler(self.columns, self.settings, problem.responses, data)
+
+    def _posed(self, linearised: Linearised, reading: Reading, coefficients: FloatArray) -> Posed:
+        """Return observations as they are, or, where they are many, as few that say nearly the same."""
+        rigid = self.columns.rigid_rows(reading.places, reading.directions)
+        if not self.seen.weighed:
+            return plain(reading, self._responses(linearised, reading.rows, rigid), coefficients)
+        if self._basis is None:
+            every = self._responses(linearised, reading.rows, rigid)
+            with self.clock.stage("prepare"):
+                most = MOST_KEPT if self.seen is self._stages()[-1][0] else MOST_KEPT_COARSE
+                self._basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
+            few = (self._basis.vectors / reading.std) @ every
+        else:
+            few = self._responses(linearised, self._basis.rows(reading), (self._basis.vectors / reading.std) @ rigid)
+        return projected(reading, self._basis, few, coefficients)
+
+    def _responses(
+        self, linearised: Linearised, rows: list[tuple[IntArray, FloatArray]], rigid: FloatArray
+    ) -> FloatArray:
+        """Return how rows of nodes and weights follow the columns, (n_rows, n_columns)."""
         with self.clock.stage("sensitivities"):
-            rows = observation.rows(moment.displacement[observation.nodes])
             compliance = linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
             self._count("right_hand_sides", len(rows))
-            found = self.columns.responses(compliance, self.seen.markers.reference + self._predicted(moment))
-            return moment.frame.turn(found)
-
-    def _predicted(self, moment: Moment) -> FloatArray:
-        """Return displacements (n_markers, 3) of all markers in the body's frame, mm."""
-        observation = self.seen.observation
-        return observation.predict(moment.displacement[observation.nodes])
-
-    def _left(self, moment: Moment) -> FloatArray:
-        """Return measured minus predicted of the components seen, in the tracker's frame, shape (n_obs,), mm."""
-        measured, reference = self.seen.markers.measured, self.seen.markers.reference
-        places = moment.frame.apply(reference + self._predicted(moment))
-        return np.asarray((measured - places).ravel()[self.seen.rows])
-
-    def _sampler(self, responses: FloatArray, moment: Moment) -> Any:
-        rows = self.seen.rows
-        left = self._left(moment)
-        own = responses[rows]
-        std = self.seen.std(self.settings.model_error)
-        data = {
-            "innovation": left + own @ moment.coefficients,
-            "noise": np.diag(std**2),
-            "groups": self.seen.groups,
-        }
-        with self.clock.stage("prepare"):
-            return sampler(self.columns, self.settings, own, data)
+            return self.columns.responses(compliance, np.empty((0, 3)), rigid)
 
     def _sample(self, core: Any, before: Samples | None) -> Samples:
         settings = self.settings
@@ -272,22 +259,26 @@ class Passes:
     def _solve(self, linearised: Linearised, core: Any, samples: Samples, moment: Moment) -> Moment:
         """Return the equilibrium under the mean load, or as far towards it as the markers come closer."""
         wanted = core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[0]
-        before, share = self.residual_rms(moment, samples), 1.0
+        share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
+        # Points are matched anew, but weighed as they were for this step: it promises no more than that.
+        std = self.seen.read(moment).std if self.seen.rough else None
+        before = self.residual_rms(moment, samples, std)
         best: tuple[float, Moment] | None = None
-        while share > _SHORTEST_STEP:
+        while share > (_SHORTEST_UNMATCHED if self.seen.rematches and best is not None else _SHORTEST_STEP):
             found = self._towards(linearised, moment, moment.coefficients + share * (wanted - moment.coefficients))
             if found is not None:
-                left = self.residual_rms(found, samples)
+                left = self.residual_rms(found, samples, std)
                 if best is None or left < best[0]:
                     best = (left, found)
-                if left < max((1.0 - _DECREASE * share) * before, _GOOD_ENOUGH * self.settings.fit_limit):
+                enough = 0.0 if self.seen.rematches else _GOOD_ENOUGH * self.settings.fit_limit
+                if left < max((1.0 - decrease * share) * before, enough):
                     return found
             share *= 0.5
             self._count("halved_steps", 1)
         if best is None:
             message = "no load between the last and the one that the markers suggest finds an equilibrium"
             raise ConvergenceError(message, where="load")
-        return best[1]
+        return best[1] if best[0] < before or not self.seen.rematches else moment
 
     def _towards(self, linearised: Linearised, moment: Moment, coefficients: FloatArray) -> Moment | None:
         """Return the equilibrium under coefficients; None where there is none."""
@@ -305,19 +296,23 @@ class Passes:
         frame = moment.frame.followed_by(turned, self.columns.rigid)
         return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
-    def residual_rms(self, moment: Moment, samples: Samples) -> float:
-        """Return the root mean square residual of markers that are not wrong, over their standard deviation."""
-        left = self._left(moment)
-        scaled = (left / self.seen.std(self.settings.model_error)) ** 2
-        right = 1.0 - samples[2].mean(axis=0)
-        weights = np.concatenate([np.full(len(g), w) for g, w in zip(self.seen.groups, right, strict=True)])
-        order = np.concatenate([np.asarray(g) for g in self.seen.groups])
-        return float(np.sqrt(np.average(scaled[order], weights=np.maximum(weights, 1e-6))))
+    def residual_rms(self, moment: Moment, samples: Samples, std: FloatArray | None = None) -> float:
+        """Return the root mean square residual of what is not wrong, over given standard deviations or its own."""
+        reading = self.seen.read(moment)
+        if std is not None:
+            return float(np.sqrt(np.mean((reading.left / std) ** 2)))
+        weights = np.ones(len(reading.cost))
+        for group, wrong in zip(reading.groups, samples[2].mean(axis=0), strict=True):
+            weights[group] = max(1.0 - wrong, 1e-6)
+        return float(np.sqrt(np.average(reading.cost, weights=weights)))
 
     def _ended(self, history: list[float]) -> bool:
-        """Return whether the markers are met, or the last two passes brought nothing."""
+        """Return whether the data are met, or the last passes brought nothing."""
         if len(history) < 2:
             return False
+        if self.seen.rematches:
+            few = len(history) < _LEAST_ROUGH and self.seen.rough and history[-1] > self.settings.fit_limit
+            return not few and history[-1] > (1.0 - _SETTLED) * history[-2]
         return history[-1] < self.settings.fit_limit or (
             len(history) > 3 and min(history[-2:]) > 0.95 * min(history[:-2])
         )
@@ -326,25 +321,36 @@ class Passes:
         self,
         moment: Moment,
         linearised: Linearised,
-        core: Any,
+        data: tuple[Posed, Any],
         samples: Samples,
-        responses: FloatArray,
         history: list[float],
     ) -> ContactFit:
-        wrong = np.zeros(len(self.seen.markers))
-        wrong[np.unique(self.seen.rows // 3)] = samples[2].mean(axis=0)
+        problem, core = data
         return ContactFit(
             self.columns,
             moment,
             linearised,
+            problem,
             core,
             samples,
-            responses,
-            wrong,
+            self._wrong(moment, samples),
             float(core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[5]),
             history,
             dict(self.counters),
         )
+
+    def _wrong(self, moment: Moment, samples: Samples) -> FloatArray:
+        """Return the probability that each marker is wrong, (n_markers,); zero where it was not seen."""
+        markers = self.seen.markers
+        if markers is None:
+            return np.zeros(0)
+        wrong = np.zeros(len(markers.markers))
+        found = samples[2].mean(axis=0)
+        if self.seen.weighed:
+            spread = self.settings.wrong_share * self.columns.body.mesh.extent
+            found = markers.wrong(moment, float(np.log(self.settings.wrong_odds)), spread)
+        wrong[np.unique(markers.rows // 3)] = found
+        return wrong
 
     def _count(self, name: str, value: int) -> None:
         self.counters[name] = self.counters.get(name, 0) + value

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.contacts.fit import ContactFit, Seen
+from tissuereg.contacts.fit import ContactFit
+from tissuereg.contacts.seen import Seen
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.material import Material
 from tissuereg.simulate.sensitivity import Cause, Compliance, Field, Linearised, Observation
@@ -58,16 +59,15 @@ class Spread:
     ) -> None:
         self._fit, self._seen, self._settings, self._threads = fit, seen, settings, threads
         self._model_forces = -fit.linearised.unbalanced(_model_errors(fit, material, settings))
-        observation = seen.observation
-        rows = observation.rows(fit.moment.displacement[observation.nodes])
-        compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
-        self._model_at_markers = fit.moment.frame.turn(self._by_model(compliance))[seen.rows]
+        compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in fit.posed.rows])
+        self._model_at_data = self._by_model(compliance)
 
     def _by_model(self, compliance: Compliance) -> FloatArray:
         """Return what errors of the model do to observations, (n_rows, n_errors), mm."""
         n_errors = len(self._model_forces)
         return np.asarray(
-            compliance.forces.reshape(len(compliance.forces), -1) @ self._model_forces.reshape(n_errors, -1).T
+            compliance.forces.reshape(len(compliance.forces), self._model_forces[0].size)
+            @ self._model_forces.reshape(n_errors, -1).T
         )
 
     def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
@@ -91,7 +91,8 @@ class Spread:
         _, gain, _, covariance, *_ = fit.sampler.moments(
             list(fit.samples), np.ascontiguousarray(responses), threads=self._threads
         )
-        left = (self._by_model(compliance) - responses @ (gain @ self._model_at_markers)).reshape(len(places), 3, -1)
+        left = self._by_model(compliance) - responses @ (gain @ self._model_at_data)
+        left = left.reshape(len(places), 3, len(self._model_forces))
         covariance = covariance + np.einsum("pak,pbk->pab", left, left)
         unseen, constrained = self._unseen(responses)
         turn = fit.moment.frame.rotation
@@ -99,11 +100,10 @@ class Spread:
 
     def _unseen(self, responses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the deviation that one more contact leaves at points, and the share of its variance taken away."""
-        fit, rows = self._fit, self._seen.rows
+        fit, own = self._fit, self._fit.posed.responses
         variances = unseen_variances(fit, self._seen)
-        own = fit.responses[rows]
         scaled = own * variances
-        noise = np.diag(self._seen.std(self._settings.model_error) ** 2)
+        noise = np.diag(fit.posed.variances)
         cross = (responses * variances) @ own.T
         taken = np.einsum("po,po->p", cross, np.linalg.solve(scaled @ own.T + noise, cross.T).T)
         before = np.einsum("pc,pc,c->p", responses, responses, variances)
@@ -133,7 +133,7 @@ class Spread:
         errors = rng.standard_normal((len(drawn), len(self._model_forces)))
         # What errors of the model do to the markers is met by loads that are not there.
         gain = fit.sampler.moments(list(fit.samples), np.zeros((0, fit.columns.n_columns)), threads=self._threads)[1]
-        drawn = drawn - errors @ (gain @ self._model_at_markers).T
+        drawn = drawn - errors @ (gain @ self._model_at_data).T
         moved = linear_fields(fit.linearised, fit, drawn, np.tensordot(errors, self._model_forces, 1))
         moved = moved[:, : fit.columns.body.mesh.n_nodes] @ turn.T
         spread = np.einsum("dna,dnb->nab", moved, moved) / len(moved)
@@ -145,7 +145,7 @@ class Spread:
     def coefficients(self, rng: np.random.Generator, count: int) -> FloatArray:
         """Return coefficients drawn from the posterior, shape (count, n_columns)."""
         fit = self._fit
-        n_obs, n_samples = len(self._seen.rows), len(fit.samples[0])
+        n_obs, n_samples = len(fit.posed.variances), len(fit.samples[0])
         order = (
             (np.arange(count) * max(1, n_samples // count)) % n_samples if count < n_samples else np.arange(n_samples)
         )
@@ -161,8 +161,7 @@ def unseen_variances(fit: ContactFit, seen: Seen) -> FloatArray:
     its radius.
     """
     patches, settings_share = fit.columns.body.patches, 0.5
-    moved = np.where(seen.mask, seen.markers.measured - seen.markers.reference, 0.0)
-    largest = float(np.linalg.norm(moved, axis=1).max())
+    largest = seen.largest_motion(fit.moment)
     count = np.bincount(patches.level)
     likely = 1.0 / (len(count) * count[patches.level])
     size = np.minimum(largest, settings_share * patches.radii)

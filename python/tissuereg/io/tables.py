@@ -78,6 +78,27 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     return {name: np.array(row.numbers(_PLACE)) for name, row in zip(names, rows, strict=True)}
 
 
+def read_surface(path: str | os.PathLike[str]) -> FloatArray:
+    """Read points of a deformed surface, without labels.
+
+    Parameters
+    ----------
+    path : path-like
+        Table ``x_mm,y_mm,z_mm``.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 3)
+        mm, in file order.
+
+    Raises
+    ------
+    FormatError
+        If the table cannot be read; the message names the line.
+    """
+    return np.array([row.numbers(_PLACE) for row in read_table(path, _PLACE)])
+
+
 def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
     """Write markers as `read_markers` reads them, whole or not at all.
 

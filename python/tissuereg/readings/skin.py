@@ -78,7 +78,7 @@ class Skin:
         _, samples = self._samples.query(flat, k=_N_CLOSEST)
         triangles = samples // 4
         corners = self._corners[triangles]
-        feet = _closest_on_triangles(flat[:, None], corners)
+        feet = closest_on_triangles(flat[:, None], corners)
         off = flat[:, None] - feet
         gaps = np.einsum("pkx,pkx->pk", off, off)
         rows, best = np.arange(len(flat)), np.argmin(gaps, axis=1)
@@ -114,7 +114,7 @@ class Skin:
         return np.asarray(np.maximum(-np.expm1(-distance / np.array(_FADING)[:, None]), 0.02))
 
 
-def _closest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray:
+def closest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray:
     """Return the closest points of triangles (..., 3, 3) to points (..., 3)."""
     a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
     ab, ac, ap = b - a, c - a, points - a

@@ -48,6 +48,7 @@ def write_page(result: "Registration", path: Path) -> Path:
         _targets(result),
         _dropped(result),
         _markers(result),
+        _surface(result),
         _model(result),
         _work(result),
         _times(result),
@@ -59,18 +60,33 @@ def write_page(result: "Registration", path: Path) -> Path:
 
 
 def _summary(result: "Registration") -> str:
-    trust, fit = result.trust, result.markers
+    trust = result.trust
     reasons = "".join(f"<li>{escape(reason)}</li>" for reason in trust.reasons)
     flagged = [name for name, target in result.targets.items() if target.flag]
     return (
         f"<h1>Registration</h1><p class='verdict {'yes' if trust.ok else 'no'}'>{verdict(trust.ok)}</p>"
         + (f"<ul class='no'>{reasons}</ul>" if reasons else "")
         + (f"<p class='silent'>{escape(silent(flagged))}</p>" if flagged else "")
-        + f"<p>{len(fit.used)} markers lie {fit.after_rms_mm:.2f} mm (rms) from the registered body, "
-        f"{fit.before_rms_mm:.2f} mm before. Misfit {trust.chi_square:.1f} for {trust.n_obs} measured "
+        + f"<p>{_met(result)} Misfit {trust.chi_square:.1f} for {trust.n_obs} measured "
         f"coordinates, p = {trust.p_value:.2g}. Smallest volume ratio of a tet {result.min_det_f:.2f}, "
         f"{result.inverted_tets} inverted.</p>"
     )
+
+
+def _met(result: "Registration") -> str:
+    """Return how far the data lie from the registered body, in sentences."""
+    fit, surface, words = result.markers, result.surface, []
+    if fit.used:
+        words.append(
+            f"{len(fit.used)} markers lie {fit.after_rms_mm:.2f} mm (rms) from the registered body, "
+            f"{fit.before_rms_mm:.2f} mm before."
+        )
+    if surface is not None:
+        words.append(
+            f"{surface.used} of {surface.points} surface points lie {surface.after_rms_mm:.2f} mm (rms) from its "
+            f"surface, {surface.before_rms_mm:.2f} mm before."
+        )
+    return " ".join(words)
 
 
 def _picture(result: "Registration") -> str:
@@ -152,7 +168,23 @@ def _dropped(result: "Registration") -> str:
 
 def _markers(result: "Registration") -> str:
     rows = [(escape(name), _triple(row), _norm(row)) for name, row in result.markers.residual_mm.items()]
+    if not rows:
+        return ""
     return "<h2>Markers</h2>" + table(("marker", "measured - registered, mm", "length, mm"), rows)
+
+
+def _surface(result: "Registration") -> str:
+    surface = result.surface
+    if surface is None:
+        return ""
+    rows = [
+        ("points", str(surface.points)),
+        ("thinned from", "-" if surface.thinned_from is None else str(surface.thinned_from)),
+        ("outliers", str(len(surface.outliers))),
+        ("distance along the normal before, mm rms", f"{surface.before_rms_mm:.2f}"),
+        ("distance along the normal after, mm rms", f"{surface.after_rms_mm:.2f}"),
+    ]
+    return "<h2>Surface</h2>" + table(("", ""), rows)
 
 
 def _model(result: "Registration") -> str:

@@ -55,6 +55,7 @@ def registration_figure(result: "Registration") -> Any:
         scene.draw_body(view, result, surface, colours)
         scene.draw_contacts(view, result, surface)
         scene.draw_markers(view, result, surface)
+        scene.draw_surface_points(view, result)
         scene.draw_targets(view, result)
         _triad(figure, view)
     place_labels(figure, views, body)
@@ -148,14 +149,11 @@ def _colours(result: "Registration") -> Any:
 
 def _head(figure: Any, result: "Registration") -> None:
     """Write the verdict, large, with its reasons."""
-    fit, trust = result.markers, result.trust
+    trust = result.trust
     figure.text(
         0.02, 0.965, verdict(trust.ok), fontsize=19, weight="bold", va="top", color="#176f2c" if trust.ok else "#a3180d"
     )
-    facts = (
-        f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)"
-        f"   |   chance of this misfit p = {trust.p_value:.2g}"
-    )
+    facts = "   |   ".join([*_met(result), f"chance of this misfit p = {trust.p_value:.2g}"])
     figure.text(0.98, 0.955, facts, fontsize=10, va="top", ha="right")
     lines = [
         line
@@ -172,6 +170,20 @@ def _head(figure: Any, result: "Registration") -> None:
         figure.text(0.02, 0.9 - 0.026 * len(lines), text, fontsize=9, va="top", color=scene.FLAGGED)
 
 
+def _met(result: "Registration") -> list[str]:
+    """Return how far the data lay from the body before and after."""
+    fit, surface, words = result.markers, result.surface, []
+    if fit.used:
+        words.append(
+            f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)"
+        )
+    if surface is not None:
+        words.append(
+            f"{surface.used} surface points: {surface.before_rms_mm:.2f} mm before, {surface.after_rms_mm:.2f} mm after"
+        )
+    return words
+
+
 def _legend(figure: Any, result: "Registration") -> None:
     """Explain below the views what is drawn, and nothing else."""
     from matplotlib.lines import Line2D
@@ -179,11 +191,15 @@ def _legend(figure: Any, result: "Registration") -> None:
     def sign(label: str, colour: str, **style: Any) -> Any:
         return Line2D([], [], color=colour, label=label, **{"ls": "none", **style})
 
-    signs = [
-        sign("marker before", scene.BEFORE, marker="x", ms=5),
-        sign("registered", scene.FITTED, marker="o", ms=4.5),
-        sign("measured", scene.MEASURED, marker="o", ms=7, mfc="none"),
-    ]
+    signs = []
+    if len(result.all_markers):
+        signs += [
+            sign("marker before", scene.BEFORE, marker="x", ms=5),
+            sign("registered", scene.FITTED, marker="o", ms=4.5),
+            sign("measured", scene.MEASURED, marker="o", ms=7, mfc="none"),
+        ]
+    if result.surface is not None:
+        signs.append(sign("surface points", scene.MEASURED, marker=".", ms=4))
     reasons = {reason for _, reason in result.markers.dropped}
     if "wrong" in reasons:
         signs.append(sign("wrong marker, not used", scene.WRONG, marker="X", ms=8))

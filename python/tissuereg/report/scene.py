@@ -125,9 +125,17 @@ def draw_body(view: View, result: "Registration", surface: Surface, colours: Any
     )
 
 
+def draw_surface_points(view: View, result: "Registration") -> None:
+    """Draw the points of the deformed surface that were seen."""
+    if result.surface is not None:
+        view.axes.scatter(*result.surface.places.T, s=4, c=MEASURED, depthshade=False, zorder=6)
+
+
 def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
     """Draw markers that count: before, registered, measured; and those that do not, each with its name and reason."""
     fit, every = result.markers, result.all_markers
+    if not len(every):
+        return
     used = np.array([name in fit.residual_mm for name in every.names])
     start, measured = result.start_markers, every.measured
     residual = np.array([fit.residual_mm.get(name, np.zeros(3)) for name in every.names])

@@ -1,0 +1,25 @@
+"""A deformed body on the way from rest to what was measured."""
+
+from dataclasses import dataclass
+
+from tissuereg._arrays import FloatArray
+from tissuereg.contacts.frame import Frame
+
+
+@dataclass(eq=False)
+class Moment:
+    """Coefficients, the equilibrium under them, and the frame.
+
+    Attributes
+    ----------
+    coefficients : ndarray of float64, shape (n_columns,)
+        Of all causes.
+    displacement : ndarray of float64, shape (n_element_nodes, 3)
+        In the body's frame, mm.
+    frame : Frame
+        From the body's frame to the tracker's.
+    """
+
+    coefficients: FloatArray
+    displacement: FloatArray
+    frame: Frame

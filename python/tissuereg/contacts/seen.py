@@ -1,0 +1,264 @@
+"""What was seen of a moment, as the passes take it: markers, points of the surface, or both.
+
+Each kind of data answers `read`: at a deformed body, which rows of sensitivities its observations have, what is left
+of them, and how uncertain they are. Nothing else of it is known to the passes.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg.contacts.moment import Moment
+from tissuereg.markers import Markers
+from tissuereg.observe import MarkerObservation
+
+#: Degrees of freedom of the heavy-tailed noise of observations that have no indicator of their own.
+TAIL = 6.0
+
+#: Above this number of observations the sampler is given a projection of them.
+MOST_PLAIN = 120
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Observations at one deformed body.
+
+    Attributes
+    ----------
+    rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
+        Nodes and weights of each observation.
+    places : ndarray of float64, shape (n_obs, 3)
+        Where each is read, in the body's frame, mm.
+    directions : ndarray of float64, shape (n_obs, 3)
+        Unit vector along which it is read.
+    left : ndarray of float64, shape (n_obs,)
+        Measured minus predicted, mm.
+    std : ndarray of float64, shape (n_obs,)
+        Standard deviation, larger where a heavy tail has to take what is left, mm.
+    cost : ndarray of float64, shape (n_obs,)
+        Minus twice the logarithm of each observation's likelihood, up to a constant: 1 where noise alone is left.
+    groups : list of list of int
+        Observations that may be wrong together, one group a marker; empty where weights take the place of indicators.
+    """
+
+    rows: list[tuple[IntArray, FloatArray]]
+    places: FloatArray
+    directions: FloatArray
+    left: FloatArray
+    std: FloatArray
+    cost: FloatArray
+    groups: list[list[int]]
+
+    def followed_by(self, other: "Reading") -> "Reading":
+        """Return these observations and others behind them."""
+
+        def joined(mine: FloatArray, theirs: FloatArray) -> FloatArray:
+            return np.concatenate([mine, theirs])
+
+        return Reading(
+            [*self.rows, *other.rows],
+            joined(self.places, other.places),
+            joined(self.directions, other.directions),
+            joined(self.left, other.left),
+            joined(self.std, other.std),
+            joined(self.cost, other.cost),
+            [*self.groups, *([i + len(self.left) for i in group] for group in other.groups)],
+        )
+
+
+class Part(Protocol):
+    """One kind of data."""
+
+    @property
+    def n_obs(self) -> int:
+        """Number of observations."""
+
+    def read(self, moment: Moment, *, weighed: bool) -> Reading:
+        """Return the observations at a deformed body; `weighed` asks for weights instead of groups."""
+
+    def largest_motion(self, moment: Moment) -> float:
+        """Return how far the body has moved where it was seen, mm."""
+
+    def coarser(self) -> "Part":
+        """Return the same data with fewer observations, for first passes."""
+
+
+def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> list[tuple[IntArray, FloatArray]]:
+    """Return rows along the body's axes, three a marker, read along the tracker's."""
+    if np.array_equal(rotation, np.eye(3)):
+        return rows
+    found = []
+    for first in range(0, len(rows), 3):
+        nodes, weights = rows[first][0], np.stack([weights for _, weights in rows[first : first + 3]])
+        found += [(nodes, np.tensordot(axis, weights, 1)) for axis in rotation]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class SeenMarkers:
+    """What was seen of the markers.
+
+    Attributes
+    ----------
+    observation : MarkerObservation
+        How markers follow the mesh.
+    markers : Markers
+        As given.
+    model_error : float
+        Standard deviation of what the model gets wrong at a marker, over the marker's motion.
+    rough : bool
+        Whether points without labels are still far off: markers then lead, without a tail.
+    """
+
+    observation: MarkerObservation
+    markers: Markers
+    model_error: float
+    rough: bool = False
+
+    @property
+    def n_obs(self) -> int:
+        """Number of components seen."""
+        return len(self.rows)
+
+    @cached_property
+    def mask(self) -> BoolArray:
+        """Components that were seen, shape (n_markers, 3)."""
+        return np.asarray(np.isfinite(self.markers.measured))
+
+    @cached_property
+    def rows(self) -> IntArray:
+        """Indices of the components seen among all, shape (n_obs,)."""
+        return np.flatnonzero(self.mask.ravel())
+
+    @property
+    def groups(self) -> list[list[int]]:
+        """Places among `rows` of each marker that was seen."""
+        owner = self.rows // 3
+        return [np.flatnonzero(owner == marker).tolist() for marker in np.unique(owner)]
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviation of each component seen: the tracker's and the model's, mm."""
+        moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
+        size = self.model_error * np.linalg.norm(moved, axis=1)
+        both = np.hypot(self.markers.axis_std, size[:, None])
+        return np.asarray(both.ravel()[self.rows])
+
+    def read(self, moment: Moment, *, weighed: bool) -> Reading:
+        """Return the components seen; `weighed` gives each marker a heavy tail instead of an indicator."""
+        observation, reference = self.observation, self.markers.reference
+        here = moment.displacement[observation.nodes]
+        places = reference + observation.predict(here)
+        left = (self.markers.measured - moment.frame.apply(places)).ravel()[self.rows]
+        all_rows = _turned(observation.rows(here), moment.frame.rotation)
+        scaled = (left / self.std) ** 2
+        std, cost = self.std, scaled
+        if weighed and not self.rough:
+            std, cost = std.copy(), cost.copy()
+            for group in self.groups:
+                std[group] *= np.sqrt(tail_variance(scaled[group].sum(), len(group)))
+                cost[group] = tail_cost(scaled[group].sum(), len(group)) / len(group)
+        return Reading(
+            [all_rows[row] for row in self.rows],
+            np.repeat(places, 3, axis=0)[self.rows],
+            np.tile(moment.frame.rotation, (len(reference), 1))[self.rows],
+            left,
+            std,
+            cost,
+            [] if weighed else self.groups,
+        )
+
+    def wrong(self, moment: Moment, log_odds: float, wrong_std: float) -> FloatArray:
+        """Return the probability of each marker that was seen to be wrong, given a body, shape (n_seen,).
+
+        Parameters
+        ----------
+        moment : Moment
+            The deformed body.
+        log_odds : float
+            Logarithm of the odds that a marker is wrong.
+        wrong_std : float
+            Standard deviation that a wrong marker has besides, mm.
+        """
+        left = self.read(moment, weighed=False).left
+        narrow, wide = self.std, np.hypot(self.std, wrong_std)
+        gain = 0.5 * left**2 * (1.0 / narrow**2 - 1.0 / wide**2) - np.log(wide / narrow)
+        logs = log_odds + np.array([gain[group].sum() for group in self.groups])
+        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0))))
+
+    def largest_motion(self, moment: Moment) -> float:
+        """Return the largest measured displacement, mm."""
+        moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
+        return float(np.linalg.norm(moved, axis=1).max())
+
+    def coarser(self) -> "SeenMarkers":
+        """Return the same markers, which have labels and so lead in the first passes."""
+        return replace(self, rough=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """All data of one registration, in one or two parts.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+        Markers first.
+    weighed : bool
+        Whether markers, too, have a heavy tail instead of indicators: data are then projected.
+    rough : bool
+        Whether these are data of first passes.
+    """
+
+    parts: tuple[Part, ...]
+    weighed: bool
+    rough: bool = False
+
+    @classmethod
+    def of(cls, *parts: Part | None) -> "Seen":
+        """Return the data of those parts that hold observations."""
+        kept = tuple(part for part in parts if part is not None and part.n_obs)
+        return cls(kept, sum(part.n_obs for part in kept) > MOST_PLAIN)
+
+    @property
+    def markers(self) -> SeenMarkers | None:
+        """The markers, where there are any."""
+        return next((part for part in self.parts if isinstance(part, SeenMarkers)), None)
+
+    @property
+    def n_obs(self) -> int:
+        """Number of observations."""
+        return sum(part.n_obs for part in self.parts)
+
+    @property
+    def rematches(self) -> bool:
+        """Whether some observations have no label, so that passes match them anew."""
+        return any(not isinstance(part, SeenMarkers) for part in self.parts)
+
+    def read(self, moment: Moment) -> Reading:
+        """Return all observations at a deformed body."""
+        first, *others = (part.read(moment, weighed=self.weighed) for part in self.parts)
+        for other in others:
+            first = first.followed_by(other)
+        return first
+
+    def largest_motion(self, moment: Moment) -> float:
+        """Return how far the body has moved where it was seen, mm."""
+        return max(part.largest_motion(moment) for part in self.parts)
+
+    def coarser(self) -> "Seen":
+        """Return the same data with fewer points, with the same kind of noise."""
+        return Seen(tuple(part.coarser() for part in self.parts), self.weighed, rough=True)
+
+
+def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:
+    """Return the factor on the variance of `count` observations by which Student's tail takes their scaled squares."""
+    return np.asarray((TAIL + squares) / (TAIL + count), np.float64)
+
+
+def tail_cost(squares: FloatArray | float, count: int) -> FloatArray:
+    """Return minus twice the logarithm of Student's density, up to a constant; about `count` for noise alone."""
+    return np.asarray((TAIL + count) * np.log1p(np.asarray(squares) / TAIL), np.float64)
