@@ -25,7 +25,8 @@ mod tests {
     #[test]
     fn three_causes_are_eliminated_as_by_hand() {
         // I + S = [[2, 1, 0], [1, 3, 1], [0, 1, 2]]: determinant 8, inverse [[5, -2, 1], [-2, 4, -2], [1, -2, 5]] / 8.
-        let (exponent, determinant) = gain_of(&[0.5, 1.0, 0.5, 0.5, 0.0, 0.5], &[1.0, 2.0, 3.0], 2.0);
+        let (exponent, determinant) =
+            gain_of(&[0.5, 1.0, 0.5, 0.5, 0.0, 0.5], &[1.0, 2.0, 3.0], 2.0);
         assert!((determinant - 8.0).abs() < 1e-14);
         let wanted = 2.0 * (5.0 + 16.0 + 45.0 - 8.0 + 6.0 - 24.0) / 8.0;
         assert!((exponent - wanted).abs() < 1e-13);
@@ -33,7 +34,8 @@ mod tests {
 
     #[test]
     fn a_direction_that_others_hold_already_gains_nothing() {
-        let (exponent, determinant) = gain_of(&[1e8, 1e8, 0.0, 1e8, 0.0, 0.0], &[1.0, 1.0, 0.0], 1e3);
+        let (exponent, determinant) =
+            gain_of(&[1e8, 1e8, 0.0, 1e8, 0.0, 0.0], &[1.0, 1.0, 0.0], 1e3);
         assert!((determinant / 2e11 - 1.0).abs() < 1e-3 && (exponent * 1e8 - 1.0).abs() < 1e-3);
     }
 }

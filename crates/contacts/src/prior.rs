@@ -101,8 +101,11 @@ impl Problem {
         let mut factor = observed.noise.clone();
         crate::linalg::cholesky_in_place(factor.as_mut())
             .map_err(|pivot| ContactsError::NotPositiveDefinite { pivot })?;
-        let families =
-            prior.families.iter().map(|f| covariance(dictionary.columns(), dictionary.columns(), &f.variances)).collect();
+        let families = prior
+            .families
+            .iter()
+            .map(|f| covariance(dictionary.columns(), dictionary.columns(), &f.variances))
+            .collect();
         let packed = Packed::new(&dictionary);
         Ok(Self { dictionary, prior, observed, families, packed })
     }

@@ -232,7 +232,9 @@ impl<S: Simd> Part<'_, S> {
                     S::as_mut_simd_f32s(&mut white[3 * (first + r) + k]).0[part] = x[r][k];
                     sums[6 + k] = simd.mul_add_e_f32s(x[r][k], data, sums[6 + k]);
                 }
-                for (sum, [i, j]) in [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]].iter().enumerate() {
+                for (sum, [i, j]) in
+                    [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]].iter().enumerate()
+                {
                     sums[sum] = simd.mul_add_e_f32s(x[r][*i], x[r][*j], sums[sum]);
                 }
             }

@@ -143,7 +143,9 @@ fn organ_prior(levels: &[usize], radii: &[f64], n_markers: usize, n_columns: usi
     });
     let steps = (-6..=6).map(|k| 0.5 * f64::from(k));
     let family = |first: usize, last: usize, variance: f64, median: f64, spread: f64| Family {
-        variances: (0..n_columns).map(|j| if (first..last).contains(&j) { variance } else { 0.0 }).collect(),
+        variances: (0..n_columns)
+            .map(|j| if (first..last).contains(&j) { variance } else { 0.0 })
+            .collect(),
         factors: steps.clone().map(|s| median * median * (2.0 * spread * s).exp()).collect(),
         log_prior: steps.clone().map(|s| -0.5 * s * s).collect(),
     };
@@ -185,7 +187,8 @@ fn lying(centres: &[[f64; 3]], levels: &[usize], radii: &[f64]) -> Vec<Patch> {
     let one = |p: usize| {
         let mut patch = Patch::default();
         for q in (0..centres.len()).filter(|&q| q != p) {
-            let (gap, larger) = (distance(&centres[p], &centres[q]), radii[levels[p].max(levels[q])]);
+            let (gap, larger) =
+                (distance(&centres[p], &centres[q]), radii[levels[p].max(levels[q])]);
             let reach = if levels[p] == levels[q] { 1.05 } else { 0.49 };
             if levels[p].abs_diff(levels[q]) <= 1 && gap < reach * larger {
                 patch.neighbours.push(q);
