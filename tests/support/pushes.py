@@ -27,7 +27,7 @@ PUSH = np.array([1.0, 0.5, -4.0])
 
 @lru_cache
 def body(held: str = "sure") -> ContactBody:
-    """Return a slab of 405 nodes, held at the base for sure, perhaps, half of them perhaps (``"partly"``), or not at all."""
+    """Return a slab of 405 nodes, held at the base for sure, perhaps, half for sure (``"partly"``), or not at all."""
     mesh = block((60.0, 60.0, 24.0), (8, 8, 4))
     if held == "partly":
         fixed = mesh.fixed_nodes

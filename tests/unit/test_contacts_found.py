@@ -83,8 +83,8 @@ def registered_at(markers, seed, threads):
     return tr.register(push().mesh, markers, material=MATERIAL, targets=INNER, seed=seed, threads=threads)
 
 
-# A marker that stands alone might as well sit on a small push of its own; then its probability is near a half, and half of
-# the samples bend the body. These are beside others, and the last two are not.
+# A marker that stands alone might as well sit on a small push of its own; then its probability is near a half, and half
+# of the samples bend the body. These are beside others, and the last two are not.
 @pytest.mark.parametrize(("wrong", "bent"), [([1], 0.15), ([8], 0.15), ([14, 4], 0.6)])
 def test_wrong_markers_are_named_and_bend_little(wrong, bent):
     markers = push().markers()

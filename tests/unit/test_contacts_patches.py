@@ -1,5 +1,7 @@
 """Patches of contact: areas, sides, sizes, and how they lie to each other."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,7 @@ def patches(mesh):
 
 
 def lists(first, entries):
-    return [entries[a:b] for a, b in zip(first[:-1], first[1:], strict=True)]
+    return [entries[a:b] for a, b in itertools.pairwise(first)]
 
 
 def test_a_uniform_pressure_adds_up_to_the_surface(mesh):

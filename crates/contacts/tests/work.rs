@@ -31,8 +31,10 @@ fn groups_that_fit_are_asked_without_a_factorisation() {
     let mut case = Case::organ(15);
     case.prior.n_slots = 0;
     case.prior.families.clear();
-    // Nothing moved, and everything was seen as it is: no group is worth a factorisation, ever.
+    // Nothing moved, and everything was seen as it is. Of 2,160 questions hardly any is worth a factorisation: those of
+    // the first sweeps, whose likelihood hardly counts, at odds of one in two hundred, and their way back.
     case.observed.innovation = vec![0.05; 45];
     let counters = run(&case.problem(), &ChainSettings::default(), 16, Par::Seq).counters;
-    assert_eq!(counters, Counters::default());
+    assert!(counters.factorisations < 30, "{counters:?}");
+    assert_eq!(Counters { factorisations: 0, ..counters }, Counters::default());
 }
