@@ -28,8 +28,8 @@ _DETAILS = (
     "brought to equilibrium under them. Input: MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set "
     "'fixed') and MARKERS (csv: marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm], empty = not seen), "
     "points of the deformed surface (--surface), or both; or one frame of an experiment folder. DIR gets "
-    "registered.vtu (displacement, its standard deviation, forces of the contacts), targets.csv, registration.json and registered.png, all or none. The last line says whether to trust "
-    "the answer; exit code 0 means that there is one."
+    "registered.vtu (displacement, its standard deviation, forces of the contacts), targets.csv, registration.json and "
+    "registered.png, all or none. The last line says whether to trust the answer; exit code 0 means that there is one."
 )
 _WRITTEN = ("registered.vtu", "targets.csv", "registration.json", "registered.png")
 _EXAMPLE = """tissuereg register breast.vtu markers.csv --targets lesion.csv --out registered

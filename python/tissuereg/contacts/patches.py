@@ -25,7 +25,8 @@ _LEAST_EDGES = 1.2
 #: Centres of one radius are thinned to this share of it.
 _THINNING = 0.7
 
-#: Nodes whose normal turns away from the centre's by more (cosine) do not belong to a patch: the other side of a sheet.
+#: Nodes whose normal turns away from the centre's by more (cosine) do not belong to a patch, nor make way for its centre:
+#: the other side of a sheet.
 _LEAST_COSINE = 0.1
 
 
@@ -87,7 +88,7 @@ def make_patches(mesh: Mesh, free: IntArray, *, by_area: bool = True) -> Patches
     edges = mesh.nodes[mesh.surface] - mesh.nodes[np.roll(mesh.surface, 1, axis=1)]
     edge = float(np.linalg.norm(edges, axis=2).mean())
     radii = _radii(mesh.extent, edge)
-    chosen = [_thinned(places, _THINNING * radius) for radius in radii]
+    chosen = [_thinned(places, normals[free], _THINNING * radius) for radius in radii]
     level = np.repeat(np.arange(len(radii)), [len(c) for c in chosen])
     nodes = free[np.concatenate(chosen)]
     centres, across, radius = mesh.nodes[nodes], normals[nodes], radii[level]
@@ -124,8 +125,8 @@ def _radii(extent: float, edge: float) -> FloatArray:
     return np.asarray(np.concatenate([[max(least, wanted[0])], wanted[wanted > 1.3 * max(least, wanted[0])]]))
 
 
-def _thinned(places: FloatArray, gap: float) -> IntArray:
-    """Return indices of places of which no two are closer than a gap, in their order."""
+def _thinned(places: FloatArray, normals: FloatArray, gap: float) -> IntArray:
+    """Return indices of places of which no two on the same side are closer than a gap, in their order."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(places)
@@ -134,7 +135,10 @@ def _thinned(places: FloatArray, gap: float) -> IntArray:
     for index in range(len(places)):
         if left[index]:
             kept.append(index)
-            left[tree.query_ball_point(places[index], gap)] = False
+            near = np.asarray(tree.query_ball_point(places[index], gap))
+            # The other side of a sheet has centres of its own.
+            left[near[normals[near] @ normals[index] > _LEAST_COSINE]] = False
+            left[index] = False
     return np.array(kept, np.int64)
 
 

@@ -88,9 +88,12 @@ class Spread:
         fit = self._fit
         compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
         responses = fit.columns.responses(compliance, places)
-        _, gain, _, covariance, *_ = fit.sampler.moments(
+        _, gain, means, covariance, *_ = fit.sampler.moments(
             list(fit.samples), np.ascontiguousarray(responses), threads=self._threads
         )
+        # About the answer: passes end where the markers are met, short of the mean of the last linearisation.
+        off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
+        covariance = covariance + np.einsum("pa,pb->pab", off, off)
         left = self._by_model(compliance) - responses @ (gain @ self._model_at_data)
         left = left.reshape(len(places), 3, len(self._model_forces))
         covariance = covariance + np.einsum("pak,pbk->pab", left, left)

@@ -1,0 +1,116 @@
+"""Spread: nodes and points agree, and the model's own error is what other stiffness would do."""
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.pushes import MATERIAL, TIGHT, push
+from tissuereg.contacts.spread import unseen_variances
+from tissuereg.simulate.sensitivity import Observation
+
+
+@pytest.fixture(scope="module")
+def result():
+    settings = tr.RegisterSettings(contacts=tr.RegisterSettings().contacts.__class__(n_draws=1500))
+    return tr.register(push().mesh, push().markers(), material=MATERIAL, settings=settings, threads=1)
+
+
+@pytest.fixture(scope="module")
+def spread(result):
+    return result.draw.spread
+
+
+def rows_of(nodes):
+    return [(np.array([node]), np.eye(3)[axis : axis + 1]) for node in nodes for axis in range(3)]
+
+
+def places_of(fit, nodes):
+    return fit.columns.body.mesh.nodes[nodes] + fit.moment.displacement[nodes]
+
+
+def free_nodes(count):
+    mesh = push().mesh
+    return np.random.default_rng(1).choice(np.flatnonzero(mesh.nodes[:, 2] > 4.0), count, replace=False)
+
+
+def test_the_spread_of_nodes_is_the_covariance_of_points_there(result, spread):
+    nodes = free_nodes(25)
+    fit = spread._fit
+    found = spread.points(rows_of(nodes), places_of(fit, nodes))
+    wanted = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
+    # 1,500 draws of a heavy-tailed mixture: a few percent.
+    assert result.std[nodes] == pytest.approx(wanted, rel=0.12)
+    assert np.mean(result.std[nodes] / wanted) == pytest.approx(1.0, abs=0.04)
+    assert not result.std[push().mesh.fixed_nodes].any()
+
+
+def test_errors_of_the_model_are_slopes_of_solves(spread):
+    fit, nodes = spread._fit, free_nodes(4)
+    simulator, load = fit.columns.body.simulator, fit.columns.load(fit.moment.coefficients)
+    compliance = fit.linearised.compliance([Observation(*row) for row in rows_of(nodes)])
+    found = spread._by_model(compliance)
+    blobs, n_tets = fit.columns.body.blobs, simulator.mesh.n_tets
+    young, poisson, step = np.full(n_tets, 8.0), np.full(n_tets, 0.4), 0.02
+
+    def moved(sign, by_young, by_poisson):
+        material = tr.Material(young + sign * step * by_young, poisson + sign * step * by_poisson)
+        return simulator.solve(load, material, start=fit.moment.displacement, **TIGHT).displacement[nodes].ravel()
+
+    assert found.shape == (12, len(blobs) + 1)
+    for k, by_young in [(0, 0.2 * 8.0 * blobs[0]), (7, 0.2 * 8.0 * blobs[7]), (len(blobs), np.zeros(n_tets))]:
+        by_poisson = np.full(n_tets, 0.02 if k == len(blobs) else 0.0)
+        slope = (moved(1, by_young, by_poisson) - moved(-1, by_young, by_poisson)) / (2 * step)
+        assert np.abs(found[:, k] - slope).max() < 2e-3 * np.abs(slope).max(), k
+
+
+def test_the_errors_of_the_model_have_one_standard_deviation_everywhere(spread):
+    blobs = spread._fit.columns.body.blobs
+    assert np.sum(blobs**2, axis=0) == pytest.approx(np.ones(blobs.shape[1]))
+
+
+def test_the_model_is_part_of_the_covariance_and_markers_take_most_of_it_back(spread):
+    fit = spread._fit
+    at_markers, inner = push().nodes, free_nodes(10)
+    for nodes, most in ((at_markers, 0.35), (inner, 1.0)):
+        rows = rows_of(nodes)
+        compliance = fit.linearised.compliance([Observation(*row) for row in rows])
+        responses = fit.columns.responses(compliance, places_of(fit, nodes))
+        _, _, means, contacts, _ = fit.sampler.moments(list(fit.samples), np.ascontiguousarray(responses))
+        off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
+        contacts = contacts + np.einsum("pa,pb->pab", off, off)
+        whole = spread.points(rows, places_of(fit, nodes)).covariance
+        part = np.trace(whole - contacts, axis1=1, axis2=2)
+        alone = (spread._by_model(compliance) ** 2).reshape(len(nodes), -1).sum(axis=1)
+        assert (np.linalg.eigvalsh(whole - contacts) > -1e-12).all()
+        assert (part > 0).all()
+        # Where a marker sits, a load that is not there undoes what the stiffness did; elsewhere a good part of it.
+        assert part.sum() < most * alone.sum()
+
+
+def test_a_point_at_a_marker_is_constrained_and_one_more_contact_leaves_little(spread):
+    fit, nodes = spread._fit, push().nodes
+    near = spread.points(rows_of(nodes), places_of(fit, nodes))
+    assert near.constrained.min() > 0.9
+    everywhere = spread.points(rows_of(free_nodes(60)), places_of(fit, free_nodes(60)))
+    assert ((everywhere.constrained >= 0) & (everywhere.constrained <= 1)).all()
+    assert everywhere.constrained.min() < near.constrained.min()
+    assert everywhere.unseen_std.max() > 2 * near.unseen_std.max()
+
+
+def test_an_unseen_contact_is_as_large_as_the_markers_moved(spread):
+    fit, patches = spread._fit, spread._fit.columns.body.patches
+    found = unseen_variances(fit, spread._seen)
+    moved = np.linalg.norm(push().markers().displacement, axis=1).max()
+    likely = found[: 3 * patches.n_patches].reshape(-1, 3)
+    size = 3 * likely[:, 0] * len(np.unique(patches.level)) * np.bincount(patches.level)[patches.level]
+    assert np.sqrt(size) == pytest.approx(np.minimum(moved, 0.5 * patches.radii))
+    assert not found[3 * patches.n_patches :].any()
+
+
+def test_drawn_coefficients_have_the_mean_and_the_gain_of_the_moments(spread):
+    fit = spread._fit
+    drawn = spread.coefficients(np.random.default_rng(0), 4000)
+    mean, gain, *_ = fit.sampler.moments(list(fit.samples), np.zeros((0, fit.columns.n_columns)))
+    error = drawn.std(axis=0) / np.sqrt(len(drawn))
+    assert (np.abs(drawn.mean(axis=0) - mean) < 6 * error + 1e-12).all()
+    assert gain.shape == (fit.columns.n_columns, len(spread._seen.rows))
