@@ -105,7 +105,10 @@ def _draw_markers(axes: Any, result: "Registration") -> None:
         return
     measured = result.all_markers.measured[seen]
     start = result.start_markers[seen]
-    fitted = measured - np.array([result.markers.residual_mm[name] for name in result.markers.used])
+    # A marker that is wrong was seen and is not used; one seen in part is used and has no place.
+    names = [name for name, whole in zip(result.all_markers.names, seen, strict=True) if whole]
+    left = [result.markers.residual_mm.get(name, np.full(3, np.nan)) for name in names]
+    fitted = measured - np.array(left)
     axes.scatter(*start.T, s=16, c="tab:orange", marker="x", depthshade=False, label="before")
     axes.scatter(*fitted.T, s=18, c="tab:blue", depthshade=False, label="registered")
     axes.scatter(*measured.T, s=46, facecolors="none", edgecolors="tab:red", depthshade=False, label="measured")
