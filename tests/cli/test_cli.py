@@ -464,13 +464,13 @@ def test_register_takes_points_of_a_surface_without_markers(inputs, capsys):
     code, said, err = run_json(capsys, *words)
     assert (code, "Traceback" in err) == (0, False)
     assert said["markers"]["used"] == []
-    assert said["surface"]["points"] == 146
+    assert said["surface"]["points"] == 164
     assert said["surface"]["after_rms_mm"] < 0.5 * said["surface"]["before_rms_mm"]
     saved = json.loads((out / "registration.json").read_text())
     assert saved["surface"] == said["surface"]
     code, text, _ = run(capsys, *words)
     assert code == 0
-    assert "146 surface points used, 0 outliers" in text
+    assert "164 surface points used, 0 outliers" in text
 
 
 def test_register_takes_points_beside_markers(inputs, capsys):
@@ -478,7 +478,7 @@ def test_register_takes_points_beside_markers(inputs, capsys):
     words = ["register", inputs / "mesh.vtu", inputs / "markers.csv", "--surface", points, "--out", inputs / "out"]
     code, said, _ = run_json(capsys, *words)
     assert code == 0
-    assert said["surface"]["points"] == 146
+    assert said["surface"]["points"] == 164
 
 
 @pytest.mark.parametrize(

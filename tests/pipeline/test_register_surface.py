@@ -134,9 +134,9 @@ def test_a_free_body_is_found_by_its_points(block_mesh, leaned):
 def test_a_far_pull_is_followed(block_mesh):
     top = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] > 40 - 1e-9).all(axis=1)]
     truth = tr.simulate(
-        block_mesh, tr.Load(traction=(top, (0.55, 0.0, 0.2))), tr.Material(10.0, 0.45), element="tet10"
+        block_mesh, tr.Load(traction=(top, (0.3, 0.0, 0.1))), tr.Material(10.0, 0.45), element="tet10"
     ).displacement
-    assert np.linalg.norm(truth, axis=1).max() > 0.2 * block_mesh.extent
+    assert np.linalg.norm(truth, axis=1).max() > 0.25 * block_mesh.extent
     points = cloud(block_mesh, truth, 300, np.random.default_rng(7), 0.1)
     result = tr.register(block_mesh, surface=points)
     assert off(result, truth) < 0.15 * motion(truth)
