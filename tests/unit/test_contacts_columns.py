@@ -104,7 +104,7 @@ def test_a_body_force_is_shared_out_by_volume(case):
 def test_the_prior_of_slots_is_a_probability():
     columns, settings = columns_of(), ContactSettings()
     logs = log_filled(columns, settings)
-    assert logs.shape == (columns.n_patches, len(settings.sizes_mm))
+    assert logs.shape == (columns.n_patches, len(settings.sizes))
     empty = 1.0 / (1.0 + settings.odds)
     assert np.exp(logs).sum() + empty == pytest.approx(1.0)
     # The same for every radius, whatever its number of centres.
@@ -118,6 +118,6 @@ def test_sizes_of_a_family_are_log_normal():
     family = columns_of().families[1]
     settings = ContactSettings()
     middle = int(np.argmax(family.log_prior))
-    assert family.factors[middle] == pytest.approx(settings.weight[0] ** 2)
+    assert family.factors[middle] == pytest.approx((settings.weight[0] * body().mesh.extent) ** 2)
     spread = 0.5 * np.log(family.factors / family.factors[middle]) / settings.weight[1]
     assert family.log_prior == pytest.approx(-0.5 * spread**2)

@@ -75,7 +75,7 @@ def test_the_model_is_part_of_the_covariance_and_markers_take_most_of_it_back(sp
         rows = rows_of(nodes)
         compliance = fit.linearised.compliance([Observation(*row) for row in rows])
         responses = fit.columns.responses(compliance, places_of(fit, nodes))
-        _, _, means, contacts, _ = fit.sampler.moments(list(fit.samples), np.ascontiguousarray(responses))
+        _, _, means, contacts, *_ = fit.sampler.moments(list(fit.samples), np.ascontiguousarray(responses))
         off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
         contacts = contacts + np.einsum("pa,pb->pab", off, off)
         whole = spread.points(rows, places_of(fit, nodes)).covariance
@@ -113,4 +113,4 @@ def test_drawn_coefficients_have_the_mean_and_the_gain_of_the_moments(spread):
     mean, gain, *_ = fit.sampler.moments(list(fit.samples), np.zeros((0, fit.columns.n_columns)))
     error = drawn.std(axis=0) / np.sqrt(len(drawn))
     assert (np.abs(drawn.mean(axis=0) - mean) < 6 * error + 1e-12).all()
-    assert gain.shape == (fit.columns.n_columns, len(spread._seen.rows))
+    assert gain.shape == (fit.columns.n_columns, len(fit.posed.variances))
