@@ -3,125 +3,15 @@
 
 mod common;
 
+use common::textbook::*;
 use common::{Case, Numbers};
 use faer::{Mat, Par};
-use tissuereg_contacts::{ChainSettings, Configuration, Contact, Problem};
+use tissuereg_contacts::{ChainSettings, Configuration, Contact, Problem, Wrong};
 
-type Plain = Vec<Vec<f64>>;
-
-/// Every configuration of a case.
-fn all_of(case: &Case) -> Vec<Configuration> {
-    let n_sizes = case.prior.variances.len();
-    let mut contents = vec![None];
-    for patch in 0..case.patches.len() {
-        contents.extend((0..n_sizes).map(|size| Some(Contact { patch, size })));
-    }
-    let mut slots: Vec<Vec<Option<Contact>>> = vec![Vec::new()];
-    for _ in 0..case.prior.n_slots {
-        let longer =
-            slots.iter().flat_map(|s| contents.iter().map(|&c| [s.clone(), vec![c]].concat()));
-        slots = longer.collect();
-    }
-    let mut all = Vec::new();
-    for slots in slots {
-        for (level, wrong) in [(0, false), (0, true), (1, false), (1, true)] {
-            all.push(Configuration {
-                slots: slots.clone(),
-                levels: vec![level],
-                wrong: vec![wrong],
-            });
-        }
-    }
-    all
-}
-
-/// Variance of every coefficient.
-fn variances(case: &Case, one: &Configuration) -> Vec<f64> {
-    let family = &case.prior.families[0];
-    let mut all: Vec<f64> =
-        family.variances.iter().map(|v| v * family.factors[one.levels[0]]).collect();
-    for contact in one.slots.iter().flatten() {
-        let own = case.prior.variances[contact.size];
-        for axis in 0..3 {
-            all[3 * contact.patch + axis] += own;
-            for (inner, ratio) in &case.patches[contact.patch].texture {
-                all[3 * inner + axis] += own * ratio * ratio;
-            }
-        }
-    }
-    all
-}
-
-/// Noise of the observations, that of wrong groups included.
-fn noise(case: &Case, one: &Configuration) -> Plain {
-    let n = case.columns.nrows();
-    let mut all: Plain =
-        (0..n).map(|i| (0..n).map(|j| case.observed.noise[(i, j)]).collect()).collect();
-    for (rows, _) in case.prior.wrong.rows.iter().zip(&one.wrong).filter(|(_, w)| **w) {
-        rows.iter().for_each(|&row| all[row][row] += case.prior.wrong.variance);
-    }
-    all
-}
-
-fn covariance(case: &Case, one: &Configuration) -> Plain {
-    let (variances, mut all) = (variances(case, one), noise(case, one));
-    for (i, row) in all.iter_mut().enumerate() {
-        for (j, entry) in row.iter_mut().enumerate() {
-            for (k, variance) in variances.iter().enumerate() {
-                *entry += case.columns[(i, k)] * variance * case.columns[(j, k)];
-            }
-        }
-    }
-    all
-}
-
-/// Inverse and logarithm of the determinant by Gauss and Jordan.
-fn inverse(mut a: Plain) -> (Plain, f64) {
-    let (n, mut log) = (a.len(), 0.0);
-    let mut out: Plain =
-        (0..n).map(|i| (0..n).map(|j| f64::from(u8::from(i == j))).collect()).collect();
-    for k in 0..n {
-        let pivot = a[k][k];
-        log += pivot.ln();
-        for j in 0..n {
-            a[k][j] /= pivot;
-            out[k][j] /= pivot;
-        }
-        for i in (0..n).filter(|&i| i != k) {
-            let factor = a[i][k];
-            for j in 0..n {
-                a[i][j] -= factor * a[k][j];
-                out[i][j] -= factor * out[k][j];
-            }
-        }
-    }
-    (out, log)
-}
-
-fn log_evidence(case: &Case, one: &Configuration) -> f64 {
-    let ((inverse, log), d) = (inverse(covariance(case, one)), &case.observed.innovation);
-    let n = d.len();
-    let square: f64 =
-        (0..n).map(|i| (0..n).map(|j| d[i] * inverse[i][j] * d[j]).sum::<f64>()).sum();
-    -0.5 * log - 0.5 * square
-}
-
-fn log_prior(case: &Case, one: &Configuration) -> f64 {
-    let prior = &case.prior;
-    let slots = one.slots.iter().map(|slot| match slot {
-        None => prior.log_empty,
-        Some(c) => prior.log_filled[c.patch * prior.variances.len() + c.size],
-    });
-    let wrong = if one.wrong[0] { prior.wrong.log_odds } else { 0.0 };
-    slots.sum::<f64>() + prior.families[0].log_prior[one.levels[0]] + wrong
-}
-
-/// Total variation distance between long chains and the posterior, and its largest gap in one group of contents.
+/// Total variation distance between long chains and the posterior.
 fn distance(case: &Case, settings: &ChainSettings) -> f64 {
     let all = all_of(case);
-    let weights: Vec<f64> =
-        all.iter().map(|one| (log_evidence(case, one) + log_prior(case, one)).exp()).collect();
-    let total: f64 = weights.iter().sum();
+    let wanted = posterior(case, &all);
     let problem = case.problem();
     let uniforms = Numbers::new(9).uniforms(8, problem.n_uniforms(settings));
     let run = problem.run(settings, uniforms.as_ref(), &[], Par::Seq).unwrap();
@@ -131,7 +21,7 @@ fn distance(case: &Case, settings: &ChainSettings) -> f64 {
         let found = all.iter().position(|one| one == &sample.configuration).unwrap();
         count[found] += share;
     }
-    0.5 * count.iter().zip(&weights).map(|(c, w)| (c - w / total).abs()).sum::<f64>()
+    0.5 * count.iter().zip(&wanted).map(|(c, w)| (c - w).abs()).sum::<f64>()
 }
 
 fn long(n_sweeps: usize) -> ChainSettings {
@@ -179,6 +69,68 @@ fn groups_of_more_rows_than_the_closed_form_takes_are_turned_as_well() {
     }
 }
 
+/// A group that is off, above a patch that moves hardly anything else: either explains it, both at once are unlikely.
+fn beneath() -> Case {
+    let mut case = Case::tiny(1);
+    for (row, axis) in [0, 3, 4].into_iter().flat_map(|row| [0, 1, 2].map(|axis| (row, axis))) {
+        case.columns[(row, axis)] *= 0.05;
+    }
+    case.prior.log_filled.iter_mut().for_each(|log| *log += 0.05_f64.ln());
+    let log_odds = 0.005_f64.ln();
+    case.prior.wrong = Wrong { rows: vec![vec![1, 2], vec![0, 4]], variance: 9.0, log_odds };
+    case.observed.innovation = vec![0.1, -4.0, 5.0, 0.2, -0.1];
+    case
+}
+
+/// Probability that slot and first group are both innocent, one explains, the other does, or both.
+fn explained<'a>(each: impl Iterator<Item = (&'a Configuration, f64)>) -> [[f64; 2]; 2] {
+    let mut found = [[0.0; 2]; 2];
+    for (one, share) in each {
+        found[usize::from(one.slots[0].is_some())][usize::from(one.wrong[0])] += share;
+    }
+    found
+}
+
+#[test]
+fn a_wrong_group_and_a_contact_beneath_it_have_the_probabilities_of_the_posterior() {
+    let case = beneath();
+    let all = all_of(&case);
+    let wanted = explained(all.iter().zip(posterior(&case, &all)));
+    // Two explanations with hardly a way between them but by exchange.
+    assert!(wanted[0][1] > 0.2 && wanted[1][0] > 0.2, "{wanted:?}");
+    assert!(wanted[0][0] + wanted[1][1] < 0.03, "{wanted:?}");
+    // Chains that all begin at the same explanation, and are short.
+    let problem = case.problem();
+    let settings = ChainSettings { powers: vec![1.0; 30], n_kept: 5, ..ChainSettings::default() };
+    let n_chains = 1000;
+    let uniforms = Numbers::new(11).uniforms(n_chains, problem.n_uniforms(&settings));
+    for contact in [None, Some(Contact { patch: 0, size: 1 })] {
+        let mut start = Configuration::empty(&problem);
+        (start.slots[0], start.wrong[0]) = (contact, contact.is_none());
+        let starts = vec![start; n_chains];
+        let run = problem.run(&settings, uniforms.as_ref(), &starts, Par::Seq).unwrap();
+        let share = 1.0 / run.samples.len() as f64;
+        let found = explained(run.samples.iter().map(|sample| (&sample.configuration, share)));
+        let gaps = found.as_flattened().iter().zip(wanted.as_flattened());
+        // A standard error of a share of one half is 0.016 or less.
+        assert!(gaps.clone().all(|(f, w)| (f - w).abs() < 0.05), "{found:?} {wanted:?}");
+    }
+}
+
+#[test]
+fn exchanges_of_two_groups_are_reversible() {
+    // Jumps and exchanges from a flat table, and as they are; with groups of which either may lie above the contact.
+    for sharpness in [0.01, 0.5] {
+        let settings = ChainSettings { sharpness, ..long(8_000) };
+        let found = distance(&beneath(), &settings);
+        assert!(found < 0.03, "sharpness {sharpness}: {found}");
+    }
+    let mut case = Case::tiny(2);
+    case.prior.wrong.rows = vec![vec![1, 2], vec![0, 4]];
+    let found = distance(&case, &long(8_000));
+    assert!(found < 0.04, "{found}");
+}
+
 #[test]
 fn scores_of_samples_are_the_textbooks() {
     let case = Case::tiny(2);
@@ -190,27 +142,6 @@ fn scores_of_samples_are_the_textbooks() {
         assert!((sample.log_evidence - log_evidence(&case, one)).abs() < 1e-10);
         assert!((sample.log_prior - log_prior(&case, one)).abs() < 1e-12);
     }
-}
-
-/// Gain `D J' C^-1` and covariance `D - D J' C^-1 J D` of one configuration's coefficients.
-fn closed_form(case: &Case, one: &Configuration) -> (Plain, Plain) {
-    let (d, (inverse, _)) = (variances(case, one), inverse(covariance(case, one)));
-    let (n, m) = case.columns.shape();
-    let gain: Plain = (0..m)
-        .map(|k| {
-            let along =
-                |j: usize| (0..n).map(|i| case.columns[(i, k)] * inverse[i][j]).sum::<f64>();
-            (0..n).map(|j| d[k] * along(j)).collect()
-        })
-        .collect();
-    let covariance = (0..m)
-        .map(|k| {
-            let taken =
-                |l: usize| (0..n).map(|j| gain[k][j] * case.columns[(j, l)]).sum::<f64>() * d[l];
-            (0..m).map(|l| if k == l { d[k] } else { 0.0 } - taken(l)).collect()
-        })
-        .collect();
-    (gain, covariance)
 }
 
 /// A few configurations that differ in everything.
@@ -227,6 +158,11 @@ fn moments_are_the_closed_form_of_the_mixture() {
     let each: Vec<(Plain, Plain)> = samples.iter().map(|one| closed_form(&case, one)).collect();
     let d = &case.observed.innovation;
     let mean_of = |gain: &Plain, k: usize| (0..5).map(|j| gain[k][j] * d[j]).sum::<f64>();
+    let squares = samples.iter().map(|one| {
+        let (inverse, _) = inverse(covariance(&case, one));
+        (0..5).map(|i| (0..5).map(|j| d[i] * inverse[i][j] * d[j]).sum::<f64>()).sum::<f64>()
+    });
+    assert!((found.misfit - share * squares.sum::<f64>()).abs() < 1e-10);
     let place_of = |gain: &Plain, row: usize| {
         (0..13).map(|k| points[(row, k)] * mean_of(gain, k)).sum::<f64>()
     };

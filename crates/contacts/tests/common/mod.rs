@@ -1,6 +1,8 @@
 //! Problems shared by tests, the bench and the example.
 #![allow(dead_code, missing_docs, clippy::unwrap_used)]
 
+pub mod textbook;
+
 use faer::{Mat, Par};
 use tissuereg_contacts::{
     ChainSettings, ContactsError, Dictionary, Family, Observed, Patch, Prior, Problem, Run, Wrong,
