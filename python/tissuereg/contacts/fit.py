@@ -43,6 +43,9 @@ _SHORTEST_UNMATCHED = 0.2
 #: First passes that are made in any case, while the points are not met.
 _LEAST_ROUGH = 4
 
+#: Passes with markers alone, where there are any beside points.
+_MARKER_PASSES = 2
+
 #: Passes with few points at most, and with all of them.
 _COARSE_PASSES, _FINE_PASSES = 8, 5
 
@@ -170,6 +173,8 @@ class Passes:
         moment, history = start, list[float]()
         samples: Samples | None = None
         for seen, most in stages:
+            if self.seen.weighed != seen.weighed:
+                samples = None  # samples of markers with indicators do not fit weights
             self.seen, self._basis = seen, None
             moment, samples, reached = self._approach(moment, samples, most)
             history += reached
@@ -182,7 +187,9 @@ class Passes:
         """Return the data of each stage with its passes at most."""
         if not full.rematches:
             return [(full, self.settings.max_passes)]
-        return [(full.coarser(width), _COARSE_PASSES), (full, _FINE_PASSES)]
+        stages = [(full.coarser(width), _COARSE_PASSES), (full, _FINE_PASSES)]
+        # Markers have labels: they bring the body near before anything is matched.
+        return stages if full.markers is None else [(Seen.of(full.markers), _MARKER_PASSES), *stages]
 
     def _approach(
         self, moment: Moment, samples: Samples | None, most: int
