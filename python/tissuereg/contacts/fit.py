@@ -46,8 +46,15 @@ _SHORTEST_UNMATCHED = 0.2
 #: First passes that are made in any case, while the points are not met.
 _LEAST_ROUGH = 4
 
+#: Passes with markers alone, where there are any beside points.
+_MARKER_PASSES = 2
+
 #: Passes with few points at most, and with all of them.
 _COARSE_PASSES, _FINE_PASSES = 8, 5
+
+#: Shares of the extent within which first matches go wrong alike: the second is tried where the first leaves more
+#: than this share of the points as outliers.
+_WIDTHS, _MOST_OUTLIERS = (0.12, 0.2), 0.13
 
 #: Matches have settled where a pass takes away less than this share.
 _SETTLED = 0.05
@@ -148,23 +155,44 @@ class Passes:
         ConvergenceError
             If no equilibrium is found even with a short step.
         """
+        full = self.seen
+        best: tuple[float, Moment, Samples, list[float]] | None = None
+        for width in _WIDTHS if full.rematches else (0.0,):
+            found = self._from(start, self._stages(full, width))
+            if best is None or found[0] < best[0]:
+                best = found
+            if full.outliers(found[1]) < _MOST_OUTLIERS:
+                break
+        if best is None:
+            message = "at least one width must be tried"
+            raise ConvergenceError(message, where="load")
+        _, moment, samples, history = best
+        self.seen = full
+        linearised = self._linearise(moment)
+        return self._fit(moment, linearised, self._pose(linearised, moment), samples, history)
+
+    def _from(self, start: Moment, stages: list[tuple[Seen, int]]) -> tuple[float, Moment, Samples, list[float]]:
+        """Return what a start comes to: the cost left, the body, its samples and the cost after each pass."""
         moment, history = start, list[float]()
         samples: Samples | None = None
-        for seen, most in self._stages():
+        for seen, most in stages:
+            if self.seen.weighed != seen.weighed:
+                samples = None  # samples of markers with indicators do not fit weights
             self.seen, self._basis = seen, None
             moment, samples, reached = self._approach(moment, samples, most)
             history += reached
         if samples is None:
             message = "at least one pass must be allowed"
             raise ConvergenceError(message, where="max_passes")
-        linearised = self._linearise(moment)
-        return self._fit(moment, linearised, self._pose(linearised, moment), samples, history)
+        return self.residual_rms(moment, samples), moment, samples, history
 
-    def _stages(self) -> list[tuple[Seen, int]]:
+    def _stages(self, full: Seen, width: float) -> list[tuple[Seen, int]]:
         """Return the data of each stage with its passes at most."""
-        if not self.seen.rematches:
-            return [(self.seen, self.settings.max_passes)]
-        return [(self.seen.coarser(), _COARSE_PASSES), (self.seen, _FINE_PASSES)]
+        if not full.rematches:
+            return [(full, self.settings.max_passes)]
+        stages = [(full.coarser(width), _COARSE_PASSES), (full, _FINE_PASSES)]
+        # Markers have labels: they bring the body near before anything is matched.
+        return stages if full.markers is None else [(Seen.of(full.markers), _MARKER_PASSES), *stages]
 
     def _approach(
         self, moment: Moment, samples: Samples | None, most: int
@@ -181,7 +209,8 @@ class Passes:
             history.append(self.residual_rms(moment, samples))
             reached.append((moment, samples))
             if self.progress is not None:
-                self.progress(self.counters["passes"], sum(stage[1] for stage in self._stages()))
+                most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
+                self.progress(min(self.counters["passes"], most_passes), most_passes)
         if reached:
             # Past a limit point of the load passes may lead away again: the closest one counts.
             moment, samples = reached[int(np.argmin(history))]
@@ -217,7 +246,7 @@ class Passes:
         if self._basis is None:
             every = self._responses(linearised, reading.rows, rigid)
             with self.clock.stage("prepare"):
-                most = MOST_KEPT if self.seen is self._stages()[-1][0] else MOST_KEPT_COARSE
+                most = MOST_KEPT_COARSE if self.seen.rough else MOST_KEPT
                 self._basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
             few = (self._basis.vectors / reading.std) @ every
         else:

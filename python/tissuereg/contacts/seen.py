@@ -82,8 +82,11 @@ class Part(Protocol):
     def largest_motion(self, moment: Moment) -> float:
         """Return how far the body has moved where it was seen, mm."""
 
-    def coarser(self) -> "Part":
-        """Return the same data with fewer observations, for first passes."""
+    def coarser(self, width: float) -> "Part":
+        """Return the same data with fewer observations, for first passes; `width` is a share of the extent."""
+
+    def outliers(self, moment: Moment) -> float:
+        """Return the share of observations without labels that a body does not explain."""
 
 
 def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> list[tuple[IntArray, FloatArray]]:
@@ -194,8 +197,14 @@ class SeenMarkers:
         moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
         return float(np.linalg.norm(moved, axis=1).max())
 
-    def coarser(self) -> "SeenMarkers":
+    def outliers(self, moment: Moment) -> float:
+        """Return zero: markers have labels, and wrong ones indicators or weights."""
+        del moment
+        return 0.0
+
+    def coarser(self, width: float) -> "SeenMarkers":
         """Return the same markers, which have labels and so lead in the first passes."""
+        del width
         return replace(self, rough=True)
 
 
@@ -249,9 +258,13 @@ class Seen:
         """Return how far the body has moved where it was seen, mm."""
         return max(part.largest_motion(moment) for part in self.parts)
 
-    def coarser(self) -> "Seen":
+    def outliers(self, moment: Moment) -> float:
+        """Return the largest share of observations without labels that a body does not explain."""
+        return max(part.outliers(moment) for part in self.parts)
+
+    def coarser(self, width: float) -> "Seen":
         """Return the same data with fewer points, with the same kind of noise."""
-        return Seen(tuple(part.coarser() for part in self.parts), self.weighed, rough=True)
+        return Seen(tuple(part.coarser(width) for part in self.parts), self.weighed, rough=True)
 
 
 def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:

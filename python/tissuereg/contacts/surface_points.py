@@ -27,9 +27,6 @@ N_COARSE = 150
 #: Errors of the model are alike within this share of the body's extent: points so close do not count apart.
 _ALIKE_SHARE = 0.08
 
-#: Errors of first matches are alike within this share.
-_MATCHED_SHARE = 0.12
-
 #: Edges across which the surface turns by more (cosine) are edges of the body, not of the mesh.
 _LEAST_COSINE = 0.8
 
@@ -95,15 +92,15 @@ class SeenPoints:
         Standard deviation along the normal, mm.
     model_error : float
         Standard deviation of what the model gets wrong at a point, over its motion.
-    rough : bool
-        Whether the body is still far off: points close to each other are then mismatched alike, and count less.
+    rough : float
+        Share of the extent within which points are mismatched alike, and so count less, while the body is far off.
     """
 
     mesh: Mesh
     places: FloatArray
     noise: float
     model_error: float
-    rough: bool = False
+    rough: float = 0.0
 
     @classmethod
     def of(cls, mesh: Mesh, points: SurfacePoints, model_error: float) -> "SeenPoints":
@@ -123,7 +120,7 @@ class SeenPoints:
     @cached_property
     def _matched(self) -> FloatArray:
         """Return how many points share the error of its match with each, itself included, shape (n_points,)."""
-        return self._within(_MATCHED_SHARE) if self.rough else np.ones(self.n_obs)
+        return self._within(self.rough) if self.rough else np.ones(self.n_obs)
 
     def _within(self, share: float) -> FloatArray:
         from scipy.spatial import cKDTree
@@ -181,9 +178,13 @@ class SeenPoints:
         moved = np.einsum("pc,pcx->px", feet.weights, moment.displacement[feet.corners])
         return float(np.linalg.norm(moved, axis=1).max())
 
-    def coarser(self) -> "SeenPoints":
-        """Return fewer points, spread evenly."""
-        return replace(self, places=self.places[evenly(self.places, N_COARSE)], rough=True)
+    def outliers(self, moment: Moment) -> float:
+        """Return the share of points that a body does not explain."""
+        return float(np.mean(self.distances(moment)[1] > OUTLIER))
+
+    def coarser(self, width: float) -> "SeenPoints":
+        """Return fewer points, spread evenly; those within a share `width` of the extent are mismatched alike."""
+        return replace(self, places=self.places[evenly(self.places, N_COARSE)], rough=width)
 
 
 def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> Feet:
