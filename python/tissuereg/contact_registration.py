@@ -1,7 +1,7 @@
 """Registration without a known load: contacts found by their traces at the markers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,16 @@ from tissuereg.contacts.columns import Columns
 from tissuereg.contacts.fit import ContactFit, Moment, Passes, Seen, start_of
 from tissuereg.contacts.found import FoundContact, find_contacts
 from tissuereg.contacts.frame import Frame, drifts
+from tissuereg.contacts.graded import grade, is_graded
 from tissuereg.contacts.spread import Points, Spread
 from tissuereg.contacts.supports import Supports
-from tissuereg.errors import ConvergenceError
+from tissuereg.errors import ConvergenceError, MaterialError
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.mesh import det_f
 from tissuereg.result import MarkerFit, Registration, Target
+from tissuereg.simulate.sensitivity import Field
 from tissuereg.simulate.solve import LoadParts
 from tissuereg.trust import Trust, judge
 
@@ -54,6 +56,8 @@ class ContactInput:
         Nodes in its place.
     frame : str
         Whether the tracker drifts.
+    stiffness : str
+        Whether the stiffness changes across the body.
     progress : callable or None
         Called with passes finished and passes at most.
     """
@@ -65,6 +69,7 @@ class ContactInput:
     held: str
     held_nodes: Any
     frame: str
+    stiffness: str
     progress: Callable[[int, int], None] | None
 
 
@@ -99,18 +104,38 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     seen = Seen(given.observed, given.markers)
     with clock.stage("simulate"):
         parts, field = _believed(body, believed, given.threads)
-        young = float(np.mean(material.young_array))
-        columns = Columns.of(body, young, parts, settings, drifts=drifts(believed.frame))
-        start = start_of(columns, material, field, _first_frame(seen, supports), given.threads)
+        columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
+    frame = _first_frame(seen, supports)
     rng = np.random.default_rng([given.seed, 7])
     passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
+    slopes: list[Field] = []
+    if is_graded(believed.stiffness):
+        passes, slopes = _graded(passes, frame, field)
+        columns, material = passes.columns, passes.material
+    with clock.stage("simulate"):
+        start = start_of(columns, material, field, frame, given.threads)
     fit = passes.run(start)
     with clock.stage("spread"):
-        spread = Spread(fit, seen, material, settings, given.threads)
+        spread = Spread(fit, seen, material, settings, given.threads, slopes)
         points = _points(given, fit, spread)
         std = spread.nodes(rng)
     draw = _Draws(fit, spread, material, given)
     return _result(given, fit, start, points, std, draw, clock, believed)
+
+
+def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tuple[Passes, list[Field]]:
+    """Return the passes with the stiffness that the markers suggest, and what is left uncertain of it."""
+    if simulation is not None:
+        message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
+        raise MaterialError(message, where="stiffness")
+    found = grade(passes, frame)
+    simulator = passes.columns.body.simulator
+    young = simulator.moduli(found.material)[0]
+    by_tet = young if young.ndim == 1 else young.mean(axis=1)
+    slopes = [
+        Field("young", std * profile * by_tet) for std, profile in zip(found.std, found.profiles, strict=True)
+    ]
+    return replace(passes, material=found.material, columns=passes.columns.made_of(found.material)), slopes
 
 
 def _believed(body: ContactBody, believed: ContactInput, threads: int) -> tuple[LoadParts, FloatArray | None]:

@@ -39,6 +39,7 @@ def register(
     held: str = "sure",
     held_nodes: Any = None,
     frame: str = "known",
+    stiffness: str = "believed",
     seed: int = 0,
     threads: int = 0,
     settings: RegisterSettings | None = None,
@@ -74,6 +75,9 @@ def register(
     frame : {"known", "drifts"}
         Whether the tracker kept its place beside the body's supports, or may have moved rigidly a little in between.
         The answer is in the tracker's frame at the measurement.
+    stiffness : {"believed", "graded"}
+        Whether the stiffness is distributed as `material` says, or softer towards one side by an unknown amount, which
+        the markers tell: its logarithm then has an unknown slope along each principal axis of the body.
     seed : int
         Of all chance: the same seed gives the same result at any thread count.
     threads : int
@@ -96,6 +100,8 @@ def register(
         If the model was trained for another mesh, or a file of it is spoilt.
     ShapeError, SupportError
         If an array does not fit the mesh, or `held` or `frame` is none of these.
+    MaterialError
+        If `stiffness` is none of these, or graded beside a `simulation`.
     ConvergenceError, EnsembleError
         If no equilibrium is found, or too few ensemble members survive.
 
@@ -110,7 +116,7 @@ def register(
             given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held)
         said = None if simulation is None else finite_field(simulation, given.mesh)
         if model is None:
-            believed = ContactInput(load, said, material or Material(), element, held, held_nodes, frame, progress)
+            believed = ContactInput(load, said, material or Material(), element, held, held_nodes, frame, stiffness, progress)
             return register_by_contacts(given, believed, clock)
         if said is None and load is not None:
             with clock.stage("simulate"):

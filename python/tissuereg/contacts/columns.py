@@ -5,7 +5,7 @@ of a believed load, the motion of supports that are perhaps held, and a rigid mo
 family of its own; the first has the background.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.load import Load
+from tissuereg.material import Material
 from tissuereg.simulate.sensitivity import Compliance
 from tissuereg.simulate.solve import LoadParts
 
@@ -64,8 +65,8 @@ class Columns:
     ----------
     body : ContactBody
         What they act on.
-    young : float
-        Mean Young's modulus in kPa: the unit of forces.
+    young : ndarray of float64, shape (n_patches,)
+        Young's modulus about every patch in kPa: the unit of its forces.
     believed : LoadParts
         The load that is believed to act; zero coefficients mean this load.
     families : tuple of Family
@@ -75,7 +76,7 @@ class Columns:
     """
 
     body: ContactBody
-    young: float
+    young: FloatArray
     believed: LoadParts
     families: tuple[Family, ...]
     rigid: FloatArray
@@ -83,7 +84,7 @@ class Columns:
 
     @classmethod
     def of(
-        cls, body: ContactBody, young: float, believed: LoadParts, settings: ContactSettings, *, drifts: bool = False
+        cls, body: ContactBody, material: Material, believed: LoadParts, settings: ContactSettings, *, drifts: bool = False
     ) -> "Columns":
         """Return the columns of a body under a believed load; `drifts`: the tracker may have moved a little."""
         n_patches = 3 * body.patches.n_patches
@@ -102,7 +103,7 @@ class Columns:
         nodes = body.mesh.nodes
         rigid = np.stack([nodes.mean(axis=0), np.full(3, 0.5 * body.mesh.extent)])
         offsets = {family.name: family.columns for family in families}
-        return cls(body, young, believed, tuple(families), rigid, offsets)
+        return cls(body, _patch_young(body, material), believed, tuple(families), rigid, offsets)
 
     @property
     def n_columns(self) -> int:
@@ -114,6 +115,10 @@ class Columns:
         """Number of patches that slots choose among."""
         return self.body.patches.n_patches
 
+    def made_of(self, material: Material) -> "Columns":
+        """Return the columns of the same body made of another material."""
+        return replace(self, young=_patch_young(self.body, material))
+
     @property
     def moves(self) -> bool:
         """Whether a rigid motion between body and tracker is unknown."""
@@ -121,7 +126,7 @@ class Columns:
 
     @property
     def _body_force_unit(self) -> float:
-        return 2.0 * self.young / (0.5 * self.body.mesh.extent) ** 2
+        return 2.0 * float(np.mean(self.young)) / (0.5 * self.body.mesh.extent) ** 2
 
     def responses(self, compliance: Compliance, places: FloatArray) -> FloatArray:
         """Return how observations follow the columns.
@@ -143,7 +148,7 @@ class Columns:
         forces = compliance.forces[:, :n_nodes]
         for axis in range(3):
             along = np.ascontiguousarray(forces[:, :, axis].T)
-            out[:, axis : 3 * self.n_patches : 3] = self.young * (self.body.patches.shapes @ along).T
+            out[:, axis : 3 * self.n_patches : 3] = (self.young[:, None] * (self.body.patches.shapes @ along)).T
         out[:, self._offsets["weight"]] = compliance.body_force * self._body_force_unit
         if "believed" in self._offsets:
             out[:, self._offsets["believed"]] = self._believed_responses(compliance)
@@ -185,8 +190,8 @@ class Columns:
         given = self.believed["forces"]
         if given is not None:
             forces += given
-        patches = coefficients[:n_patches].reshape(-1, 3)
-        forces[: self.body.mesh.n_nodes] += self.young * np.asarray(self.body.patches.shapes.T @ patches)
+        patches = self.young[:, None] * coefficients[:n_patches].reshape(-1, 3)
+        forces[: self.body.mesh.n_nodes] += np.asarray(self.body.patches.shapes.T @ patches)
         weight = coefficients[self._offsets["weight"]] * self._body_force_unit
         moved = np.zeros((len(self.body.simulator.held_nodes), 3))
         if self.believed["body_force"] is not None:
@@ -229,6 +234,21 @@ class Columns:
             variances[family.columns] = family.variance
             found.append((variances, family.factors, family.log_prior))
         return found
+
+
+def _patch_young(body: ContactBody, material: Material) -> FloatArray:
+    """Return the geometric mean of Young's modulus over the tets within each patch's radius, (n_patches,) in kPa."""
+    from scipy.spatial import cKDTree
+
+    patches, young = body.patches, material.young_array
+    by_tet = young if young.ndim == 1 else young.mean(axis=1)
+    if np.ptp(by_tet) == 0.0:
+        return np.full(patches.n_patches, float(by_tet[0]))
+    tree = cKDTree(body.mesh.nodes[body.mesh.tets].mean(axis=1))
+    nearest = np.asarray(tree.query(patches.centres)[1])
+    within = tree.query_ball_point(patches.centres, patches.radii)
+    logs = np.log(by_tet)
+    return np.exp([logs[near].mean() if near else logs[one] for near, one in zip(within, nearest, strict=True)])
 
 
 def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:

@@ -201,6 +201,11 @@ class Passes:
         message = "at least one pass must be allowed"
         raise ConvergenceError(message, where="max_passes")
 
+    def linear(self, moment: Moment) -> tuple[FloatArray, FloatArray]:
+        """Return what is left of the markers (n_obs,), mm, and how they follow the columns (n_obs, n_columns)."""
+        responses = self._responses(self._linearise(moment), moment)
+        return self._left(moment), responses[self.seen.rows]
+
     def _linearise(self, moment: Moment) -> Linearised:
         self._count("factorisations", 1)
         with self.clock.stage("linearise"):

@@ -37,6 +37,9 @@ class ContactSettings:
         Standard deviation of what the model gets wrong at a marker, over the marker's motion.
     young_log_std, poisson_std : float
         Uncertainty of the stiffness (smooth fields of its logarithm) and of Poisson's ratio.
+    graded_log_std : float
+        Standard deviation of the logarithm of the stiffness at the ends of the body against its middle
+        (``stiffness="graded"``).
     n_chains : int
         Independent chains.
     powers : tuple of float
@@ -70,6 +73,7 @@ class ContactSettings:
     model_error: float = 0.02
     young_log_std: float = 0.2
     poisson_std: float = 0.02
+    graded_log_std: float = 1.0
     n_chains: int = 16
     powers: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     powers_again: tuple[float, ...] = (0.5, 1.0, 1.0, 1.0, 1.0, 1.0)

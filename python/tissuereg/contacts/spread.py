@@ -51,13 +51,21 @@ class Spread:
         Uncertainty of the model.
     threads : int
         Threads to use.
+    further : sequence of Cause
+        What else is uncertain of the model, each moved by one standard deviation.
     """
 
     def __init__(
-        self, fit: ContactFit, seen: Seen, material: Material, settings: ContactSettings, threads: int
+        self,
+        fit: ContactFit,
+        seen: Seen,
+        material: Material,
+        settings: ContactSettings,
+        threads: int,
+        further: Sequence[Cause] = (),
     ) -> None:
         self._fit, self._seen, self._settings, self._threads = fit, seen, settings, threads
-        self._model_forces = -fit.linearised.unbalanced(_model_errors(fit, material, settings))
+        self._model_forces = -fit.linearised.unbalanced([*_model_errors(fit, material, settings), *further])
         observation = seen.observation
         rows = observation.rows(fit.moment.displacement[observation.nodes])
         compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
