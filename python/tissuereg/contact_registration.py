@@ -9,11 +9,13 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg.contacts.body import ContactBody
-from tissuereg.contacts.columns import Columns
+from tissuereg.contacts.columns import Columns, spring_stiffness
+from tissuereg.contacts.evidence import best_support_stiffness
 from tissuereg.contacts.fit import ContactFit, Moment, Passes, Seen, start_of
 from tissuereg.contacts.found import FoundContact, find_contacts
 from tissuereg.contacts.frame import Frame, drifts
 from tissuereg.contacts.graded import grade, is_graded
+from tissuereg.contacts.settings import ContactSettings
 from tissuereg.contacts.spread import Points, Spread
 from tissuereg.contacts.supports import Supports
 from tissuereg.errors import ConvergenceError, MaterialError
@@ -103,12 +105,16 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
         body = ContactBody.of(given.mesh, supports, believed.element)
     seen = Seen(given.observed, given.markers)
     with clock.stage("simulate"):
-        parts, field = _believed(body, believed, given.threads)
+        parts, field = _believed(body, believed, settings)
         columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
     frame = _first_frame(seen, supports)
     rng = np.random.default_rng([given.seed, 7])
     passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
     slopes: list[Field] = []
+    if body.base is not None and field is None:
+        stiffness = best_support_stiffness(passes, frame)
+        passes = replace(passes, columns=columns.on_springs(stiffness))
+        columns = passes.columns
     if is_graded(believed.stiffness):
         passes, slopes = _graded(passes, frame, field)
         columns, material = passes.columns, passes.material
@@ -132,13 +138,13 @@ def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tupl
     simulator = passes.columns.body.simulator
     young = simulator.moduli(found.material)[0]
     by_tet = young if young.ndim == 1 else young.mean(axis=1)
-    slopes = [
-        Field("young", std * profile * by_tet) for std, profile in zip(found.std, found.profiles, strict=True)
-    ]
+    slopes = [Field("young", std * profile * by_tet) for std, profile in zip(found.std, found.profiles, strict=True)]
     return replace(passes, material=found.material, columns=passes.columns.made_of(found.material)), slopes
 
 
-def _believed(body: ContactBody, believed: ContactInput, threads: int) -> tuple[LoadParts, FloatArray | None]:
+def _believed(
+    body: ContactBody, believed: ContactInput, settings: ContactSettings
+) -> tuple[LoadParts, FloatArray | None]:
     """Return the parts of the believed load and, where it is known, the displacement that it holds."""
     simulator = body.simulator
     if believed.simulation is None:
@@ -148,7 +154,8 @@ def _believed(body: ContactBody, believed: ContactInput, threads: int) -> tuple[
     middles = simulator.body.mid_edges
     if len(middles):
         field[body.mesh.n_nodes :] = field[middles].mean(axis=1)
-    forces = simulator.internal_forces(field, believed.material)
+    springs = spring_stiffness(body, believed.material, settings.support_stiffness)
+    forces = simulator.internal_forces(field, believed.material, springs=springs)
     forces[simulator.held_nodes] = 0.0
     parts: LoadParts = {"forces": forces, "body_force": None, "prescribed": field[simulator.held_nodes]}
     return parts, field
@@ -203,6 +210,7 @@ class _Draws:
             [fit.columns.load(one) for one in coefficients],
             [self.material] * count,
             start=fit.moment.displacement,
+            springs=fit.columns.springs,
             threads=self.given.threads,
             tolerance=1e-6,
         )
@@ -315,7 +323,7 @@ def _trust(given: RegisterInput, fit: ContactFit, known: _Known, used: Any, min_
         for i in np.flatnonzero(fit.wrong >= _WRONG)
     ]
     left = markers.displacement[used] - known.displacement[first + used]
-    size = np.linalg.norm(np.where(np.isfinite(left), markers.displacement[used], 0.0), axis=1)
+    size = Seen(given.observed, markers).moved(fit.moment.frame)[used]
     variance = (markers.axis_std[used] ** 2 + (model_error * size[:, None]) ** 2).ravel()
     # A component that was not seen says nothing.
     variance[~np.isfinite(left.ravel())] = 1e12

@@ -116,7 +116,9 @@ def register(
             given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held)
         said = None if simulation is None else finite_field(simulation, given.mesh)
         if model is None:
-            believed = ContactInput(load, said, material or Material(), element, held, held_nodes, frame, stiffness, progress)
+            believed = ContactInput(
+                load, said, material or Material(), element, held, held_nodes, frame, stiffness, progress
+            )
             return register_by_contacts(given, believed, clock)
         if said is None and load is not None:
             with clock.stage("simulate"):

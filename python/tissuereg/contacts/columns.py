@@ -13,6 +13,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.settings import ContactSettings
+from tissuereg.contacts.supports import springs_of
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.simulate.sensitivity import Compliance
@@ -67,6 +68,10 @@ class Columns:
         What they act on.
     young : ndarray of float64, shape (n_patches,)
         Young's modulus about every patch in kPa: the unit of its forces.
+    base_young : float
+        The same about supports that are perhaps held, of all of them.
+    springs : ndarray of float64, shape (n_sets, 2), or None
+        Stiffness of the springs in kPa/mm, those of supports that are perhaps held or of a soft bed.
     believed : LoadParts
         The load that is believed to act; zero coefficients mean this load.
     families : tuple of Family
@@ -77,6 +82,8 @@ class Columns:
 
     body: ContactBody
     young: FloatArray
+    base_young: float
+    springs: FloatArray | None
     believed: LoadParts
     families: tuple[Family, ...]
     rigid: FloatArray
@@ -84,7 +91,13 @@ class Columns:
 
     @classmethod
     def of(
-        cls, body: ContactBody, material: Material, believed: LoadParts, settings: ContactSettings, *, drifts: bool = False
+        cls,
+        body: ContactBody,
+        material: Material,
+        believed: LoadParts,
+        settings: ContactSettings,
+        *,
+        drifts: bool = False,
     ) -> "Columns":
         """Return the columns of a body under a believed load; `drifts`: the tracker may have moved a little."""
         n_patches = 3 * body.patches.n_patches
@@ -100,10 +113,11 @@ class Columns:
         for name, count, size in blocks:
             families.append(Family.of(name, slice(first, first + count), 1.0, size))
             first += count
-        nodes = body.mesh.nodes
+        nodes, mean = body.mesh.nodes, float(np.mean(material.young_array))
         rigid = np.stack([nodes.mean(axis=0), np.full(3, 0.5 * body.mesh.extent)])
         offsets = {family.name: family.columns for family in families}
-        return cls(body, _patch_young(body, material), believed, tuple(families), rigid, offsets)
+        springs = spring_stiffness(body, material, settings.support_stiffness)
+        return cls(body, _patch_young(body, material), mean, springs, believed, tuple(families), rigid, offsets)
 
     @property
     def n_columns(self) -> int:
@@ -118,6 +132,13 @@ class Columns:
     def made_of(self, material: Material) -> "Columns":
         """Return the columns of the same body made of another material."""
         return replace(self, young=_patch_young(self.body, material))
+
+    def on_springs(self, stiffness: float) -> "Columns":
+        """Return the columns of the same body on supports of another stiffness, over Young's modulus and extent."""
+        if self.springs is None:
+            return self
+        units = springs_of(self.body.mesh, self.body.supports)
+        return replace(self, springs=np.array([unit * self.base_young * stiffness for _, unit in units]))
 
     @property
     def moves(self) -> bool:
@@ -154,10 +175,9 @@ class Columns:
             out[:, self._offsets["believed"]] = self._believed_responses(compliance)
         if self.body.base is not None:
             block = self._offsets["supports"]
-            shapes = self.body.base.shapes[:, self.body.simulator.held_nodes]
             for axis in range(3):
-                moved = np.ascontiguousarray(compliance.prescribed[:, :, axis].T)
-                out[:, block.start + axis : block.stop : 3] = (shapes @ moved).T
+                along = np.ascontiguousarray(forces[:, :, axis].T)
+                out[:, block.start + axis : block.stop : 3] = (self.base_young * (self.body.base.shapes @ along)).T
         if "frame" in self._offsets:
             out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T
         return out
@@ -207,8 +227,8 @@ class Columns:
             if self.believed["prescribed"] is not None:
                 moved += np.linalg.norm(self.believed["prescribed"], axis=1)[:, None] * share
         if self.body.base is not None:
-            shapes = self.body.base.shapes[:, self.body.simulator.held_nodes]
-            moved += np.asarray(shapes.T @ coefficients[self._offsets["supports"]].reshape(-1, 3))
+            tractions = self.base_young * coefficients[self._offsets["supports"]].reshape(-1, 3)
+            forces[: self.body.mesh.n_nodes] += np.asarray(self.body.base.shapes.T @ tractions)
         return Load(forces=forces, body_force=weight, prescribed=moved)
 
     def weight_forces(self, body_force: FloatArray) -> FloatArray:
@@ -234,6 +254,23 @@ class Columns:
             variances[family.columns] = family.variance
             found.append((variances, family.factors, family.log_prior))
         return found
+
+
+def spring_stiffness(body: ContactBody, material: Material, stiffness: float) -> FloatArray | None:
+    """Return the stiffness (n_sets, 2) of a body's springs in kPa/mm; a soft bed has its own.
+
+    Parameters
+    ----------
+    body : ContactBody
+        With what holds it.
+    material : Material
+        Its mean modulus is the unit.
+    stiffness : float
+        Of supports that are perhaps held, over Young's modulus and extent.
+    """
+    units = springs_of(body.mesh, body.supports)
+    young = float(np.mean(material.young_array)) * (stiffness if body.base is not None else 1.0)
+    return np.array([unit * young for _, unit in units]) if units else None
 
 
 def _patch_young(body: ContactBody, material: Material) -> FloatArray:

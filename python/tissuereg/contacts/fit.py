@@ -68,10 +68,14 @@ class Seen:
         owner = self.rows // 3
         return [np.flatnonzero(owner == marker).tolist() for marker in np.unique(owner)]
 
-    def std(self, model_error: float) -> FloatArray:
+    def moved(self, frame: Frame) -> FloatArray:
+        """Return how far each marker moved beside a rigid motion, (n_markers,) in mm; unseen components stay."""
+        places = frame.apply(self.markers.reference)
+        return np.asarray(np.linalg.norm(np.where(self.mask, self.markers.measured - places, 0.0), axis=1))
+
+    def std(self, model_error: float, frame: Frame) -> FloatArray:
         """Return the standard deviation of each component seen: the tracker's and the model's, mm."""
-        moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
-        size = model_error * np.linalg.norm(moved, axis=1)
+        size = model_error * self.moved(frame)
         both = np.hypot(self.markers.axis_std, size[:, None])
         return both.ravel()[self.rows]
 
@@ -180,9 +184,10 @@ class Passes:
         moment = start
         samples: Samples | None = None
         history: list[float] = []
+        promised = 0.0
         reached: list[tuple[Moment, Samples]] = []
         for index in range(self.settings.max_passes + 1):
-            last = index == self.settings.max_passes or self._ended(history)
+            last = index == self.settings.max_passes or self._ended(history, promised)
             if last and reached:
                 # Past a limit point of the load passes may lead away again: the closest one counts.
                 moment, samples = reached[int(np.argmin(history))]
@@ -193,7 +198,7 @@ class Passes:
                 return self._fit(moment, linearised, core, samples, responses, history)
             samples = self._sample(core, samples)
             with self.clock.stage("solve"):
-                moment = self._solve(linearised, core, samples, moment)
+                moment, promised = self._solve(linearised, core, samples, moment, responses)
             history.append(self.residual_rms(moment, samples))
             reached.append((moment, samples))
             if self.progress is not None:
@@ -212,7 +217,13 @@ class Passes:
             load = self.columns.load(moment.coefficients)
             simulator = self.columns.body.simulator
             return Linearised(
-                simulator, load, self.material, moment.displacement, precision="single", threads=self.threads
+                simulator,
+                load,
+                self.material,
+                moment.displacement,
+                springs=self.columns.springs,
+                precision="single",
+                threads=self.threads,
             )
 
     def _responses(self, linearised: Linearised, moment: Moment) -> FloatArray:
@@ -239,7 +250,7 @@ class Passes:
         rows = self.seen.rows
         left = self._left(moment)
         own = responses[rows]
-        std = self.seen.std(self.settings.model_error)
+        std = self.seen.std(self.settings.model_error, moment.frame)
         data = {
             "innovation": left + own @ moment.coefficients,
             "noise": np.diag(std**2),
@@ -271,30 +282,39 @@ class Passes:
             self._count(name if name != "factorisations" else "small_factorisations", value)
         return tuple(samples)
 
-    def _solve(self, linearised: Linearised, core: Any, samples: Samples, moment: Moment) -> Moment:
-        """Return the equilibrium under the mean load, or as far towards it as the markers come closer."""
+    def _solve(
+        self, linearised: Linearised, core: Any, samples: Samples, moment: Moment, responses: FloatArray
+    ) -> tuple[Moment, float]:
+        """Return the equilibrium under the mean load, or as far towards it as the markers come closer.
+
+        Beside it stands the residual that the linear model promises there.
+        """
         wanted = core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[0]
-        before, share = self.residual_rms(moment, samples), 1.0
+        left, frame = self._left(moment), moment.frame
+        promised = self._rms(left - responses[self.seen.rows] @ (wanted - moment.coefficients), samples, frame)
+        before, share = self._rms(left, samples, frame), 1.0
         best: tuple[float, Moment] | None = None
         while share > _SHORTEST_STEP:
             found = self._towards(linearised, moment, moment.coefficients + share * (wanted - moment.coefficients))
             if found is not None:
-                left = self.residual_rms(found, samples)
-                if best is None or left < best[0]:
-                    best = (left, found)
-                if left < max((1.0 - _DECREASE * share) * before, _GOOD_ENOUGH * self.settings.fit_limit):
-                    return found
+                rms = self.residual_rms(found, samples)
+                if best is None or rms < best[0]:
+                    best = (rms, found)
+                if rms < max((1.0 - _DECREASE * share) * before, _GOOD_ENOUGH * self.settings.fit_limit):
+                    return found, promised
             share *= 0.5
             self._count("halved_steps", 1)
         if best is None:
             message = "no load between the last and the one that the markers suggest finds an equilibrium"
             raise ConvergenceError(message, where="load")
-        return best[1]
+        return best[1], promised
 
     def _towards(self, linearised: Linearised, moment: Moment, coefficients: FloatArray) -> Moment | None:
         """Return the equilibrium under coefficients; None where there is none."""
         try:
-            found = linearised.solve_near(self.columns.load(coefficients), tolerance=_TOLERANCE)
+            found = linearised.solve_near(
+                self.columns.load(coefficients), springs=self.columns.springs, tolerance=_TOLERANCE
+            )
         except ConvergenceError:
             return None
         self._count("solves", 1)
@@ -302,28 +322,27 @@ class Passes:
         turned = self.columns.frame(coefficients)
         if not self.columns.body.supports.moves:
             # A drift is small and keeps its prior: its coefficients count from no motion.
-            return Moment(
-                coefficients, found.all_displacement, Frame.still().followed_by(turned, self.columns.rigid)
-            )
+            return Moment(coefficients, found.all_displacement, Frame.still().followed_by(turned, self.columns.rigid))
         frame = moment.frame.followed_by(turned, self.columns.rigid)
         return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
     def residual_rms(self, moment: Moment, samples: Samples) -> float:
         """Return the root mean square residual of markers that are not wrong, over their standard deviation."""
-        left = self._left(moment)
-        scaled = (left / self.seen.std(self.settings.model_error)) ** 2
+        return self._rms(self._left(moment), samples, moment.frame)
+
+    def _rms(self, left: FloatArray, samples: Samples, frame: Frame) -> float:
+        scaled = (left / self.seen.std(self.settings.model_error, frame)) ** 2
         right = 1.0 - samples[2].mean(axis=0)
         weights = np.concatenate([np.full(len(g), w) for g, w in zip(self.seen.groups, right, strict=True)])
         order = np.concatenate([np.asarray(g) for g in self.seen.groups])
         return float(np.sqrt(np.average(scaled[order], weights=np.maximum(weights, 1e-6))))
 
-    def _ended(self, history: list[float]) -> bool:
-        """Return whether the markers are met, or the last two passes brought nothing."""
+    def _ended(self, history: list[float], promised: float) -> bool:
+        """Return whether the markers are met as well as the linear model promised, or two passes brought nothing."""
         if len(history) < 2:
             return False
-        return history[-1] < self.settings.fit_limit or (
-            len(history) > 3 and min(history[-2:]) > 0.95 * min(history[:-2])
-        )
+        met = history[-1] < self.settings.fit_limit and history[-1] < promised + self.settings.promise_margin
+        return met or (len(history) > 3 and min(history[-2:]) > 0.95 * min(history[:-2]))
 
     def _fit(
         self,
@@ -354,7 +373,7 @@ class Passes:
         rows = self.seen.rows
         left = self._left(moment)
         moved = responses[rows] @ moment.coefficients
-        weights = (wrong[rows // 3] < 0.5) / self.seen.std(self.settings.model_error) ** 2
+        weights = (wrong[rows // 3] < 0.5) / self.seen.std(self.settings.model_error, moment.frame) ** 2
         return float(max(0.0, np.sum(weights * moved * left)))
 
     def _count(self, name: str, value: int) -> None:
@@ -394,5 +413,5 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
     if all(part is None for part in columns.believed.values()):
         return Moment(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
     load: Load = columns.load(zero)
-    found = simulator.solve(load, material, tolerance=_TOLERANCE, threads=threads)
+    found = simulator.solve(load, material, springs=columns.springs, tolerance=_TOLERANCE, threads=threads)
     return Moment(zero, found.all_displacement, frame)

@@ -5,9 +5,8 @@ the material plus a function that is linear across the body,
 
     ln E = ln E_0 + sum_a g_a xi_a,      xi_a from -1 to 1 along principal axis a, g_a ~ N(0, s^2).
 
-The rates g are those of the highest evidence: contacts of all radii as one Gaussian, its size and those of all families
-chosen with them. That is cheap, a factorisation and one right-hand side a marker component for every trial, and does
-not oscillate as stiffness and loads fitted in turns do.
+The rates g are those of the highest evidence (`tissuereg.contacts.evidence`), which does not oscillate as stiffness and
+loads fitted in turns do.
 """
 
 from dataclasses import dataclass, replace
@@ -15,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._arrays import FloatArray
-from tissuereg.contacts.columns import Columns
-from tissuereg.contacts.fit import Passes, start_of
+from tissuereg.contacts.evidence import log_evidence
+from tissuereg.contacts.fit import Passes
 from tissuereg.contacts.frame import Frame
 from tissuereg.errors import MaterialError
 from tissuereg.material import Material
@@ -27,9 +26,6 @@ STIFFNESS = ("believed", "graded")
 
 #: First and shortest step of a trial, in units of the prior's standard deviation.
 _FIRST_STEP, _LAST_STEP = 1.0, 0.3
-
-#: Sizes of contacts that are tried, mm.
-_SIZES_MM = 10.0 ** np.arange(-2.0, 2.01, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,19 +113,13 @@ class _Trial:
 
     def log_evidence(self, rates: FloatArray) -> float:
         """Return the logarithm of the evidence times the prior of the rates, up to a constant."""
-        settings = self.passes.settings
         material = self.material(rates)
         trial = replace(self.passes, material=material, columns=self.passes.columns.made_of(material))
-        start = start_of(trial.columns, trial.material, None, self.frame, trial.threads)
-        innovation, responses = trial.linear(start)
-        noise = np.diag(trial.seen.std(settings.model_error) ** 2)
-        prior = -0.5 * float(np.sum((rates / settings.graded_log_std) ** 2))
-        return _best_over_sizes(innovation, noise, _parts(trial.columns, responses)) + prior
+        prior = -0.5 * float(np.sum((rates / trial.settings.graded_log_std) ** 2))
+        return log_evidence(trial, self.frame) + prior
 
 
-def _along(
-    trial: _Trial, best: FloatArray, value: float, axis: int, step: float
-) -> tuple[FloatArray, float, float]:
+def _along(trial: _Trial, best: FloatArray, value: float, axis: int, step: float) -> tuple[FloatArray, float, float]:
     """Return the best rates along one axis, their evidence, and the standard deviation by its curvature."""
     limit = trial.passes.settings.graded_log_std
     found = [(0.0, value)]
@@ -143,45 +133,6 @@ def _along(
     shift, highest = max(found, key=lambda one: one[1])
     std = min(limit, float(1.0 / np.sqrt(max(-curvature, 1e-12))))
     return best + shift * np.eye(3)[axis], highest, std
-
-
-def _parts(columns: Columns, responses: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return covariances of the observations with factors and log priors: one contact anywhere, then all families."""
-    patches = columns.body.patches
-    count = np.bincount(patches.level)
-    likely = np.repeat(1.0 / (3.0 * len(count) * count[patches.level]), 3)
-    own = responses[:, : len(likely)]
-    parts = [((own * likely) @ own.T, _SIZES_MM**2, np.zeros(len(_SIZES_MM)))]
-    for variances, factors, log_prior in columns.core_families():
-        parts.append(((responses * variances) @ responses.T, factors, log_prior))
-    return parts
-
-
-def _best_over_sizes(
-    innovation: FloatArray, noise: FloatArray, parts: list[tuple[FloatArray, FloatArray, FloatArray]]
-) -> float:
-    """Return the log evidence at the best sizes of all parts, sought one part after the other."""
-    levels = [int(np.argmin(np.abs(np.log(factors)))) for _, factors, _ in parts]
-    total = noise + sum(part[0] * part[1][level] for part, level in zip(parts, levels, strict=True))
-    best = -np.inf
-    for _ in range(3):
-        before = best
-        for index, (covariance, factors, log_prior) in enumerate(parts):
-            rest = total - factors[levels[index]] * covariance
-            values = np.array([_log_normal(innovation, rest + factor * covariance) for factor in factors]) + log_prior
-            levels[index] = int(np.argmax(values))
-            total = rest + factors[levels[index]] * covariance
-        best = _log_normal(innovation, total) + sum(float(p[2][i]) for p, i in zip(parts, levels, strict=True))
-        if best - before < 1e-3:
-            break
-    return best
-
-
-def _log_normal(innovation: FloatArray, covariance: FloatArray) -> float:
-    """Return the logarithm of a normal density of mean zero, up to a constant."""
-    factor = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(factor, innovation)
-    return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
 
 
 __all__ = ["Grading", "grade", "is_graded", "profiles_of"]

@@ -24,7 +24,11 @@ class ContactSettings:
     believed : tuple of float
         The same of the error of a believed load, over the load.
     supports : tuple of float
-        The same of the motion of supports that are perhaps held, mm.
+        The same of tractions of supports that are perhaps held, mm.
+    support_stiffness : float
+        Their stiffness where the markers do not tell, in Young's modulus over the extent of the body.
+    stiffness_tried : tuple of float
+        The stiffnesses among which the markers choose.
     frame_mm : tuple of float
         The same of a rigid motion of a body that nothing holds for sure, mm.
     drift_mm : tuple of float
@@ -54,6 +58,8 @@ class ContactSettings:
         Linearisations at most.
     fit_limit : float
         Passes end when the markers' root mean square residual is below this many standard deviations.
+    promise_margin : float
+        They go on as well while that residual is above what the linear model promised by more than this.
     n_draws : int
         Draws behind the spread of nodes.
     """
@@ -67,6 +73,8 @@ class ContactSettings:
     believed: tuple[float, float] = (0.5, 0.7)
     supports: tuple[float, float] = (0.1, 1.5)
     frame_mm: tuple[float, float] = (1.0, 1.5)
+    support_stiffness: float = 100.0
+    stiffness_tried: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
     drift_mm: tuple[float, float] = (0.3, 1.0)
     wrong_odds: float = 0.005
     wrong_share: float = 0.05
@@ -83,4 +91,5 @@ class ContactSettings:
     n_level: int = 2
     max_passes: int = 8
     fit_limit: float = 1.3
+    promise_margin: float = 0.4
     n_draws: int = 64

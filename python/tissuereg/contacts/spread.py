@@ -111,7 +111,7 @@ class Spread:
         variances = unseen_variances(fit, self._seen)
         own = fit.responses[rows]
         scaled = own * variances
-        noise = np.diag(self._seen.std(self._settings.model_error) ** 2)
+        noise = np.diag(self._seen.std(self._settings.model_error, fit.moment.frame) ** 2)
         cross = (responses * variances) @ own.T
         taken = np.einsum("po,po->p", cross, np.linalg.solve(scaled @ own.T + noise, cross.T).T)
         before = np.einsum("pc,pc,c->p", responses, responses, variances)
@@ -150,8 +150,7 @@ def unseen_variances(fit: ContactFit, seen: Seen) -> FloatArray:
     its radius.
     """
     patches, settings_share = fit.columns.body.patches, 0.5
-    moved = np.where(seen.mask, seen.markers.measured - seen.markers.reference, 0.0)
-    largest = float(np.linalg.norm(moved, axis=1).max())
+    largest = float(seen.moved(fit.moment.frame).max())
     count = np.bincount(patches.level)
     likely = 1.0 / (len(count) * count[patches.level])
     size = np.minimum(largest, settings_share * patches.radii)
