@@ -10,7 +10,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.columns import Columns, spring_stiffness
-from tissuereg.contacts.evidence import best_support_stiffness
+from tissuereg.contacts.evidence import support_stiffness
 from tissuereg.contacts.fit import ContactFit, Moment, Passes, Seen, start_of
 from tissuereg.contacts.found import FoundContact, find_contacts
 from tissuereg.contacts.frame import Frame, drifts
@@ -24,7 +24,7 @@ from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.mesh import det_f
 from tissuereg.result import MarkerFit, Registration, Target
-from tissuereg.simulate.sensitivity import Field
+from tissuereg.simulate.sensitivity import Cause, Field, Parameter
 from tissuereg.simulate.solve import LoadParts
 from tissuereg.trust import Trust, judge
 
@@ -110,35 +110,47 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     frame = _first_frame(seen, supports)
     rng = np.random.default_rng([given.seed, 7])
     passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
-    slopes: list[Field] = []
+    further: list[tuple[Cause, float]] = []
     if body.base is not None and field is None:
-        stiffness = best_support_stiffness(passes, frame)
-        passes = replace(passes, columns=columns.on_springs(stiffness))
-        columns = passes.columns
+        passes, further = _supported(passes, frame)
     if is_graded(believed.stiffness):
         passes, slopes = _graded(passes, frame, field)
-        columns, material = passes.columns, passes.material
+        further += slopes
+    columns, material = passes.columns, passes.material
     with clock.stage("simulate"):
         start = start_of(columns, material, field, frame, given.threads)
     fit = passes.run(start)
     with clock.stage("spread"):
-        spread = Spread(fit, seen, material, settings, given.threads, slopes)
+        spread = Spread(fit, seen, material, settings, given.threads, further)
         points = _points(given, fit, spread)
         std = spread.nodes(rng)
     draw = _Draws(fit, spread, material, given)
     return _result(given, fit, start, points, std, draw, clock, believed)
 
 
-def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tuple[Passes, list[Field]]:
+def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, float]]]:
+    """Return the passes on supports as stiff as the markers suggest, and what is left uncertain of that."""
+    found = support_stiffness(passes, frame)
+    columns = passes.columns.on_springs(found.best)
+    assert columns.springs is not None
+    causes: list[tuple[Cause, float]] = []
+    for index, (stiffness, log_std) in enumerate(zip(columns.springs, found.log_std, strict=True)):
+        names = ("springs.normal_kpa_per_mm", "springs.tangential_kpa_per_mm")
+        causes += [(Parameter(name, index), log_std * float(k)) for name, k in zip(names, stiffness, strict=True)]
+    return replace(passes, columns=columns), causes
+
+
+def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tuple[Passes, list[tuple[Cause, float]]]:
     """Return the passes with the stiffness that the markers suggest, and what is left uncertain of it."""
     if simulation is not None:
         message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
         raise MaterialError(message, where="stiffness")
     found = grade(passes, frame)
-    simulator = passes.columns.body.simulator
-    young = simulator.moduli(found.material)[0]
+    young = passes.columns.body.simulator.moduli(found.material)[0]
     by_tet = young if young.ndim == 1 else young.mean(axis=1)
-    slopes = [Field("young", std * profile * by_tet) for std, profile in zip(found.std, found.profiles, strict=True)]
+    slopes: list[tuple[Cause, float]] = [
+        (Field("young", profile * by_tet), float(std)) for std, profile in zip(found.std, found.profiles, strict=True)
+    ]
     return replace(passes, material=found.material, columns=passes.columns.made_of(found.material)), slopes
 
 

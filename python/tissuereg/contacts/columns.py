@@ -5,6 +5,7 @@ of a believed load, the motion of supports that are perhaps held, and a rigid mo
 family of its own; the first has the background.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -133,12 +134,11 @@ class Columns:
         """Return the columns of the same body made of another material."""
         return replace(self, young=_patch_young(self.body, material))
 
-    def on_springs(self, stiffness: float) -> "Columns":
-        """Return the columns of the same body on supports of another stiffness, over Young's modulus and extent."""
-        if self.springs is None:
-            return self
+    def on_springs(self, stiffness: Sequence[float]) -> "Columns":
+        """Return the same columns on supports of another stiffness a set, over Young's modulus and extent."""
         units = springs_of(self.body.mesh, self.body.supports)
-        return replace(self, springs=np.array([unit * self.base_young * stiffness for _, unit in units]))
+        springs = [unit * self.base_young * one for (_, unit), one in zip(units, stiffness, strict=True)]
+        return replace(self, springs=np.array(springs))
 
     @property
     def moves(self) -> bool:

@@ -4,7 +4,7 @@ Contacts of all radii count as one Gaussian. Its size and those of all families 
 factorisation and one right-hand side a marker component.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,7 +41,23 @@ def log_evidence(passes: Passes, frame: Frame) -> float:
     return _best_over_sizes(innovation, noise, _parts(passes.columns, responses))
 
 
-def best_support_stiffness(passes: Passes, frame: Frame) -> float:
+@dataclass(frozen=True)
+class SupportStiffness:
+    """Stiffness of supports that are perhaps held, one number a set of springs, over Young's modulus and extent.
+
+    Attributes
+    ----------
+    best : tuple of float
+        Of the highest evidence.
+    log_std : tuple of float
+        Standard deviation of the logarithm of each, the others kept.
+    """
+
+    best: tuple[float, ...]
+    log_std: tuple[float, ...]
+
+
+def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
     """Return the stiffness of supports that are perhaps held which explains the markers best.
 
     Parameters
@@ -53,12 +69,32 @@ def best_support_stiffness(passes: Passes, frame: Frame) -> float:
 
     Returns
     -------
-    float
-        Over Young's modulus and the extent of the body.
+    SupportStiffness
+        The best for all sets of springs, then for one set after the other, twice.
     """
     tried = passes.settings.stiffness_tried
-    found = [log_evidence(replace(passes, columns=passes.columns.on_springs(one)), frame) for one in tried]
-    return tried[int(np.argmax(found))]
+    columns = passes.columns
+    n_sets = 0 if columns.springs is None else len(columns.springs)
+    known: dict[tuple[int, ...], float] = {}
+
+    def value(levels: tuple[int, ...]) -> float:
+        if levels not in known:
+            moved = replace(passes, columns=columns.on_springs([tried[level] for level in levels]))
+            known[levels] = log_evidence(moved, frame)
+        return known[levels]
+
+    def others(levels: tuple[int, ...], index: int) -> list[tuple[int, ...]]:
+        return [(*levels[:index], level, *levels[index + 1 :]) for level in range(len(tried))]
+
+    best = max(((level,) * n_sets for level in range(len(tried))), key=value)
+    for index in [*range(n_sets)] * 2:
+        best = max(others(best, index), key=value)
+    spread = []
+    for index in range(n_sets):
+        chances = np.exp([value(levels) - value(best) for levels in others(best, index)])
+        logs, chances = np.log(tried), chances / chances.sum()
+        spread.append(float(np.sqrt(chances @ (logs - chances @ logs) ** 2)))
+    return SupportStiffness(tuple(tried[level] for level in best), tuple(spread))
 
 
 def _parts(columns: Columns, responses: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:

@@ -123,8 +123,7 @@ def _along(trial: _Trial, best: FloatArray, value: float, axis: int, step: float
     """Return the best rates along one axis, their evidence, and the standard deviation by its curvature."""
     limit = trial.passes.settings.graded_log_std
     found = [(0.0, value)]
-    for side in (-step, step):
-        found.append((side, trial.log_evidence(best + side * np.eye(3)[axis])))
+    found += [(side, trial.log_evidence(best + side * np.eye(3)[axis])) for side in (-step, step)]
     curvature = (found[1][1] + found[2][1] - 2.0 * value) / step**2
     slope = (found[2][1] - found[1][1]) / (2.0 * step)
     if curvature < 0.0:

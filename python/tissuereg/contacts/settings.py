@@ -74,7 +74,7 @@ class ContactSettings:
     supports: tuple[float, float] = (0.1, 1.5)
     frame_mm: tuple[float, float] = (1.0, 1.5)
     support_stiffness: float = 100.0
-    stiffness_tried: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+    stiffness_tried: tuple[float, ...] = (0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
     drift_mm: tuple[float, float] = (0.3, 1.0)
     wrong_odds: float = 0.005
     wrong_share: float = 0.05

@@ -51,8 +51,8 @@ class Spread:
         Uncertainty of the model.
     threads : int
         Threads to use.
-    further : sequence of Cause
-        What else is uncertain of the model, each moved by one standard deviation.
+    further : sequence of (Cause, float)
+        What else is uncertain of the model, each with its standard deviation.
     """
 
     def __init__(
@@ -62,10 +62,13 @@ class Spread:
         material: Material,
         settings: ContactSettings,
         threads: int,
-        further: Sequence[Cause] = (),
+        further: Sequence[tuple[Cause, float]] = (),
     ) -> None:
         self._fit, self._seen, self._settings, self._threads = fit, seen, settings, threads
-        self._model_forces = -fit.linearised.unbalanced([*_model_errors(fit, material, settings), *further])
+        errors = _model_errors(fit, material, settings)
+        scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
+        causes = [*errors, *(cause for cause, _ in further)]
+        self._model_forces = -scales[:, None, None] * fit.linearised.unbalanced(causes)
         observation = seen.observation
         rows = observation.rows(fit.moment.displacement[observation.nodes])
         compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])

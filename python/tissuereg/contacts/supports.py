@@ -98,13 +98,29 @@ def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArra
     Returns
     -------
     list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
-        Surface triangles with the stiffness at which one kPa of Young's modulus counts as one, kPa/mm; empty where
-        all is held for sure.
+        Surface triangles with the stiffness at which one kPa of Young's modulus counts as one, kPa/mm: the rim of what
+        is perhaps held and what lies within it, or the bed; empty where all is held for sure.
     """
     if not supports.holds:
         return [(mesh.surface, np.full(2, _BED / mesh.extent))]
     triangles = _covering(mesh, supports.perhaps)
-    return [(triangles, np.full(2, 1.0 / mesh.extent))] if len(triangles) else []
+    unit = np.full(2, 1.0 / mesh.extent)
+    return [(zone, unit) for zone in _zones(mesh, triangles) if len(zone)]
+
+
+def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the rim of a part of the surface and what lies within it, about half of its triangles each."""
+    from scipy.spatial import cKDTree
+
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    each, count = np.unique(edges, axis=0, return_counts=True)
+    border = np.unique(each[count == 1])
+    if not len(border):
+        return triangles, triangles[:0]
+    middles = mesh.nodes[triangles].mean(axis=1)
+    depth = np.asarray(cKDTree(mesh.nodes[border]).query(middles)[0])
+    inner = depth > np.median(depth)
+    return triangles[~inner], triangles[inner]
 
 
 def _covering(mesh: Mesh, nodes: IntArray) -> IntArray:
