@@ -9,23 +9,27 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg.contacts.body import ContactBody
-from tissuereg.contacts.columns import Columns
+from tissuereg.contacts.columns import Columns, spring_stiffness
+from tissuereg.contacts.evidence import support_stiffness
 from tissuereg.contacts.fit import ContactFit, Passes, start_of
 from tissuereg.contacts.found import FoundContact, find_contacts
 from tissuereg.contacts.frame import Frame, drifts
+from tissuereg.contacts.graded import grade, is_graded
 from tissuereg.contacts.icp import closest_frame
 from tissuereg.contacts.moment import Moment
 from tissuereg.contacts.seen import Seen, SeenMarkers
+from tissuereg.contacts.settings import ContactSettings
 from tissuereg.contacts.spread import Points, Spread
 from tissuereg.contacts.supports import Supports
 from tissuereg.contacts.surface_fit import SurfaceFit
 from tissuereg.contacts.surface_points import SeenPoints
-from tissuereg.errors import ConvergenceError
+from tissuereg.errors import ConvergenceError, MaterialError
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh, det_f
 from tissuereg.result import MarkerFit, Registration, Target
+from tissuereg.simulate.sensitivity import Cause, Field, Parameter
 from tissuereg.simulate.solve import LoadParts
 from tissuereg.trust import Trust, judge
 
@@ -62,6 +66,8 @@ class ContactInput:
         Nodes in its place.
     frame : str
         Whether the tracker drifts.
+    stiffness : str
+        Whether the stiffness changes across the body.
     progress : callable or None
         Called with passes finished and passes at most.
     ensemble : int
@@ -75,6 +81,7 @@ class ContactInput:
     held: str
     held_nodes: Any
     frame: str
+    stiffness: str
     progress: Callable[[int, int], None] | None
     ensemble: int = 0
 
@@ -112,15 +119,23 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
         body = ContactBody.of(given.mesh, supports, believed.element)
     seen = _seen(given)
     with clock.stage("simulate"):
-        parts, field = _believed(body, believed, given.threads)
-        young = float(np.mean(material.young_array))
-        columns = Columns.of(body, young, parts, settings, drifts=drifts(believed.frame))
-        start = start_of(columns, material, field, _first_frame(given, supports), given.threads)
+        parts, field = _believed(body, believed, settings)
+        columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
+    frame = _first_frame(given, supports)
     rng = np.random.default_rng([given.seed, 7])
     passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
+    further: list[tuple[Cause, float]] = []
+    if body.base is not None and field is None:
+        passes, further = _supported(passes, frame)
+    if is_graded(believed.stiffness):
+        passes, slopes = _graded(passes, frame, field)
+        further += slopes
+    columns, material = passes.columns, passes.material
+    with clock.stage("simulate"):
+        start = start_of(columns, material, field, frame, given.threads)
     fit = passes.run(start)
     with clock.stage("spread"):
-        spread = Spread(fit, seen, material, settings, given.threads)
+        spread = Spread(fit, seen, material, settings, given.threads, further)
         points = _points(given, fit, spread)
         draw = _Draws(fit, spread, material, given)
         if believed.ensemble:
@@ -138,7 +153,35 @@ def fitting_element(mesh: Mesh, material: Material) -> str:
     return "tet4-averaged" if coarse or float(np.max(material.poisson_array)) > STIFF_POISSON else "tet4"
 
 
-def _believed(body: ContactBody, believed: ContactInput, threads: int) -> tuple[LoadParts, FloatArray | None]:
+def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, float]]]:
+    """Return the passes on supports as stiff as the markers suggest, and what is left uncertain of that."""
+    found = support_stiffness(passes, frame)
+    columns = passes.columns.on_springs(found.best)
+    assert columns.springs is not None
+    causes: list[tuple[Cause, float]] = []
+    for index, (stiffness, log_std) in enumerate(zip(columns.springs, found.log_std, strict=True)):
+        names = ("springs.normal_kpa_per_mm", "springs.tangential_kpa_per_mm")
+        causes += [(Parameter(name, index), log_std * float(k)) for name, k in zip(names, stiffness, strict=True)]
+    return replace(passes, columns=columns), causes
+
+
+def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tuple[Passes, list[tuple[Cause, float]]]:
+    """Return the passes with the stiffness that the markers suggest, and what is left uncertain of it."""
+    if simulation is not None:
+        message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
+        raise MaterialError(message, where="stiffness")
+    found = grade(passes, frame)
+    young = passes.columns.body.simulator.moduli(found.material)[0]
+    by_tet = young if young.ndim == 1 else young.mean(axis=1)
+    slopes: list[tuple[Cause, float]] = [
+        (Field("young", profile * by_tet), float(std)) for std, profile in zip(found.std, found.profiles, strict=True)
+    ]
+    return replace(passes, material=found.material, columns=passes.columns.made_of(found.material)), slopes
+
+
+def _believed(
+    body: ContactBody, believed: ContactInput, settings: ContactSettings
+) -> tuple[LoadParts, FloatArray | None]:
     """Return the parts of the believed load and, where it is known, the displacement that it holds."""
     simulator = body.simulator
     if believed.simulation is None:
@@ -148,7 +191,8 @@ def _believed(body: ContactBody, believed: ContactInput, threads: int) -> tuple[
     middles = simulator.body.mid_edges
     if len(middles):
         field[body.mesh.n_nodes :] = field[middles].mean(axis=1)
-    forces = simulator.internal_forces(field, believed.material)
+    springs = spring_stiffness(body, believed.material, settings.support_stiffness)
+    forces = simulator.internal_forces(field, believed.material, springs=springs)
     forces[simulator.held_nodes] = 0.0
     parts: LoadParts = {"forces": forces, "body_force": None, "prescribed": field[simulator.held_nodes]}
     return parts, field
@@ -224,6 +268,7 @@ class _Draws:
             [fit.columns.load(one) for one in coefficients],
             [self.material] * count,
             start=fit.moment.displacement,
+            springs=fit.columns.springs,
             threads=self.given.threads,
             tolerance=1e-6,
         )
@@ -351,7 +396,7 @@ def _trust(
     notes += [] if surface is None else surface.reasons()
     points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
     left = markers.displacement[used] - known.displacement[first + used]
-    size = np.linalg.norm(np.where(np.isfinite(left), markers.displacement[used], 0.0), axis=1)
+    size = SeenMarkers(given.observed, markers, model_error).moved(fit.moment.frame)[used]
     variance = (markers.axis_std[used] ** 2 + (model_error * size[:, None]) ** 2).ravel()
     # A component that was not seen says nothing.
     variance[~np.isfinite(left.ravel())] = 1e12

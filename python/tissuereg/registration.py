@@ -44,6 +44,7 @@ def register(
     held: str = "sure",
     held_nodes: Any = None,
     frame: str = "known",
+    stiffness: str = "believed",
     seed: int = 0,
     threads: int = 0,
     settings: RegisterSettings | None = None,
@@ -92,6 +93,9 @@ def register(
     frame : {"known", "drifts"}
         Whether the tracker kept its place beside the body's supports, or may have moved rigidly a little in between.
         The answer is in the tracker's frame at the measurement.
+    stiffness : {"believed", "graded"}
+        Whether the stiffness is distributed as `material` says, or softer towards one side by an unknown amount, which
+        the markers tell: its logarithm then has an unknown slope along each principal axis of the body.
     seed : int
         Of all chance: the same seed gives the same result at any thread count.
     threads : int
@@ -122,6 +126,8 @@ def register(
         If the model was trained for another mesh, or a file of it is spoilt, or points of a surface are given with it.
     ShapeError, SupportError
         If an array does not fit the mesh, or `held` or `frame` is none of these.
+    MaterialError
+        If `stiffness` is none of these, or graded beside a `simulation`.
     ConvergenceError, EnsembleError
         If no equilibrium is found, or too few ensemble members survive.
 
@@ -159,7 +165,7 @@ def register(
         stuff = material or Material()
         own = fitting_element(given.mesh, stuff) if element == "auto" else element
         if model is None:
-            believed = ContactInput(load, said, stuff, own, held, held_nodes, frame, progress, ensemble)
+            believed = ContactInput(load, said, stuff, own, held, held_nodes, frame, stiffness, progress, ensemble)
             return register_by_contacts(given, believed, clock)
         if said is None and load is not None:
             with clock.stage("simulate"):
@@ -169,6 +175,6 @@ def register(
         result = register_by_model(given, model, said, clock)
         if not polish:
             return result
-        believed = ContactInput(None, result.displacement, stuff, own, held, held_nodes, frame, progress, ensemble)
+        believed = ContactInput(None, result.displacement, stuff, own, held, held_nodes, frame, stiffness, progress, ensemble)
         polished = register_by_contacts(given, believed, clock)
         return replace(polished, model={**result.model, "polished": True})

@@ -10,6 +10,13 @@ import tissuereg as tr
 def block(size=(30.0, 20.0, 40.0), cells=(4, 3, 5)) -> tr.Mesh:
     """Return a block cut into cubes of six tets (Kuhn); nodes at z = 0 are the set ``fixed``."""
     axes = [np.linspace(0.0, length, n + 1) for length, n in zip(size, cells, strict=True)]
+    nodes, tets = kuhn(axes)
+    return tr.Mesh(nodes, tets, {"fixed": np.flatnonzero(nodes[:, 2] == 0.0)})
+
+
+def kuhn(axes):
+    """Return nodes (n, 3) and tets (m, 4) of a grid with planes at three axes, cubes of six tets."""
+    cells = [len(axis) - 1 for axis in axes]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     number = np.arange(len(nodes)).reshape([n + 1 for n in cells])
     tets = []
@@ -21,4 +28,4 @@ def block(size=(30.0, 20.0, 40.0), cells=(4, 3, 5)) -> tr.Mesh:
             tet = [number[tuple(p)] for p in path]
             even = np.linalg.det(np.eye(3)[list(order)]) > 0
             tets.append(tet if even else [tet[0], tet[2], tet[1], tet[3]])
-    return tr.Mesh(nodes, np.array(tets), {"fixed": np.flatnonzero(nodes[:, 2] == 0.0)})
+    return nodes, np.array(tets)

@@ -100,13 +100,13 @@ class ContactBody:
 
     @classmethod
     def _made(cls, mesh: Mesh, supports: Supports, element: str) -> "ContactBody":
-        held = np.union1d(supports.sure, supports.perhaps)
-        springs = () if supports.holds else springs_of(mesh)
-        simulator = Simulator(mesh, element=element, held_nodes=held, springs=springs, rests=not supports.holds)
-        free = np.setdiff1d(mesh.surface_nodes, held)
+        springs = springs_of(mesh, supports)
+        rests = len(supports.sure) == 0
+        simulator = Simulator(mesh, element=element, held_nodes=supports.sure, springs=springs, rests=rests)
+        free = np.setdiff1d(mesh.surface_nodes, np.union1d(supports.sure, supports.perhaps))
         base = None
         if len(supports.perhaps):
-            base = make_patches(mesh, np.intersect1d(mesh.surface_nodes, supports.perhaps), by_area=False)
+            base = make_patches(mesh, np.intersect1d(mesh.surface_nodes, supports.perhaps))
         return cls(mesh, supports, simulator, make_patches(mesh, free), base, _blobs(mesh))
 
 

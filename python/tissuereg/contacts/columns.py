@@ -5,7 +5,8 @@ of a believed load, the motion of supports that are perhaps held, and a rigid mo
 family of its own; the first has the background.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.settings import ContactSettings
+from tissuereg.contacts.supports import springs_of
 from tissuereg.load import Load
+from tissuereg.material import Material
 from tissuereg.simulate.sensitivity import Compliance
 from tissuereg.simulate.solve import LoadParts
 
@@ -64,8 +67,12 @@ class Columns:
     ----------
     body : ContactBody
         What they act on.
-    young : float
-        Mean Young's modulus in kPa: the unit of forces.
+    young : ndarray of float64, shape (n_patches,)
+        Young's modulus about every patch in kPa: the unit of its forces.
+    base_young : float
+        The same about supports that are perhaps held, of all of them.
+    springs : ndarray of float64, shape (n_sets, 2), or None
+        Stiffness of the springs in kPa/mm, those of supports that are perhaps held or of a soft bed.
     believed : LoadParts
         The load that is believed to act; zero coefficients mean this load.
     families : tuple of Family
@@ -75,7 +82,9 @@ class Columns:
     """
 
     body: ContactBody
-    young: float
+    young: FloatArray
+    base_young: float
+    springs: FloatArray | None
     believed: LoadParts
     families: tuple[Family, ...]
     rigid: FloatArray
@@ -83,7 +92,13 @@ class Columns:
 
     @classmethod
     def of(
-        cls, body: ContactBody, young: float, believed: LoadParts, settings: ContactSettings, *, drifts: bool = False
+        cls,
+        body: ContactBody,
+        material: Material,
+        believed: LoadParts,
+        settings: ContactSettings,
+        *,
+        drifts: bool = False,
     ) -> "Columns":
         """Return the columns of a body under a believed load; `drifts`: the tracker may have moved a little."""
         n_patches = 3 * body.patches.n_patches
@@ -101,10 +116,11 @@ class Columns:
         for name, count, size in blocks:
             families.append(Family.of(name, slice(first, first + count), 1.0, size))
             first += count
-        nodes = body.mesh.nodes
+        nodes, mean = body.mesh.nodes, float(np.mean(material.young_array))
         rigid = np.stack([nodes.mean(axis=0), np.full(3, 0.5 * body.mesh.extent)])
         offsets = {family.name: family.columns for family in families}
-        return cls(body, young, believed, tuple(families), rigid, offsets)
+        springs = spring_stiffness(body, material, settings.support_stiffness)
+        return cls(body, _patch_young(body, material), mean, springs, believed, tuple(families), rigid, offsets)
 
     @property
     def n_columns(self) -> int:
@@ -116,6 +132,16 @@ class Columns:
         """Number of patches that slots choose among."""
         return self.body.patches.n_patches
 
+    def made_of(self, material: Material) -> "Columns":
+        """Return the columns of the same body made of another material."""
+        return replace(self, young=_patch_young(self.body, material))
+
+    def on_springs(self, stiffness: Sequence[float]) -> "Columns":
+        """Return the same columns on supports of another stiffness a set, over Young's modulus and extent."""
+        units = springs_of(self.body.mesh, self.body.supports)
+        springs = [unit * self.base_young * one for (_, unit), one in zip(units, stiffness, strict=True)]
+        return replace(self, springs=np.array(springs))
+
     @property
     def moves(self) -> bool:
         """Whether a rigid motion between body and tracker is unknown."""
@@ -123,7 +149,7 @@ class Columns:
 
     @property
     def _body_force_unit(self) -> float:
-        return 2.0 * self.young / (0.5 * self.body.mesh.extent) ** 2
+        return 2.0 * float(np.mean(self.young)) / (0.5 * self.body.mesh.extent) ** 2
 
     def responses(self, compliance: Compliance, places: FloatArray, rigid: FloatArray | None = None) -> FloatArray:
         """Return how observations follow the columns.
@@ -147,16 +173,15 @@ class Columns:
         forces = compliance.forces[:, :n_nodes]
         for axis in range(3):
             along = np.ascontiguousarray(forces[:, :, axis].T)
-            out[:, axis : 3 * self.n_patches : 3] = self.young * (self.body.patches.shapes @ along).T
+            out[:, axis : 3 * self.n_patches : 3] = (self.young[:, None] * (self.body.patches.shapes @ along)).T
         out[:, self._offsets["weight"]] = compliance.body_force * self._body_force_unit
         if "believed" in self._offsets:
             out[:, self._offsets["believed"]] = self._believed_responses(compliance)
         if self.body.base is not None:
             block = self._offsets["supports"]
-            shapes = self.body.base.shapes[:, self.body.simulator.held_nodes]
             for axis in range(3):
-                moved = np.ascontiguousarray(compliance.prescribed[:, :, axis].T)
-                out[:, block.start + axis : block.stop : 3] = (shapes @ moved).T
+                along = np.ascontiguousarray(forces[:, :, axis].T)
+                out[:, block.start + axis : block.stop : 3] = (self.base_young * (self.body.base.shapes @ along)).T
         if "frame" in self._offsets:
             out[:, self._offsets["frame"]] = self.rigid_field(places).reshape(6, -1).T if rigid is None else rigid
         return out
@@ -193,8 +218,8 @@ class Columns:
         given = self.believed["forces"]
         if given is not None:
             forces += given
-        patches = coefficients[:n_patches].reshape(-1, 3)
-        forces[: self.body.mesh.n_nodes] += self.young * np.asarray(self.body.patches.shapes.T @ patches)
+        patches = self.young[:, None] * coefficients[:n_patches].reshape(-1, 3)
+        forces[: self.body.mesh.n_nodes] += np.asarray(self.body.patches.shapes.T @ patches)
         weight = coefficients[self._offsets["weight"]] * self._body_force_unit
         moved = np.zeros((len(self.body.simulator.held_nodes), 3))
         if self.believed["body_force"] is not None:
@@ -210,8 +235,8 @@ class Columns:
             if self.believed["prescribed"] is not None:
                 moved += np.linalg.norm(self.believed["prescribed"], axis=1)[:, None] * share
         if self.body.base is not None:
-            shapes = self.body.base.shapes[:, self.body.simulator.held_nodes]
-            moved += np.asarray(shapes.T @ coefficients[self._offsets["supports"]].reshape(-1, 3))
+            tractions = self.base_young * coefficients[self._offsets["supports"]].reshape(-1, 3)
+            forces[: self.body.mesh.n_nodes] += np.asarray(self.body.base.shapes.T @ tractions)
         return Load(forces=forces, body_force=weight, prescribed=moved)
 
     def weight_forces(self, body_force: FloatArray) -> FloatArray:
@@ -247,6 +272,38 @@ def _in_mm(size: tuple[float, float], extent: float) -> tuple[float, float]:
 def contact_sizes(columns: Columns, settings: ContactSettings) -> FloatArray:
     """Return the sizes of a contact that are tried, mm, shape (n_sizes,)."""
     return np.array(settings.sizes) * columns.body.mesh.extent
+
+
+def spring_stiffness(body: ContactBody, material: Material, stiffness: float) -> FloatArray | None:
+    """Return the stiffness (n_sets, 2) of a body's springs in kPa/mm; a soft bed has its own.
+
+    Parameters
+    ----------
+    body : ContactBody
+        With what holds it.
+    material : Material
+        Its mean modulus is the unit.
+    stiffness : float
+        Of supports that are perhaps held, over Young's modulus and extent.
+    """
+    units = springs_of(body.mesh, body.supports)
+    young = float(np.mean(material.young_array)) * (stiffness if body.base is not None else 1.0)
+    return np.array([unit * young for _, unit in units]) if units else None
+
+
+def _patch_young(body: ContactBody, material: Material) -> FloatArray:
+    """Return the geometric mean of Young's modulus over the tets within each patch's radius, (n_patches,) in kPa."""
+    from scipy.spatial import cKDTree
+
+    patches, young = body.patches, material.young_array
+    by_tet = young if young.ndim == 1 else young.mean(axis=1)
+    if np.ptp(by_tet) == 0.0:
+        return np.full(patches.n_patches, float(by_tet[0]))
+    tree = cKDTree(body.mesh.nodes[body.mesh.tets].mean(axis=1))
+    nearest = np.asarray(tree.query(patches.centres)[1])
+    within = tree.query_ball_point(patches.centres, patches.radii)
+    logs = np.log(by_tet)
+    return np.exp([logs[near].mean() if near else logs[one] for near, one in zip(within, nearest, strict=True)])
 
 
 def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:

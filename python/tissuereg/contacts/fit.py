@@ -200,12 +200,13 @@ class Passes:
         """Return the closest body of at most so many passes, its samples, and what each pass left."""
         history: list[float] = []
         reached: list[tuple[Moment, Samples]] = []
-        while len(history) < most and not self._ended(history):
+        promised = 0.0
+        while len(history) < most and not self._ended(history, promised):
             linearised = self._linearise(moment)
-            core = self._pose(linearised, moment)[1]
+            problem, core = self._pose(linearised, moment)
             samples = self._sample(core, samples)
             with self.clock.stage("solve"):
-                moment = self._solve(linearised, core, samples, moment)
+                moment, promised = self._solve(linearised, (problem, core), samples, moment)
             history.append(self.residual_rms(moment, samples))
             reached.append((moment, samples))
             if self.progress is not None:
@@ -216,13 +217,23 @@ class Passes:
             moment, samples = reached[int(np.argmin(history))]
         return moment, samples, history
 
+    def linear(self, moment: Moment) -> Posed:
+        """Return the data at a body with how they follow the columns."""
+        return self._pose(self._linearise(moment), moment)[0]
+
     def _linearise(self, moment: Moment) -> Linearised:
         self._count("factorisations", 1)
         with self.clock.stage("linearise"):
             load = self.columns.load(moment.coefficients)
             simulator = self.columns.body.simulator
             return Linearised(
-                simulator, load, self.material, moment.displacement, precision="single", threads=self.threads
+                simulator,
+                load,
+                self.material,
+                moment.displacement,
+                springs=self.columns.springs,
+                precision="single",
+                threads=self.threads,
             )
 
     def _pose(self, linearised: Linearised, moment: Moment) -> tuple[Posed, Any]:
@@ -285,9 +296,16 @@ class Passes:
             self._count(name if name != "factorisations" else "small_factorisations", value)
         return tuple(samples)
 
-    def _solve(self, linearised: Linearised, core: Any, samples: Samples, moment: Moment) -> Moment:
-        """Return the equilibrium under the mean load, or as far towards it as the markers come closer."""
+    def _solve(
+        self, linearised: Linearised, data: tuple[Posed, Any], samples: Samples, moment: Moment
+    ) -> tuple[Moment, float]:
+        """Return the equilibrium under the mean load, or as far towards it as the markers come closer.
+
+        Beside it stands the residual that the linear model promises there.
+        """
+        problem, core = data
         wanted = core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[0]
+        promised = _promised(problem, wanted, samples)
         share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
         # Points are matched anew, but weighed as they were for this step: it promises no more than that.
         std = self.seen.read(moment).std if self.seen.rough else None
@@ -301,19 +319,21 @@ class Passes:
                     best = (left, found)
                 enough = 0.0 if self.seen.rematches else _GOOD_ENOUGH * self.settings.fit_limit
                 if left < max((1.0 - decrease * share) * before, enough):
-                    return found
+                    return found, promised
             share *= 0.5
             self._count("halved_steps", 1)
         if best is None:
             message = "no load between the last and the one that the markers suggest finds an equilibrium"
             raise ConvergenceError(message, where="load")
-        return best[1] if best[0] < before or not self.seen.rematches else moment
+        return (best[1] if best[0] < before or not self.seen.rematches else moment), promised
 
     def _towards(self, linearised: Linearised, moment: Moment, coefficients: FloatArray) -> Moment | None:
         """Return the equilibrium under coefficients; None where there is none."""
         try:
             load = self.columns.load(coefficients)
-            found = linearised.solve_near(load, tolerance=_TOLERANCE, max_iterations=_MOST_ITERATIONS)
+            found = linearised.solve_near(
+                load, springs=self.columns.springs, tolerance=_TOLERANCE, max_iterations=_MOST_ITERATIONS
+            )
         except ConvergenceError:
             return None
         self._count("solves", 1)
@@ -335,16 +355,15 @@ class Passes:
             weights[group] = max(1.0 - wrong, 1e-6)
         return float(np.sqrt(np.average(reading.cost, weights=weights)))
 
-    def _ended(self, history: list[float]) -> bool:
-        """Return whether the data are met, or the last passes brought nothing."""
+    def _ended(self, history: list[float], promised: float) -> bool:
+        """Return whether the data are met as well as the linear model promised, or the last passes brought nothing."""
         if len(history) < 2:
             return False
         if self.seen.rematches:
             few = len(history) < _LEAST_ROUGH and self.seen.rough and history[-1] > self.settings.fit_limit
             return not few and history[-1] > (1.0 - _SETTLED) * history[-2]
-        return history[-1] < self.settings.fit_limit or (
-            len(history) > 3 and min(history[-2:]) > 0.95 * min(history[:-2])
-        )
+        met = history[-1] < self.settings.fit_limit and history[-1] < promised + self.settings.promise_margin
+        return met or (len(history) > 3 and min(history[-2:]) > 0.95 * min(history[:-2]))
 
     def _fit(
         self,
@@ -385,6 +404,15 @@ class Passes:
         self.counters[name] = self.counters.get(name, 0) + value
 
 
+def _promised(problem: Posed, coefficients: FloatArray, samples: Samples) -> float:
+    """Return the root mean square residual that the linear model promises, over standard deviations."""
+    left = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
+    weights = np.ones(len(left))
+    for group, wrong in zip(problem.groups, samples[2].mean(axis=0), strict=True):
+        weights[group] = max(1.0 - wrong, 1e-6)
+    return float(np.sqrt(np.average(left, weights=weights)))
+
+
 def start_of(columns: Columns, material: Material, simulation: FloatArray | None, frame: Frame, threads: int) -> Moment:
     """Return the body under the believed load.
 
@@ -418,5 +446,5 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
     if all(part is None for part in columns.believed.values()):
         return Moment(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
     load: Load = columns.load(zero)
-    found = simulator.solve(load, material, tolerance=_TOLERANCE, threads=threads)
+    found = simulator.solve(load, material, springs=columns.springs, tolerance=_TOLERANCE, threads=threads)
     return Moment(zero, found.all_displacement, frame)

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg.contacts.frame import Frame
 from tissuereg.contacts.moment import Moment
 from tissuereg.markers import Markers
 from tissuereg.observe import MarkerObservation
@@ -142,12 +143,14 @@ class SeenMarkers:
         owner = self.rows // 3
         return [np.flatnonzero(owner == marker).tolist() for marker in np.unique(owner)]
 
-    @property
-    def std(self) -> FloatArray:
-        """Standard deviation of each component seen: the tracker's and the model's, mm."""
-        moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
-        size = self.model_error * np.linalg.norm(moved, axis=1)
-        both = np.hypot(self.markers.axis_std, size[:, None])
+    def moved(self, frame: Frame) -> FloatArray:
+        """Return how far each marker moved beside a rigid motion, (n_markers,) in mm; unseen components stay."""
+        places = frame.apply(self.markers.reference)
+        return np.asarray(np.linalg.norm(np.where(self.mask, self.markers.measured - places, 0.0), axis=1))
+
+    def std(self, frame: Frame) -> FloatArray:
+        """Return the standard deviation of each component seen: the tracker's and the model's, mm."""
+        both = np.hypot(self.markers.axis_std, self.model_error * self.moved(frame)[:, None])
         return np.asarray(both.ravel()[self.rows])
 
     def read(self, moment: Moment, *, weighed: bool) -> Reading:
@@ -157,8 +160,9 @@ class SeenMarkers:
         places = reference + observation.predict(here)
         left = (self.markers.measured - moment.frame.apply(places)).ravel()[self.rows]
         all_rows = _turned(observation.rows(here), moment.frame.rotation)
-        scaled = (left / self.std) ** 2
-        std, cost = self.std, scaled
+        std = self.std(moment.frame)
+        scaled = (left / std) ** 2
+        cost = scaled
         if weighed and not self.rough:
             std, cost = std.copy(), cost.copy()
             for group in self.groups:
@@ -187,15 +191,15 @@ class SeenMarkers:
             Standard deviation that a wrong marker has besides, mm.
         """
         left = self.read(moment, weighed=False).left
-        narrow, wide = self.std, np.hypot(self.std, wrong_std)
+        narrow = self.std(moment.frame)
+        wide = np.hypot(narrow, wrong_std)
         gain = 0.5 * left**2 * (1.0 / narrow**2 - 1.0 / wide**2) - np.log(wide / narrow)
         logs = log_odds + np.array([gain[group].sum() for group in self.groups])
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0))))
 
     def largest_motion(self, moment: Moment) -> float:
-        """Return the largest measured displacement, mm."""
-        moved = np.where(self.mask, self.markers.measured - self.markers.reference, 0.0)
-        return float(np.linalg.norm(moved, axis=1).max())
+        """Return the largest measured displacement beside the rigid motion, mm."""
+        return float(self.moved(moment.frame).max())
 
     def outliers(self, moment: Moment) -> float:
         """Return zero: markers have labels, and wrong ones indicators or weights."""

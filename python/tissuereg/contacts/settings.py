@@ -25,7 +25,11 @@ class ContactSettings:
     believed : tuple of float
         The same of the error of a believed load, over the load.
     supports : tuple of float
-        The same of the motion of supports that are perhaps held.
+        The same of tractions of supports that are perhaps held.
+    support_stiffness : float
+        Their stiffness where the markers do not tell, in Young's modulus over the extent of the body.
+    stiffness_tried : tuple of float
+        The stiffnesses among which the markers choose.
     frame : tuple of float
         The same of a rigid motion of a body that nothing holds for sure.
     drift : tuple of float
@@ -38,6 +42,9 @@ class ContactSettings:
         Standard deviation of what the model gets wrong at a marker, over the marker's motion.
     young_log_std, poisson_std : float
         Uncertainty of the stiffness (smooth fields of its logarithm) and of Poisson's ratio.
+    graded_log_std : float
+        Standard deviation of the logarithm of the stiffness at the ends of the body against its middle
+        (``stiffness="graded"``).
     n_chains : int
         Independent chains.
     powers : tuple of float
@@ -52,6 +59,8 @@ class ContactSettings:
         Linearisations at most.
     fit_limit : float
         Passes end when the markers' root mean square residual is below this many standard deviations.
+    promise_margin : float
+        They go on as well while that residual is above what the linear model promised by more than this.
     n_draws : int
         Draws behind the spread of nodes.
     """
@@ -64,6 +73,8 @@ class ContactSettings:
     weight: tuple[float, float] = (0.0008, 2.0)
     believed: tuple[float, float] = (0.5, 0.7)
     supports: tuple[float, float] = (0.0008, 1.5)
+    support_stiffness: float = 100.0
+    stiffness_tried: tuple[float, ...] = (0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
     frame: tuple[float, float] = (0.008, 1.5)
     drift: tuple[float, float] = (0.0025, 1.0)
     wrong_odds: float = 0.02
@@ -71,6 +82,7 @@ class ContactSettings:
     model_error: float = 0.02
     young_log_std: float = 0.2
     poisson_std: float = 0.02
+    graded_log_std: float = 1.0
     n_chains: int = 16
     powers: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     powers_again: tuple[float, ...] = (0.5, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -80,4 +92,5 @@ class ContactSettings:
     n_level: int = 2
     max_passes: int = 8
     fit_limit: float = 1.3
+    promise_margin: float = 0.4
     n_draws: int = 64

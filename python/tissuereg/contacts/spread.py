@@ -52,13 +52,24 @@ class Spread:
         Uncertainty of the model.
     threads : int
         Threads to use.
+    further : sequence of (Cause, float)
+        What else is uncertain of the model, each with its standard deviation.
     """
 
     def __init__(
-        self, fit: ContactFit, seen: Seen, material: Material, settings: ContactSettings, threads: int
+        self,
+        fit: ContactFit,
+        seen: Seen,
+        material: Material,
+        settings: ContactSettings,
+        threads: int,
+        further: Sequence[tuple[Cause, float]] = (),
     ) -> None:
         self._fit, self._seen, self._settings, self._threads = fit, seen, settings, threads
-        self._model_forces = -fit.linearised.unbalanced(_model_errors(fit, material, settings))
+        errors = _model_errors(fit, material, settings)
+        scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
+        causes = [*errors, *(cause for cause, _ in further)]
+        self._model_forces = -scales[:, None, None] * fit.linearised.unbalanced(causes)
         compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in fit.posed.rows])
         self._model_at_data = self._by_model(compliance)
 

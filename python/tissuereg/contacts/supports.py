@@ -29,7 +29,7 @@ class Supports:
     sure : ndarray of int64, shape (n,)
         Held for sure.
     perhaps : ndarray of int64, shape (m,)
-        Perhaps held: they stay, or move by an unknown, smooth motion.
+        Perhaps held: on springs of unknown stiffness, with unknown tractions.
     """
 
     sure: IntArray
@@ -42,8 +42,8 @@ class Supports:
 
     @property
     def moves(self) -> bool:
-        """Whether no node is held for sure: a rigid motion is then unknown."""
-        return len(self.sure) == 0
+        """Whether no node is held at all: a rigid motion is then unknown."""
+        return not self.holds
 
     def digest(self) -> str:
         """Return a fingerprint."""
@@ -85,7 +85,47 @@ class Supports:
         return cls(np.asarray(sure, np.int64), np.setdiff1d(perhaps, sure))
 
 
-def springs_of(mesh: Mesh) -> list[tuple[IntArray, FloatArray]]:
-    """Return the soft bed of a body that nothing holds: springs on all of its surface, kPa/mm."""
-    stiffness = _BED / mesh.extent
-    return [(mesh.surface, np.array([stiffness, stiffness]))]
+def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArray]]:
+    """Return springs under nodes that are perhaps held, or the soft bed of a body that nothing holds.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    supports : Supports
+        What holds it.
+
+    Returns
+    -------
+    list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
+        Surface triangles with the stiffness at which one kPa of Young's modulus counts as one, kPa/mm: the rim of what
+        is perhaps held and what lies within it, or the bed; empty where all is held for sure.
+    """
+    if not supports.holds:
+        return [(mesh.surface, np.full(2, _BED / mesh.extent))]
+    triangles = _covering(mesh, supports.perhaps)
+    unit = np.full(2, 1.0 / mesh.extent)
+    return [(zone, unit) for zone in _zones(mesh, triangles) if len(zone)]
+
+
+def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the rim of a part of the surface and what lies within it, about half of its triangles each."""
+    from scipy.spatial import cKDTree
+
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    each, count = np.unique(edges, axis=0, return_counts=True)
+    border = np.unique(each[count == 1])
+    if not len(border):
+        return triangles, triangles[:0]
+    middles = mesh.nodes[triangles].mean(axis=1)
+    depth = np.asarray(cKDTree(mesh.nodes[border]).query(middles)[0])
+    inner = depth > np.median(depth)
+    return triangles[~inner], triangles[inner]
+
+
+def _covering(mesh: Mesh, nodes: IntArray) -> IntArray:
+    """Return the surface triangles of a set of nodes: those all of its nodes, and those that touch the rest of them."""
+    count = np.isin(mesh.surface, nodes).sum(axis=1)
+    within = count == 3
+    left = np.setdiff1d(nodes, mesh.surface[within])
+    return np.asarray(mesh.surface[within | np.isin(mesh.surface, left).any(axis=1)])

@@ -1,0 +1,111 @@
+"""Bodies whose supports or frame are not known: free, perhaps held, on a tracker that drifts, softer on one side."""
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.meshes import block
+from tissuereg.contacts.frame import Frame
+from tissuereg.errors import MaterialError, SupportError
+
+SILICONE = tr.Material(8.0, 0.45)
+
+
+@pytest.fixture(scope="module")
+def body():
+    return block((30.0, 30.0, 24.0), (6, 6, 5))
+
+
+def pulled(mesh, held, material=SILICONE):
+    """Return the displacement of a body held at some nodes under a local pull on its top."""
+    top = np.isclose(mesh.nodes[:, 2], mesh.nodes[:, 2].max())
+    away = np.linalg.norm(mesh.nodes - [20.0, 18.0, 24.0], axis=1)
+    forces = (top * np.clip(1.0 - (away / 9.0) ** 2, 0.0, None))[:, None] * np.array([60.0, 20.0, 90.0])
+    rig = tr.Mesh(mesh.nodes, mesh.tets, {"fixed": held})
+    return tr.simulate(rig, tr.Load(forces=forces), material).displacement
+
+
+def seen(mesh, places, std=0.05, seed=4):
+    """Return 15 markers spread over the surface above the base."""
+    nodes = mesh.surface_nodes[mesh.nodes[mesh.surface_nodes, 2] > 1.0]
+    chosen = [int(nodes[0])]
+    gap = np.full(len(nodes), np.inf)
+    while len(chosen) < 15:
+        gap = np.minimum(gap, np.linalg.norm(mesh.nodes[nodes] - mesh.nodes[chosen[-1]], axis=1))
+        chosen.append(int(nodes[np.argmax(gap)]))
+    noise = std * np.random.default_rng(seed).standard_normal((15, 3))
+    return tr.Markers(mesh.nodes[chosen], places[chosen] + noise, std)
+
+
+def error(result, places):
+    return float(np.linalg.norm(result.mesh.nodes + result.displacement - places, axis=1).mean())
+
+
+def turned(degrees, shift):
+    """Return a rigid motion about an oblique axis."""
+    half = np.deg2rad(degrees) * np.array([1.0, 2.0, 2.0]) / 3.0
+    angle = np.linalg.norm(half)
+    x, y, z = half / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return Frame(rotation, np.asarray(shift, float))
+
+
+def test_a_body_that_nothing_holds_is_found_after_a_rigid_motion_and_a_pull(body):
+    base = np.flatnonzero(body.nodes[:, 2] == 0.0)
+    corners = [
+        np.argsort(np.linalg.norm(body.nodes[base] - c, axis=1))[:4] for c in ([0, 0, 0], [30, 0, 0], [15, 30, 0])
+    ]
+    moved = pulled(body, base[np.unique(corners)])
+    places = turned(15.0, (12.0, -12.0, 10.0)).apply(body.nodes + moved)
+    free = tr.Mesh(body.nodes, body.tets, {})
+    result = tr.register(free, seen(body, places), targets={"middle": body.nodes.mean(axis=0)})
+    rigid = Frame.between(body.nodes, places).apply(body.nodes)
+    bent = np.linalg.norm(places - rigid, axis=1).mean()
+    assert bent > 0.5
+    assert error(result, places) < 0.5 * bent
+    assert result.markers.after_rms_mm < 0.3
+
+
+def test_supports_that_hold_at_the_rim_alone_are_found(body):
+    x, y, z = body.nodes.T
+    base = z == 0.0
+    rim = base & ((np.minimum(x, 30.0 - x) < 1.0) | (np.minimum(y, 30.0 - y) < 1.0))
+    places = body.nodes + pulled(body, np.flatnonzero(rim))
+    perhaps = tr.register(body, seen(body, places), held="perhaps")
+    assert error(perhaps, places) < 0.25
+    assert perhaps.trust.ok, perhaps.trust.reasons
+
+
+def test_supports_that_hold_in_the_middle_alone_are_found_better_than_when_taken_for_sure(body):
+    x, y, z = body.nodes.T
+    middle = (z == 0.0) & (np.hypot(x - 15.0, y - 15.0) < 9.0)
+    places = body.nodes + pulled(body, np.flatnonzero(middle))
+    perhaps, sure = (tr.register(body, seen(body, places), held=held) for held in ("perhaps", "sure"))
+    assert error(perhaps, places) < 0.6 * error(sure, places)
+
+
+def test_a_tracker_that_drifts_is_told_from_a_pull(body):
+    places = body.nodes + pulled(body, np.flatnonzero(body.nodes[:, 2] == 0.0))
+    drifted = turned(0.5, (0.6, -0.45, 0.2)).apply(places)
+    known, drifts = (tr.register(body, seen(body, drifted), frame=frame) for frame in ("known", "drifts"))
+    assert error(drifts, drifted) < 0.15
+    assert error(drifts, drifted) < 0.6 * error(known, drifted)
+
+
+def test_a_body_softer_at_its_top_is_found_so(body):
+    height = body.nodes[body.tets].mean(axis=1)[:, 2] / 24.0
+    graded = tr.Material(8.0 * np.exp(2.0 - 4.0 * height), 0.45)
+    places = body.nodes + pulled(body, np.flatnonzero(body.nodes[:, 2] == 0.0), graded.scaled(0.5))
+    uniform, found = (tr.register(body, seen(body, places), stiffness=kind) for kind in ("believed", "graded"))
+    assert error(found, places) < error(uniform, places)
+
+
+def test_words_for_frame_and_stiffness_are_checked(body):
+    markers = seen(body, body.nodes)
+    with pytest.raises(SupportError, match="'known' or 'drifts'"):
+        tr.register(body, markers, frame="moves")
+    with pytest.raises(MaterialError, match="'believed' or 'graded'"):
+        tr.register(body, markers, stiffness="soft")
+    with pytest.raises(MaterialError, match="a load or none"):
+        tr.register(body, markers, stiffness="graded", simulation=np.zeros_like(body.nodes))
