@@ -10,12 +10,12 @@ import json
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from loadfree_real import beam, hydrogel
 from loadfree_real.page import page
 
+ROOT = Path(__file__).resolve().parents[1]
 ARCHIVE, PAGE = ROOT / "benchmarks" / "results" / "loadfree-real.json", ROOT / "docs" / "loadfree-real.md"
 N_DRAWS = 5
 
