@@ -38,8 +38,7 @@ def body(held: str = "sure") -> ContactBody:
 
 def columns_of(held: str = "sure", believed=None) -> Columns:
     """Return the columns of the body under a believed load."""
-    young = float(np.mean(MATERIAL.young_array))
-    return Columns.of(body(held), young, {**NOTHING, **(believed or {})}, ContactSettings())
+    return Columns.of(body(held), MATERIAL, {**NOTHING, **(believed or {})}, ContactSettings())
 
 
 @dataclass(frozen=True, eq=False)

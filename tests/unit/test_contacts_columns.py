@@ -88,7 +88,7 @@ def test_zero_coefficients_are_the_believed_load():
 
 def test_young_cancels_from_all_but_the_forces():
     soft = columns_of()
-    stiff = type(soft).of(body(), 10 * soft.young, soft.believed, ContactSettings())
+    stiff = soft.made_of(MATERIAL.scaled(10.0))
     coefficients = np.random.default_rng(2).normal(size=soft.n_columns) * 0.02
     one, two = soft.load(coefficients), stiff.load(coefficients)
     assert np.allclose(10 * one.forces, two.forces)

@@ -178,7 +178,7 @@ def test_a_rigid_motion_is_found_from_points_of_a_part(block_mesh):
 def test_a_projection_keeps_what_causes_can_do(block_mesh):
     body = ContactBody.of(block_mesh, Supports.of(block_mesh, "sure"))
     settings = ContactSettings()
-    columns = Columns.of(body, 10.0, body.simulator.load_parts(tr.Load()), settings)
+    columns = Columns.of(body, tr.Material(10.0), body.simulator.load_parts(tr.Load()), settings)
     still = Moment(np.zeros(columns.n_columns), np.zeros((block_mesh.n_nodes, 3)), Frame.still())
     seen = SeenPoints(block_mesh, cloud(block_mesh, 0.0, 300, np.random.default_rng(6)), 0.1, 0.02)
     reading = seen.read(still)
