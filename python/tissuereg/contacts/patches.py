@@ -25,8 +25,8 @@ _LEAST_EDGES = 1.2
 #: Centres of one radius are thinned to this share of it.
 _THINNING = 0.7
 
-#: Nodes whose normal turns away from the centre's by more (cosine) do not belong to a patch, nor make way for its
-#: centre: the other side of a sheet.
+#: Nodes whose normal turns away from the centre's by more (cosine) are on the other side of a sheet: they do not belong
+#: to a patch, nor make way for its centre.
 _LEAST_COSINE = 0.1
 
 
