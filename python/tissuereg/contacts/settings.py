@@ -29,6 +29,8 @@ class ContactSettings:
         Their stiffness where the markers do not tell, in Young's modulus over the extent of the body.
     stiffness_tried : tuple of float
         The stiffnesses among which the markers choose.
+    support_log_std : float
+        Standard deviation of the logarithm of their stiffness from place to place.
     frame_mm : tuple of float
         The same of a rigid motion of a body that nothing holds for sure, mm.
     drift_mm : tuple of float
@@ -75,6 +77,7 @@ class ContactSettings:
     frame_mm: tuple[float, float] = (1.0, 1.5)
     support_stiffness: float = 100.0
     stiffness_tried: tuple[float, ...] = (0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+    support_log_std: float = 1.0
     drift_mm: tuple[float, float] = (0.3, 1.0)
     wrong_odds: float = 0.005
     wrong_share: float = 0.05
