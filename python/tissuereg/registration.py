@@ -175,6 +175,8 @@ def register(
         result = register_by_model(given, model, said, clock)
         if not polish:
             return result
-        believed = ContactInput(None, result.displacement, stuff, own, held, held_nodes, frame, stiffness, progress, ensemble)
+        believed = ContactInput(
+            None, result.displacement, stuff, own, held, held_nodes, frame, stiffness, progress, ensemble
+        )
         polished = register_by_contacts(given, believed, clock)
         return replace(polished, model={**result.model, "polished": True})

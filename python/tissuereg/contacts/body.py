@@ -107,7 +107,14 @@ class ContactBody:
         base = None
         if len(supports.perhaps):
             base = make_patches(mesh, np.intersect1d(mesh.surface_nodes, supports.perhaps))
-        return cls(mesh, supports, simulator, make_patches(mesh, free), base, _blobs(mesh))
+        return cls(
+            mesh,
+            supports,
+            simulator,
+            make_patches(mesh, free),
+            base,
+            smooth_fields(mesh.nodes[mesh.tets].mean(axis=1), _N_BLOBS),
+        )
 
 
 def forget_bodies() -> None:
@@ -116,15 +123,27 @@ def forget_bodies() -> None:
         _kept.clear()
 
 
-def _blobs(mesh: Mesh) -> FloatArray:
-    """Return Gaussian fields about places that lie far from each other."""
+def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
+    """Return Gaussian fields about places that lie far from each other.
+
+    Parameters
+    ----------
+    middles : ndarray of float64, shape (n, 3)
+        Where the fields are wanted, mm.
+    count : int
+        Fields at most.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_fields, n)
+        Their squares add up to one at every place.
+    """
     from scipy.spatial import cKDTree
 
-    middles = mesh.nodes[mesh.tets].mean(axis=1)
-    chosen = _far_apart(middles, min(_N_BLOBS, len(middles)))
+    chosen = _far_apart(middles, min(count, len(middles)))
     places = middles[chosen]
     if len(places) < 2:
-        return np.ones((1, mesh.n_tets))
+        return np.ones((1, len(middles)))
     gaps = np.asarray(cKDTree(places).query(places, k=2)[0])
     width = 0.8 * float(np.median(gaps[:, 1]))
     squared = np.sum(middles**2, axis=1) - 2.0 * places @ middles.T + np.sum(places**2, axis=1)[:, None]

@@ -30,6 +30,8 @@ class ContactSettings:
         Their stiffness where the markers do not tell, in Young's modulus over the extent of the body.
     stiffness_tried : tuple of float
         The stiffnesses among which the markers choose.
+    support_log_std : float
+        Standard deviation of the logarithm of their stiffness from place to place.
     frame : tuple of float
         The same of a rigid motion of a body that nothing holds for sure.
     drift : tuple of float
@@ -75,6 +77,7 @@ class ContactSettings:
     supports: tuple[float, float] = (0.0008, 1.5)
     support_stiffness: float = 100.0
     stiffness_tried: tuple[float, ...] = (0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+    support_log_std: float = 1.0
     frame: tuple[float, float] = (0.008, 1.5)
     drift: tuple[float, float] = (0.0025, 1.0)
     wrong_odds: float = 0.02

@@ -11,11 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.contacts.body import smooth_fields
 from tissuereg.contacts.fit import ContactFit
 from tissuereg.contacts.seen import Seen
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.material import Material
 from tissuereg.simulate.sensitivity import Cause, Compliance, Field, Linearised, Observation
+
+#: Smooth fields of the stiffness of supports that are perhaps held.
+_N_SUPPORT_FIELDS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,8 @@ class Spread:
         errors = _model_errors(fit, material, settings)
         scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
         causes = [*errors, *(cause for cause, _ in further)]
-        self._model_forces = -scales[:, None, None] * fit.linearised.unbalanced(causes)
+        by_law = -scales[:, None, None] * fit.linearised.unbalanced(causes)
+        self._model_forces = np.concatenate([by_law, _support_errors(fit, settings)])
         compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in fit.posed.rows])
         self._model_at_data = self._by_model(compliance)
 
@@ -210,6 +215,22 @@ def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings
     fields = settings.young_log_std * fit.columns.body.blobs * by_tet
     poisson = np.full(simulator.mesh.n_tets, settings.poisson_std)
     return [*(Field("young", one) for one in fields), Field("poisson", poisson)]
+
+
+def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
+    """Return the forces (n_fields, n_element_nodes, 3) of supports stiffer here and softer there, in mN."""
+    columns = fit.columns
+    simulator = columns.body.simulator
+    if columns.body.base is None or columns.springs is None:
+        return np.zeros((0, simulator.body.n_nodes, 3))
+    forces = np.asarray(simulator.spring_forces(fit.moment.displacement, springs=columns.springs)).sum(axis=0)
+    nodes = np.flatnonzero(np.abs(forces).max(axis=1) > 0.0)
+    if not len(nodes):
+        return np.zeros((0, simulator.body.n_nodes, 3))
+    smooth = smooth_fields(simulator.body.nodes[nodes], _N_SUPPORT_FIELDS)
+    fields = np.zeros((len(smooth), simulator.body.n_nodes))
+    fields[:, nodes] = smooth
+    return np.asarray(settings.support_log_std * fields[:, :, None] * forces)
 
 
 __all__ = ["Points", "Spread", "linear_fields", "unseen_variances"]
