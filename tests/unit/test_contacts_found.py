@@ -46,7 +46,7 @@ def test_contacts_are_plain_numbers_in_the_json(result):
 
 
 def test_the_body_is_that_of_the_truth(result):
-    # Measured: 0.065 to 0.067 at six seeds. The push is smooth; at its size, 1.5 mm here, texture is believed beside it.
+    # Measured: 0.065 to 0.067 at six seeds. The push is smooth; at its size, 1.5 mm here, texture is expected with it.
     assert push().errors(result).mean() < 0.075 * moved()
     assert result.markers.after_rms_mm < push().limit(push().markers())
     assert result.trust.ok, result.trust.reasons
