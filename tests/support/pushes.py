@@ -21,6 +21,9 @@ MATERIAL = tr.Material(8.0, 0.4)
 
 NOTHING = {"forces": None, "body_force": None, "prescribed": None}
 
+#: Elements of the truth, and of registrations that are to find it: other elements are another stiffness.
+ELEMENT = "tet4"
+
 #: How far the patch is pushed, mm.
 PUSH = np.array([1.0, 0.5, -4.0])
 

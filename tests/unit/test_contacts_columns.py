@@ -5,7 +5,7 @@ import pytest
 
 import tissuereg as tr
 from support.pushes import MATERIAL, TIGHT, body, columns_of
-from tissuereg.contacts.columns import log_filled
+from tissuereg.contacts.columns import contact_sizes, log_filled
 from tissuereg.contacts.frame import Frame
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.observe import MarkerObservation
@@ -110,8 +110,10 @@ def test_the_prior_of_slots_is_a_probability():
     # The same for every radius, whatever its number of centres.
     by_level = np.bincount(columns.body.patches.level, np.exp(logs).sum(axis=1))
     assert by_level == pytest.approx(np.full(len(by_level), (1 - empty) / len(by_level)))
-    # Ten times its radius is nothing that a patch is pushed by.
-    assert logs[columns.body.patches.level == 0][:, -1].max() < logs.max() - 10
+    # Half a normal distribution over sizes, as wide as a share of the radius.
+    squares = contact_sizes(columns, settings) ** 2
+    width = settings.largest_share * columns.body.patches.radii[:, None]
+    assert logs - logs[:, :1] == pytest.approx(-0.5 * (squares - squares[0]) / width**2)
 
 
 def test_sizes_of_a_family_are_log_normal():

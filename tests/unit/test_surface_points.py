@@ -213,8 +213,11 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
     monkeypatch.setattr("tissuereg.contacts.seen.MOST_PLAIN", 60)
     few = tr.register(block_mesh, markers, targets=targets)
     moved = np.linalg.norm(truth, axis=1).mean()
-    # Measured: 0.01 of the motion; chains and tails differ.
-    assert np.linalg.norm(few.displacement - plain.displacement, axis=1).mean() < 0.02 * moved
+    # Measured at four seeds: 0.021 to 0.026 of the motion, seeds alone 0.005. Heavy tails weigh markers otherwise; what
+    # that changes is less than either leaves unknown, a standard deviation of 0.04.
+    apart = np.linalg.norm(few.displacement - plain.displacement, axis=1).mean()
+    assert apart < 0.03 * moved
+    assert apart < min(plain.std.mean(), few.std.mean())
     for name in targets:
         widths = [np.sqrt(np.trace(one.target(name).covariance)) for one in (plain, few)]
         assert 0.6 < widths[1] / widths[0] < 1.7
