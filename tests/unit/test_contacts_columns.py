@@ -71,7 +71,7 @@ def test_blocks_are_those_that_the_body_asks_for():
     assert names["partly"] == ["background", "weight", "supports"]
     assert names["free"] == ["background", "weight", "frame"]
     believed = columns_of("perhaps", {"body_force": np.array([0.0, 0.0, 1e-3])})
-    assert [family.name for family in believed.families] == ["background", "weight", "believed", "supports", "frame"]
+    assert [family.name for family in believed.families] == ["background", "weight", "believed", "supports"]
     stops = [family.columns.stop for family in believed.families]
     assert [family.columns.start for family in believed.families] == [0, *stops[:-1]]
     assert believed.n_columns == stops[-1]
