@@ -72,6 +72,10 @@ def _add_input_options(parser: Parser) -> None:
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "how the node set 'fixed' is taken (default: sure); a mesh without held nodes is free"
     more.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
+    text = "whether the tracker kept its place beside the supports (default: known)"
+    more.add_argument("--frame", choices=["known", "drifts"], help=text)
+    text = "graded: softer towards one side by an amount that the markers tell (default: believed)"
+    more.add_argument("--stiffness", choices=["believed", "graded"], help=text)
     text = "noise of a marker coordinate without its own std_mm, in mm (default: 0.1)"
     more.add_argument("--std", type=positive_number, metavar="MM", help=text)
 
@@ -103,7 +107,7 @@ def run(args: argparse.Namespace) -> Outcome:
             **given,
             model=args.model,
             element=args.element,
-            **({} if args.held is None else {"held": args.held}),
+            **{name: value for name in ("held", "frame", "stiffness") if (value := getattr(args, name)) is not None},
             seed=args.seed or 0,
             threads=args.threads,
             settings=_settings(args),
