@@ -157,9 +157,9 @@ def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, 
     """Return the passes on supports as stiff as the markers suggest, and what is left uncertain of that."""
     found = support_stiffness(passes, frame)
     columns = passes.columns.on_springs(found.best)
-    assert columns.springs is not None
+    springs = np.zeros((0, 2)) if columns.springs is None else columns.springs
     causes: list[tuple[Cause, float]] = []
-    for index, (stiffness, log_std) in enumerate(zip(columns.springs, found.log_std, strict=True)):
+    for index, (stiffness, log_std) in enumerate(zip(springs, found.log_std, strict=True)):
         names = ("springs.normal_kpa_per_mm", "springs.tangential_kpa_per_mm")
         causes += [(Parameter(name, index), log_std * float(k)) for name, k in zip(names, stiffness, strict=True)]
     return replace(passes, columns=columns), causes

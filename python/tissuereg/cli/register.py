@@ -84,6 +84,10 @@ def _add_input_options(parser: Parser) -> None:
     more.add_argument("--surface", metavar="FILE", help=text)
     text = "noise of such a point along the surface's normal, in mm (default: 0.1)"
     more.add_argument("--surface-std", type=positive_number, metavar="MM", help=text)
+    text = "whether the tracker kept its place beside the supports (default: known)"
+    more.add_argument("--frame", choices=["known", "drifts"], help=text)
+    text = "graded: softer towards one side by an amount that the markers tell (default: believed)"
+    more.add_argument("--stiffness", choices=["believed", "graded"], help=text)
     text = "noise of a marker coordinate without its own std_mm, in mm (default: 0.1)"
     more.add_argument("--std", type=positive_number, metavar="MM", help=text)
 
@@ -115,7 +119,7 @@ def run(args: argparse.Namespace) -> Outcome:
             **{"element": args.element, **given},
             model=args.model,
             polish=args.polish,
-            **({} if args.held is None else {"held": args.held}),
+            **{name: value for name in ("held", "frame", "stiffness") if (value := getattr(args, name)) is not None},
             seed=args.seed or 0,
             threads=args.threads,
             settings=_settings(args),
