@@ -95,7 +95,8 @@ def true_load(body: Body, event: Event) -> Load:
 
     Every contact becomes a traction on the user's nodes: a parabola about its true centre times a linear function, so
     that its total force and its first moments (a pad also turns what it is glued to) are the true ones. Forces are
-    those at the believed modulus; the weight is what it is.
+    those at the believed modulus; the weight is what it is. Events whose archive holds no first moments (numbers 0 to
+    10) have them zero about the middle of the patch.
     """
     mesh, told = body.mesh, event.told
     forces = np.zeros((mesh.n_nodes, 3))
@@ -115,6 +116,8 @@ def _spread(spot: np.ndarray, arms: np.ndarray, contact: dict) -> np.ndarray:
     force = np.asarray(contact["force_mN"])
     middle = spot @ arms
     arms = arms - middle
+    if "dipole_mN_mm" not in contact:
+        return spot[:, None] * force
     dipole = np.asarray(contact["dipole_mN_mm"]) - np.outer(force, middle)
     # Across a nearly flat patch there is no arm: that direction is left out.
     slope = dipole @ np.linalg.pinv(arms.T @ (spot[:, None] * arms), rcond=0.05, hermitian=True)
