@@ -10,6 +10,8 @@ from tissuereg.errors import MaterialError, SupportError
 
 SILICONE = tr.Material(8.0, 0.45)
 
+HELD = ("perhaps", "sure")
+
 
 @pytest.fixture(scope="module")
 def body():
@@ -74,7 +76,8 @@ def held_where(body, inside):
     inner = np.setdiff1d(np.arange(body.n_nodes), body.surface_nodes)
     targets = {str(node): body.nodes[node] for node in inner}
     markers = seen(body, places)
-    return places, [tr.register(body, markers, targets=targets, held=held) for held in ("perhaps", "sure")]
+    # The elements of the truth: what is in question here are the supports.
+    return places, [tr.register(body, markers, targets=targets, held=held, element="tet4") for held in HELD]
 
 
 def coverage(result, places):
