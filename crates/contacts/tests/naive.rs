@@ -75,14 +75,14 @@ fn beneath() -> Case {
     for (row, axis) in [0, 3, 4].into_iter().flat_map(|row| [0, 1, 2].map(|axis| (row, axis))) {
         case.columns[(row, axis)] *= 0.05;
     }
-    case.prior.log_filled.iter_mut().for_each(|log| *log += 0.05_f64.ln());
-    let log_odds = 0.005_f64.ln();
+    case.prior.log_filled.iter_mut().for_each(|log| *log += 0.01_f64.ln());
+    let log_odds = 1.6e-5_f64.ln();
     case.prior.wrong = Wrong { rows: vec![vec![1, 2], vec![0, 4]], variance: 9.0, log_odds };
     case.observed.innovation = vec![0.1, -4.0, 5.0, 0.2, -0.1];
     case
 }
 
-/// Probability that slot and first group are both innocent, one explains, the other does, or both.
+/// Probabilities by whether the slot is filled, then by whether the first group is wrong.
 fn explained<'a>(each: impl Iterator<Item = (&'a Configuration, f64)>) -> [[f64; 2]; 2] {
     let mut found = [[0.0; 2]; 2];
     for (one, share) in each {
@@ -98,7 +98,7 @@ fn a_wrong_group_and_a_contact_beneath_it_have_the_probabilities_of_the_posterio
     let wanted = explained(all.iter().zip(posterior(&case, &all)));
     // Two explanations with hardly a way between them but by exchange.
     assert!(wanted[0][1] > 0.2 && wanted[1][0] > 0.2, "{wanted:?}");
-    assert!(wanted[0][0] + wanted[1][1] < 0.03, "{wanted:?}");
+    assert!(wanted[0][0] + wanted[1][1] < 0.01, "{wanted:?}");
     // Chains that all begin at the same explanation, and are short.
     let problem = case.problem();
     let settings = ChainSettings { powers: vec![1.0; 30], n_kept: 5, ..ChainSettings::default() };
