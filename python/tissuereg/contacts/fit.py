@@ -219,7 +219,7 @@ class Passes:
 
     def linear(self, moment: Moment) -> Posed:
         """Return the data at a body with how they follow the columns."""
-        return self._pose(self._linearise(moment), moment)[0]
+        return self._posed(self._linearise(moment), self.seen.read(moment), moment.coefficients)
 
     def _linearise(self, moment: Moment) -> Linearised:
         self._count("factorisations", 1)
