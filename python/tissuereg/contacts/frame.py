@@ -53,12 +53,6 @@ class Frame:
         """Return places (..., 3) of the tracker's frame in the body's."""
         return np.asarray((places - self.shift) @ self.rotation)
 
-    def turn(self, rows: FloatArray) -> FloatArray:
-        """Return responses (3 n_points, n_columns) of the body's frame in the tracker's."""
-        if not self.moves:
-            return rows
-        return np.asarray(np.matmul(self.rotation, rows.reshape(-1, 3, rows.shape[1])).reshape(rows.shape))
-
     def followed_by(self, coefficients: FloatArray, rigid: FloatArray) -> "Frame":
         """Return this motion after a small one in the body's frame.
 

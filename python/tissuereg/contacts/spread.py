@@ -16,7 +16,7 @@ from tissuereg.contacts.fit import ContactFit
 from tissuereg.contacts.seen import Seen
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.material import Material
-from tissuereg.simulate.sensitivity import Cause, Compliance, Field, Linearised, Observation
+from tissuereg.simulate.sensitivity import Cause, Compliance, Field, Observation
 
 #: Smooth fields of the stiffness of supports that are perhaps held.
 _N_SUPPORT_FIELDS = 12
@@ -153,7 +153,7 @@ class Spread:
         # What errors of the model do to the markers is met by loads that are not there.
         gain = fit.sampler.moments(list(fit.samples), np.zeros((0, fit.columns.n_columns)), threads=self._threads)[1]
         drawn = drawn - errors @ (gain @ self._model_at_data).T
-        moved = linear_fields(fit.linearised, fit, drawn, np.tensordot(errors, self._model_forces, 1))
+        moved = linear_fields(fit, drawn, np.tensordot(errors, self._model_forces, 1))
         moved = moved[:, : fit.columns.body.mesh.n_nodes] @ turn.T
         spread = np.einsum("dna,dnb->nab", moved, moved) / len(moved)
         if fields is not None:
@@ -189,7 +189,7 @@ def unseen_variances(fit: ContactFit, seen: Seen) -> FloatArray:
     return variances
 
 
-def linear_fields(linearised: Linearised, fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
+def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
     """Return displacement fields (n, n_element_nodes, 3) of changes of coefficients and of further nodal forces."""
     columns = fit.columns
     base = columns.load(fit.moment.coefficients)
@@ -198,7 +198,7 @@ def linear_fields(linearised: Linearised, fit: ContactFit, change: FloatArray, f
         load = columns.load(fit.moment.coefficients + one)
         total[index] += np.asarray(load.forces) - base.forces
         total[index] += columns.weight_forces(np.asarray(load.body_force) - base.body_force)
-    fields = linearised.responses(np.ascontiguousarray(total))
+    fields = fit.linearised.responses(np.ascontiguousarray(total))
     if columns.moves:
         places = columns.body.simulator.body.nodes + fit.moment.displacement
         rigid = columns.rigid_field(places)
