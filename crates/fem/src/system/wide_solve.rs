@@ -2,7 +2,7 @@
 //!
 //! A row of the local vector holds one number a right-hand side, so that an entry of the panel, once
 //! read, serves all of them. Every right-hand side is worked on in its own lane and in one order: its
-//! bits do not depend on what stands beside it.
+//! bits do not depend on what surrounds it.
 
 use pulp::Simd;
 
