@@ -100,15 +100,19 @@ def true_load(body: Body, event: Event) -> Load:
     """
     mesh, told = body.mesh, event.told
     forces = np.zeros((mesh.n_nodes, 3))
-    free = ~np.isin(mesh.surface, mesh.fixed_nodes).all(axis=1)
-    corners = mesh.nodes[mesh.surface[free]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    triangles, normals = free_surface(mesh)
     for contact in told["contacts"]:
-        spot = _patch(mesh, mesh.surface[free], normals, contact)
+        spot = _patch(mesh, triangles, normals, contact)
         forces += _spread(spot / spot.sum(), mesh.nodes - np.asarray(contact["centre"]), contact)
-    forces[mesh.fixed_nodes] = 0.0
     weight = np.asarray(told["weight_mN_per_mm3"])
     return Load(forces=forces, body_force=weight if weight.any() else None)
+
+
+def free_surface(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return the triangles (n, 3) off the base and their outward normals, as long as their area, mm^2."""
+    triangles = mesh.surface[~np.isin(mesh.surface, mesh.fixed_nodes).all(axis=1)]
+    corners = mesh.nodes[triangles]
+    return triangles, np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
 
 
 def _spread(spot: np.ndarray, arms: np.ndarray, contact: dict) -> np.ndarray:
@@ -129,6 +133,7 @@ def _patch(mesh: Mesh, triangles: np.ndarray, normals: np.ndarray, contact: dict
     facing = normals @ np.asarray(contact["normal"]) > 0.3 * np.linalg.norm(normals, axis=1)
     area = np.zeros(mesh.n_nodes)
     np.add.at(area, triangles[facing].ravel(), np.repeat(np.linalg.norm(normals[facing], axis=1) / 3, 3))
+    area[mesh.fixed_nodes] = 0.0
     off = np.linalg.norm(mesh.nodes - np.asarray(contact["centre"]), axis=1)
     radius = float(np.sqrt(np.prod(contact["radii"])))
     while True:

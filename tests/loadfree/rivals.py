@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import tissuereg as tr
+from loadfree import wrong
 from loadfree.events import Body, Event, true_load
 from loadfree.gaussian import gaussian_answer
 from loadfree.layouts import NOISE_MM, chosen, markers
@@ -93,6 +94,11 @@ def oracle(case: Case) -> Answer:
     return registered(case, load=true_load(case.body, case.event))
 
 
+def wrong_load(case: Case) -> Answer:
+    """Register about a wrong load: half as large, turned by 30 degrees, 12 mm from where it truly acts."""
+    return registered(case, load=wrong.wrong_load(case.body, case.event))
+
+
 def gaussian(case: Case) -> Answer:
     """Tractions of a Gaussian field, to first order."""
     seen = case.markers
@@ -129,5 +135,6 @@ METHODS: dict[str, Callable[[Case], Answer]] = {
     "gaussian": gaussian,
     "fitted": fitted,
     "oracle": oracle,
+    "wrong_load": wrong_load,
     "none": none,
 }

@@ -43,13 +43,27 @@ their motion. In brackets: 95 % intervals by resampling whole events. How the tr
 `tests/loadfree/README.md`.
 """
 
+#: What each method is.
+SAID = {
+    "contacts": "`register(mesh, markers)`: nothing is known of the load",
+    "rigid": "the markers' best rigid motion",
+    "spline": "a thin-plate spline through the markers",
+    "gaussian": "tractions of a Gaussian field, to first order",
+    "fitted": "principal components fitted to random events",
+    "oracle": "`load=` is true: contacts as smooth tractions of their true force and place, and the weight",
+    "wrong_load": "`load=` is wrong: every force and the weight have half their size and are turned by 30 degrees, "
+    "every contact is 12 mm from its place",
+    "none": "nothing moves",
+}
+
 #: The method whose figures are shown in full by layout, kind and body.
 SHOWN = "contacts"
 
 
 def page(results: dict[str, dict]) -> str:
     """Return the page from results by half."""
-    parts = [INTRODUCTION]
+    used = [method for method in METHODS if any(method in answer["rows"] for answer in results.values())]
+    parts = [INTRODUCTION, *_listed(used)]
     parts += [section(title, results[half]) for half, title in SECTIONS.items() if results[half]["rows"]]
     return "\n".join(parts)
 
@@ -73,6 +87,11 @@ def section(title: str, answer: dict) -> str:
         if SHOWN in split:
             lines += ["", f"### {SHOWN}, by {heading}", "", *_table(heading, split[SHOWN], events)]
     return "\n".join(lines) + "\n"
+
+
+def _listed(methods: list[str]) -> list[str]:
+    """Return a table of what methods are."""
+    return ["| method | what it is |", "| --- | --- |", *(f"| {name} | {SAID[name]} |" for name in methods), ""]
 
 
 def _side_by_side(heading: str, names: tuple[str, ...], split: dict, events: dict) -> list[str]:

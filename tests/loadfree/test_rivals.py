@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from loadfree import archive, run, table
-from loadfree.events import read_body
+from loadfree.events import BODIES, read_body
 from loadfree.gaussian import LENGTHS, gaussian_answer, responses
 from loadfree.layouts import NOISE_MM, chosen
 from loadfree.rivals import METHODS, Case
+from loadfree.wrong import wrong_load, wrongly_told
 from tissuereg import Load
 from tissuereg.errors import ConvergenceError
 
@@ -60,6 +61,30 @@ def test_quick_rivals_answer_at_every_node_and_target(name):
     if name != "none":
         off = np.linalg.norm(answer.nodes - event.nodes, axis=1).mean()
         assert off < np.linalg.norm(event.nodes, axis=1).mean()
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_wrong_load_is_half_as_large_turned_by_30_degrees_and_12_mm_away_on_the_free_surface(name):
+    body = read_body(name)
+    skin = np.setdiff1d(body.mesh.surface_nodes, body.mesh.fixed_nodes)
+    for event in body.events:
+        said = wrongly_told(body, event)
+        pairs = list(zip(event.told["contacts"], said["contacts"], strict=True))
+        for true, wrong in pairs:
+            assert np.abs(body.mesh.nodes[skin] - wrong["centre"]).max(axis=1).min() == 0.0
+            off = np.linalg.norm(np.subtract(wrong["centre"], true["centre"]))
+            assert off == pytest.approx(12.0, abs=2.0)  # there must be a node
+        turned = [(true["force_mN"], wrong["force_mN"]) for true, wrong in pairs]
+        if event.kind == "gravity":
+            turned.append((event.told["weight_mN_per_mm3"], said["weight_mN_per_mm3"]))
+        for true, wrong in turned:
+            size = np.linalg.norm(true)
+            assert np.linalg.norm(wrong) == pytest.approx(0.5 * size)
+            assert np.dot(true, wrong) == pytest.approx(0.5 * size**2 * np.cos(np.pi / 6))
+        load = wrong_load(body, event)
+        whole = np.sum([contact["force_mN"] for contact in said["contacts"]], axis=0)
+        np.testing.assert_allclose(load.forces.sum(axis=0), whole, atol=1e-9 * np.abs(load.forces).sum())
+        assert np.array_equal(load.forces, wrong_load(body, event).forces)
 
 
 @pytest.fixture
