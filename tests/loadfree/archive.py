@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loadfree.events import read_body
+from loadfree.bench import LOADFREE, Bench
 from tissuereg._machine import machine, versions
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -16,14 +16,14 @@ SCRATCH = REPOSITORY / "build" / "loadfree"
 SCHEMA = "tissuereg.loadfree/1"
 
 
-def result_path(half: str) -> Path:
+def result_path(half: str, bench: Bench = LOADFREE) -> Path:
     """Return where a half's results lie."""
-    return RESULTS / f"loadfree-{half}.json"
+    return RESULTS / f"loadfree-{bench.mark}{half}.json"
 
 
-def scratch_path(half: str, method: str) -> Path:
+def scratch_path(half: str, method: str, bench: Bench = LOADFREE) -> Path:
     """Return where rows of a method are kept while it runs."""
-    return SCRATCH / f"{half}-{method}.jsonl"
+    return SCRATCH / f"{bench.mark}{half}-{method}.jsonl"
 
 
 def key_of(row: dict) -> tuple[str, int, str]:
@@ -46,17 +46,18 @@ def read_results(path: Path) -> dict:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def write_results(path: Path, half: str, method: str, rows: list[dict], run: dict) -> None:
+def write_results(bench: Bench, half: str, method: str, rows: list[dict], run: dict) -> None:
     """Put a method's rows into a half's results; other methods' rows stay.
 
     Parameters
     ----------
-    path : Path
+    bench : Bench
     half, method : str
     rows : list of dict
     run : dict
         Commit, command and settings under which they were made.
     """
+    path = result_path(half, bench)
     answer = read_results(path)
     answer["half"] = half
     answer["methods"][method] = run | {
@@ -66,24 +67,26 @@ def write_results(path: Path, half: str, method: str, rows: list[dict], run: dic
         "n": len(rows),
     }
     answer["rows"][method] = sorted(rows, key=key_of)
-    answer["events"] = _events(answer["rows"])
+    answer["events"] = _events(bench, answer["rows"])
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".part")
     partial.write_text(_compact(answer), encoding="utf-8")
     partial.rename(path)
 
 
-def _events(rows: dict[str, list[dict]]) -> list[dict]:
+def _events(bench: Bench, rows: dict[str, list[dict]]) -> list[dict]:
     """Return what is true of every event that has a row."""
     used = sorted({(row["body"], row["event"]) for some in rows.values() for row in some})
     found = []
     for name, number in used:
-        event = next(event for event in read_body(name).events if event.number == number)
+        event = next(event for event in bench.read(name).events if event.number == number)
+        support = {"support": event.told["support"]["kind"]} if "support" in event.told else {}
         found.append(
             {
                 "body": name,
                 "event": number,
                 "kind": event.kind,
+                **support,
                 "difference": event.told["difference"],
                 "largest_mm": round(event.told["largest_mm"], 3),
                 "body_moved_mm": round(float(np.linalg.norm(event.nodes, axis=1).mean()), 5),

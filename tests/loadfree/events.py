@@ -1,6 +1,7 @@
 """The archive of true events: ``data/<body>.npz``, five bodies of forty events."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -77,12 +78,15 @@ class Event:
 def read_body(name: str) -> Body:
     """Return a body of the archive with its events."""
     with np.load(DATA / f"{name}.npz") as stored:
-        step = float(stored["step_mm"])
-        told = [json.loads(text) for text in stored["told"]]
-        fields = [stored[key] * step for key in ("nodes", "pool", "targets")]
-        events = tuple(Event(name, t["event"], t, *arrays) for t, *arrays in zip(told, *fields, strict=True))
         mesh = Mesh(stored["nodes_mm"], stored["tets"], {"fixed": stored["fixed_nodes"]})
-        return Body(name, mesh, stored["pool_mm"], stored["targets_mm"], events)
+        return Body(name, mesh, stored["pool_mm"], stored["targets_mm"], read_events(stored, name))
+
+
+def read_events(stored: Mapping, name: str, prefix: str = "") -> tuple[Event, ...]:
+    """Return a body's events from an open archive whose keys begin with a prefix."""
+    told = [json.loads(text) for text in stored[f"{prefix}told"]]
+    fields = [stored[f"{prefix}{key}"] * float(stored["step_mm"]) for key in ("nodes", "pool", "targets")]
+    return tuple(Event(name, t["event"], t, *arrays) for t, *arrays in zip(told, *fields, strict=True))
 
 
 def events_of(body: Body, half: str) -> list[Event]:

@@ -1,4 +1,4 @@
-"""Runs methods on events and layouts, resumable by registration: see ``benchmarks/loadfree.py``."""
+"""Runs methods on events and layouts, resumable by registration: see ``benchmarks/loadfree*.py``."""
 
 import argparse
 import json
@@ -7,24 +7,22 @@ import subprocess
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
-from loadfree.archive import REPOSITORY, SCRATCH, key_of, read_rows, result_path, scratch_path, write_results
-from loadfree.events import BODIES, HALVES, events_of, read_body
+from loadfree.archive import REPOSITORY, SCRATCH, key_of, read_rows, scratch_path, write_results
+from loadfree.bench import LOADFREE, Bench
+from loadfree.events import HALVES, events_of
 from loadfree.layouts import LAYOUTS, N_MARKERS, NOISE_MM
-from loadfree.rivals import METHODS, Case
+from loadfree.rivals import Case
 from loadfree.score import scored
 from tissuereg import TissueRegError
 
-#: Methods that take no more than moments.
-QUICK = ("none", "rigid", "spline", "gaussian")
 
-
-def arguments(words: list[str] | None) -> argparse.Namespace:
+def arguments(words: list[str] | None, bench: Bench) -> argparse.Namespace:
     """Return the command line's settings."""
-    parser = argparse.ArgumentParser(prog="python benchmarks/loadfree.py", description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--half", choices=[*HALVES], default="dev", help="dev: even events; test: odd ones")
-    parser.add_argument("--bodies", nargs="+", choices=BODIES, default=list(BODIES))
-    parser.add_argument("--layouts", nargs="+", choices=LAYOUTS, default=list(LAYOUTS))
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=["contacts", *QUICK])
+    parser.add_argument("--bodies", nargs="+", choices=bench.bodies, default=list(bench.bodies))
+    parser.add_argument("--layouts", nargs="+", choices=LAYOUTS, default=list(bench.layouts))
+    parser.add_argument("--methods", nargs="+", choices=bench.methods, default=list(bench.usual))
     parser.add_argument("--limit", type=int, help="the first events of each body only")
     parser.add_argument("--events", nargs="+", type=int, help="events of these numbers only")
     parser.add_argument("--jobs", type=int, default=1, help="events side by side, one thread each")
@@ -32,38 +30,38 @@ def arguments(words: list[str] | None) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def main(words: list[str] | None = None) -> None:
+def main(words: list[str] | None = None, bench: Bench = LOADFREE) -> None:
     """Run what is missing, then write the results of the half and say where they are."""
-    told = arguments(words)
+    told = arguments(words, bench)
     SCRATCH.mkdir(parents=True, exist_ok=True)
     for method in told.methods:
-        path = scratch_path(told.half, method)
+        path = scratch_path(told.half, method, bench)
         if told.again:
             path.unlink(missing_ok=True)
-        wanted = list(_wanted(told))
+        wanted = list(_wanted(told, bench))
         done = {key_of(row) for row in read_rows(path)}
         tasks = [(method, body, number, _left(told, body, number, done)) for body, number in wanted]
         begun = time.time()
-        _run([task for task in tasks if task[3]], told.jobs, path)
+        _run(bench, [task for task in tasks if task[3]], told.jobs, path)
         rows = [
             row for row in read_rows(path) if (row["body"], row["event"]) in wanted and row["layout"] in told.layouts
         ]
         failed = sum("error" in row for row in rows)
-        write_results(result_path(told.half), told.half, method, rows, _conditions(told))
+        write_results(bench, told.half, method, rows, _conditions(told))
         print(f"{method}: {len(rows)} registrations, {failed} failed, {time.time() - begun:.0f} s", flush=True)
 
 
-def answer_event(task: tuple[str, str, int, list[str]]) -> list[dict]:
+def answer_event(task: tuple[str, str, int, list[str]], bench: Bench = LOADFREE) -> list[dict]:
     """Return the rows of one method on one event, one a layout."""
     method, name, number, layouts = task
-    body = read_body(name)
+    body = bench.read(name)
     event = next(event for event in body.events if event.number == number)
     rows = []
     for layout in layouts:
         row = {"body": name, "event": number, "layout": layout}
         begun = time.perf_counter()
         try:
-            answer = METHODS[method](Case(body, event, layout))
+            answer = bench.methods[method](Case(body, event, layout))
         except TissueRegError as error:
             rows.append(row | {"error": f"{type(error).__name__}: {error}", "seconds": _since(begun)})
             continue
@@ -76,9 +74,9 @@ def _since(begun: float) -> float:
     return round(time.perf_counter() - begun, 4)
 
 
-def _wanted(told: argparse.Namespace):
+def _wanted(told: argparse.Namespace, bench: Bench):
     for name in told.bodies:
-        for event in events_of(read_body(name), told.half)[: told.limit]:
+        for event in events_of(bench.read(name), told.half)[: told.limit]:
             if not told.events or event.number in told.events:
                 yield name, event.number
 
@@ -87,7 +85,7 @@ def _left(told: argparse.Namespace, body: str, number: int, done: set) -> list[s
     return [layout for layout in told.layouts if (body, number, layout) not in done]
 
 
-def _run(tasks: list, jobs: int, path) -> None:
+def _run(bench: Bench, tasks: list, jobs: int, path) -> None:
     """Answer events and keep each row as soon as it is there."""
     with path.open("a", encoding="utf-8") as out:
 
@@ -97,11 +95,11 @@ def _run(tasks: list, jobs: int, path) -> None:
 
         if jobs == 1:
             for task in tasks:
-                keep(answer_event(task))
+                keep(answer_event(task, bench))
             return
         # Solvers keep threads of their own: a forked process would hang.
         with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-            for future in as_completed([pool.submit(answer_event, task) for task in tasks]):
+            for future in as_completed([pool.submit(answer_event, task, bench) for task in tasks]):
                 keep(future.result())
 
 

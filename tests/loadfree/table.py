@@ -1,17 +1,17 @@
 """Writes ``docs/loadfree.md`` from ``benchmarks/results/loadfree-*.json``: ``python -m loadfree.table``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
+from loadfree import supports
 from loadfree.archive import REPOSITORY, read_results, result_path
+from loadfree.bench import LOADFREE, Bench
 from loadfree.events import BODIES, KINDS
 from loadfree.layouts import LAYOUTS
-from loadfree.rivals import METHODS
 from loadfree.score import figures
+from loadfree.supports import SUPPORTS
 
 PAGE = REPOSITORY / "docs" / "loadfree.md"
-
-#: Halves that have a section, and what it is called.
-SECTIONS = {"dev": "Development half (even events)", "test": "Other half (odd events), asked once"}
 
 #: Heading, figure, digits, factor of the value.
 COLUMNS = (
@@ -53,40 +53,98 @@ SAID = {
     "oracle": "`load=` is true: contacts as smooth tractions of their true force and place, and the weight",
     "wrong_load": "`load=` is wrong: every force and the weight have half their size and are turned by 30 degrees, "
     "every contact is 12 mm from its place",
+    "perhaps": '`held="perhaps"`: the base is held where the markers say so, nothing is known of the load',
+    "sure": '`held="sure"`: the base is held as the mesh says, nothing is known of the load',
     "none": "nothing moves",
 }
 
-#: The method whose figures are shown in full by layout, kind and body.
-SHOWN = "contacts"
+SUPPORTS_INTRODUCTION = """## Supports partly wrong
+
+Dome, phantom and half ellipsoid with a hole again, each with eight events of its own. The user says that the whole base
+is held. Truly an outer *ring* of it is held, or its *middle*, or three *patches*, or a *band* of the skin above it as
+well. The body is as the user believes otherwise. *perhaps*: `register(..., held="perhaps")`, for supports that are
+doubted; *sure*: the same without doubt, `held="sure"`.
+"""
 
 
-def page(results: dict[str, dict]) -> str:
-    """Return the page from results by half."""
-    used = [method for method in METHODS if any(method in answer["rows"] for answer in results.values())]
-    parts = [INTRODUCTION, *_listed(used)]
-    parts += [section(title, results[half]) for half, title in SECTIONS.items() if results[half]["rows"]]
-    return "\n".join(parts)
+@dataclass(frozen=True)
+class Part:
+    """A part of the page: the results of one bench.
+
+    Attributes
+    ----------
+    bench : Bench
+    introduction : str
+    titles : dict
+        By half.
+    level : int
+        Of the halves' headings.
+    splits : tuple
+        Heading, key of a row or of its event, and its values in order.
+    shown : str
+        The method whose figures are shown in full by every split.
+    """
+
+    bench: Bench
+    introduction: str
+    titles: dict[str, str]
+    level: int
+    splits: tuple[tuple[str, str, tuple[str, ...]], ...]
+    shown: str
 
 
-def section(title: str, answer: dict) -> str:
+PARTS = (
+    Part(
+        LOADFREE,
+        "",
+        {"dev": "Development half (even events)", "test": "Other half (odd events), asked once"},
+        2,
+        (("layout", "layout", LAYOUTS), ("kind of event", "kind", KINDS), ("body", "body", BODIES)),
+        "contacts",
+    ),
+    Part(
+        SUPPORTS,
+        SUPPORTS_INTRODUCTION,
+        {"dev": "Supports, development half (even events)", "test": "Supports, other half (odd events), asked once"},
+        3,
+        (("what truly holds", "support", supports.KINDS), ("layout", "layout", SUPPORTS.layouts)),
+        "perhaps",
+    ),
+)
+
+
+def page() -> str:
+    """Return the page from the results that are there."""
+    parts = [[(half, read_results(result_path(half, part.bench))) for half in part.titles] for part in PARTS]
+    used = {method for halves in parts for _, answer in halves for method in answer["rows"]}
+    text = [INTRODUCTION, *_listed([method for method in SAID if method in used])]
+    for part, halves in zip(PARTS, parts, strict=True):
+        some = [section(part, half, answer) for half, answer in halves if answer["rows"]]
+        text += [part.introduction, *some] if some and part.introduction else some
+    return "\n".join(text)
+
+
+def section(part: Part, half: str, answer: dict) -> str:
     """Return the tables of one half."""
     events = {(event["body"], event["event"]): event for event in answer["events"]}
-    rows = {method: answer["rows"][method] for method in METHODS if method in answer["rows"]}
-    lines = [f"## {title}", "", *_conditions(answer, list(rows)), ""]
+    rows = {method: answer["rows"][method] for method in part.bench.methods if method in answer["rows"]}
+    below = "#" * (part.level + 1)
+    lines = [f"{'#' * part.level} {part.titles[half]}", "", *_conditions(answer, list(rows)), ""]
     lines += _table("method", rows, events)
-    for heading, names, of in (
-        ("layout", LAYOUTS, lambda row: row["layout"]),
-        ("kind of event", KINDS, lambda row: events[row["body"], row["event"]]["kind"]),
-        ("body", BODIES, lambda row: row["body"]),
-    ):
-        split = {
-            method: {name: kept for name in names if (kept := [row for row in some if of(row) == name])}
-            for method, some in rows.items()
-        }
-        lines += ["", f"### Mean body error in mm, by {heading}", "", *_side_by_side(heading, names, split, events)]
-        if SHOWN in split:
-            lines += ["", f"### {SHOWN}, by {heading}", "", *_table(heading, split[SHOWN], events)]
+    for heading, key, names in part.splits:
+        split = {method: _split(some, events, key, names) for method, some in rows.items()}
+        lines += ["", f"{below} Mean body error in mm, by {heading}", ""]
+        lines += _side_by_side(heading, names, split, events)
+        if part.shown in split:
+            lines += ["", f"{below} {part.shown}, by {heading}", "", *_table(heading, split[part.shown], events)]
     return "\n".join(lines) + "\n"
+
+
+def _split(rows: list[dict], events: dict, key: str, names: tuple[str, ...]) -> dict[str, list[dict]]:
+    """Return rows by what they, or their events, have under a key."""
+    told = [(row | events[row["body"], row["event"]])[key] for row in rows]
+    groups = {name: [row for row, value in zip(rows, told, strict=True) if value == name] for name in names}
+    return {name: some for name, some in groups.items() if some}
 
 
 def _listed(methods: list[str]) -> list[str]:
@@ -145,7 +203,7 @@ def _cell(told: dict, key: str | tuple[str, ...], digits: int, factor: float) ->
 
 def write(path: Path = PAGE) -> None:
     """Write the page."""
-    path.write_text(page({half: read_results(result_path(half)) for half in SECTIONS}), encoding="utf-8")
+    path.write_text(page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

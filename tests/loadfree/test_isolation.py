@@ -7,7 +7,7 @@ import pytest
 from blind.test_isolation import modules_of
 
 GENERATOR = Path(__file__).parent / "generator"
-STANDARD = {"argparse", "dataclasses", "json", "pathlib", "sys", "tempfile", "time"}
+STANDARD = {"argparse", "dataclasses", "functools", "json", "pathlib", "sys", "tempfile", "time"}
 ALLOWED = {"blind", "loadfree", "numpy", "pytetwild", "scipy", "skfem"}
 
 

@@ -103,7 +103,7 @@ def test_a_run_goes_on_where_it_stopped_and_keeps_other_methods(elsewhere, monke
     assert len(lines) == 8
     scratch.write_text("\n".join(lines[:5]) + "\n" + lines[5][:20])
     asked = []
-    monkeypatch.setattr(run, "answer_event", lambda task: asked.append(task) or [])
+    monkeypatch.setattr(run, "answer_event", lambda task, bench: asked.append(task) or [])
     run.main([*words, "rigid"])
     assert [(task[2], task[3]) for task in asked] == [(2, ["random", "near", "far"])]
     monkeypatch.undo()

@@ -1,10 +1,12 @@
 """python -m loadfree.generator: solve the events that are not solved, then write the archive.
 
-``--pack``: only write the archive from the events that are there; ``--limit N``: the first N events of each body;
+``--supports``: events of bodies that are held elsewhere than the user says, in place of the others; ``--pack``: only
+write the archive from the events that are there; ``--limit N``: the first N events of each body;
 ``--bodies REFERENCE``: make the bodies' meshes anew, with the reference problems in that folder.
 """
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from loadfree.generator import bodies, store
@@ -12,12 +14,15 @@ from loadfree.generator import bodies, store
 parser = argparse.ArgumentParser(prog="python -m loadfree.generator")
 parser.add_argument("--pack", action="store_true")
 parser.add_argument("--limit", type=int, default=store.N_EVENTS)
+parser.add_argument("--supports", action="store_true")
 parser.add_argument("--bodies", type=Path)
 told = parser.parse_args()
 if told.bodies:
     for name in bodies.BODIES:
         bodies.write(name, told.bodies)
 if not told.pack:
-    store.make_events(told.limit, lambda line: print(line, flush=True))
-for name in bodies.BODIES:
-    print(f"{name}: {store.pack(name)} events")
+    report = partial(print, flush=True)
+    store.make_support_events(report) if told.supports else store.make_events(told.limit, report)
+counts = store.pack_supports() if told.supports else {name: store.pack(name) for name in bodies.BODIES}
+for name, count in counts.items():
+    print(f"{name}: {count} events")

@@ -32,6 +32,11 @@ class Plan:
     told: dict = field(default_factory=dict)
 
     @property
+    def name(self):
+        """What the file of the event is called."""
+        return f"{self.body}-{self.number:02d}"
+
+    @property
     def seed(self):
         """Seed of all draws of the event."""
         return [2211, BODIES.index(self.body), self.number]
@@ -64,7 +69,7 @@ class Skin:
         surface = body.surface(body.skin_facets, 1)
         self.points, self.normals = surface.points[:, 0], surface.normals[:, 0]
         self.area = surface.dx.sum(axis=1)
-        self.base = KDTree(body.places[:, body.base_nodes].T)
+        self.base = KDTree(body.places[:, body.closed_nodes].T)
         low, high = body.places.min(axis=1), body.places.max(axis=1)
         self.extent, self.thickness = (high - low).max(), (high - low).min()
 

@@ -25,8 +25,12 @@ class Bench:
 
     def __init__(self, name):
         self.stored = read(name)
-        self.body = HeldBody(self.stored.data_mesh(), self.stored.axis)
+        self.body = self.held()
         self.skin = Skin(self.body)
+
+    def held(self, spots=()):
+        """Return the data's body, its base glued, finer under spots: see `Stored.data_mesh`."""
+        return HeldBody(self.stored.data_mesh(spots), self.stored.axis)
 
     def run(self, plan):
         """Return the arrays of an event and what it is; draws again where it fails or moves no marker."""
@@ -57,7 +61,7 @@ class Bench:
     def body_under(self, contacts):
         """Return the data's body, finer under contacts."""
         spots = [(c.centre, max(c.radii), max(EDGE_SHARE * min(c.radii), EDGE_MM)) for c in contacts]
-        return HeldBody(self.stored.data_mesh(spots), self.stored.axis)
+        return self.held(spots)
 
     def reader(self, body):
         """Return the matrix that reads a field of the data's body at the user's nodes, the pool and the targets."""
@@ -66,11 +70,14 @@ class Bench:
 
     def seen(self, reader, u):
         """Return displacements in mm by place: ``nodes``, ``pool``, ``targets``; the user's base stays where it is."""
-        stored = self.stored
-        ends = np.cumsum([len(stored.nodes_mm), len(stored.pool_mm)])
-        fields = dict(zip(("nodes", "pool", "targets"), np.split(reader @ u, ends), strict=True))
-        fields["nodes"][stored.fixed_nodes] = 0.0
+        fields = self.read(reader, u)
+        fields["nodes"][self.stored.fixed_nodes] = 0.0
         return fields
+
+    def read(self, reader, u):
+        """Return displacements in mm by place, as they are in the data's body."""
+        ends = np.cumsum([len(self.stored.nodes_mm), len(self.stored.pool_mm)])
+        return dict(zip(("nodes", "pool", "targets"), np.split(reader @ u, ends), strict=True))
 
     def _told(self, plan, contacts, weight, start, draw):
         """Return what an event is, as plain data; forces of contacts as they would be at the believed modulus."""

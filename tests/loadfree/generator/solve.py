@@ -34,14 +34,20 @@ class HeldBody(Body):
         facets = mesh.boundary_facets()
         self.skin_facets = skin_facets(mesh, axis)
         self.base_facets = np.setdiff1d(facets, self.skin_facets)
-        element = mesh.f2t[0, self.base_facets]
+        self.base_nodes = self.nodes_of(self.base_facets)
+        #: Contacts keep away from these.
+        self.closed_nodes = self.base_nodes
+        self._skin = np.stack([mesh.f2t[0, self.skin_facets], self._opposite[self.skin_facets]], axis=1)
+
+    def nodes_of(self, facets):
+        """Return the nodes of boundary facets, six each."""
+        element = self.mesh.f2t[0, facets]
         inside = np.ones((len(element), 10), dtype=bool)
-        opposite = self._opposite[self.base_facets]
+        opposite = self._opposite[facets]
         inside[np.arange(len(element)), opposite] = False
         edges = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
         inside[:, 4:] = ~(edges[None] == opposite[:, None, None]).any(axis=2)
-        self.base_nodes = np.unique(self.dofs[element][inside])
-        self._skin = np.stack([mesh.f2t[0, self.skin_facets], self._opposite[self.skin_facets]], axis=1)
+        return np.unique(self.dofs[element][inside])
 
 
 class EventRun(Run):

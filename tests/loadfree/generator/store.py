@@ -1,16 +1,20 @@
-"""The archive: one file a body, ``data/<body>.npz``, packed from one file an event below ``build/loadfree/events``."""
+"""The archive, ``data/<body>.npz`` and ``data/supports.npz``, packed from one file an event below ``build``."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 
+from loadfree.generator import supports
 from loadfree.generator.bodies import BODIES, DATA, read
 from loadfree.generator.draw import N_EVENTS, plans
 from loadfree.generator.events import Bench
 
 #: Single events, not part of the repository.
 EVENTS = Path(__file__).resolve().parents[3] / "build" / "loadfree" / "events"
+
+#: Events of bodies that are held elsewhere than the user says; their meshes are those of ``data/<body>.npz``.
+SUPPORTS = DATA / "supports.npz"
 
 #: Displacements are stored in steps of this size, as 16-bit numbers.
 STEP_MM = 1e-3
@@ -20,21 +24,32 @@ FIELDS = ("nodes", "pool", "targets")
 
 def path_of(plan):
     """Return where a single event lies."""
-    return EVENTS / f"{plan.body}-{plan.number:02d}.npz"
+    return EVENTS / f"{plan.name}.npz"
 
 
 def make_events(limit=N_EVENTS, report=print):
     """Solve every event that is not solved, event by event over all bodies; an unsolvable one leaves a note."""
-    EVENTS.mkdir(parents=True, exist_ok=True)
     benches = {}
-    for row in zip(*(plans(body)[:limit] for body in BODIES), strict=True):
-        for plan in row:
-            path = path_of(plan)
-            if path.exists() or path.with_suffix(".failed").exists():
-                continue
-            if plan.body not in benches:
-                benches[plan.body] = Bench(plan.body)
-            make_event(benches[plan.body], plan, report)
+    for plan in _missing(zip(*(plans(body)[:limit] for body in BODIES), strict=True)):
+        if plan.body not in benches:
+            benches[plan.body] = Bench(plan.body)
+        make_event(benches[plan.body], plan, report)
+
+
+def make_support_events(report=print):
+    """Solve every event of uncertain supports that is not solved."""
+    rows = zip(*(supports.plans(body) for body in supports.BODIES), strict=True)
+    for plan in _missing(rows):
+        make_event(supports.SupportBench(plan), plan, report)
+
+
+def _missing(rows):
+    """Yield plans that are not solved and have not failed."""
+    EVENTS.mkdir(parents=True, exist_ok=True)
+    for plan in (plan for row in rows for plan in row):
+        path = path_of(plan)
+        if not path.exists() and not path.with_suffix(".failed").exists():
+            yield plan
 
 
 def make_event(bench, plan, report=print):
@@ -58,24 +73,30 @@ def make_event(bench, plan, report=print):
 
 def pack(body):
     """Write the archive of a body from the events that are there; return how many they are."""
-    stored = read(body)
-    found = [path for plan in plans(body) if (path := path_of(plan)).exists()]
-    events = [np.load(path) for path in found]
+    stored, events = read(body), _events(plans(body))
+    mesh = {key: getattr(stored, key) for key in ("nodes_mm", "tets", "fixed_nodes", "pool_mm", "targets_mm")}
+    _write(DATA / f"{body}.npz", mesh | events)
+    return len(events["told"])
+
+
+def pack_supports():
+    """Write the archive of events of uncertain supports, keys by body; return how many they are by body."""
+    events = {body: _events(supports.plans(body)) for body in supports.BODIES}
+    _write(SUPPORTS, {f"{body}_{key}": value for body, some in events.items() for key, value in some.items()})
+    return {body: len(some["told"]) for body, some in events.items()}
+
+
+def _events(planned):
+    """Return the arrays of those events that are there."""
+    events = [np.load(path) for plan in planned if (path := path_of(plan)).exists()]
     arrays = {key: np.stack([_whole(event[key]) for event in events]) for key in FIELDS} if events else {}
-    partial = DATA / f"{body}.part.npz"
-    np.savez_compressed(
-        partial,
-        nodes_mm=stored.nodes_mm,
-        tets=stored.tets,
-        fixed_nodes=stored.fixed_nodes,
-        pool_mm=stored.pool_mm,
-        targets_mm=stored.targets_mm,
-        step_mm=np.array(STEP_MM),
-        told=np.array([str(event["told"]) for event in events]),
-        **arrays,
-    )
-    partial.rename(DATA / f"{body}.npz")
-    return len(events)
+    return {"told": np.array([str(event["told"]) for event in events])} | arrays
+
+
+def _write(path, arrays):
+    partial = path.with_suffix(".part.npz")
+    np.savez_compressed(partial, step_mm=np.array(STEP_MM), **arrays)
+    partial.rename(path)
 
 
 def _whole(values):

@@ -1,0 +1,42 @@
+"""Supports that are partly wrong: the user says that the whole base is held, and truly a part of it is, or more."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from loadfree.bench import Bench
+from loadfree.events import DATA, Body, read_body, read_events
+from loadfree.rivals import METHODS, Answer, Case, registered
+
+BODIES = ("dome", "phantom", "hole")
+
+#: What truly holds: an outer ring of the base, its middle, three patches of it, all of it and a band above.
+KINDS = ("ring", "middle", "patches", "band")
+
+
+@cache
+def read_supports(name: str) -> Body:
+    """Return a body of the archive with the events of ``data/supports.npz``."""
+    with np.load(DATA / "supports.npz") as stored:
+        return replace(read_body(name), events=read_events(stored, name, f"{name}_"))
+
+
+def perhaps(case: Case) -> Answer:
+    """Register with supports that are perhaps held: what a user does who doubts them."""
+    return registered(case, held="perhaps")
+
+
+def sure(case: Case) -> Answer:
+    """Register with the base held as given: what a user does who does not doubt it."""
+    return registered(case, held="sure")
+
+
+SUPPORTS = Bench(
+    "supports-",
+    BODIES,
+    read_supports,
+    {"perhaps": perhaps, "sure": sure} | {name: METHODS[name] for name in ("rigid", "spline", "none")},
+    usual=("perhaps", "sure", "rigid", "spline", "none"),
+    layouts=("spread", "random", "near"),
+)
