@@ -12,7 +12,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -31,6 +31,7 @@ help:
 	@echo "make loadfree        registration with nothing known of the load, on 200 true events -> docs/loadfree.md (HALF=test or"
 	@echo "                     both, METHODS=..., JOBS=2); make loadfree-data: the events, by a foreign solver (an hour; resumable)"
 	@echo "make loadfree-supports  the same where supports are partly wrong, on 24 events of their own; make loadfree-supports-data"
+	@echo "make loadfree-time   whole registrations, timed"
 	@echo "make bench           times by stage -> benchmarks/results/"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
@@ -153,6 +154,10 @@ loadfree-supports: $(VENV)/.installed-dev
 
 loadfree-supports-data: $(VENV)/.installed-dev
 	PYTHONPATH=tests OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m loadfree.generator --supports
+
+# Whole calls, timed: on a quiet machine.
+loadfree-time: $(VENV)/.installed-dev
+	$(BIN)/python benchmarks/loadfree_time.py
 
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/run.py

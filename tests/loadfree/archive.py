@@ -1,6 +1,7 @@
 """Results on disk: rows of single registrations as they come, and one compact file a half for the repository."""
 
 import json
+import subprocess
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -72,6 +73,17 @@ def write_results(bench: Bench, half: str, method: str, rows: list[dict], run: d
     partial = path.with_suffix(".part")
     partial.write_text(_compact(answer), encoding="utf-8")
     partial.rename(path)
+
+
+def commit() -> dict:
+    """Return the commit under which something is made, and whether files that bear on it were changed since."""
+    changed = _git("status", "--porcelain", "--untracked-files=no", "--", "python", "crates", "tests")
+    return {"commit": _git("rev-parse", "--short=12", "HEAD"), "changed_files": bool(changed)}
+
+
+def _git(*words: str) -> str:
+    done = subprocess.run(["git", *words], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    return done.stdout.strip()
 
 
 def _events(bench: Bench, rows: dict[str, list[dict]]) -> list[dict]:

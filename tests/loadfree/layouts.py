@@ -22,7 +22,7 @@ def chosen(body: Body, event: Event, layout: str, count: int = N_MARKERS) -> np.
     if layout == "random":
         return rng.choice(len(order), size=count, replace=False)
     among = {"spread": order, "near": order[:third], "far": order[-third:]}[layout]
-    return among[_farthest(body.pool[among], count, rng)]
+    return among[farthest(body.pool[among], count, rng)]
 
 
 def markers(body: Body, event: Event, layout: str) -> Markers:
@@ -33,7 +33,7 @@ def markers(body: Body, event: Event, layout: str) -> Markers:
     return Markers(reference, reference + event.pool[places] + noise, std=NOISE_MM)
 
 
-def _farthest(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+def farthest(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Return points, each the farthest from those before it; the first at random."""
     found = [int(rng.integers(len(points)))]
     nearest = np.full(len(points), np.inf)

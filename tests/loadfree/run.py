@@ -3,11 +3,10 @@
 import argparse
 import json
 import multiprocessing
-import subprocess
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
-from loadfree.archive import REPOSITORY, SCRATCH, key_of, read_rows, scratch_path, write_results
+from loadfree.archive import SCRATCH, commit, key_of, read_rows, scratch_path, write_results
 from loadfree.bench import LOADFREE, Bench
 from loadfree.events import HALVES, events_of
 from loadfree.layouts import LAYOUTS, N_MARKERS, NOISE_MM
@@ -112,13 +111,4 @@ def _conditions(told: argparse.Namespace) -> dict:
         "events": told.events,
         "jobs": told.jobs,
     }
-    return {
-        "commit": _git("rev-parse", "--short=12", "HEAD"),
-        "changed_files": bool(_git("status", "--porcelain", "--untracked-files=no", "--", "python", "crates", "tests")),
-        "settings": settings | {"n_markers": N_MARKERS, "noise_mm": NOISE_MM},
-    }
-
-
-def _git(*words: str) -> str:
-    done = subprocess.run(["git", *words], cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    return done.stdout.strip()
+    return commit() | {"settings": settings | {"n_markers": N_MARKERS, "noise_mm": NOISE_MM}}

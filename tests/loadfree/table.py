@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from loadfree import supports
+from loadfree import supports, times
 from loadfree.archive import REPOSITORY, read_results, result_path
 from loadfree.bench import LOADFREE, Bench
 from loadfree.events import BODIES, KINDS
@@ -121,7 +121,7 @@ def page() -> str:
     for part, halves in zip(PARTS, parts, strict=True):
         some = [section(part, half, answer) for half, answer in halves if answer["rows"]]
         text += [part.introduction, *some] if some and part.introduction else some
-    return "\n".join(text)
+    return "\n".join([*text, *filter(None, [times.section()])])
 
 
 def section(part: Part, half: str, answer: dict) -> str:

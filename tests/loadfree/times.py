@@ -1,0 +1,84 @@
+"""The table of `benchmarks/loadfree_time.py`: whole calls, timed."""
+
+import json
+
+import numpy as np
+
+from loadfree.archive import RESULTS
+
+ARCHIVE = RESULTS / "loadfree-time.json"
+SCHEMA = "tissuereg.loadfree-time/1"
+
+#: Case and call, what it is, and the wall seconds that are wanted.
+ROWS = (
+    ("dome", "first", "dome, 15 markers, first call on the mesh", 1.0),
+    ("dome", "next", "the next call, other values at the same markers", 0.35),
+    ("large", "first", "half ellipsoid of 20,000 nodes, 15 markers, first call", 8.0),
+    ("points", "first", "dome, 500 points of its surface without labels, first call", 5.0),
+)
+
+INTRODUCTION = """## Times
+
+Whole `register` calls with five targets and nothing known of the load, a fresh process each: the package is imported
+and a mesh of 200 nodes registered before, so that only the mesh is new. Medians over repeats that differ by the noise
+and, on the dome (4,227 nodes), by the event: development events without another model, one of every kind in turn. The
+pull on 20,000 nodes is solved by our own solver: its body error shows no error of the model. CPU: all threads together.
+Stages below 2 % are left out.
+"""
+
+#: Counters of a call that are shown.
+WORK = ("passes", "factorisations", "right_hand_sides", "solves", "iterations", "sweeps")
+
+#: Stages that take less than this share of a call are left out.
+LEAST_SHARE = 0.02
+
+
+def section() -> str:
+    """Return the page's section, empty without an archive."""
+    return tables(json.loads(ARCHIVE.read_text(encoding="utf-8"))) if ARCHIVE.exists() else ""
+
+
+def tables(answer: dict) -> str:
+    """Return the section of an archive."""
+    versions = ", ".join(f"{name} {number}" for name, number in answer["versions"].items())
+    runs = [run for some in answer["runs"].values() for run in some]
+    lines = [
+        INTRODUCTION,
+        f"`{answer['command']}`, {answer['date']}, commit {answer['commit']}"
+        f"{' with changed files' if answer['changed_files'] else ''}, {answer['machine']['processor']}, "
+        f"{answer['machine']['cores']} cores, {answer['threads']} threads; {versions}. `import tissuereg`: "
+        f"{_median(run['import']['wall_s'] for run in runs):.2f} s; the small mesh, with what is imported at need: "
+        f"{_median(run['small']['wall_s'] for run in runs):.2f} s.",
+        "",
+        "| call | n | wall, s | goal | least to most | CPU, s | body, mm (moved) | work | stages, s |",
+        "| --- " * 9 + "|",
+    ]
+    for case, name, said, goal in ROWS:
+        calls = [call for run in answer["runs"].get(case, []) for call in run["calls"] if call["call"] == name]
+        lines += [_row(said, goal, calls)] if calls else []
+    return "\n".join(lines) + "\n"
+
+
+def _row(said: str, goal: float, calls: list[dict]) -> str:
+    wall = [call["wall_s"] for call in calls]
+    body, moved = (_median(call[key] for call in calls) for key in ("body_mm", "moved_mm"))
+    work = ", ".join(f"{name.replace('_', ' ')} {_median(call['work'][name] for call in calls):,.0f}" for name in WORK)
+    stages = {name: _median(call["stages_s"].get(name, 0.0) for call in calls) for name in calls[0]["stages_s"]}
+    listed = sorted((-value, name) for name, value in stages.items() if name != "total")
+    shown = ", ".join(f"{name} {-value:.2f}" for value, name in listed if -value >= LEAST_SHARE * stages["total"])
+    cells = [
+        said,
+        str(len(calls)),
+        f"{_median(wall):.2f}",
+        f"{goal:g}",
+        f"{min(wall):.2f} to {max(wall):.2f}",
+        f"{_median(call['cpu_s'] for call in calls):.2f}",
+        f"{body:.2f} ({moved:.2f})",
+        work,
+        shown,
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _median(values) -> float:
+    return float(np.median(list(values)))
