@@ -8,42 +8,31 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
+from tissuereg.contact_answer import Answer, known_of, surface_fit
 from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.columns import Columns, spring_stiffness
+from tissuereg.contacts.draws import Draws, NodesOfContacts
 from tissuereg.contacts.evidence import support_stiffness
-from tissuereg.contacts.fit import ContactFit, Passes, start_of
-from tissuereg.contacts.found import FoundContact, find_contacts
+from tissuereg.contacts.fit import Passes, start_of
 from tissuereg.contacts.frame import Frame, drifts
 from tissuereg.contacts.graded import grade, is_graded
 from tissuereg.contacts.icp import closest_frame
-from tissuereg.contacts.moment import Moment
 from tissuereg.contacts.seen import Seen, SeenMarkers
 from tissuereg.contacts.settings import ContactSettings
-from tissuereg.contacts.spread import Points, Spread
+from tissuereg.contacts.spread import Spread
 from tissuereg.contacts.supports import Supports
-from tissuereg.contacts.surface_fit import SurfaceFit
 from tissuereg.contacts.surface_points import SeenPoints
-from tissuereg.errors import ConvergenceError, MaterialError
-from tissuereg.inputs import RegisterInput, rms_length
+from tissuereg.errors import MaterialError
+from tissuereg.inputs import RegisterInput
 from tissuereg.load import Load
 from tissuereg.material import Material
-from tissuereg.mesh import Mesh, det_f
-from tissuereg.result import MarkerFit, Registration, Target
+from tissuereg.mesh import Mesh
+from tissuereg.result import Registration
 from tissuereg.simulate.sensitivity import Cause, Field, Parameter
 from tissuereg.simulate.solve import LoadParts
-from tissuereg.trust import Trust, judge
-
-#: A target is flagged where the markers take away less than this share of its variance under unseen contacts.
-LEAST_CONSTRAINED = 0.5
 
 #: Meshes of at most so many nodes get averaged elements, and so do Poisson's ratios above this.
 COARSE_NODES, STIFF_POISSON = 3000, 0.475
-
-#: What a flagged target is told.
-NO_MARKER = "no marker tells"
-
-#: A marker that is wrong with at least this probability is named and does not count.
-_WRONG = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +106,9 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     with clock.stage("body"):
         supports = Supports.of(given.mesh, believed.held, believed.held_nodes)
         body = ContactBody.of(given.mesh, supports, believed.element)
-    seen = _seen(given)
+    model_error = settings.model_error
+    points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, model_error)
+    seen = Seen.of(SeenMarkers(given.observed, given.markers, model_error), points)
     with clock.stage("simulate"):
         parts, field = _believed(body, believed, settings)
         columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
@@ -136,15 +127,16 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     fit = passes.run(start)
     with clock.stage("spread"):
         spread = Spread(fit, seen, material, settings, given.threads, further)
-        points = _points(given, fit, spread)
-        draw = _Draws(fit, spread, material, given)
-        if believed.ensemble:
-            with clock.stage("ensemble"):
-                fields = draw(believed.ensemble)
-            covariance = spread.nodes(rng, fields)
-        else:
-            covariance = spread.nodes(rng)
-    return _result(given, fit, start, points, covariance, draw, clock, believed)
+        known = known_of(given, fit, spread)
+    draw = Draws(fit, spread, material, given.seed, given.threads)
+    fields = None
+    if believed.ensemble:
+        with clock.stage("ensemble"):
+            fields = draw(believed.ensemble)
+    nodes = NodesOfContacts(spread, given.seed, fields)
+    knows = believed.load is not None or believed.simulation is not None
+    fared = surface_fit(given, points, start, fit.moment)
+    return Answer(given, fit, start, knows, known, nodes, draw, fared).registration(clock)
 
 
 def fitting_element(mesh: Mesh, material: Material) -> str:
@@ -198,18 +190,6 @@ def _believed(
     return parts, field
 
 
-def _seen(given: RegisterInput) -> Seen:
-    """Return the data: markers, points of the surface, or both."""
-    model_error = given.settings.contacts.model_error
-    return Seen.of(SeenMarkers(given.observed, given.markers, model_error), _seen_points(given))
-
-
-def _seen_points(given: RegisterInput) -> SeenPoints | None:
-    if given.surface is None:
-        return None
-    return SeenPoints.of(given.mesh, given.surface, given.settings.contacts.model_error)
-
-
 def _first_frame(given: RegisterInput, supports: Supports) -> Frame:
     """Return the rigid motion of the markers, or else of the points, where nothing is held for sure."""
     if not supports.moves or supports.holds:
@@ -220,193 +200,4 @@ def _first_frame(given: RegisterInput, supports: Supports) -> Frame:
     return Frame.still() if given.surface is None else closest_frame(given.mesh, given.surface.places)
 
 
-def _surface_fit(given: RegisterInput, start: Moment, end: Moment) -> SurfaceFit | None:
-    points = _seen_points(given)
-    if given.surface is None or points is None:
-        return None
-    return SurfaceFit.of(points, given.surface, start, end)
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """Targets, then markers: displacements in the tracker's frame and what is known of them."""
-
-    displacement: FloatArray
-    points: Points
-
-
-def _points(given: RegisterInput, fit: ContactFit, spread: Spread) -> _Known:
-    moment, observed, inner = fit.moment, given.observed, given.targets
-    moved = np.concatenate(
-        [
-            inner.predict(moment.displacement[inner.nodes]),
-            observed.predict(moment.displacement[observed.nodes]),
-        ]
-    )
-    reference = np.concatenate([inner.reference.reshape(-1, 3), given.markers.reference])
-    rows = [*inner.rows(), *observed.rows(moment.displacement[observed.nodes])]
-    known = spread.points(rows, reference + moved)
-    return _Known(moment.frame.apply(reference + moved) - reference, known)
-
-
-@dataclass(frozen=True, eq=False)
-class _Draws:
-    """Posterior displacement fields in equilibrium."""
-
-    fit: ContactFit
-    spread: Spread
-    material: Material
-    given: RegisterInput
-
-    def __call__(self, count: int) -> FloatArray:
-        """Return fields (count, n_nodes, 3) in mm."""
-        fit = self.fit
-        rng = np.random.default_rng([self.given.seed, 8])
-        coefficients = self.spread.coefficients(rng, count)
-        simulator, mesh = fit.columns.body.simulator, fit.columns.body.mesh
-        found = simulator.solve_many(
-            [fit.columns.load(one) for one in coefficients],
-            [self.material] * count,
-            start=fit.moment.displacement,
-            springs=fit.columns.springs,
-            threads=self.given.threads,
-            tolerance=1e-6,
-        )
-        if found.failed:
-            index, reason = found.failed[0]
-            message = (
-                f"every draw must find equilibrium; {len(found.failed)} of {count} do not, the first of them: {reason}"
-            )
-            raise ConvergenceError(message, where=f"draw {index}")
-        frames = [self._frame(one) for one in coefficients]
-        moved = mesh.nodes + found.displacement
-        return np.stack([frame.apply(places) for frame, places in zip(frames, moved, strict=True)]) - mesh.nodes
-
-    def _frame(self, coefficients: FloatArray) -> Frame:
-        columns = self.fit.columns
-        first = self.fit.moment.frame if columns.body.supports.moves else Frame.still()
-        return first.followed_by(columns.frame(coefficients), columns.rigid)
-
-
-def _result(
-    given: RegisterInput,
-    fit: ContactFit,
-    start: Moment,
-    known: _Known,
-    covariance: FloatArray,
-    draw: _Draws,
-    clock: Clock,
-    believed: ContactInput,
-) -> Registration:
-    """Put everything that was found in its place."""
-    mesh, markers, n_targets = given.mesh, given.markers, len(given.targets.names)
-    moment = fit.moment
-    displacement = moment.frame.apply(mesh.nodes + moment.displacement[: mesh.n_nodes]) - mesh.nodes
-    fitted = known.displacement[n_targets:]
-    begun = given.observed.predict(start.displacement[given.observed.nodes])
-    begun = start.frame.apply(markers.reference + begun) - markers.reference
-    some = np.asarray(np.isfinite(markers.measured).any(axis=1))
-    wrong = np.asarray(fit.wrong >= _WRONG)
-    used, lost = np.flatnonzero(some & ~wrong), np.flatnonzero(~some | wrong)
-    ratios = det_f(mesh, moment.displacement[: mesh.n_nodes])
-    surface = _surface_fit(given, start, moment)
-    knows = believed.load is not None or believed.simulation is not None
-    return Registration(
-        mesh=mesh,
-        displacement=displacement,
-        std=np.sqrt(np.trace(covariance, axis1=1, axis2=2)),
-        node_covariance=covariance,
-        targets=_targets(given, known, start if knows else None),
-        unseen=_unseen(given, known, begun if knows else None, lost),
-        markers=MarkerFit(
-            used=tuple(markers.names[i] for i in used),
-            dropped=tuple((markers.names[i], "wrong" if some[i] else "not seen") for i in lost),
-            before_rms_mm=rms_length(markers.displacement[used] - begun[used]),
-            after_rms_mm=rms_length(markers.displacement[used] - fitted[used]),
-            residual_mm={markers.names[i]: markers.displacement[i] - fitted[i] for i in used},
-        ),
-        all_markers=markers,
-        start_markers=markers.reference + begun,
-        min_det_f=float(ratios.min()),
-        inverted_tets=int((ratios <= 0).sum()),
-        trust=_trust(given, fit, known, (used, surface), float(ratios.min())),
-        surface=surface,
-        model={"kind": "contacts", "source": "fitted here", "patches": fit.columns.n_patches},
-        seconds=clock.seconds,
-        seed=given.seed,
-        dropped_members=[],
-        contacts=find_contacts(fit),
-        work=dict(fit.counters),
-        forces=_forces(fit),
-        draw=draw,
-    )
-
-
-def _forces(fit: ContactFit) -> FloatArray:
-    """Return the nodal forces (n_nodes, 3) of the mean load in the tracker's frame, mN."""
-    forces = np.asarray(fit.columns.load(fit.moment.coefficients).forces)
-    return np.asarray(forces[: fit.columns.body.mesh.n_nodes] @ fit.moment.frame.rotation.T)
-
-
-def _targets(given: RegisterInput, known: _Known, start: Moment | None) -> dict[str, Target]:
-    inner, points = given.targets, known.points
-    said = None
-    if start is not None:
-        said = start.frame.apply(inner.reference + inner.predict(start.displacement[inner.nodes]))
-    return {
-        name: Target(
-            inner.reference[i],
-            inner.reference[i] + known.displacement[i],
-            points.covariance[i],
-            None if said is None else said[i],
-            float(points.constrained[i]),
-            NO_MARKER if points.constrained[i] < LEAST_CONSTRAINED else None,
-        )
-        for i, name in enumerate(inner.names)
-    }
-
-
-def _unseen(given: RegisterInput, known: _Known, begun: FloatArray | None, lost: Any) -> dict[str, Target]:
-    """Return where a tracker would see the markers that do not count."""
-    markers, first = given.markers, len(given.targets.names)
-    return {
-        markers.names[i]: Target(
-            markers.reference[i],
-            markers.reference[i] + known.displacement[first + i],
-            known.points.covariance[first + i] + np.diag(markers.axis_std[i] ** 2),
-            None if begun is None else markers.reference[i] + begun[i],
-            float(known.points.constrained[first + i]),
-            NO_MARKER if known.points.constrained[first + i] < LEAST_CONSTRAINED else None,
-        )
-        for i in lost
-    }
-
-
-def _trust(
-    given: RegisterInput, fit: ContactFit, known: _Known, data: tuple[Any, SurfaceFit | None], min_det_f: float
-) -> Trust:
-    used, surface = data
-    markers, first = given.markers, len(given.targets.names)
-    model_error = given.settings.contacts.model_error
-    notes = list(given.suspicions)
-    notes += [
-        f"wrong marker: {markers.names[i]} does not fit the others (probability {fit.wrong[i]:.2f})"
-        for i in np.flatnonzero(fit.wrong >= _WRONG)
-    ]
-    notes += [] if surface is None else surface.reasons()
-    points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
-    left = markers.displacement[used] - known.displacement[first + used]
-    size = SeenMarkers(given.observed, markers, model_error).moved(fit.moment.frame)[used]
-    variance = (markers.axis_std[used] ** 2 + (model_error * size[:, None]) ** 2).ravel()
-    # A component that was not seen says nothing.
-    variance[~np.isfinite(left.ravel())] = 1e12
-    # Whether a marker is wrong has been asked with the contacts; here its residual is held against its noise alone.
-    spread = np.zeros((3 * len(used), 3 * len(used)))
-    names = tuple(markers.names[i] for i in used)
-    residual = np.nan_to_num(left)
-    # The innovation's misfit counts the data term once more: what it has beyond that is the prior's.
-    prior_term = max(0.0, fit.misfit - float(np.sum(residual.ravel() ** 2 / variance)))
-    return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes, points)
-
-
-__all__ = ["ContactInput", "FoundContact", "register_by_contacts"]
+__all__ = ["ContactInput", "fitting_element", "register_by_contacts"]

@@ -139,7 +139,7 @@ def _result(
     return Registration(
         mesh=mesh,
         displacement=posterior.displacement,
-        std=posterior.std,
+        nodes=lambda: posterior.std,
         targets={
             name: Target(
                 inner.reference[i],

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray, float_array
+from tissuereg._per_mesh import per_mesh
 from tissuereg.errors import MarkerError
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
@@ -182,7 +183,7 @@ class TargetObservation:
     def __init__(self, mesh: Mesh, targets: Mapping[str, Any], *, quadratic: bool = False) -> None:
         self.names = tuple(targets)
         self.reference: FloatArray = np.array([float_array(n, p, (3,)) for n, p in targets.items()]).reshape(-1, 3)
-        locator = _Locator(mesh)
+        locator = _locator(mesh)
         located = [locator.locate(name, point) for name, point in zip(self.names, self.reference, strict=True)]
         corners = np.array([mesh.tets[tet] for tet, _ in located], dtype=np.int64).reshape(-1, 4)
         weights = np.array([weights for _, weights in located]).reshape(-1, 4)
@@ -219,12 +220,20 @@ def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic
     return np.concatenate([corners, middles], axis=1), np.concatenate([at_corners, between], axis=1)
 
 
+@per_mesh
+def _surface(mesh: Mesh) -> Any:
+    """Return the surface with its search tree."""
+    import trimesh
+
+    return trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
+
+
 def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     if not len(places):
         return np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3))
     import trimesh
 
-    surface = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
+    surface = _surface(mesh)
     proximity: Any = trimesh.proximity  # trimesh leaves these functions without annotations
     feet, _, triangles = proximity.closest_point(surface, places)
     corners = mesh.nodes[mesh.surface[triangles]]
@@ -277,33 +286,45 @@ def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float)
 
 
 class _Locator:
-    """Finds the tet that holds a point; the inverses of all tets are formed once."""
+    """Finds the tet that holds a point; boxes and inverses of all tets are formed once."""
 
     def __init__(self, mesh: Mesh) -> None:
-        self._mesh = mesh
-        self._origin = mesh.nodes[mesh.tets[:, 0]]
-        edges = np.stack([mesh.nodes[mesh.tets[:, i]] - self._origin for i in (1, 2, 3)], axis=2)
-        self._inverse = np.linalg.inv(edges)
+        self._corners = mesh.nodes[mesh.tets]
+        self._extent = mesh.extent
+        self._lowest, self._highest = self._corners.min(axis=1), self._corners.max(axis=1)
+        self._inverse = np.linalg.inv(np.moveaxis(self._corners[:, 1:] - self._corners[:, :1], 1, 2))
 
     def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
         """Return the tet that holds a point, or the closest one, and the barycentric weights (4,)."""
         if not np.isfinite(point).all():
             message = f"target '{name}' must be finite, got {point.tolist()}"
             raise MarkerError(message, where=name)
-        inner = np.einsum("tij,tj->ti", self._inverse, point - self._origin)
-        weights = np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
-        worst = weights.min(axis=1)
-        tet = int(np.argmax(worst))
-        if worst[tet] >= -1e-9:
-            return tet, weights[tet]
+        near = 1e-6 * self._extent
+        boxed = ((point >= self._lowest - near) & (point <= self._highest + near)).all(axis=1)
+        tets = np.flatnonzero(boxed)
+        weights = self._weights(tets, point)
+        if len(tets) and weights.min(axis=1).max() >= -1e-9:
+            best = int(np.argmax(weights.min(axis=1)))
+            return int(tets[best]), weights[best]
+        weights = self._weights(np.arange(len(self._corners)), point)
         clipped = np.clip(weights, 0.0, None)
         clipped /= clipped.sum(axis=1, keepdims=True)
-        gap = np.linalg.norm(np.einsum("tc,tcx->tx", clipped, self._mesh.nodes[self._mesh.tets]) - point, axis=1)
+        gap = np.linalg.norm(np.einsum("tc,tcx->tx", clipped, self._corners) - point, axis=1)
         tet = int(np.argmin(gap))
-        if gap[tet] > FARTHEST_TARGET_SHARE * self._mesh.extent:
+        if gap[tet] > FARTHEST_TARGET_SHARE * self._extent:
             message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap[tet]:.1f} mm outside"
             raise MarkerError(message, where=name)
-        if gap[tet] > WARN_TARGET_SHARE * self._mesh.extent:
+        if gap[tet] > WARN_TARGET_SHARE * self._extent:
             text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it rides on the closest tet"
             warnings.warn(text, stacklevel=4)
         return tet, weights[tet]
+
+    def _weights(self, tets: IntArray, point: FloatArray) -> FloatArray:
+        """Return the barycentric weights (n, 4) of a point in some tets."""
+        inner = np.einsum("tij,tj->ti", self._inverse[tets], point - self._corners[tets, 0])
+        return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
+
+
+@per_mesh
+def _locator(mesh: Mesh) -> _Locator:
+    return _Locator(mesh)

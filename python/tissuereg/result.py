@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -127,8 +128,8 @@ class Registration:
         Undeformed body.
     displacement : ndarray of float64, shape (n_nodes, 3)
         Decoded from the posterior mean, mm.
-    std : ndarray of float64, shape (n_nodes,)
-        Root of the trace of a node's covariance, mm.
+    nodes : callable
+        Returns the covariance of every node, or their standard deviations: see `node_covariance` and `std`.
     targets : dict of str to Target
         Inner points.
     unseen : dict of str to Target
@@ -162,15 +163,13 @@ class Registration:
     forces : ndarray of float64, shape (n_nodes, 3), or None
         Nodal forces in mN at the believed modulus of the load that holds the body, the believed one included, its body
         force not; None with a trained model.
-    node_covariance : ndarray of float64, shape (n_nodes, 3, 3), or None
-        Covariance of every node, mm^2; None with a trained model.
     draw : callable of int, optional
         Returns posterior displacement fields; see `draws`.
     """
 
     mesh: Mesh
     displacement: FloatArray
-    std: FloatArray
+    nodes: Callable[[], FloatArray]
     targets: dict[str, Target]
     unseen: dict[str, Target]
     markers: MarkerFit
@@ -187,8 +186,26 @@ class Registration:
     surface: SurfaceFit | None = None
     work: dict[str, int] = field(default_factory=dict)
     forces: FloatArray | None = None
-    node_covariance: FloatArray | None = None
     draw: Callable[[int], FloatArray] | None = None
+
+    @cached_property
+    def node_covariance(self) -> FloatArray | None:
+        """Covariance of every node, ndarray of float64, shape (n_nodes, 3, 3), mm^2; None with a trained model.
+
+        Cost: computed when it, or `std`, is first read; one right-hand side for each of 64 draws.
+        """
+        found = self._of_nodes
+        return found if found.ndim == 3 else None
+
+    @cached_property
+    def std(self) -> FloatArray:
+        """Root of the trace of every node's covariance, ndarray of float64, shape (n_nodes,), mm."""
+        found = self._of_nodes
+        return found if found.ndim == 1 else np.asarray(np.sqrt(np.trace(found, axis1=1, axis2=2)))
+
+    @cached_property
+    def _of_nodes(self) -> FloatArray:
+        return self.nodes()
 
     def draws(self, count: int) -> FloatArray:
         """Return displacement fields drawn from the posterior, each in equilibrium.

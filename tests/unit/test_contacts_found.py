@@ -54,11 +54,12 @@ def test_the_body_is_that_of_the_truth(result):
 
 def test_the_work_is_the_pinned_one(result):
     work = result.work
-    n_chains, settings = 16, tr.RegisterSettings().contacts
+    settings = tr.RegisterSettings().contacts
     assert work["passes"] == 2
-    assert work["factorisations"] == work["passes"] + 1
-    assert work["right_hand_sides"] == 3 * len(push().nodes) * work["factorisations"]
-    assert work["sweeps"] == n_chains * (len(settings.powers) + len(settings.powers_again))
+    # The tangent at rest is kept from call to call, and the last step came out as foretold: its tangent serves on.
+    assert work["factorisations"] in (1, 2)
+    assert work["right_hand_sides"] in [3 * (n * len(push().nodes) + len(result.targets)) for n in (1, 2)]
+    assert work["sweeps"] == 8 * len(settings.powers) + 16 * len(settings.powers_again)
     # A table for every slot, and one more where a contact might be exchanged for a wrong marker, or back.
     visits = work["sweeps"] * settings.n_slots
     exchanges = work["tables"] - visits
@@ -118,7 +119,8 @@ def test_a_camera_sees_two_components_or_one(blind):
     assert np.array_equal(np.isnan(left), np.isnan(measured))
     assert np.sqrt(3 * np.nanmean(left**2)) < push().limit(markers)
     # What was not seen is not solved for.
-    assert result.work["right_hand_sides"] == np.isfinite(measured).sum() * result.work["factorisations"]
+    assert result.work["right_hand_sides"] % np.isfinite(measured).sum() == 0
+    assert result.work["right_hand_sides"] <= 2 * np.isfinite(measured).sum()
 
 
 def test_three_markers_are_enough_to_answer_and_leave_more_unknown(result):

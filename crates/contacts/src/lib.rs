@@ -45,6 +45,7 @@
 
 mod chain;
 mod dictionary;
+mod elementary;
 mod error;
 mod gain;
 mod linalg;

@@ -14,6 +14,7 @@
 use pulp::Simd;
 
 use crate::dictionary::Dictionary;
+use crate::elementary::{exp, ln};
 use crate::gain::gain_of;
 use crate::prior::Problem;
 use crate::state::{Contact, Evidence};
@@ -24,7 +25,7 @@ const LANES: usize = 16;
 /// Rows that one step of the triangular solve finishes.
 const ROWS: usize = 4;
 
-/// Smallest logarithm of a weight over the largest that may be drawn.
+/// Logarithm of a weight over the largest below which all weights are alike.
 const LEAST: f64 = -60.0;
 
 /// Columns of all patches as the table reads them: blocks of `LANES` patches, in them row by row the three directions.
@@ -91,12 +92,14 @@ impl Table {
             *weight = sharpness * *weight + log_prior;
             largest = largest.max(*weight);
         }
-        self.cumulative.clear();
+        self.cumulative.resize(self.log_weight.len(), 0.0);
+        let (log_weight, cumulative) = (&self.log_weight, &mut self.cumulative);
+        pulp::Arch::new().dispatch(|| shares(log_weight, largest, cumulative));
         let mut sum = 0.0;
-        self.cumulative.extend(self.log_weight.iter().map(|weight| {
-            sum += if weight - largest > LEAST { (weight - largest).exp() } else { 0.0 };
-            sum
-        }));
+        for share in &mut self.cumulative {
+            sum += *share;
+            *share = sum;
+        }
         self.log_sum = largest + sum.ln();
     }
 
@@ -138,6 +141,14 @@ impl Table {
     }
 }
 
+/// `exp` of every weight over the largest.
+#[inline(always)]
+fn shares(log_weight: &[f64], largest: f64, out: &mut [f64]) {
+    for (share, weight) in out.iter_mut().zip(log_weight) {
+        *share = exp((weight - largest).max(LEAST));
+    }
+}
+
 /// Changes of the logarithm of the evidence by every patch and size.
 struct Gains<'a> {
     packed: &'a Packed,
@@ -173,7 +184,7 @@ impl pulp::WithSimd for Gains<'_> {
                 }
                 let mut logs = [0.0_f64; LANES];
                 for lane in 0..LANES {
-                    logs[lane] = determinant[lane].ln();
+                    logs[lane] = ln(determinant[lane]);
                 }
                 for (lane, out) in out.chunks_exact_mut(n_sizes).enumerate() {
                     out[size] = 0.5 * (exponent[lane] - logs[lane]);

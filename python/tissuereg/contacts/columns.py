@@ -13,6 +13,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.contacts.body import ContactBody
+from tissuereg.contacts.patches import Patches
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.contacts.supports import springs_of
 from tissuereg.load import Load
@@ -240,8 +241,29 @@ class Columns:
         return Load(forces=forces, body_force=weight, prescribed=moved)
 
     def weight_forces(self, body_force: FloatArray) -> FloatArray:
-        """Return the nodal forces (n_element_nodes, 3) of a body force (3,), mN."""
-        return np.asarray(self.body.node_volumes[:, None] * body_force)
+        """Return the nodal forces (..., n_element_nodes, 3) of body forces (..., 3), mN."""
+        return np.asarray(self.body.node_volumes[:, None] * body_force[..., None, :])
+
+    def forces(self, changes: FloatArray) -> FloatArray:
+        """Return the nodal forces (n, n_element_nodes, 3) of many changes of coefficients (n, n_columns), mN.
+
+        Weight is spread over the nodes; motion of held nodes is left out.
+        """
+        n_nodes = self.body.mesh.n_nodes
+        units = changes[:, : 3 * self.n_patches].reshape(len(changes), -1, 3)
+        weight = changes[:, self._offsets["weight"]] * self._body_force_unit
+        forces = np.zeros((len(changes), self.body.simulator.body.n_nodes, 3))
+        forces[:, :n_nodes] += _spread(self.body.patches, self.young[:, None] * units)
+        if "believed" in self._offsets:
+            share = changes[:, self._offsets["believed"]]
+            if self.believed["forces"] is not None:
+                forces += np.linalg.norm(self.believed["forces"], axis=1)[:, None] * share[:, None]
+            if self.believed["body_force"] is not None:
+                weight = weight + float(np.linalg.norm(self.believed["body_force"])) * share
+        if self.body.base is not None:
+            units = changes[:, self._offsets["supports"]].reshape(len(changes), -1, 3)
+            forces[:, :n_nodes] += _spread(self.body.base, self.base_young * units)
+        return np.asarray(forces + self.weight_forces(weight))
 
     def frame(self, coefficients: FloatArray) -> FloatArray:
         """Return the coefficients (6,) of the rigid motion; zero where there is none."""
@@ -262,6 +284,12 @@ class Columns:
             variances[family.columns] = family.variance
             found.append((variances, family.factors, family.log_prior))
         return found
+
+
+def _spread(patches: Patches, units: FloatArray) -> FloatArray:
+    """Return what many times (n, n_patches, 3) the patches' shapes put on nodes, (n, n_nodes, 3)."""
+    on_nodes = np.asarray(patches.shapes.T @ np.moveaxis(units, 0, 1).reshape(patches.n_patches, -1))
+    return np.moveaxis(on_nodes.reshape(-1, len(units), 3), 1, 0)
 
 
 def _in_mm(size: tuple[float, float], extent: float) -> tuple[float, float]:

@@ -36,7 +36,7 @@ def log_evidence(passes: Passes, frame: Frame) -> float:
         At the best sizes, with their prior.
     """
     start = start_of(passes.columns, passes.material, None, frame, passes.threads)
-    problem = passes.linear(start)
+    problem = passes.posed(start)
     parts = _parts(passes.columns, problem.responses)
     return _best_over_sizes(problem.innovation, np.diag(problem.variances), parts)
 

@@ -8,22 +8,24 @@ labels are matched anew in every pass: first fewer of them, in more passes, then
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
-from tissuereg.contacts.columns import Columns, sampler
+from tissuereg.contacts.columns import Columns
 from tissuereg.contacts.frame import Frame
+from tissuereg.contacts.linear import AtBody, Linear
 from tissuereg.contacts.moment import Moment
-from tissuereg.contacts.posed import MOST_KEPT, MOST_KEPT_COARSE, Basis, Posed, moving_variances, plain, projected
-from tissuereg.contacts.seen import Reading, Seen
+from tissuereg.contacts.posed import Posed
+from tissuereg.contacts.seen import Seen
 from tissuereg.contacts.settings import ContactSettings
+from tissuereg.contacts.tangent import Tangent
 from tissuereg.errors import ConvergenceError
 from tissuereg.load import Load
 from tissuereg.material import Material
-from tissuereg.simulate.sensitivity import Linearised, Observation
 
 #: Residual of an equilibrium that is linearised, over its load.
 _TOLERANCE = 3e-7
@@ -56,10 +58,32 @@ _COARSE_PASSES, _FINE_PASSES = 8, 5
 #: than this share of the points as outliers.
 _WIDTHS, _MOST_OUTLIERS = (0.12, 0.2), 0.13
 
+#: A step came out as foretold where the residual is above the promised one by no more than this.
+_FORETOLD = 0.2
+
 #: Matches have settled where a pass takes away less than this share.
 _SETTLED = 0.05
 
 Samples = tuple[Any, Any, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """One pass: where it led, under which samples, and the linear problem in which it began.
+
+    `left` is the root mean square residual over standard deviations, `promised` what the linear model foretold of it.
+    """
+
+    moment: Moment
+    samples: Samples
+    at: AtBody
+    left: float
+    promised: float
+
+    @property
+    def foretold(self) -> bool:
+        """Whether the linear model was right about the step: it then holds at its end as well."""
+        return self.left < self.promised + _FORETOLD
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +96,12 @@ class ContactFit:
         Causes.
     moment : Moment
         The equilibrium under the mean load.
-    linearised : Linearised
-        The tangent there.
+    tangent : Tangent
+        The tangent there, or where the last step towards it began, if that step came out as linearly foretold.
     posed : Posed
-        Data of the last pass, as the sampler has them.
+        Data at that tangent, as the sampler has them.
     sampler : _core.Contacts
-        Dictionary, prior and data of the last pass.
+        Dictionary, prior and data there.
     samples : tuple of ndarray
         Slots, levels and wrong groups of every sample.
     wrong : ndarray of float64, shape (n_markers,)
@@ -92,7 +116,7 @@ class ContactFit:
 
     columns: Columns
     moment: Moment
-    linearised: Linearised
+    tangent: Tangent
     posed: Posed
     sampler: Any
     samples: Samples
@@ -100,6 +124,10 @@ class ContactFit:
     misfit: float
     residual_rms: list[float]
     counters: dict[str, int]
+
+    def count(self, name: str, value: int) -> None:
+        """Add to a counter of work."""
+        self.counters[name] = self.counters.get(name, 0) + value
 
 
 @dataclass(eq=False)
@@ -135,7 +163,11 @@ class Passes:
     clock: Clock
     progress: Callable[[int, int], None] | None = None
     counters: dict[str, int] = field(default_factory=dict)
-    _basis: Basis | None = None
+
+    @cached_property
+    def linear(self) -> Linear:
+        """What linearises; its work is counted with that of the passes."""
+        return Linear(self.columns, self.material, self.settings, self.threads, self.clock, self.counters)
 
     def run(self, start: Moment) -> ContactFit:
         """Return the fit from a start in equilibrium.
@@ -156,35 +188,36 @@ class Passes:
             If no equilibrium is found even with a short step.
         """
         full = self.seen
-        best: tuple[float, Moment, Samples, list[float]] | None = None
+        best: tuple[_Pass, list[float]] | None = None
         for width in _WIDTHS if full.rematches else (0.0,):
             found = self._from(start, self._stages(full, width))
-            if best is None or found[0] < best[0]:
+            if best is None or found[0].left < best[0].left:
                 best = found
-            if full.outliers(found[1]) < _MOST_OUTLIERS:
+            if full.outliers(found[0].moment) < _MOST_OUTLIERS:
                 break
         if best is None:
             message = "at least one width must be tried"
             raise ConvergenceError(message, where="load")
-        _, moment, samples, history = best
+        last, history = best
         self.seen = full
-        linearised = self._linearise(moment)
-        return self._fit(moment, linearised, self._pose(linearised, moment), samples, history)
+        at = last.at if last.foretold and not full.rematches else self.linear.at(last.moment, full)
+        return self._fit(last, at, history)
 
-    def _from(self, start: Moment, stages: list[tuple[Seen, int]]) -> tuple[float, Moment, Samples, list[float]]:
-        """Return what a start comes to: the cost left, the body, its samples and the cost after each pass."""
-        moment, history = start, list[float]()
+    def _from(self, start: Moment, stages: list[tuple[Seen, int]]) -> tuple["_Pass", list[float]]:
+        """Return the closest pass from a start, and the cost after each pass."""
+        last, moment, history = None, start, list[float]()
         samples: Samples | None = None
         for seen, most in stages:
             if self.seen.weighed != seen.weighed:
                 samples = None  # samples of markers with indicators do not fit weights
-            self.seen, self._basis = seen, None
-            moment, samples, reached = self._approach(moment, samples, most)
+            self.seen = seen
+            last, reached = self._approach(moment, samples, most)
+            moment, samples = last.moment, last.samples
             history += reached
-        if samples is None:
+        if last is None:
             message = "at least one pass must be allowed"
             raise ConvergenceError(message, where="max_passes")
-        return self.residual_rms(moment, samples), moment, samples, history
+        return last, history
 
     def _stages(self, full: Seen, width: float) -> list[tuple[Seen, int]]:
         """Return the data of each stage with its passes at most."""
@@ -194,92 +227,35 @@ class Passes:
         # Markers have labels: they bring the body near before anything is matched.
         return stages if full.markers is None else [(Seen.of(full.markers), _MARKER_PASSES), *stages]
 
-    def _approach(
-        self, moment: Moment, samples: Samples | None, most: int
-    ) -> tuple[Moment, Samples | None, list[float]]:
-        """Return the closest body of at most so many passes, its samples, and what each pass left."""
-        history: list[float] = []
-        reached: list[tuple[Moment, Samples]] = []
-        promised = 0.0
-        while len(history) < most and not self._ended(history, promised):
-            linearised = self._linearise(moment)
-            problem, core = self._pose(linearised, moment)
-            samples = self._sample(core, samples)
+    def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
+        """Return the closest of at most so many passes, and what each of them left."""
+        reached: list[_Pass] = []
+        while len(reached) < max(most, 1) and not self._ended(reached):
+            at = self.linear.at(moment, self.seen)
+            samples = self._sample(at.sampler, samples)
             with self.clock.stage("solve"):
-                moment, promised = self._solve(linearised, (problem, core), samples, moment)
-            history.append(self.residual_rms(moment, samples))
-            reached.append((moment, samples))
+                moment, promised = self._solve(at, samples, moment)
+            reached.append(_Pass(moment, samples, at, self.residual_rms(moment, samples), promised))
             if self.progress is not None:
                 most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
                 self.progress(min(self.counters["passes"], most_passes), most_passes)
-        if reached:
-            # Past a limit point of the load passes may lead away again: the closest one counts.
-            moment, samples = reached[int(np.argmin(history))]
-        return moment, samples, history
+        # Past a limit point of the load passes may lead away again: the closest one counts.
+        return min(reached, key=lambda one: one.left), [one.left for one in reached]
 
-    def linear(self, moment: Moment) -> Posed:
+    def posed(self, moment: Moment) -> Posed:
         """Return the data at a body with how they follow the columns."""
-        return self._posed(self._linearise(moment), self.seen.read(moment), moment.coefficients)
-
-    def _linearise(self, moment: Moment) -> Linearised:
-        self._count("factorisations", 1)
-        with self.clock.stage("linearise"):
-            load = self.columns.load(moment.coefficients)
-            simulator = self.columns.body.simulator
-            return Linearised(
-                simulator,
-                load,
-                self.material,
-                moment.displacement,
-                springs=self.columns.springs,
-                precision="single",
-                threads=self.threads,
-            )
-
-    def _pose(self, linearised: Linearised, moment: Moment) -> tuple[Posed, Any]:
-        """Return the observations at a body as the sampler has them, and the sampler."""
-        with self.clock.stage("match"):
-            reading = self.seen.read(moment)
-        problem = self._posed(linearised, reading, moment.coefficients)
-        with self.clock.stage("prepare"):
-            data = {
-                "innovation": problem.innovation,
-                "noise": np.diag(problem.variances),
-                "groups": problem.groups,
-            }
-            return problem, sampler(self.columns, self.settings, problem.responses, data)
-
-    def _posed(self, linearised: Linearised, reading: Reading, coefficients: FloatArray) -> Posed:
-        """Return observations as they are, or, where they are many, as few that say nearly the same."""
-        rigid = self.columns.rigid_rows(reading.places, reading.directions)
-        if not self.seen.weighed:
-            return plain(reading, self._responses(linearised, reading.rows, rigid), coefficients)
-        if self._basis is None:
-            every = self._responses(linearised, reading.rows, rigid)
-            with self.clock.stage("prepare"):
-                most = MOST_KEPT_COARSE if self.seen.rough else MOST_KEPT
-                self._basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
-            few = (self._basis.vectors / reading.std) @ every
-        else:
-            few = self._responses(linearised, self._basis.rows(reading), (self._basis.vectors / reading.std) @ rigid)
-        return projected(reading, self._basis, few, coefficients)
-
-    def _responses(
-        self, linearised: Linearised, rows: list[tuple[IntArray, FloatArray]], rigid: FloatArray
-    ) -> FloatArray:
-        """Return how rows of nodes and weights follow the columns, (n_rows, n_columns)."""
-        with self.clock.stage("sensitivities"):
-            compliance = linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
-            self._count("right_hand_sides", len(rows))
-            return self.columns.responses(compliance, np.empty((0, 3)), rigid)
+        tangent = self.linear.tangent(moment)
+        return self.linear.posed(tangent, self.seen.read(moment), moment.coefficients, self.seen)
 
     def _sample(self, core: Any, before: Samples | None) -> Samples:
         settings = self.settings
-        powers = settings.powers if before is None else settings.powers_again
+        powers, n_chains = settings.powers_again, settings.n_chains
+        if before is None:
+            powers, n_chains = settings.powers, settings.n_chains_first
         count = core.n_uniforms(len(powers), settings.n_local, settings.n_level)
         with self.clock.stage("sample"):
             samples, _, counters = core.run(
-                self.rng.random((settings.n_chains, count)),
+                self.rng.random((n_chains, count)),
                 powers=list(powers),
                 n_kept=settings.n_kept,
                 sharpness=settings.sharpness,
@@ -290,29 +266,27 @@ class Passes:
                 else [np.ascontiguousarray(a[settings.n_kept - 1 :: settings.n_kept]) for a in before],
                 threads=self.threads,
             )
-        self._count("passes", 1)
-        self._count("sweeps", settings.n_chains * len(powers))
+        self.linear.count("passes", 1)
+        self.linear.count("sweeps", n_chains * len(powers))
         for name, value in counters.items():
-            self._count(name if name != "factorisations" else "small_factorisations", value)
+            self.linear.count(name if name != "factorisations" else "small_factorisations", value)
         return tuple(samples)
 
-    def _solve(
-        self, linearised: Linearised, data: tuple[Posed, Any], samples: Samples, moment: Moment
-    ) -> tuple[Moment, float]:
+    def _solve(self, at: AtBody, samples: Samples, moment: Moment) -> tuple[Moment, float]:
         """Return the equilibrium under the mean load, or as far towards it as the markers come closer.
 
         Beside it stands the residual that the linear model promises there.
         """
-        problem, core = data
-        wanted = core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[0]
-        promised = _promised(problem, wanted, samples)
+        no_points = np.zeros((0, self.columns.n_columns))
+        wanted = at.sampler.moments(list(samples), no_points, threads=self.threads)[0]
+        promised = _promised(at.posed, wanted, samples)
         share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
         # Points are matched anew, but weighed as they were for this step: it promises no more than that.
         std = self.seen.read(moment).std if self.seen.rough else None
         before = self.residual_rms(moment, samples, std)
         best: tuple[float, Moment] | None = None
         while share > (_SHORTEST_UNMATCHED if self.seen.rematches and best is not None else _SHORTEST_STEP):
-            found = self._towards(linearised, moment, moment.coefficients + share * (wanted - moment.coefficients))
+            found = self._towards(at.tangent, moment, moment.coefficients + share * (wanted - moment.coefficients))
             if found is not None:
                 left = self.residual_rms(found, samples, std)
                 if best is None or left < best[0]:
@@ -321,23 +295,23 @@ class Passes:
                 if left < max((1.0 - decrease * share) * before, enough):
                     return found, promised
             share *= 0.5
-            self._count("halved_steps", 1)
+            self.linear.count("halved_steps", 1)
         if best is None:
             message = "no load between the last and the one that the markers suggest finds an equilibrium"
             raise ConvergenceError(message, where="load")
         return (best[1] if best[0] < before or not self.seen.rematches else moment), promised
 
-    def _towards(self, linearised: Linearised, moment: Moment, coefficients: FloatArray) -> Moment | None:
+    def _towards(self, tangent: Tangent, moment: Moment, coefficients: FloatArray) -> Moment | None:
         """Return the equilibrium under coefficients; None where there is none."""
         try:
             load = self.columns.load(coefficients)
-            found = linearised.solve_near(
+            found = tangent.linearised.solve_near(
                 load, springs=self.columns.springs, tolerance=_TOLERANCE, max_iterations=_MOST_ITERATIONS
             )
         except ConvergenceError:
             return None
-        self._count("solves", 1)
-        self._count("iterations", int(found.report["iterations"]))
+        self.linear.count("solves", 1)
+        self.linear.count("iterations", int(found.report["iterations"]))
         turned = self.columns.frame(coefficients)
         if not self.columns.body.supports.moves:
             # A drift is small and keeps its prior: its coefficients count from no motion.
@@ -355,36 +329,33 @@ class Passes:
             weights[group] = max(1.0 - wrong, 1e-6)
         return float(np.sqrt(np.average(reading.cost, weights=weights)))
 
-    def _ended(self, history: list[float], promised: float) -> bool:
+    def _ended(self, reached: list["_Pass"]) -> bool:
         """Return whether the data are met as well as the linear model promised, or the last passes brought nothing."""
-        if len(history) < 2:
+        if len(reached) < 2:
             return False
+        left, before = reached[-1].left, reached[-2].left
         if self.seen.rematches:
-            few = len(history) < _LEAST_ROUGH and self.seen.rough and history[-1] > self.settings.fit_limit
-            return not few and history[-1] > (1.0 - _SETTLED) * history[-2]
-        met = history[-1] < self.settings.fit_limit and history[-1] < promised + self.settings.promise_margin
-        return met or (len(history) > 3 and min(history[-2:]) > 0.95 * min(history[:-2]))
+            few = len(reached) < _LEAST_ROUGH and self.seen.rough and left > self.settings.fit_limit
+            return not few and left > (1.0 - _SETTLED) * before
+        met = left < self.settings.fit_limit and left < reached[-1].promised + self.settings.promise_margin
+        all_left = [one.left for one in reached]
+        return met or (len(reached) > 3 and min(all_left[-2:]) > 0.95 * min(all_left[:-2]))
 
-    def _fit(
-        self,
-        moment: Moment,
-        linearised: Linearised,
-        data: tuple[Posed, Any],
-        samples: Samples,
-        history: list[float],
-    ) -> ContactFit:
-        problem, core = data
+    def _fit(self, last: "_Pass", at: AtBody, history: list[float]) -> ContactFit:
+        no_points = np.zeros((0, self.columns.n_columns))
+        misfit = float(at.sampler.moments(list(last.samples), no_points, threads=self.threads)[5])
+        wrong = self._wrong(last.moment, last.samples)
         return ContactFit(
             self.columns,
-            moment,
-            linearised,
-            problem,
-            core,
-            samples,
-            self._wrong(moment, samples),
-            float(core.moments(list(samples), np.zeros((0, self.columns.n_columns)), threads=self.threads)[5]),
+            last.moment,
+            at.tangent,
+            at.posed,
+            at.sampler,
+            last.samples,
+            wrong,
+            misfit,
             history,
-            dict(self.counters),
+            self.counters,
         )
 
     def _wrong(self, moment: Moment, samples: Samples) -> FloatArray:
@@ -399,9 +370,6 @@ class Passes:
             found = markers.wrong(moment, float(np.log(self.settings.wrong_odds)), spread)
         wrong[np.unique(markers.rows // 3)] = found
         return wrong
-
-    def _count(self, name: str, value: int) -> None:
-        self.counters[name] = self.counters.get(name, 0) + value
 
 
 def _promised(problem: Posed, coefficients: FloatArray, samples: Samples) -> float:

@@ -49,6 +49,8 @@ class ContactSettings:
         (``stiffness="graded"``).
     n_chains : int
         Independent chains.
+    n_chains_first : int
+        The same in the first pass, which has only to come near.
     powers : tuple of float
         Power of the likelihood in each sweep of the first pass.
     powers_again : tuple of float
@@ -87,6 +89,7 @@ class ContactSettings:
     poisson_std: float = 0.02
     graded_log_std: float = 1.0
     n_chains: int = 16
+    n_chains_first: int = 8
     powers: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     powers_again: tuple[float, ...] = (0.5, 1.0, 1.0, 1.0, 1.0, 1.0)
     n_kept: int = 4

@@ -15,8 +15,9 @@ from tissuereg.contacts.body import smooth_fields
 from tissuereg.contacts.fit import ContactFit
 from tissuereg.contacts.seen import Seen
 from tissuereg.contacts.settings import ContactSettings
+from tissuereg.contacts.tangent import Row
 from tissuereg.material import Material
-from tissuereg.simulate.sensitivity import Cause, Compliance, Field, Observation
+from tissuereg.simulate.sensitivity import Cause, Compliance, Field
 
 #: Smooth fields of the stiffness of supports that are perhaps held.
 _N_SUPPORT_FIELDS = 12
@@ -73,10 +74,27 @@ class Spread:
         errors = _model_errors(fit, material, settings)
         scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
         causes = [*errors, *(cause for cause, _ in further)]
-        by_law = -scales[:, None, None] * fit.linearised.unbalanced(causes)
+        by_law = -scales[:, None, None] * fit.tangent.linearised.unbalanced(causes)
         self._model_forces = np.concatenate([by_law, _support_errors(fit, settings)])
-        compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in fit.posed.rows])
-        self._model_at_data = self._by_model(compliance)
+        self._model_at_data = self._by_model(self._compliance(fit.posed.rows))
+        self._suggested: FloatArray | None = None
+
+    def _compliance(self, rows: Sequence[Row]) -> Compliance:
+        found, solved = self._fit.tangent.compliance(rows)
+        self._fit.count("right_hand_sides", solved)
+        return found
+
+    def _moments(self, responses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return means and covariances of points, and what errors of the model make the markers suggest.
+
+        The last, (n_columns, n_errors), are loads that are not there; they do not depend on the points.
+        """
+        fit = self._fit
+        _, gain, means, covariance, *_ = fit.sampler.moments(
+            list(fit.samples), np.ascontiguousarray(responses), threads=self._threads
+        )
+        self._suggested = np.asarray(gain @ self._model_at_data)
+        return means, covariance, self._suggested
 
     def _by_model(self, compliance: Compliance) -> FloatArray:
         """Return what errors of the model do to observations, (n_rows, n_errors), mm."""
@@ -102,15 +120,13 @@ class Spread:
             Cost: one right-hand side a row.
         """
         fit = self._fit
-        compliance = fit.linearised.compliance([Observation(nodes, weights) for nodes, weights in rows])
+        compliance = self._compliance(rows)
         responses = fit.columns.responses(compliance, places)
-        _, gain, means, covariance, *_ = fit.sampler.moments(
-            list(fit.samples), np.ascontiguousarray(responses), threads=self._threads
-        )
+        means, covariance, suggested = self._moments(responses)
         # About the answer: passes end where the markers are met, short of the mean of the last linearisation.
         off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
         covariance = covariance + np.einsum("pa,pb->pab", off, off)
-        left = self._by_model(compliance) - responses @ (gain @ self._model_at_data)
+        left = self._by_model(compliance) - responses @ suggested
         left = left.reshape(len(places), 3, len(self._model_forces))
         covariance = covariance + np.einsum("pak,pbk->pab", left, left)
         unseen, constrained = self._unseen(responses)
@@ -150,9 +166,10 @@ class Spread:
         if fields is None:
             drawn = self.coefficients(rng, self._settings.n_draws) - fit.moment.coefficients
         errors = rng.standard_normal((len(drawn), len(self._model_forces)))
-        # What errors of the model do to the markers is met by loads that are not there.
-        gain = fit.sampler.moments(list(fit.samples), np.zeros((0, fit.columns.n_columns)), threads=self._threads)[1]
-        drawn = drawn - errors @ (gain @ self._model_at_data).T
+        suggested = self._suggested
+        if suggested is None:
+            suggested = self._moments(np.zeros((0, fit.columns.n_columns)))[2]
+        drawn = drawn - errors @ suggested.T
         moved = linear_fields(fit, drawn, np.tensordot(errors, self._model_forces, 1))
         moved = moved[:, : fit.columns.body.mesh.n_nodes] @ turn.T
         spread = np.einsum("dna,dnb->nab", moved, moved) / len(moved)
@@ -192,19 +209,14 @@ def unseen_variances(fit: ContactFit, seen: Seen) -> FloatArray:
 def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
     """Return displacement fields (n, n_element_nodes, 3) of changes of coefficients and of further nodal forces."""
     columns = fit.columns
-    base = columns.load(fit.moment.coefficients)
-    total = forces.copy()
-    for index, one in enumerate(change):
-        load = columns.load(fit.moment.coefficients + one)
-        total[index] += np.asarray(load.forces) - base.forces
-        total[index] += columns.weight_forces(np.asarray(load.body_force) - base.body_force)
-    fields = fit.linearised.responses(np.ascontiguousarray(total))
+    total = forces + columns.forces(change)
+    fields = fit.tangent.linearised.responses(np.ascontiguousarray(total))
     if columns.moves:
         places = columns.body.simulator.body.nodes + fit.moment.displacement
         rigid = columns.rigid_field(places)
         frames = np.stack([columns.frame(one) for one in change])
         fields = fields + np.tensordot(frames, rigid, 1)
-    return fields
+    return np.asarray(fields)
 
 
 def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings) -> list[Cause]:

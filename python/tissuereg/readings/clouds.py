@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.mesh import Mesh
-from tissuereg.readings.skin import Skin
+from tissuereg.readings.skin import Skin, skin_of
 from tissuereg.readings.words import Suspicion
 
 #: Units that lengths may be in by mistake: what they must be multiplied by to be millimetres.
@@ -45,7 +45,7 @@ def suspect_points(mesh: Mesh, points: FloatArray, *, free: bool) -> list[Suspic
     ratio = float(np.max(np.ptp(points, axis=0))) / mesh.extent
     if free:
         return [_size(ratio)] if not _SMALLER <= ratio <= _LARGER else []
-    skin = Skin(mesh)
+    skin = skin_of(mesh)
     typical = _typical(skin, few)
     if typical <= _ODD * mesh.extent:
         return []

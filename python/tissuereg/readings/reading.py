@@ -8,7 +8,7 @@ import numpy as np
 from tissuereg._arrays import BoolArray, FloatArray, IntArray
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
-from tissuereg.readings.skin import Skin
+from tissuereg.readings.skin import Skin, skin_of
 
 #: The noise of a coordinate is taken to be at most this many mm: beyond it a statement about units is likelier wrong.
 _LARGEST_NOISE_MM = 2.0
@@ -45,7 +45,7 @@ class Given:
     @classmethod
     def of(cls, mesh: Mesh, markers: Markers, rows: IntArray) -> "Given":
         """Return the input of some of the markers."""
-        skin = Skin(mesh)
+        skin = skin_of(mesh)
         return cls(
             skin,
             mesh.nodes[skin.held],

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg._per_mesh import per_mesh
 from tissuereg.mesh import Mesh
 
 #: Closest samples of the surface whose triangles are measured exactly.
@@ -112,6 +113,18 @@ class Skin:
             return np.ones((len(_FADING), len(points)))
         distance = np.asarray(self._held_tree.query(points)[0]) / self.extent
         return np.asarray(np.maximum(-np.expm1(-distance / np.array(_FADING)[:, None]), 0.02))
+
+
+def skin_of(mesh: Mesh) -> Skin:
+    """Return the skin of a mesh, made once while its set ``fixed`` stays the same."""
+    found = _skin(mesh)
+    held = mesh.node_sets.get("fixed")
+    return found if (held is None and not len(found.held)) or found.held is held else Skin(mesh)
+
+
+@per_mesh
+def _skin(mesh: Mesh) -> Skin:
+    return Skin(mesh)
 
 
 def closest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray:

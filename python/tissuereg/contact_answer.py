@@ -1,0 +1,219 @@
+"""The answer of a registration by contacts, put together from its fit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._clock import Clock
+from tissuereg.contacts.draws import Draws, NodesOfContacts
+from tissuereg.contacts.fit import ContactFit
+from tissuereg.contacts.found import find_contacts
+from tissuereg.contacts.moment import Moment
+from tissuereg.contacts.seen import SeenMarkers
+from tissuereg.contacts.spread import Points, Spread
+from tissuereg.contacts.surface_fit import SurfaceFit
+from tissuereg.contacts.surface_points import SeenPoints
+from tissuereg.inputs import RegisterInput, rms_length
+from tissuereg.mesh import det_f
+from tissuereg.result import MarkerFit, Registration, Target
+from tissuereg.trust import Trust, judge
+
+#: A target is flagged where the markers take away less than this share of its variance under unseen contacts.
+LEAST_CONSTRAINED = 0.5
+
+#: What a flagged target is told.
+NO_MARKER = "no marker tells"
+
+#: A marker that is wrong with at least this probability is named and does not count.
+_WRONG = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of targets and markers.
+
+    Attributes
+    ----------
+    used, lost : ndarray of int64
+        Markers that count, and those that were not seen or are wrong.
+    displacement : ndarray of float64, shape (n_targets + n_markers, 3)
+        In the tracker's frame, targets first, mm.
+    points : Points
+        Uncertainty of the targets, then of the markers that are lost.
+    """
+
+    used: IntArray
+    lost: IntArray
+    displacement: FloatArray
+    points: Points
+
+
+def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
+    """Return what is known of targets and markers."""
+    moment, observed, inner = fit.moment, given.observed, given.targets
+    n_targets = len(inner.names)
+    seen = np.isfinite(given.markers.measured).any(axis=1)
+    counts = np.asarray(seen & (fit.wrong < _WRONG))
+    used, lost = np.flatnonzero(counts), np.flatnonzero(~counts)
+    here = moment.displacement[observed.nodes]
+    moved = np.concatenate([inner.predict(moment.displacement[inner.nodes]), observed.predict(here)])
+    reference = np.concatenate([inner.reference.reshape(-1, 3), given.markers.reference])
+    of_markers = observed.rows(here) if len(lost) else []
+    rows = [*inner.rows(), *(of_markers[3 * marker + axis] for marker in lost for axis in range(3))]
+    some = np.concatenate([np.arange(n_targets), n_targets + lost])
+    points = spread.points(rows, (reference + moved)[some])
+    return Known(used, lost, moment.frame.apply(reference + moved) - reference, points)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Everything that a registration by contacts found.
+
+    Attributes
+    ----------
+    given : RegisterInput
+        Checked input.
+    fit : ContactFit
+        Where the passes ended.
+    start : Moment
+        The body under the believed load.
+    knows : bool
+        Whether a load was believed.
+    known : Known
+        Targets and markers.
+    nodes : NodesOfContacts
+        Spread of the nodes.
+    draw : Draws
+        Posterior fields.
+    surface : SurfaceFit or None
+        How points of the surface fared.
+    """
+
+    given: RegisterInput
+    fit: ContactFit
+    start: Moment
+    knows: bool
+    known: Known
+    nodes: NodesOfContacts
+    draw: Draws
+    surface: SurfaceFit | None
+
+    def registration(self, clock: Clock) -> Registration:
+        """Return the result."""
+        given, fit, markers = self.given, self.fit, self.given.markers
+        mesh, moment, names = given.mesh, fit.moment, given.markers.names
+        body = moment.displacement[: mesh.n_nodes]
+        fitted = self._of_markers(self.known.displacement)
+        used, lost = self.known.used, self.known.lost
+        some = np.asarray(np.isfinite(markers.measured).any(axis=1))
+        begun, ratios = self._begun(), det_f(mesh, body)
+        return Registration(
+            mesh=mesh,
+            displacement=moment.frame.apply(mesh.nodes + body) - mesh.nodes,
+            nodes=self.nodes,
+            targets=self._targets(),
+            unseen={names[i]: self._unseen(k, begun[i]) for k, i in enumerate(lost)},
+            markers=MarkerFit(
+                used=tuple(names[i] for i in used),
+                dropped=tuple((names[i], "wrong" if some[i] else "not seen") for i in lost),
+                before_rms_mm=rms_length(markers.displacement[used] - begun[used]),
+                after_rms_mm=rms_length(markers.displacement[used] - fitted[used]),
+                residual_mm={names[i]: markers.displacement[i] - fitted[i] for i in used},
+            ),
+            all_markers=markers,
+            start_markers=markers.reference + begun,
+            min_det_f=float(ratios.min()),
+            inverted_tets=int((ratios <= 0).sum()),
+            trust=self._trust(float(ratios.min())),
+            surface=self.surface,
+            model={"kind": "contacts", "source": "fitted here", "patches": fit.columns.n_patches},
+            seconds=clock.seconds,
+            seed=given.seed,
+            dropped_members=[],
+            contacts=find_contacts(fit),
+            work=dict(fit.counters),
+            forces=_forces(fit),
+            draw=self.draw,
+        )
+
+    def _of_markers(self, both: FloatArray) -> FloatArray:
+        """Return the markers' part of what holds targets first."""
+        return both[len(self.given.targets.names) :]
+
+    def _begun(self) -> FloatArray:
+        """Return the displacement of the markers under the believed load, (n_markers, 3) in mm."""
+        observed, reference, start = self.given.observed, self.given.markers.reference, self.start
+        begun = observed.predict(start.displacement[observed.nodes])
+        return start.frame.apply(reference + begun) - reference
+
+    def _targets(self) -> dict[str, Target]:
+        inner, start = self.given.targets, self.start
+        said = start.frame.apply(inner.reference + inner.predict(start.displacement[inner.nodes]))
+        covariance = self.known.points.covariance
+        return {
+            name: self._target(i, inner.reference[i], self.known.displacement[i], covariance[i], said[i])
+            for i, name in enumerate(inner.names)
+        }
+
+    def _unseen(self, position: int, begun: FloatArray) -> Target:
+        """Return where a tracker would see a marker that does not count; `position` is that among the lost ones."""
+        markers, marker = self.given.markers, int(self.known.lost[position])
+        index = len(self.given.targets.names) + position
+        covariance = self.known.points.covariance[index] + np.diag(markers.axis_std[marker] ** 2)
+        moved = self._of_markers(self.known.displacement)[marker]
+        reference = markers.reference[marker]
+        return self._target(index, reference, moved, covariance, reference + begun)
+
+    def _target(
+        self, index: int, reference: FloatArray, moved: FloatArray, covariance: FloatArray, said: FloatArray
+    ) -> Target:
+        share = float(self.known.points.constrained[index])
+        return Target(
+            reference,
+            reference + moved,
+            covariance,
+            said if self.knows else None,
+            share,
+            NO_MARKER if share < LEAST_CONSTRAINED else None,
+        )
+
+    def _trust(self, min_det_f: float) -> Trust:
+        used = self.known.used
+        given, fit, markers, surface = self.given, self.fit, self.given.markers, self.surface
+        model_error = given.settings.contacts.model_error
+        notes = list(given.suspicions)
+        notes += [
+            f"wrong marker: {markers.names[i]} does not fit the others (probability {fit.wrong[i]:.2f})"
+            for i in np.flatnonzero(fit.wrong >= _WRONG)
+        ]
+        notes += [] if surface is None else surface.reasons()
+        points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
+        left = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
+        size = SeenMarkers(given.observed, markers, model_error).moved(fit.moment.frame)[used]
+        variance = (markers.axis_std[used] ** 2 + (model_error * size[:, None]) ** 2).ravel()
+        # A component that was not seen says nothing.
+        variance[~np.isfinite(left.ravel())] = 1e12
+        # Whether a marker is wrong is decided with the contacts; here its residual is held against its noise alone.
+        spread = np.zeros((3 * len(used), 3 * len(used)))
+        names = tuple(markers.names[i] for i in used)
+        residual = np.nan_to_num(left)
+        # The innovation's misfit counts the data term once more: what it has beyond that is the prior's.
+        prior_term = max(0.0, fit.misfit - float(np.sum(residual.ravel() ** 2 / variance)))
+        return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes, points)
+
+
+def surface_fit(given: RegisterInput, points: SeenPoints | None, start: Moment, end: Moment) -> SurfaceFit | None:
+    """Return how points of the surface fared; None where there are none."""
+    if given.surface is None or points is None:
+        return None
+    return SurfaceFit.of(points, given.surface, start, end)
+
+
+def _forces(fit: ContactFit) -> FloatArray:
+    """Return the nodal forces (n_nodes, 3) of the mean load in the tracker's frame, mN."""
+    forces = np.asarray(fit.columns.load(fit.moment.coefficients).forces)
+    return np.asarray(forces[: fit.columns.body.mesh.n_nodes] @ fit.moment.frame.rotation.T)
+
+
+__all__ = ["LEAST_CONSTRAINED", "Answer", "Known", "known_of", "surface_fit"]

@@ -1,0 +1,111 @@
+"""The data at one body: its tangent, how observations follow the causes there, and the sampler's problem."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg._clock import Clock
+from tissuereg.contacts.columns import Columns, sampler
+from tissuereg.contacts.moment import Moment
+from tissuereg.contacts.posed import MOST_KEPT, MOST_KEPT_COARSE, Basis, Posed, moving_variances, plain, projected
+from tissuereg.contacts.seen import Reading, Seen
+from tissuereg.contacts.settings import ContactSettings
+from tissuereg.contacts.tangent import Row, Tangent, tangent_at
+from tissuereg.material import Material
+
+
+@dataclass(frozen=True, eq=False)
+class AtBody:
+    """Everything that is linear about one body.
+
+    Attributes
+    ----------
+    tangent : Tangent
+        The linearised equilibrium.
+    posed : Posed
+        Observations with how they follow the columns.
+    sampler : _core.Contacts
+        Dictionary, prior and data.
+    """
+
+    tangent: Tangent
+    posed: Posed
+    sampler: Any
+
+
+@dataclass(eq=False)
+class Linear:
+    """What linearises; it counts its work and keeps the projection of many observations while the data stay the same.
+
+    Parameters
+    ----------
+    columns : Columns
+        Causes.
+    material : Material
+        What the body is made of.
+    settings : ContactSettings
+        Prior.
+    threads : int
+        Threads to use.
+    clock : Clock
+        Gets the stages' times.
+    counters : dict of str to int
+        Gets the work.
+    """
+
+    columns: Columns
+    material: Material
+    settings: ContactSettings
+    threads: int
+    clock: Clock
+    counters: dict[str, int]
+    _basis: tuple[Seen, Basis] | None = field(default=None, repr=False)
+
+    def at(self, moment: Moment, seen: Seen) -> AtBody:
+        """Return data, tangent and sampler at a body."""
+        tangent = self.tangent(moment)
+        with self.clock.stage("match"):
+            reading = seen.read(moment)
+        posed = self.posed(tangent, reading, moment.coefficients, seen)
+        with self.clock.stage("prepare"):
+            data = {"innovation": posed.innovation, "noise": np.diag(posed.variances), "groups": posed.groups}
+            return AtBody(tangent, posed, sampler(self.columns, self.settings, posed.responses, data))
+
+    def tangent(self, moment: Moment) -> Tangent:
+        """Return the tangent at a body."""
+        with self.clock.stage("linearise"):
+            found, factored = tangent_at(self.columns, self.material, moment, self.threads)
+        self.count("factorisations", factored)
+        return found
+
+    def posed(self, tangent: Tangent, reading: Reading, coefficients: FloatArray, seen: Seen) -> Posed:
+        """Return observations as they are, or, where they are many, as few that say nearly the same."""
+        rigid = self.columns.rigid_rows(reading.places, reading.directions)
+        if not seen.weighed:
+            return plain(reading, self._responses(tangent, reading.rows, rigid), coefficients)
+        if self._basis is None or self._basis[0] is not seen:
+            every = self._responses(tangent, reading.rows, rigid)
+            with self.clock.stage("prepare"):
+                most = MOST_KEPT_COARSE if seen.rough else MOST_KEPT
+                basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
+            self._basis = (seen, basis)
+            return projected(reading, basis, (basis.vectors / reading.std) @ every, coefficients)
+        basis = self._basis[1]
+        few = self._responses(tangent, basis.rows(reading), (basis.vectors / reading.std) @ rigid)
+        return projected(reading, basis, few, coefficients)
+
+    def _responses(self, tangent: Tangent, rows: list[Row], rigid: FloatArray) -> FloatArray:
+        """Return how rows of nodes and weights follow the columns, (n_rows, n_columns)."""
+        with self.clock.stage("sensitivities"):
+            compliance, solved = tangent.compliance(rows)
+            self.count("right_hand_sides", solved)
+            return self.columns.responses(compliance, np.empty((0, 3)), rigid)
+
+    def count(self, name: str, value: int) -> None:
+        """Add to a counter."""
+        self.counters[name] = self.counters.get(name, 0) + value
+
+
+__all__ = ["AtBody", "Linear"]

@@ -1,0 +1,152 @@
+"""The tangent at a body, which remembers how observations follow forces there; that at rest is kept between calls."""
+
+import threading
+from collections.abc import Sequence
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.contacts.columns import Columns
+from tissuereg.contacts.moment import Moment
+from tissuereg.material import Material
+from tissuereg.simulate.sensitivity import Compliance, Linearised, Observation
+
+#: Observations that a tangent remembers: more of them are those of points, which no later call repeats.
+MOST_REMEMBERED = 400
+
+Row = tuple[IntArray, FloatArray]
+
+
+class Tangent:
+    """A linearised equilibrium with the observations that it has been asked for.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The equilibrium.
+
+    Attributes
+    ----------
+    linearised : Linearised
+    """
+
+    def __init__(self, linearised: Linearised) -> None:
+        self.linearised = linearised
+        self._known: dict[bytes, Compliance] = {}
+        self._lock = threading.Lock()
+
+    def compliance(self, rows: Sequence[Row]) -> tuple[Compliance, int]:
+        """Return how observations follow forces, and how many of them had to be solved.
+
+        Parameters
+        ----------
+        rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
+            Nodes and weights of each observation.
+
+        Returns
+        -------
+        Compliance
+            One entry a row. The same bits whether remembered or not.
+        int
+            Right-hand sides solved.
+        """
+        keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
+        with self._lock:
+            found = {key: self._known[key] for key in keys if key in self._known}
+        missing = {key: row for key, row in zip(keys, rows, strict=True) if key not in found}
+        if missing or not rows:
+            solved = self.linearised.compliance([Observation(*row) for row in missing.values()])
+            if len(missing) == len(rows):
+                self._remember(missing, solved)
+                return solved, len(missing)
+            found |= dict(zip(missing, _apart(solved), strict=True))
+            self._remember(missing, solved)
+        parts = [found[key] for key in keys]
+        return _together(parts), len(missing)
+
+    def _remember(self, rows: dict[bytes, Row], solved: Compliance) -> None:
+        with self._lock:
+            if len(self._known) + len(rows) <= MOST_REMEMBERED:
+                self._known |= dict(zip(rows, _apart(solved), strict=True))
+
+
+def _apart(whole: Compliance) -> list[Compliance]:
+    """Return one entry an observation."""
+    return [
+        Compliance(whole.forces[i : i + 1], whole.body_force[i : i + 1], whole.prescribed[i : i + 1])
+        for i in range(len(whole.forces))
+    ]
+
+
+def _together(parts: list[Compliance]) -> Compliance:
+    return Compliance(
+        np.concatenate([part.forces for part in parts]),
+        np.concatenate([part.body_force for part in parts]),
+        np.concatenate([part.prescribed for part in parts]),
+    )
+
+
+#: The last tangent at rest, with what it belongs to.
+_rest: tuple[tuple[object, ...], Tangent] | None = None
+_lock = threading.Lock()
+
+
+def tangent_at(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[Tangent, int]:
+    """Return the tangent at a body, and how often the stiffness was factored for it.
+
+    Parameters
+    ----------
+    columns : Columns
+        Causes, with what holds the body.
+    material : Material
+        What it is made of.
+    moment : Moment
+        An equilibrium.
+    threads : int
+        Threads to use.
+
+    Returns
+    -------
+    Tangent
+        That of a body at rest is kept: the next call on the same mesh and material finds it, with the observations
+        of markers at the same places.
+    int
+        Factorisations: 0 or 1.
+    """
+    global _rest
+    key = _rest_key(columns, material, moment)
+    if key is not None:
+        with _lock:
+            if _rest is not None and _rest[0] == key:
+                return _rest[1], 0
+    linearised = Linearised(
+        columns.body.simulator,
+        columns.load(moment.coefficients),
+        material,
+        moment.displacement,
+        springs=columns.springs,
+        precision="single",
+        threads=threads,
+    )
+    made = Tangent(linearised)
+    if key is not None:
+        with _lock:
+            _rest = (key, made)
+    return made, 1
+
+
+def forget_rest() -> None:
+    """Forget the tangent that is kept for the next call."""
+    global _rest
+    with _lock:
+        _rest = None
+
+
+def _rest_key(columns: Columns, material: Material, moment: Moment) -> tuple[object, ...] | None:
+    """Return what a tangent at rest depends on; None where the body is not at rest."""
+    loaded = any(part is not None for part in columns.believed.values())
+    if loaded or moment.displacement.any() or moment.coefficients.any():
+        return None
+    springs = None if columns.springs is None else columns.springs.tobytes()
+    # The body itself, not its address: a body that is gone must not lend its place to another.
+    return columns.body, material.digest(), springs
