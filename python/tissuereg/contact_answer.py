@@ -20,7 +20,7 @@ from tissuereg.result import MarkerFit, Registration, Target
 from tissuereg.trust import Trust, judge
 
 #: A target is flagged where the markers take away less than this share of its variance under unseen contacts.
-LEAST_CONSTRAINED = 0.5
+LEAST_CONSTRAINED = 0.8
 
 #: What a flagged target is told.
 NO_MARKER = "no marker tells"

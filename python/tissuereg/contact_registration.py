@@ -1,6 +1,7 @@
 """Registration without a known load: contacts found by their traces at the markers."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,16 +14,17 @@ from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.columns import Columns, spring_stiffness
 from tissuereg.contacts.draws import Draws, NodesOfContacts
 from tissuereg.contacts.evidence import support_stiffness
-from tissuereg.contacts.fit import Passes, start_of
+from tissuereg.contacts.fit import ContactFit, Passes, start_of
 from tissuereg.contacts.frame import Frame, drifts
 from tissuereg.contacts.graded import grade, is_graded
 from tissuereg.contacts.icp import closest_frame
+from tissuereg.contacts.moment import Moment
 from tissuereg.contacts.seen import Seen, SeenMarkers
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.contacts.spread import Spread
 from tissuereg.contacts.supports import Supports
 from tissuereg.contacts.surface_points import SeenPoints
-from tissuereg.errors import MaterialError
+from tissuereg.errors import ConvergenceError, MaterialError
 from tissuereg.inputs import RegisterInput
 from tissuereg.load import Load
 from tissuereg.material import Material
@@ -33,6 +35,10 @@ from tissuereg.simulate.solve import LoadParts
 
 #: Meshes of at most so many nodes get averaged elements, and so do Poisson's ratios above this.
 COARSE_NODES, STIFF_POISSON = 3000, 0.475
+
+#: A belief is doubted where it leaves the markers at more than this many standard deviations (root mean square), and
+#: left out where a fit without it leaves less than this share of that.
+_UNMET, _MUCH_LESS = 3.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +80,11 @@ class ContactInput:
     progress: Callable[[int, int], None] | None
     ensemble: int = 0
 
+    @property
+    def any_load(self) -> bool:
+        """Whether anything is believed to act."""
+        return self.load is not None or self.simulation is not None
+
 
 def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Clock) -> Registration:
     """Register without a model.
@@ -99,20 +110,74 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     SupportError, LoadError, MaterialError
         If what is believed does not fit the body.
     """
-    settings, material = given.settings.contacts, believed.material
+    settings = given.settings.contacts
     if given.suspicions:
         # Input that is misread is not worth many passes: the answer will not be trusted.
         settings = replace(settings, max_passes=1)
     with clock.stage("body"):
         supports = Supports.of(given.mesh, believed.held, believed.held_nodes)
         body = ContactBody.of(given.mesh, supports, believed.element)
-    model_error = settings.model_error
-    points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, model_error)
-    seen = Seen.of(SeenMarkers(given.observed, given.markers, model_error), points)
+    points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, settings.model_error)
+    seen = Seen.of(SeenMarkers(given.observed, given.markers, settings.model_error), points)
+    found, note = _least_left(given, believed, (body, seen, settings), clock)
+    if note:
+        given = replace(given, suspicions=(*given.suspicions, note))
+    with clock.stage("spread"):
+        spread = Spread(found.fit, found.material, settings, given.threads, found.further)
+        known = known_of(given, found.fit, spread)
+    draw = Draws(found.fit, spread, found.material, given.seed, given.threads)
+    fields = None
+    if believed.ensemble:
+        with clock.stage("ensemble"):
+            fields = draw(believed.ensemble)
+    nodes = NodesOfContacts(spread, given.seed, fields)
+    fared = surface_fit(given, points, found.start, found.fit.moment)
+    return Answer(given, found.fit, found.start, believed.any_load, known, nodes, draw, fared).registration(clock)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A fit with the body from which its passes began, and what was found of material and supports before."""
+
+    fit: ContactFit
+    start: Moment
+    material: Material
+    further: list[tuple[Cause, float]]
+
+
+def _least_left(
+    given: RegisterInput, believed: ContactInput, about: tuple[ContactBody, Seen, ContactSettings], clock: Clock
+) -> tuple[_Found, str]:
+    """Return the fit about what is believed; or that with no belief, and why, where the first leaves the markers."""
+    if not believed.any_load:
+        return _found(given, believed, about, clock), ""
+    found = None
+    with suppress(ConvergenceError):
+        found = _found(given, believed, about, clock)
+    if found is not None and min(found.fit.residual_rms) < _UNMET:
+        return found, ""
+    try:
+        without = _found(given, replace(believed, load=None, simulation=None), about, clock)
+    except ConvergenceError:
+        if found is None:
+            raise
+        return found, ""
+    if found is None:
+        return without, "what was believed to act was left out: under it no equilibrium is found"
+    if min(without.fit.residual_rms) < _MUCH_LESS * min(found.fit.residual_rms):
+        return without, "what was believed to act was left out: about it no contacts explain the markers"
+    return found, ""
+
+
+def _found(
+    given: RegisterInput, believed: ContactInput, about: tuple[ContactBody, Seen, ContactSettings], clock: Clock
+) -> _Found:
+    """Return the fit about what is believed."""
+    (body, seen, settings), material = about, believed.material
     with clock.stage("simulate"):
         parts, field = _believed(body, believed, settings)
         columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
-    frame = _first_frame(given, supports)
+    frame = _first_frame(given, body.supports)
     rng = np.random.default_rng([given.seed, 7])
     passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
     further: list[tuple[Cause, float]] = []
@@ -121,22 +186,9 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     if is_graded(believed.stiffness):
         passes, slopes = _graded(passes, frame, field)
         further += slopes
-    columns, material = passes.columns, passes.material
     with clock.stage("simulate"):
-        start = start_of(columns, material, field, frame, given.threads)
-    fit = passes.run(start)
-    with clock.stage("spread"):
-        spread = Spread(fit, seen, material, settings, given.threads, further)
-        known = known_of(given, fit, spread)
-    draw = Draws(fit, spread, material, given.seed, given.threads)
-    fields = None
-    if believed.ensemble:
-        with clock.stage("ensemble"):
-            fields = draw(believed.ensemble)
-    nodes = NodesOfContacts(spread, given.seed, fields)
-    knows = believed.load is not None or believed.simulation is not None
-    fared = surface_fit(given, points, start, fit.moment)
-    return Answer(given, fit, start, knows, known, nodes, draw, fared).registration(clock)
+        start = start_of(passes.columns, passes.material, field, frame, given.threads)
+    return _Found(passes.run(start), start, passes.material, further)
 
 
 def fitting_element(mesh: Mesh, material: Material) -> str:

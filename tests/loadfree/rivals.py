@@ -75,17 +75,12 @@ def registered(case: Case, **options) -> Answer:
         None if None in said else [float(share) for share in said],
         [target.flag is not None for target in found] if hasattr(found[0], "flag") else None,
         bool(result.trust.ok),
-        dict(getattr(result, "counters", None) or {}),
+        dict(result.work),
     )
 
 
 def contacts(case: Case) -> Answer:
     """Register with nothing known of the load: the package's first call."""
-    return registered(case)
-
-
-def fitted(case: Case) -> Answer:
-    """Register with principal components fitted to random events."""
     return registered(case)
 
 
@@ -133,7 +128,6 @@ METHODS: dict[str, Callable[[Case], Answer]] = {
     "rigid": rigid,
     "spline": spline,
     "gaussian": gaussian,
-    "fitted": fitted,
     "oracle": oracle,
     "wrong_load": wrong_load,
     "none": none,

@@ -49,7 +49,6 @@ SAID = {
     "rigid": "the markers' best rigid motion",
     "spline": "a thin-plate spline through the markers",
     "gaussian": "tractions of a Gaussian field, to first order",
-    "fitted": "principal components fitted to random events",
     "oracle": "`load=` is true: contacts as smooth tractions of their true force and place, and the weight",
     "wrong_load": "`load=` is wrong: every force and the weight have half their size and are turned by 30 degrees, "
     "every contact is 12 mm from its place",

@@ -104,7 +104,9 @@ def test_a_marker_ten_sigma_off_is_named(block_mesh, seen):
     # It does not bend the body: as if it had not been seen.
     measured[7] = np.nan
     without = tr.register(block_mesh, tr.Markers(seen.reference, measured, 0.05))
-    assert np.linalg.norm(result.displacement - without.displacement, axis=1).max() < 0.3
+    off = np.linalg.norm(result.displacement - without.displacement, axis=1)
+    assert off.mean() < 0.1
+    assert (off < 3.0 * without.std + 1e-9).all()
 
 
 def test_plain_arrays_serve_as_well(block_mesh, seen):

@@ -51,7 +51,7 @@ def test_errors_of_the_model_are_slopes_of_solves(spread):
     simulator, load = fit.columns.body.simulator, fit.columns.load(fit.moment.coefficients)
     # At the end itself: the passes may have kept the tangent where the last step began.
     here, _ = tangent_at(fit.columns, MATERIAL, fit.moment, 1)
-    exact = Spread(replace(fit, tangent=here), spread._seen, MATERIAL, spread._settings, 1)
+    exact = Spread(replace(fit, tangent=here), MATERIAL, spread._settings, 1)
     found = exact._by_model(here.compliance(rows_of(nodes))[0])
     assert np.abs(found - spread._by_model(fit.tangent.compliance(rows_of(nodes))[0])).max() < 0.1 * np.abs(found).max()
     blobs, n_tets = fit.columns.body.blobs, simulator.mesh.n_tets
@@ -102,14 +102,33 @@ def test_a_point_at_a_marker_is_constrained_and_one_more_contact_leaves_little(s
     assert everywhere.unseen_std.max() > 2 * near.unseen_std.max()
 
 
-def test_an_unseen_contact_is_as_large_as_the_markers_moved(spread):
-    fit, patches = spread._fit, spread._fit.columns.body.patches
-    found = unseen_variances(fit, spread._seen)
-    moved = np.linalg.norm(push().markers().displacement, axis=1).max()
-    likely = found[: 3 * patches.n_patches].reshape(-1, 3)
-    size = 3 * likely[:, 0] * len(np.unique(patches.level)) * np.bincount(patches.level)[patches.level]
-    assert np.sqrt(size) == pytest.approx(np.minimum(moved, 0.5 * patches.radii))
+def test_an_unseen_contact_is_anywhere_alike_and_a_share_of_its_radius(spread):
+    patches, settings = spread._fit.columns.body.patches, spread._settings
+    found = unseen_variances(patches, settings, spread._fit.columns.n_columns)
+    of_patch = found[: 3 * patches.n_patches].reshape(-1, 3)
+    likely = of_patch.sum(axis=1) / (settings.unseen_share * patches.radii) ** 2
+    assert likely.sum() == pytest.approx(1.0)
+    assert np.bincount(patches.level, likely) == pytest.approx(1.0 / (patches.level.max() + 1))
+    assert np.ptp(of_patch, axis=1).max() == 0.0
     assert not found[3 * patches.n_patches :].any()
+
+
+def test_room_for_an_unseen_contact_is_in_the_regions(spread):
+    fit, nodes = spread._fit, free_nodes(40)
+    rows, places = rows_of(nodes), places_of(spread._fit, nodes)
+    whole = spread.points(rows, places)
+    without = Spread(fit, MATERIAL, replace(spread._settings, unseen_chance=0.0), 1).points(rows, places)
+    room = np.trace(whole.covariance - without.covariance, axis1=1, axis2=2)
+    assert room == pytest.approx(spread._settings.unseen_chance * whole.unseen_std**2)
+    # The textbook's covariance of a linear Gaussian model.
+    responses = fit.columns.responses(fit.tangent.compliance(rows)[0], places)
+    prior = np.diag(unseen_variances(fit.columns.body.patches, spread._settings, fit.columns.n_columns))
+    own = fit.posed.responses
+    left = prior - prior @ own.T @ np.linalg.solve(own @ prior @ own.T + np.diag(fit.posed.variances), own @ prior)
+    wanted = np.einsum("pc,cd,pd->p", responses, left, responses).reshape(-1, 3).sum(axis=1)
+    assert whole.unseen_std**2 == pytest.approx(wanted, rel=1e-6)
+    before = np.einsum("pc,c,pc->p", responses, np.diag(prior), responses).reshape(-1, 3).sum(axis=1)
+    assert whole.constrained == pytest.approx(1.0 - wanted / before, abs=1e-6)
 
 
 def test_drawn_coefficients_have_the_mean_and_the_gain_of_the_moments(spread):

@@ -185,7 +185,7 @@ class Passes:
         Raises
         ------
         ConvergenceError
-            If no equilibrium is found even with a short step.
+            If no pass is allowed.
         """
         full = self.seen
         best: tuple[_Pass, list[float]] | None = None
@@ -200,8 +200,16 @@ class Passes:
             raise ConvergenceError(message, where="load")
         last, history = best
         self.seen = full
-        at = last.at if last.foretold and not full.rematches else self.linear.at(last.moment, full)
-        return self._fit(last, at, history)
+        return self._fit(last, self._at_end(last, full), history)
+
+    def _at_end(self, last: "_Pass", full: Seen) -> AtBody:
+        """Return the linear problem at the end of a pass, or that of its beginning where it serves."""
+        if last.foretold and not full.rematches:
+            return last.at
+        try:
+            return self.linear.at(last.moment, full)
+        except ConvergenceError:
+            return last.at
 
     def _from(self, start: Moment, stages: list[tuple[Seen, int]]) -> tuple["_Pass", list[float]]:
         """Return the closest pass from a start, and the cost after each pass."""
@@ -231,7 +239,13 @@ class Passes:
         """Return the closest of at most so many passes, and what each of them left."""
         reached: list[_Pass] = []
         while len(reached) < max(most, 1) and not self._ended(reached):
-            at = self.linear.at(moment, self.seen)
+            try:
+                at = self.linear.at(moment, self.seen)
+            except ConvergenceError:
+                # A limit point has no tangent: the passes that led there count.
+                if not reached:
+                    raise
+                break
             samples = self._sample(at.sampler, samples)
             with self.clock.stage("solve"):
                 moment, promised = self._solve(at, samples, moment)
@@ -296,10 +310,11 @@ class Passes:
                     return found, promised
             share *= 0.5
             self.linear.count("halved_steps", 1)
-        if best is None:
-            message = "no load between the last and the one that the markers suggest finds an equilibrium"
-            raise ConvergenceError(message, where="load")
-        return (best[1] if best[0] < before or not self.seen.rematches else moment), promised
+        if best is None or (best[0] >= before and self.seen.rematches):
+            # No load on the way has an equilibrium, or none brings the points nearer: the next samples may.
+            self.linear.count("stuck_passes", 1)
+            return moment, promised
+        return best[1], promised
 
     def _towards(self, tangent: Tangent, moment: Moment, coefficients: FloatArray) -> Moment | None:
         """Return the equilibrium under coefficients; None where there is none."""

@@ -80,9 +80,6 @@ class Part(Protocol):
     def read(self, moment: Moment, *, weighed: bool) -> Reading:
         """Return the observations at a deformed body; `weighed` asks for weights instead of groups."""
 
-    def largest_motion(self, moment: Moment) -> float:
-        """Return how far the body has moved where it was seen, mm."""
-
     def coarser(self, width: float) -> "Part":
         """Return the same data with fewer observations, for first passes; `width` is a share of the extent."""
 
@@ -197,10 +194,6 @@ class SeenMarkers:
         logs = log_odds + np.array([gain[group].sum() for group in self.groups])
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0))))
 
-    def largest_motion(self, moment: Moment) -> float:
-        """Return the largest measured displacement beside the rigid motion, mm."""
-        return float(self.moved(moment.frame).max())
-
     def outliers(self, moment: Moment) -> float:
         """Return zero: markers have labels, and wrong ones indicators or weights."""
         del moment
@@ -257,10 +250,6 @@ class Seen:
         for other in others:
             first = first.followed_by(other)
         return first
-
-    def largest_motion(self, moment: Moment) -> float:
-        """Return how far the body has moved where it was seen, mm."""
-        return max(part.largest_motion(moment) for part in self.parts)
 
     def outliers(self, moment: Moment) -> float:
         """Return the largest share of observations without labels that a body does not explain."""

@@ -47,6 +47,8 @@ class ContactSettings:
     graded_log_std : float
         Standard deviation of the logarithm of the stiffness at the ends of the body against its middle
         (``stiffness="graded"``).
+    unseen_chance, unseen_share : float
+        Chance that one more contact acts where no marker tells, and its size over its radius.
     n_chains : int
         Independent chains.
     n_chains_first : int
@@ -70,7 +72,7 @@ class ContactSettings:
     """
 
     n_slots: int = 3
-    odds: float = 0.4
+    odds: float = 0.8
     sizes: tuple[float, ...] = (0.0008, 0.0025, 0.008, 0.025, 0.08, 0.25)
     largest_share: float = 0.5
     background: tuple[float, float] = (0.00025, 1.0)
@@ -88,6 +90,8 @@ class ContactSettings:
     young_log_std: float = 0.2
     poisson_std: float = 0.02
     graded_log_std: float = 1.0
+    unseen_chance: float = 0.03
+    unseen_share: float = 0.25
     n_chains: int = 16
     n_chains_first: int = 8
     powers: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)

@@ -1,19 +1,21 @@
 """How uncertain a registration is: regions of points, spread of nodes, and how much the markers constrain a point.
 
-The covariance of a point has two parts. That of the contacts is the mixture over samples. That of the model is what an
-error of stiffness or of Poisson's ratio would do to the answer: such an error moves the point and the markers, and what
-it does to the markers reaches the point once more, through the gain.
+The covariance of a point has three parts. That of the contacts is the mixture over samples. That of the model is what
+an error of stiffness or of Poisson's ratio would do to the answer: such an error moves the point and the markers, and
+what it does to the markers reaches the point once more, through the gain. The last keeps room for one more contact,
+anywhere, of which the samples know nothing because no marker saw it: its variance given the markers, times a chance.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.contacts.body import smooth_fields
 from tissuereg.contacts.fit import ContactFit
-from tissuereg.contacts.seen import Seen
+from tissuereg.contacts.patches import Patches
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.contacts.tangent import Row
 from tissuereg.material import Material
@@ -49,8 +51,6 @@ class Spread:
     ----------
     fit : ContactFit
         Where the passes ended.
-    seen : Seen
-        Data.
     material : Material
         What the body is made of.
     settings : ContactSettings
@@ -64,13 +64,12 @@ class Spread:
     def __init__(
         self,
         fit: ContactFit,
-        seen: Seen,
         material: Material,
         settings: ContactSettings,
         threads: int,
         further: Sequence[tuple[Cause, float]] = (),
     ) -> None:
-        self._fit, self._seen, self._settings, self._threads = fit, seen, settings, threads
+        self._fit, self._settings, self._threads = fit, settings, threads
         errors = _model_errors(fit, material, settings)
         scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
         causes = [*errors, *(cause for cause, _ in further)]
@@ -78,6 +77,7 @@ class Spread:
         self._model_forces = np.concatenate([by_law, _support_errors(fit, settings)])
         self._model_at_data = self._by_model(self._compliance(fit.posed.rows))
         self._suggested: FloatArray | None = None
+        self._unseen_variances = unseen_variances(fit.columns.body.patches, settings, fit.columns.n_columns)
 
     def _compliance(self, rows: Sequence[Row]) -> Compliance:
         found, solved = self._fit.tangent.compliance(rows)
@@ -131,19 +131,35 @@ class Spread:
         covariance = covariance + np.einsum("pak,pbk->pab", left, left)
         unseen, constrained = self._unseen(responses)
         turn = fit.moment.frame.rotation
-        return Points(turn @ covariance @ turn.T, constrained, unseen)
+        covariance = covariance + self._settings.unseen_chance * unseen
+        std = np.sqrt(np.maximum(np.trace(unseen, axis1=1, axis2=2), 0.0))
+        return Points(turn @ covariance @ turn.T, constrained, std)
+
+    @cached_property
+    def _under_unseen(self) -> FloatArray:
+        """Cholesky factor (n_obs, n_obs) of the covariance of the observations under one more contact alone."""
+        own = self._fit.posed.responses
+        return np.asarray(
+            np.linalg.cholesky((own * self._unseen_variances) @ own.T + np.diag(self._fit.posed.variances))
+        )
 
     def _unseen(self, responses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the deviation that one more contact leaves at points, and the share of its variance taken away."""
-        fit, own = self._fit, self._fit.posed.responses
-        variances = unseen_variances(fit, self._seen)
-        scaled = own * variances
-        noise = np.diag(fit.posed.variances)
-        cross = (responses * variances) @ own.T
-        taken = np.einsum("po,po->p", cross, np.linalg.solve(scaled @ own.T + noise, cross.T).T)
-        before = np.einsum("pc,pc,c->p", responses, responses, variances)
-        before, left = (part.reshape(-1, 3).sum(axis=1) for part in (before, before - taken))
-        return np.sqrt(np.maximum(left, 0.0)), 1.0 - np.maximum(left, 0.0) / np.maximum(before, 1e-300)
+        """Return the covariance (n, 3, 3) that one more contact leaves at points, and the share of its trace taken."""
+        cross = (responses * self._unseen_variances) @ self._fit.posed.responses.T
+        taken = np.linalg.solve(self._under_unseen, cross.T).T.reshape(len(cross) // 3, 3, cross.shape[1])
+        scaled = (responses * np.sqrt(self._unseen_variances)).reshape(len(taken), 3, responses.shape[1])
+        before, after = (np.matmul(part, np.moveaxis(part, 1, 2)) for part in (scaled, taken))
+        left = before - after
+        traces = [np.maximum(np.trace(part, axis1=1, axis2=2), 0.0) for part in (left, before)]
+        return left, np.asarray(1.0 - traces[0] / np.maximum(traces[1], 1e-300))
+
+    def _unseen_draws(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Return coefficients (count, n_columns) of one more contact, drawn given that the markers saw none."""
+        own, variances = self._fit.posed.responses, self._unseen_variances
+        drawn = np.sqrt(variances) * rng.standard_normal((count, len(variances)))
+        seen = drawn @ own.T + np.sqrt(self._fit.posed.variances) * rng.standard_normal((count, len(own)))
+        half = np.linalg.solve(self._under_unseen, seen.T)
+        return np.asarray(drawn - (variances * (own.T @ np.linalg.solve(self._under_unseen.T, half)).T))
 
     def nodes(self, rng: np.random.Generator, fields: FloatArray | None = None) -> FloatArray:
         """Return the covariance of every node, from draws.
@@ -170,6 +186,7 @@ class Spread:
         if suggested is None:
             suggested = self._moments(np.zeros((0, fit.columns.n_columns)))[2]
         drawn = drawn - errors @ suggested.T
+        drawn += np.sqrt(self._settings.unseen_chance) * self._unseen_draws(rng, len(drawn))
         moved = linear_fields(fit, drawn, np.tensordot(errors, self._model_forces, 1))
         moved = moved[:, : fit.columns.body.mesh.n_nodes] @ turn.T
         spread = np.einsum("dna,dnb->nab", moved, moved) / len(moved)
@@ -190,19 +207,12 @@ class Spread:
         return np.asarray(fit.sampler.draws(chosen, normals, threads=self._threads))
 
 
-def unseen_variances(fit: ContactFit, seen: Seen) -> FloatArray:
-    """Return the variances (n_columns,) of one more contact anywhere, of the size that the markers' motion suggests.
-
-    Each patch is as likely as in the prior. Its size is the motion of the marker that moved most, at most a share of
-    its radius.
-    """
-    patches, settings_share = fit.columns.body.patches, 0.5
-    largest = seen.largest_motion(fit.moment)
+def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int) -> FloatArray:
+    """Return the variances (n_columns,) of one more contact anywhere: each patch is as likely as in the prior."""
     count = np.bincount(patches.level)
     likely = 1.0 / (len(count) * count[patches.level])
-    size = np.minimum(largest, settings_share * patches.radii)
-    variances = np.zeros(fit.columns.n_columns)
-    variances[: 3 * patches.n_patches] = np.repeat(likely * size**2 / 3.0, 3)
+    variances = np.zeros(n_columns)
+    variances[: 3 * patches.n_patches] = np.repeat(likely * (settings.unseen_share * patches.radii) ** 2 / 3.0, 3)
     return variances
 
 

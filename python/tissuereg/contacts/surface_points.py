@@ -172,12 +172,6 @@ class SeenPoints:
         left, _ = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
         return np.abs(left), np.abs(left) / self.std(moment, feet)
 
-    def largest_motion(self, moment: Moment) -> float:
-        """Return how far the body has moved at the points' feet, mm."""
-        feet = self.feet(moment)
-        moved = np.einsum("pc,pcx->px", feet.weights, moment.displacement[feet.corners])
-        return float(np.linalg.norm(moved, axis=1).max())
-
     def outliers(self, moment: Moment) -> float:
         """Return the share of points that a body does not explain."""
         return float(np.mean(self.distances(moment)[1] > OUTLIER))

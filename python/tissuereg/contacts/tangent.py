@@ -114,7 +114,7 @@ def tangent_at(columns: Columns, material: Material, moment: Moment, threads: in
         Factorisations: 0 or 1.
     """
     global _rest
-    key = _rest_key(columns, material, moment)
+    key = _rest_key(columns, material, moment, threads)
     if key is not None:
         with _lock:
             if _rest is not None and _rest[0] == key:
@@ -142,11 +142,11 @@ def forget_rest() -> None:
         _rest = None
 
 
-def _rest_key(columns: Columns, material: Material, moment: Moment) -> tuple[object, ...] | None:
+def _rest_key(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[object, ...] | None:
     """Return what a tangent at rest depends on; None where the body is not at rest."""
     loaded = any(part is not None for part in columns.believed.values())
     if loaded or moment.displacement.any() or moment.coefficients.any():
         return None
     springs = None if columns.springs is None else columns.springs.tobytes()
     # The body itself, not its address: a body that is gone must not lend its place to another.
-    return columns.body, material.digest(), springs
+    return columns.body, material.digest(), springs, threads

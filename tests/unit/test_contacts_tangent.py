@@ -1,0 +1,137 @@
+"""What is kept from call to call: the tangent at rest, observations at a tangent, and what belongs to a mesh."""
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.meshes import block
+from support.pushes import MATERIAL, TIGHT, columns_of, push
+from tissuereg._per_mesh import per_mesh
+from tissuereg.contacts.frame import Frame
+from tissuereg.contacts.moment import Moment
+from tissuereg.contacts.tangent import MOST_REMEMBERED, Tangent, forget_rest, tangent_at
+from tissuereg.errors import ConvergenceError
+from tissuereg.readings.skin import skin_of
+
+
+@pytest.fixture(autouse=True)
+def nothing_kept():
+    forget_rest()
+
+
+def at_rest(columns):
+    n_nodes = columns.body.simulator.body.n_nodes
+    return Moment(np.zeros(columns.n_columns), np.zeros((n_nodes, 3)), Frame.still())
+
+
+def rows(nodes):
+    return [(np.array([node]), np.eye(3)[axis : axis + 1]) for node in nodes for axis in range(3)]
+
+
+def test_the_tangent_at_rest_is_factored_once_a_body_material_and_number_of_threads():
+    columns = columns_of()
+    here, factored = tangent_at(columns, MATERIAL, at_rest(columns), 1)
+    again, none = tangent_at(columns, MATERIAL, at_rest(columns), 1)
+    assert (factored, none) == (1, 0)
+    assert again is here
+    for other in [
+        (columns, tr.Material(9.0, 0.4), 1),
+        (columns, tr.Material(8.0, 0.4, law="mooney-rivlin", shape={"share": 0.3}), 1),
+        (columns, MATERIAL, 2),
+        (columns_of("perhaps"), MATERIAL, 1),
+        (columns_of("perhaps").on_springs([3.0, 3.0]), MATERIAL, 1),
+    ]:
+        tangent_at(columns, MATERIAL, at_rest(columns), 1)
+        found, factored = tangent_at(other[0], other[1], at_rest(other[0]), other[2])
+        assert factored == 1, other
+        assert found is not here
+    # Under a load the rest shape is no equilibrium, and nothing kept stands in for it.
+    loaded = columns_of(believed={"body_force": np.array([0.0, 0.0, -1e-3])})
+    with pytest.raises(ConvergenceError):
+        tangent_at(loaded, MATERIAL, at_rest(loaded), 1)
+
+
+def test_a_body_that_moved_is_not_taken_for_one_at_rest():
+    columns, fit_at = columns_of(), at_rest(columns_of())
+    tangent_at(columns, MATERIAL, fit_at, 1)
+    coefficients = fit_at.coefficients.copy()
+    coefficients[3] = 1e-3
+    load = columns.load(coefficients)
+    moved = columns.body.simulator.solve(load, MATERIAL, **TIGHT).all_displacement
+    found, factored = tangent_at(columns, MATERIAL, Moment(coefficients, moved, fit_at.frame), 1)
+    assert factored == 1
+    assert found is not tangent_at(columns, MATERIAL, fit_at, 1)[0]
+
+
+def test_remembered_observations_have_the_same_bits_and_cost_nothing():
+    columns = columns_of()
+    tangent, _ = tangent_at(columns, MATERIAL, at_rest(columns), 1)
+    first, solved = tangent.compliance(rows([400, 300]))
+    assert solved == 6
+    mixed, solved = tangent.compliance(rows([300, 200, 400]))
+    assert solved == 3
+    alone = Tangent(tangent.linearised).compliance(rows([300, 200, 400]))[0]
+    for part in ("forces", "body_force", "prescribed"):
+        assert np.array_equal(getattr(mixed, part), getattr(alone, part))
+    assert np.array_equal(mixed.forces[:3], first.forces[3:])
+    twice, solved = tangent.compliance([*rows([100]), *rows([100])])
+    assert solved == 3
+    assert np.array_equal(twice.forces[:3], twice.forces[3:])
+
+
+def test_what_is_remembered_is_limited():
+    columns = columns_of()
+    tangent, _ = tangent_at(columns, MATERIAL, at_rest(columns), 1)
+    many = rows(range(100, 100 + MOST_REMEMBERED // 3 + 1))
+    assert tangent.compliance(many)[1] == len(many)
+    assert tangent.compliance(many)[1] == len(many)
+
+
+def test_the_second_call_on_a_mesh_factors_less_and_answers_alike():
+    options = {"material": MATERIAL, "element": "tet4", "threads": 1}
+    first, second = (tr.register(push().mesh, push().markers(), **options) for _ in range(2))
+    assert second.work["factorisations"] == first.work["factorisations"] - 1
+    assert second.work["right_hand_sides"] == first.work["right_hand_sides"] - 48
+    assert np.array_equal(first.displacement, second.displacement)
+    assert np.array_equal(first.std, second.std)
+
+
+def test_what_belongs_to_a_mesh_is_made_once_and_goes_with_it():
+    made = []
+
+    @per_mesh
+    def size(mesh):
+        made.append(mesh.n_nodes)
+        return mesh.n_nodes
+
+    mesh = block((9.0, 9.0, 9.0), (2, 2, 2))
+    assert size(mesh) == size(mesh) == 27
+    assert made == [27]
+    assert skin_of(mesh) is skin_of(mesh)
+    tr.register(mesh, (mesh.nodes[-4:], mesh.nodes[-4:] + 0.1), targets={"middle": (4.0, 4.0, 4.0)})
+    gone = weakref.ref(mesh)
+    del mesh
+    tr.contacts.body.forget_bodies()
+    forget_rest()
+    gc.collect()
+    assert gone() is None
+
+
+def test_the_skin_follows_the_set_of_held_nodes():
+    mesh = block((9.0, 9.0, 9.0), (2, 2, 2))
+    before = skin_of(mesh)
+    mesh.node_sets["fixed"] = np.array([0, 1, 2])
+    assert skin_of(mesh) is not before
+    assert np.array_equal(skin_of(mesh).held, [0, 1, 2])
+
+
+def test_a_belief_that_no_contacts_can_mend_is_left_out_and_said():
+    mesh = push().mesh
+    impossible = tr.Load(body_force=(0.0, 0.0, -40.0))
+    result = tr.register(mesh, push().markers(), load=impossible, material=MATERIAL, element="tet4", threads=1)
+    assert [reason for reason in result.trust.reasons if reason.startswith("what was believed to act was left out")]
+    assert not result.trust.ok
+    assert push().errors(result).mean() < 0.1 * np.linalg.norm(push().displacement, axis=1).mean()
