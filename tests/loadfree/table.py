@@ -66,6 +66,10 @@ doubted; *sure*: the same without doubt, `held="sure"`.
 """
 
 
+#: Begins the name of a group that leaves one value out.
+ALL_BUT = "all but "
+
+
 @dataclass(frozen=True)
 class Part:
     """A part of the page: the results of one bench.
@@ -98,7 +102,7 @@ PARTS = (
         "",
         {"dev": "Development half (even events)", "test": "Other half (odd events), asked once"},
         2,
-        (("layout", "layout", LAYOUTS), ("kind of event", "kind", KINDS), ("body", "body", BODIES)),
+        (("layout", "layout", (*LAYOUTS, f"{ALL_BUT}far")), ("kind of event", "kind", KINDS), ("body", "body", BODIES)),
         "contacts",
     ),
     Part(
@@ -140,9 +144,13 @@ def section(part: Part, half: str, answer: dict) -> str:
 
 
 def _split(rows: list[dict], events: dict, key: str, names: tuple[str, ...]) -> dict[str, list[dict]]:
-    """Return rows by what they, or their events, have under a key."""
+    """Return rows by what they, or their events, have under a key, or by what they do not have."""
     told = [(row | events[row["body"], row["event"]])[key] for row in rows]
-    groups = {name: [row for row, value in zip(rows, told, strict=True) if value == name] for name in names}
+
+    def belongs(value: str, name: str) -> bool:
+        return value != name.removeprefix(ALL_BUT) if name.startswith(ALL_BUT) else value == name
+
+    groups = {name: [row for row, value in zip(rows, told, strict=True) if belongs(value, name)] for name in names}
     return {name: some for name, some in groups.items() if some}
 
 

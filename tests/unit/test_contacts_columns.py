@@ -65,6 +65,21 @@ def test_responses_of_every_block_are_slopes_of_solves(case):
             assert np.abs(responses[:, column] - slope).max() < 1e-4 * np.abs(slope).max(), (family.name, column)
 
 
+@pytest.mark.parametrize("held", ["sure", "partly", "perhaps", "free", "believed"])
+def test_forces_of_many_changes_are_differences_of_loads(held):
+    believed = {"body_force": np.array([1e-4, 0.0, -1e-3]), "forces": np.zeros((405, 3))}
+    believed["forces"][30] = (3.0, -2.0, 5.0)
+    columns = columns_of(*(("perhaps", believed) if held == "believed" else (held, None)))
+    rng = np.random.default_rng(3)
+    here, changes = rng.standard_normal(columns.n_columns), rng.standard_normal((4, columns.n_columns))
+    before, found = columns.load(here), columns.forces(changes)
+    for change, forces in zip(changes, found, strict=True):
+        after = columns.load(here + change)
+        weight = columns.weight_forces(np.asarray(after.body_force) - np.asarray(before.body_force))
+        wanted = np.asarray(after.forces) - np.asarray(before.forces) + weight
+        assert np.abs(forces - wanted).max() < 1e-10 * np.abs(wanted).max()
+
+
 def test_blocks_are_those_that_the_body_asks_for():
     names = {held: [family.name for family in columns_of(held).families] for held in ("sure", "partly", "free")}
     assert names["sure"] == ["background", "weight"]
