@@ -1,0 +1,53 @@
+"""Beliefs that cannot be right: left out, and said."""
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.pushes import MATERIAL, push
+from tissuereg.errors import ConvergenceError
+
+LEFT_OUT = "what was believed to act was left out: "
+
+
+def registered(**options):
+    options = {"material": MATERIAL, "element": "tet4", "threads": 1, **options}
+    return tr.register(push().mesh, push().markers(), **options)
+
+
+def moved():
+    return np.linalg.norm(push().displacement, axis=1).mean()
+
+
+def test_a_belief_without_an_equilibrium_is_left_out():
+    result = registered(load=tr.Load(body_force=(0.0, 0.0, -40.0)))
+    assert f"{LEFT_OUT}under it no equilibrium is found" in result.trust.reasons
+    assert not result.trust.ok
+    assert push().errors(result).mean() < 0.1 * moved()
+
+
+def test_a_belief_that_is_far_off_is_corrected_and_kept():
+    result = registered(load=tr.Load(body_force=(0.4, 0.0, 0.0)))
+    assert not [reason for reason in result.trust.reasons if reason.startswith(LEFT_OUT)]
+    assert result.markers.before_rms_mm > 10 * result.markers.after_rms_mm
+    assert push().errors(result).mean() < 0.1 * moved()
+
+
+@pytest.mark.parametrize(("unmet", "less", "leaves"), [(3.0, 0.5, False), (0.0, 0.5, False), (0.0, 9.9, True)])
+def test_a_belief_is_left_out_where_the_markers_stay_unmet_and_are_met_without(monkeypatch, unmet, less, leaves):
+    monkeypatch.setattr("tissuereg.contact_registration._UNMET", unmet)
+    monkeypatch.setattr("tissuereg.contact_registration._MUCH_LESS", less)
+    result = registered(load=tr.Load(body_force=(0.0, 0.0, -1e-3)))
+    assert (f"{LEFT_OUT}about it no contacts explain the markers" in result.trust.reasons) == leaves
+    alone = registered()
+    assert np.array_equal(result.displacement, alone.displacement) == leaves
+
+
+def test_without_a_belief_nothing_stands_in_for_a_fit_that_fails(monkeypatch):
+    def fails(*_):
+        message = "no tangent"
+        raise ConvergenceError(message, where="load")
+
+    monkeypatch.setattr("tissuereg.contacts.linear.Linear.at", fails)
+    with pytest.raises(ConvergenceError):
+        registered()
