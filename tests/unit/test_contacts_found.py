@@ -109,6 +109,20 @@ def test_wrong_markers_are_named_and_bend_little(wrong, bent):
     assert push().errors(result).mean() < bent * moved()
 
 
+def test_markers_that_were_not_seen_are_known_as_well_as_targets_at_their_places():
+    markers = push().markers()
+    measured = markers.measured.copy()
+    measured[[2, 9]] = np.nan
+    targets = {**INNER, "M3": markers.reference[2], "M10": markers.reference[9]}
+    result = registered(tr.Markers(markers.reference, measured, 0.03), targets=targets)
+    assert set(result.unseen) == {"M3", "M10"}
+    for name, unseen in result.unseen.items():
+        target = result.target(name)
+        assert unseen.mean == pytest.approx(target.mean, abs=1e-9)
+        assert unseen.covariance == pytest.approx(target.covariance + 0.03**2 * np.eye(3), rel=1e-6, abs=1e-9)
+        assert unseen.constrained == pytest.approx(target.constrained)
+
+
 @pytest.mark.parametrize("blind", [[1], [0, 2]])
 def test_a_camera_sees_two_components_or_one(blind):
     markers = push().markers()
