@@ -24,7 +24,7 @@ from tissuereg.contacts.settings import ContactSettings
 LEAST_SIGNAL = 0.3
 
 #: At most so many are kept; in first passes, whose answer is rough, fewer.
-MOST_KEPT, MOST_KEPT_COARSE = 60, 36
+MOST_KEPT, MOST_KEPT_COARSE = 80, 36
 
 
 @dataclass(frozen=True, eq=False)
