@@ -17,7 +17,7 @@ from tissuereg.markers import Markers
 from tissuereg.observe import MarkerObservation
 
 #: Degrees of freedom of the heavy-tailed noise of observations that have no indicator of their own.
-TAIL = 4.0
+TAIL = 5.0
 
 #: Above this number of observations the sampler is given a projection of them.
 MOST_PLAIN = 120
