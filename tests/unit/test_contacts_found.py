@@ -200,6 +200,20 @@ def test_draws_lie_about_the_registration_as_far_as_the_spread_says(result):
     assert 0.5 < found.mean() / result.std[free].mean() < 1.05
 
 
+def test_an_ensemble_takes_the_place_of_draws_to_first_order(result):
+    solved = registered(push().markers(), targets=INNER, ensemble=24)
+    fields = solved.draws(24)
+    off = fields - fields.mean(axis=0)
+    of_contacts = np.einsum("dna,dnb->nab", off, off) / 23
+    # Fields that do not differ leave what is not the contacts': errors of the model, and room for one more contact.
+    others = replace(solved.nodes, fields=np.zeros_like(fields[:2]))()
+    assert solved.node_covariance == pytest.approx(others + of_contacts, abs=1e-12)
+    assert np.trace(of_contacts, axis1=1, axis2=2).max() > np.trace(others, axis1=1, axis2=2).min()
+    assert np.array_equal(solved.displacement, result.displacement)
+    free = push().displacement.any(axis=1)
+    assert 0.5 < solved.std[free].mean() / result.std[free].mean() < 2.0
+
+
 def test_the_number_of_draws_must_be_positive(result):
     with pytest.raises(ModelError, match="at least 1"):
         result.draws(0)
