@@ -2,7 +2,8 @@
 
     python benchmarks/loadfree_reference.py
 
-The problems lie in ``../shared/reference``. Options and page are those of ``benchmarks/loadfree.py``; all of it is development.
+The problems lie in ``../shared/reference``. Options and page are those of ``benchmarks/loadfree.py``; all of it is
+development.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The reference problems: half ellipsoids pulled or pushed at one patch, solved by four foreign solvers on the same mesh.
+"""The reference problems: half ellipsoids pulled or pushed at one patch, solved by foreign solvers on the same mesh.
 
 Their files lie beside the repository (``../shared/reference``). Places of markers and targets are drawn here.
 """
