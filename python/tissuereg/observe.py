@@ -325,6 +325,4 @@ class _Locator:
         return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
 
 
-@per_mesh
-def _locator(mesh: Mesh) -> _Locator:
-    return _Locator(mesh)
+_locator = per_mesh(_Locator)

@@ -214,30 +214,16 @@ class Columns:
 
     def load(self, coefficients: FloatArray) -> Load:
         """Return the load of coefficients (n_columns,), the believed one included."""
-        n_patches = 3 * self.n_patches
-        forces = np.zeros((self.body.simulator.body.n_nodes, 3))
-        given = self.believed["forces"]
-        if given is not None:
-            forces += given
-        patches = self.young[:, None] * coefficients[:n_patches].reshape(-1, 3)
-        forces[: self.body.mesh.n_nodes] += np.asarray(self.body.patches.shapes.T @ patches)
-        weight = coefficients[self._offsets["weight"]] * self._body_force_unit
+        (forces,), (weight,) = self._forces_and_weights(coefficients[None])
         moved = np.zeros((len(self.body.simulator.held_nodes), 3))
+        if self.believed["forces"] is not None:
+            forces = forces + self.believed["forces"]
         if self.believed["body_force"] is not None:
             weight = weight + self.believed["body_force"]
         if self.believed["prescribed"] is not None:
             moved += self.believed["prescribed"]
-        if "believed" in self._offsets:
             share = coefficients[self._offsets["believed"]]
-            if given is not None:
-                forces += np.linalg.norm(given, axis=1)[:, None] * share
-            if self.believed["body_force"] is not None:
-                weight = weight + float(np.linalg.norm(self.believed["body_force"])) * share
-            if self.believed["prescribed"] is not None:
-                moved += np.linalg.norm(self.believed["prescribed"], axis=1)[:, None] * share
-        if self.body.base is not None:
-            tractions = self.base_young * coefficients[self._offsets["supports"]].reshape(-1, 3)
-            forces[: self.body.mesh.n_nodes] += np.asarray(self.body.base.shapes.T @ tractions)
+            moved += np.linalg.norm(self.believed["prescribed"], axis=1)[:, None] * share
         return Load(forces=forces, body_force=weight, prescribed=moved)
 
     def weight_forces(self, body_force: FloatArray) -> FloatArray:
@@ -249,9 +235,14 @@ class Columns:
 
         Weight is spread over the nodes; motion of held nodes is left out.
         """
+        forces, weights = self._forces_and_weights(changes)
+        return np.asarray(forces + self.weight_forces(weights))
+
+    def _forces_and_weights(self, changes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return nodal forces (n, n_element_nodes, 3) and body forces (n, 3) of changes, without the believed load."""
         n_nodes = self.body.mesh.n_nodes
         units = changes[:, : 3 * self.n_patches].reshape(len(changes), -1, 3)
-        weight = changes[:, self._offsets["weight"]] * self._body_force_unit
+        weights = changes[:, self._offsets["weight"]] * self._body_force_unit
         forces = np.zeros((len(changes), self.body.simulator.body.n_nodes, 3))
         forces[:, :n_nodes] += _spread(self.body.patches, self.young[:, None] * units)
         if "believed" in self._offsets:
@@ -259,11 +250,11 @@ class Columns:
             if self.believed["forces"] is not None:
                 forces += np.linalg.norm(self.believed["forces"], axis=1)[:, None] * share[:, None]
             if self.believed["body_force"] is not None:
-                weight = weight + float(np.linalg.norm(self.believed["body_force"])) * share
+                weights = weights + float(np.linalg.norm(self.believed["body_force"])) * share
         if self.body.base is not None:
             units = changes[:, self._offsets["supports"]].reshape(len(changes), -1, 3)
             forces[:, :n_nodes] += _spread(self.body.base, self.base_young * units)
-        return np.asarray(forces + self.weight_forces(weight))
+        return forces, weights
 
     def frame(self, coefficients: FloatArray) -> FloatArray:
         """Return the coefficients (6,) of the rigid motion; zero where there is none."""

@@ -72,7 +72,7 @@ class Draws:
 
 @dataclass(frozen=True, eq=False)
 class NodesOfContacts:
-    """The covariance of every node, computed when it is asked for.
+    """The covariance of every node, computed by a call.
 
     Attributes
     ----------

@@ -6,6 +6,7 @@ the data alone: as unknowns of its own it would explain away motion that the equ
 labels are matched anew in every pass: first fewer of them, in more passes, then all.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -110,7 +111,7 @@ class ContactFit:
         Mean over samples of the squared Mahalanobis length of the innovation at the end.
     residual_rms : list of float
         Root mean square residual after each pass, over standard deviations.
-    counters : dict of str to int
+    counters : collections.Counter
         Work.
     """
 
@@ -123,11 +124,7 @@ class ContactFit:
     wrong: FloatArray
     misfit: float
     residual_rms: list[float]
-    counters: dict[str, int]
-
-    def count(self, name: str, value: int) -> None:
-        """Add to a counter of work."""
-        self.counters[name] = self.counters.get(name, 0) + value
+    counters: Counter[str]
 
 
 @dataclass(eq=False)
@@ -162,7 +159,7 @@ class Passes:
     threads: int
     clock: Clock
     progress: Callable[[int, int], None] | None = None
-    counters: dict[str, int] = field(default_factory=dict)
+    counters: Counter[str] = field(default_factory=Counter)
 
     @cached_property
     def linear(self) -> Linear:
@@ -280,10 +277,10 @@ class Passes:
                 else [np.ascontiguousarray(a[settings.n_kept - 1 :: settings.n_kept]) for a in before],
                 threads=self.threads,
             )
-        self.linear.count("passes", 1)
-        self.linear.count("sweeps", n_chains * len(powers))
+        self.counters["passes"] += 1
+        self.counters["sweeps"] += n_chains * len(powers)
         for name, value in counters.items():
-            self.linear.count(name if name != "factorisations" else "small_factorisations", value)
+            self.counters[name if name != "factorisations" else "small_factorisations"] += value
         return tuple(samples)
 
     def _solve(self, at: AtBody, samples: Samples, moment: Moment) -> tuple[Moment, float]:
@@ -309,10 +306,10 @@ class Passes:
                 if left < max((1.0 - decrease * share) * before, enough):
                     return found, promised
             share *= 0.5
-            self.linear.count("halved_steps", 1)
+            self.counters["halved_steps"] += 1
         if best is None or (best[0] >= before and self.seen.rematches):
             # No load on the way has an equilibrium, or none brings the points nearer: the next samples may.
-            self.linear.count("stuck_passes", 1)
+            self.counters["stuck_passes"] += 1
             return moment, promised
         return best[1], promised
 
@@ -325,8 +322,8 @@ class Passes:
             )
         except ConvergenceError:
             return None
-        self.linear.count("solves", 1)
-        self.linear.count("iterations", int(found.report["iterations"]))
+        self.counters["solves"] += 1
+        self.counters["iterations"] += int(found.report["iterations"])
         turned = self.columns.frame(coefficients)
         if not self.columns.body.supports.moves:
             # A drift is small and keeps its prior: its coefficients count from no motion.

@@ -1,5 +1,6 @@
 """The data at one body: its tangent, how observations follow the causes there, and the sampler's problem."""
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -51,7 +52,7 @@ class Linear:
         Threads to use.
     clock : Clock
         Gets the stages' times.
-    counters : dict of str to int
+    counters : collections.Counter
         Gets the work.
     """
 
@@ -60,7 +61,7 @@ class Linear:
     settings: ContactSettings
     threads: int
     clock: Clock
-    counters: dict[str, int]
+    counters: Counter[str]
     _basis: tuple[Seen, Basis] | None = field(default=None, repr=False)
 
     def at(self, moment: Moment, seen: Seen) -> AtBody:
@@ -77,7 +78,7 @@ class Linear:
         """Return the tangent at a body."""
         with self.clock.stage("linearise"):
             found, factored = tangent_at(self.columns, self.material, moment, self.threads)
-        self.count("factorisations", factored)
+        self.counters["factorisations"] += factored
         return found
 
     def posed(self, tangent: Tangent, reading: Reading, coefficients: FloatArray, seen: Seen) -> Posed:
@@ -100,12 +101,8 @@ class Linear:
         """Return how rows of nodes and weights follow the columns, (n_rows, n_columns)."""
         with self.clock.stage("sensitivities"):
             compliance, solved = tangent.compliance(rows)
-            self.count("right_hand_sides", solved)
+            self.counters["right_hand_sides"] += solved
             return self.columns.responses(compliance, np.empty((0, 3)), rigid)
-
-    def count(self, name: str, value: int) -> None:
-        """Add to a counter."""
-        self.counters[name] = self.counters.get(name, 0) + value
 
 
 __all__ = ["AtBody", "Linear"]

@@ -81,7 +81,7 @@ class Spread:
 
     def _compliance(self, rows: Sequence[Row]) -> Compliance:
         found, solved = self._fit.tangent.compliance(rows)
-        self._fit.count("right_hand_sides", solved)
+        self._fit.counters["right_hand_sides"] += solved
         return found
 
     def _moments(self, responses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

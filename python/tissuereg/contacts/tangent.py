@@ -56,18 +56,18 @@ class Tangent:
         missing = {key: row for key, row in zip(keys, rows, strict=True) if key not in found}
         if missing or not rows:
             solved = self.linearised.compliance([Observation(*row) for row in missing.values()])
+            new = dict(zip(missing, _apart(solved), strict=True))
+            self._remember(new)
             if len(missing) == len(rows):
-                self._remember(missing, solved)
                 return solved, len(missing)
-            found |= dict(zip(missing, _apart(solved), strict=True))
-            self._remember(missing, solved)
+            found |= new
         parts = [found[key] for key in keys]
         return _together(parts), len(missing)
 
-    def _remember(self, rows: dict[bytes, Row], solved: Compliance) -> None:
+    def _remember(self, new: dict[bytes, Compliance]) -> None:
         with self._lock:
-            if len(self._known) + len(rows) <= MOST_REMEMBERED:
-                self._known |= dict(zip(rows, _apart(solved), strict=True))
+            if len(self._known) + len(new) <= MOST_REMEMBERED:
+                self._known |= new
 
 
 def _apart(whole: Compliance) -> list[Compliance]:

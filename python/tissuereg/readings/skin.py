@@ -122,9 +122,7 @@ def skin_of(mesh: Mesh) -> Skin:
     return found if (held is None and not len(found.held)) or found.held is held else Skin(mesh)
 
 
-@per_mesh
-def _skin(mesh: Mesh) -> Skin:
-    return Skin(mesh)
+_skin = per_mesh(Skin)
 
 
 def closest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray:
