@@ -61,14 +61,15 @@ def test_the_work_is_the_pinned_one(result):
     assert work["factorisations"] in (1, 2)
     assert work["right_hand_sides"] in [3 * (n * len(push().nodes) + len(result.targets)) for n in (1, 2)]
     assert work["sweeps"] == 8 * len(settings.powers) + 16 * len(settings.powers_again)
-    # A table for every slot, and one more where a contact might be exchanged for a wrong marker, or back.
+    # A table for every slot, and one more where a contact might well be exchanged for a wrong marker, or back.
     visits = work["sweeps"] * settings.n_slots
     exchanges = work["tables"] - visits
-    assert 0 < exchanges < 0.5 * visits
+    assert 0 < exchanges < 0.2 * visits
     assert work["solves"] <= 4
     assert work["iterations"] <= 25
-    # Tables, what was proposed of them, steps, and the families' levels: nothing is factored for groups that fit.
-    most = visits * (2 + settings.n_local) + 2 * exchanges + work["sweeps"] * 2 * settings.n_level
+    # Tables, what was proposed of them, steps, exchanges, and the families' levels: nothing is factored for groups that
+    # fit.
+    most = visits * (3 + settings.n_local) + exchanges + work["sweeps"] * 2 * settings.n_level
     assert work["small_factorisations"] <= most
 
 

@@ -129,35 +129,43 @@ impl<'a> Chain<'a> {
         let Some(group) = group.filter(|&g| self.state.wrong[g] == filled.is_none()) else {
             return;
         };
-        // The table of the slot where the group is right serves both ways.
-        let mut right = self.state.clone();
-        right.wrong[group] = false;
-        let Ok(rest) = Evidence::of(self.problem, right.covariance(self.problem, Some(slot)))
-        else {
+        let mut next = self.state.clone();
+        next.wrong[group] = !next.wrong[group];
+        if filled.is_some() {
+            next.slots[slot] = None;
+            let Some((evidence, change)) = self.change(&next, power) else { return };
+            let bound = change - ((wrong.len() + 1) as f64).ln();
+            // A probability is not above one: where even that would not do, the table is not needed.
+            if chance.ln() < bound && self.fill_where_right(group, slot, power) {
+                let taken = chance.ln() < bound + self.table.log_probability(filled);
+                self.counters.jumps += usize::from(self.take_if(taken, next, evidence));
+            }
             return;
-        };
-        self.table.fill(self.problem, &rest, power * self.settings.sharpness);
-        self.counters.tables += 1;
-        self.counters.factorisations += 1;
-        let mut next = right;
-        let correction = match filled {
-            Some(_) => {
-                next.wrong[group] = true;
-                next.slots[slot] = None;
-                self.table.log_probability(filled) - ((wrong.len() + 1) as f64).ln()
-            }
-            None => {
-                next.slots[slot] = self.table.draw(place);
-                let patch = next.slots[slot].map(|contact| contact.patch);
-                if patch.is_none_or(|patch| self.problem.strongest_group(patch) != Some(group)) {
-                    return;
-                }
-                (wrong.len() as f64).ln() - self.table.log_probability(next.slots[slot])
-            }
-        };
+        }
+        if !self.fill_where_right(group, slot, power) {
+            return;
+        }
+        next.slots[slot] = self.table.draw(place);
+        let patch = next.slots[slot].map(|contact| contact.patch);
+        if patch.is_none_or(|patch| self.problem.strongest_group(patch) != Some(group)) {
+            return;
+        }
+        let correction = (wrong.len() as f64).ln() - self.table.log_probability(next.slots[slot]);
         if self.accept(next, power, correction, chance) {
             self.counters.jumps += 1;
         }
+    }
+
+    /// Fill the table of a slot where a group is right, which serves an exchange both ways; whether that could be done.
+    fn fill_where_right(&mut self, group: usize, slot: usize, power: f64) -> bool {
+        let mut right = self.state.clone();
+        right.wrong[group] = false;
+        let rest = Evidence::of(self.problem, right.covariance(self.problem, Some(slot)));
+        let Ok(rest) = rest else { return false };
+        self.table.fill(self.problem, &rest, power * self.settings.sharpness);
+        self.counters.tables += 1;
+        self.counters.factorisations += 1;
+        true
     }
 
     /// Propose a neighbouring patch or the next size.
@@ -232,15 +240,25 @@ impl<'a> Chain<'a> {
     }
 
     fn accept(&mut self, next: Configuration, power: f64, correction: f64, chance: f64) -> bool {
-        let before = self.state.log_prior(self.problem);
+        let Some((evidence, change)) = self.change(&next, power) else { return false };
+        self.take_if(chance.ln() < change + correction, next, evidence)
+    }
+
+    /// The evidence of another configuration, with the change of the logarithm of the posterior towards it; nothing
+    /// where it cannot be.
+    fn change(&mut self, next: &Configuration, power: f64) -> Option<(Evidence, f64)> {
         let after = next.log_prior(self.problem);
         if after == f64::NEG_INFINITY {
-            return false;
+            return None;
         }
-        let Ok(evidence) = Evidence::of_state(self.problem, &next) else { return false };
+        let evidence = Evidence::of_state(self.problem, next).ok()?;
         self.counters.factorisations += 1;
-        let change = power * (evidence.value - self.evidence.value) + after - before + correction;
-        let taken = chance.ln() < change;
+        let before = self.state.log_prior(self.problem);
+        let change = power * (evidence.value - self.evidence.value) + after - before;
+        Some((evidence, change))
+    }
+
+    fn take_if(&mut self, taken: bool, next: Configuration, evidence: Evidence) -> bool {
         if taken {
             self.state = next;
             self.evidence = evidence;

@@ -17,11 +17,11 @@ fn sixteen_chains_of_nine_sweeps_take_the_pinned_work() {
     let problem = Case::organ(15).problem();
     let Counters { tables, jumps, factorisations, steps } =
         run(&problem, &ChainSettings::default(), 16, Par::Seq).counters;
-    // One table a chain, sweep and slot, and at most one more for an exchange.
+    // One table a chain, sweep and slot, and at most one more for an exchange: only for those that it may allow.
     assert!((16 * 9 * 3..=2 * 16 * 9 * 3).contains(&tables), "{tables}");
     let found = [tables, jumps, factorisations, steps];
     assert!(
-        found.iter().zip([742, 163, 2760, 242]).all(|(&found, pinned)| near(found, pinned)),
+        found.iter().zip([602, 163, 2620, 242]).all(|(&found, pinned)| near(found, pinned)),
         "tables, jumps, factorisations, steps: {found:?}"
     );
 }

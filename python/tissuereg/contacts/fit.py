@@ -72,7 +72,8 @@ Samples = tuple[Any, Any, Any]
 class _Pass:
     """One pass: where it led, under which samples, and the linear problem in which it began.
 
-    `left` is the root mean square residual over standard deviations, `promised` what the linear model foretold of it.
+    `left` is the root mean square residual over standard deviations, `promised` what the linear model foretold of it,
+    `misfit` the mean over samples of the squared Mahalanobis length of the innovation.
     """
 
     moment: Moment
@@ -80,6 +81,7 @@ class _Pass:
     at: AtBody
     left: float
     promised: float
+    misfit: float
 
     @property
     def foretold(self) -> bool:
@@ -245,8 +247,11 @@ class Passes:
                 break
             samples = self._sample(at.sampler, samples)
             with self.clock.stage("solve"):
-                moment, promised = self._solve(at, samples, moment)
-            reached.append(_Pass(moment, samples, at, self.residual_rms(moment, samples), promised))
+                wanted, misfit = self._mean(at, samples)
+                promised = _promised(at.posed, wanted, samples)
+                moment = self._solve(at, samples, moment, wanted)
+            left = self.residual_rms(moment, samples)
+            reached.append(_Pass(moment, samples, at, left, promised, misfit))
             if self.progress is not None:
                 most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
                 self.progress(min(self.counters["passes"], most_passes), most_passes)
@@ -283,14 +288,14 @@ class Passes:
             self.counters[name if name != "factorisations" else "small_factorisations"] += value
         return tuple(samples)
 
-    def _solve(self, at: AtBody, samples: Samples, moment: Moment) -> tuple[Moment, float]:
-        """Return the equilibrium under the mean load, or as far towards it as the markers come closer.
-
-        Beside it stands the residual that the linear model promises there.
-        """
+    def _mean(self, at: AtBody, samples: Samples) -> tuple[FloatArray, float]:
+        """Return the mean coefficients (n_columns,) over samples, and their misfit."""
         no_points = np.zeros((0, self.columns.n_columns))
-        wanted = at.sampler.moments(list(samples), no_points, threads=self.threads)[0]
-        promised = _promised(at.posed, wanted, samples)
+        found = at.sampler.moments(list(samples), no_points, threads=self.threads)
+        return found[0], float(found[5])
+
+    def _solve(self, at: AtBody, samples: Samples, moment: Moment, wanted: FloatArray) -> Moment:
+        """Return the equilibrium under the load of coefficients, or as far towards it as the markers come closer."""
         share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
         # Points are matched anew, but weighed as they were for this step: it promises no more than that.
         std = self.seen.read(moment).std if self.seen.rough else None
@@ -304,14 +309,14 @@ class Passes:
                     best = (left, found)
                 enough = 0.0 if self.seen.rematches else _GOOD_ENOUGH * self.settings.fit_limit
                 if left < max((1.0 - decrease * share) * before, enough):
-                    return found, promised
+                    return found
             share *= 0.5
             self.counters["halved_steps"] += 1
         if best is None or (best[0] >= before and self.seen.rematches):
             # No load on the way has an equilibrium, or none brings the points nearer: the next samples may.
             self.counters["stuck_passes"] += 1
-            return moment, promised
-        return best[1], promised
+            return moment
+        return best[1]
 
     def _towards(self, tangent: Tangent, moment: Moment, coefficients: FloatArray) -> Moment | None:
         """Return the equilibrium under coefficients; None where there is none."""
@@ -354,8 +359,7 @@ class Passes:
         return met or (len(reached) > 3 and min(all_left[-2:]) > 0.95 * min(all_left[:-2]))
 
     def _fit(self, last: "_Pass", at: AtBody, history: list[float]) -> ContactFit:
-        no_points = np.zeros((0, self.columns.n_columns))
-        misfit = float(at.sampler.moments(list(last.samples), no_points, threads=self.threads)[5])
+        misfit = last.misfit if at is last.at else self._mean(at, last.samples)[1]
         wrong = self._wrong(last.moment, last.samples)
         return ContactFit(
             self.columns,

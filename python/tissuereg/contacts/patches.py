@@ -169,38 +169,53 @@ def _texture(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Return, for each patch, those of the next smaller radius whose centre lies inside."""
-    lists, ratios = [], []
-    for patch in range(len(centres)):
-        if level[patch] == 0:
-            lists.append(np.empty(0, np.int64))
-            ratios.append(np.empty(0))
-            continue
-        smaller = np.flatnonzero(level == level[patch] - 1)
-        near = np.linalg.norm(centres[smaller] - centres[patch], axis=1) < radii[patch]
-        inside = smaller[near & (across[smaller] @ across[patch] > _LEAST_COSINE)]
-        lists.append(inside)
-        ratios.append(0.5 * radii[inside] / radii[patch])
-    return _first(lists), _joined(lists), np.concatenate([*ratios, np.empty(0)])
+    trees = _trees(centres, level)
+    found = [_pairs(trees, (coarse, coarse - 1), radii, across) for coarse in range(1, len(trees))]
+    first, inside, patches = _by_patch(found, len(centres))
+    return first, inside, np.asarray(0.5 * radii[inside] / radii[patches])
 
 
 def _neighbours(
     centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
 ) -> tuple[IntArray, IntArray]:
     """Return, for each patch, those of its radius next to it and those of the next radii about its centre."""
-    lists = []
-    for patch in range(len(centres)):
-        step = np.abs(level - level[patch])
-        reach = np.where(step == 0, 1.5, 0.7) * _THINNING * np.maximum(radii, radii[patch])
-        near = (step <= 1) & (np.linalg.norm(centres - centres[patch], axis=1) < reach)
-        near &= across @ across[patch] > _LEAST_COSINE
-        near[patch] = False
-        lists.append(np.flatnonzero(near))
-    return _first(lists), _joined(lists)
+    trees, reach = _trees(centres, level), _THINNING * radii
+    found = []
+    for of in range(len(trees)):
+        found.append(_pairs(trees, (of, of), 1.5 * reach, across))
+        for other in (of - 1, of + 1):
+            if 0 <= other < len(trees):
+                larger = 0.7 * np.maximum(reach, reach[trees[other][0][0]])
+                found.append(_pairs(trees, (of, other), larger, across))
+    return _by_patch(found, len(centres))[:2]
 
 
-def _first(lists: list[IntArray]) -> IntArray:
-    return np.concatenate([[0], np.cumsum([len(one) for one in lists])]).astype(np.int64)
+def _trees(centres: FloatArray, level: IntArray) -> list[tuple[IntArray, Any]]:
+    """Return, for each level, its patches and the tree of their centres."""
+    from scipy.spatial import cKDTree
+
+    members = [np.flatnonzero(level == one) for one in range(int(level.max(initial=-1)) + 1)]
+    return [(own, cKDTree(centres[own])) for own in members]
 
 
-def _joined(lists: list[IntArray]) -> IntArray:
-    return np.concatenate([*lists, np.empty(0, np.int64)]).astype(np.int64)
+def _pairs(
+    trees: list[tuple[IntArray, Any]], levels: tuple[int, int], reach: FloatArray, across: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Return patches of one level and, of another, those on the same side nearer than the first one's reach."""
+    (own, of), (theirs, tree) = trees[levels[0]], trees[levels[1]]
+    # Not those exactly at the reach.
+    found = tree.query_ball_point(of.data, np.nextafter(reach[own], 0.0))
+    patches = np.repeat(own, [len(one) for one in found])
+    others = theirs[np.concatenate([np.asarray(one, np.int64) for one in found])]
+    same_side = np.einsum("ij,ij->i", across[patches], across[others]) > _LEAST_COSINE
+    kept = same_side & (patches != others)
+    return patches[kept], others[kept]
+
+
+def _by_patch(found: list[tuple[IntArray, IntArray]], n_patches: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Return where each patch's others begin, the others in ascending order, and the patch of each."""
+    patches = np.concatenate([np.empty(0, np.int64), *(one[0] for one in found)])
+    others = np.concatenate([np.empty(0, np.int64), *(one[1] for one in found)])
+    order = np.lexsort((others, patches))
+    count = np.bincount(patches, minlength=n_patches)
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), others[order], patches[order]
