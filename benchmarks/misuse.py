@@ -1,9 +1,9 @@
-"""Misread inputs and good ones: what `tissuereg.readings` says of them -> results/misuse.json, docs/misuse.md.
+"""Misread inputs and good ones: what is said of them, what is trusted -> results/misuse.json, docs/misuse.md.
 
-    python benchmarks/misuse.py [--page]
+    python benchmarks/misuse.py [--jobs N] [--page]
 
 Forty misuses on five bodies, and 500 good events, all of them odd-numbered; `tissuereg.readings` was developed on the
-even-numbered. `--page` writes the page again from the archive. Events: `tests/misuse`, its data by `misuse.generate`.
+even-numbered. Where nothing is found, the event is registered. `--page` writes the page again from the archive. Events: `tests/misuse`, its data by `misuse.generate`.
 """
 
 import argparse
@@ -25,7 +25,9 @@ ARCHIVE, PAGE = ROOT / "benchmarks" / "results" / "misuse.json", ROOT / "docs" /
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--page", action="store_true", help="write the page from the archive, ask nothing")
-    if not parser.parse_args().page:
+    parser.add_argument("--jobs", type=int, default=2, help="registrations side by side")
+    options = parser.parse_args()
+    if not options.page:
         with threadpool_limits(limits=1):
             answers = {
                 "schema": "tissuereg.misuse/1",
@@ -33,6 +35,7 @@ def main() -> int:
                 "good": run.good_events(range(1, run.N_GOOD, 2)),
                 "one_marker_off": run.one_marker_off(range(1, run.N_OFF, 2)),
             }
+            run.through_register(answers, options.jobs)
         rows = {name: value for name, value in answers.items() if isinstance(value, list)}
         listed = [f'"{name}": [\n' + ",\n".join(map(json.dumps, value)) + "\n]" for name, value in rows.items()]
         text = '{"schema": "tissuereg.misuse/1",\n' + ",\n".join(listed) + "}\n"

@@ -119,7 +119,7 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
         body = ContactBody.of(given.mesh, supports, believed.element)
     points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, settings.model_error)
     seen = Seen.of(SeenMarkers(given.observed, given.markers, settings.model_error), points)
-    found, note = _least_left(given, believed, (body, seen, settings), clock)
+    found, note = _Search(given, body, seen, settings, clock).least_left(believed)
     if note:
         given = replace(given, suspicions=(*given.suspicions, note))
     with clock.stage("spread"):
@@ -145,50 +145,55 @@ class _Found:
     further: list[tuple[Cause, float]]
 
 
-def _least_left(
-    given: RegisterInput, believed: ContactInput, about: tuple[ContactBody, Seen, ContactSettings], clock: Clock
-) -> tuple[_Found, str]:
-    """Return the fit about what is believed; or that with no belief, and why, where the first leaves the markers."""
-    if not believed.any_load:
-        return _found(given, believed, about, clock), ""
-    found = None
-    with suppress(ConvergenceError):
-        found = _found(given, believed, about, clock)
-    if found is not None and min(found.fit.residual_rms) < _UNMET:
-        return found, ""
-    try:
-        without = _found(given, replace(believed, load=None, simulation=None), about, clock)
-    except ConvergenceError:
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is searched whatever is believed to act."""
+
+    given: RegisterInput
+    body: ContactBody
+    seen: Seen
+    settings: ContactSettings
+    clock: Clock
+
+    def least_left(self, believed: ContactInput) -> tuple[_Found, str]:
+        """Return the fit about what is believed; or one without, and why, where the first leaves the markers."""
+        if not believed.any_load:
+            return self.found(believed), ""
+        found = None
+        with suppress(ConvergenceError):
+            found = self.found(believed)
+        if found is not None and min(found.fit.residual_rms) < _UNMET:
+            return found, ""
+        try:
+            without = self.found(replace(believed, load=None, simulation=None))
+        except ConvergenceError:
+            if found is None:
+                raise
+            return found, ""
         if found is None:
-            raise
+            return without, "what was believed to act was left out: under it no equilibrium is found"
+        if min(without.fit.residual_rms) < _MUCH_LESS * min(found.fit.residual_rms):
+            return without, "what was believed to act was left out: about it no contacts explain the markers"
         return found, ""
-    if found is None:
-        return without, "what was believed to act was left out: under it no equilibrium is found"
-    if min(without.fit.residual_rms) < _MUCH_LESS * min(found.fit.residual_rms):
-        return without, "what was believed to act was left out: about it no contacts explain the markers"
-    return found, ""
 
-
-def _found(
-    given: RegisterInput, believed: ContactInput, about: tuple[ContactBody, Seen, ContactSettings], clock: Clock
-) -> _Found:
-    """Return the fit about what is believed."""
-    (body, seen, settings), material = about, believed.material
-    with clock.stage("simulate"):
-        parts, field = _believed(body, believed, settings)
-        columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
-    frame = _first_frame(given, body.supports)
-    rng = np.random.default_rng([given.seed, 7])
-    passes = Passes(columns, seen, material, settings, rng, given.threads, clock, believed.progress)
-    further: list[tuple[Cause, float]] = []
-    if body.base is not None and field is None:
-        passes, further = _supported(passes, frame)
-    if is_graded(believed.stiffness):
-        passes, slopes = _graded(passes, frame, field)
-        further += slopes
-    with clock.stage("simulate"):
-        start = start_of(passes.columns, passes.material, field, frame, given.threads)
-    return _Found(passes.run(start), start, passes.material, further)
+    def found(self, believed: ContactInput) -> _Found:
+        """Return the fit about what is believed."""
+        given, body, settings, clock, material = self.given, self.body, self.settings, self.clock, believed.material
+        with clock.stage("simulate"):
+            parts, field = _believed(body, believed, settings)
+            columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
+        frame = _first_frame(given, body.supports)
+        rng = np.random.default_rng([given.seed, 7])
+        passes = Passes(columns, self.seen, material, settings, rng, given.threads, clock, believed.progress)
+        further: list[tuple[Cause, float]] = []
+        if body.base is not None and field is None:
+            passes, further = _supported(passes, frame)
+        if is_graded(believed.stiffness):
+            passes, slopes = _graded(passes, frame, field)
+            further += slopes
+        with clock.stage("simulate"):
+            start = start_of(passes.columns, passes.material, field, frame, given.threads)
+        return _Found(passes.run(start), start, passes.material, further)
 
 
 def fitting_element(mesh: Mesh, material: Material) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray, float_array
+from tissuereg._choice import check_choice
 from tissuereg.errors import MaterialError
 from tissuereg.material import SHAPE_KEYS, Material
 
@@ -142,9 +143,7 @@ class MaterialTest:
     name: str = ""
 
     def __post_init__(self) -> None:
-        if self.mode not in MODES:
-            message = f"`mode` must be one of {', '.join(MODES)}, got '{self.mode}'"
-            raise MaterialError(message, where="mode")
+        check_choice("mode", self.mode, MODES, MaterialError)
         for key in ("amount", "stress"):
             object.__setattr__(self, key, float_array(key, getattr(self, key), (None,)))
         finite = np.isfinite(self.amount).all() and np.isfinite(self.stress).all()
@@ -294,9 +293,7 @@ def fit_law(
     """
     from scipy.optimize import least_squares
 
-    if law not in _FAMILIES:
-        message = f"`law` must be one of {', '.join(_FAMILIES)}, got '{law}'"
-        raise MaterialError(message, where="law")
+    check_choice("law", law, _FAMILIES, MaterialError)
     if not tests:
         message = "a law is fitted to at least one test, got none"
         raise MaterialError(message, where="tests")

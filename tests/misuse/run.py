@@ -1,9 +1,11 @@
-"""Ask `tissuereg.readings` about misread and about good events; count what it says."""
+"""Ask `tissuereg.readings`, and then `register`, about misread and about good events; count what they say."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from multiprocessing import Pool
 
 import numpy as np
 
+import tissuereg as tr
 from misuse.events import BODIES, Event, good, misusable
 from misuse.misuses import MISUSES, alike
 from tissuereg.errors import TissueRegError
@@ -31,28 +33,56 @@ def answer(event: Event) -> dict:
     }
 
 
-def misuses(numbers: Iterable[int]) -> list[dict]:
-    """Return an answer for every misuse, body and event number."""
-    rows = []
+def misused(numbers: Iterable[int]) -> Iterator[tuple[dict, frozenset[str], Event]]:
+    """Yield every misuse of every body and event number: what it is, kinds that name it, the event after it."""
     for index, misuse in enumerate(MISUSES):
         for body in BODIES:
             for number in numbers:
                 rng = np.random.default_rng([22, 2, index, BODIES.index(body), number])
                 before = misusable(body, number)
                 after = misuse.change(before, rng)
-                told = answer(after)
-                named = bool(misuse.named & set(told["kinds"])) or told["refused"] == "UnitError"
-                rows.append(
-                    {
-                        "misuse": misuse.title,
-                        "body": body,
-                        "event": number,
-                        "alike": alike(before, after),
-                        "named": named,
-                        **told,
-                    }
-                )
+                which = {"misuse": misuse.title, "body": body, "event": number, "alike": alike(before, after)}
+                yield which, misuse.named, after
+
+
+def misuses(numbers: Iterable[int]) -> list[dict]:
+    """Return an answer for every misuse, body and event number."""
+    rows = []
+    for which, names, after in misused(numbers):
+        told = answer(after)
+        named = bool(names & set(told["kinds"])) or told["refused"] == "UnitError"
+        rows.append({**which, "named": named, **told})
     return rows
+
+
+def registered(event: Event) -> dict:
+    """Return whether `register` trusts its answer, and its reasons if not."""
+    try:
+        trust = tr.register(event.mesh(), event.markers(), threads=1).trust
+    except TissueRegError as error:
+        return {"trusted": False, "reasons": [f"{type(error).__name__}: {error}"]}
+    return {"trusted": bool(trust.ok), "reasons": list(trust.reasons)}
+
+
+def through_register(answers: dict, jobs: int) -> None:
+    """Register every event in which nothing was found, and keep the answer in its row under ``register``.
+
+    Parameters
+    ----------
+    answers : dict
+        Answers of `misuses` and of `good_events`; changed in place.
+    jobs : int
+        Processes side by side.
+    """
+    rows = [row for row in answers["misuses"] if not row["found"]]
+    left = {(row["misuse"], row["body"], row["event"]) for row in rows}
+    numbers = sorted({number for *_, number in left})
+    events = [event for which, _, event in misused(numbers) if (which["misuse"], which["body"], which["event"]) in left]
+    well = [row for row in answers["good"] if not row["found"]]
+    events += [good(row["body"], row["event"]) for row in well]
+    with Pool(jobs) as pool:
+        for row, found in zip([*rows, *well], pool.imap(registered, events, chunksize=4), strict=True):
+            row["register"] = found
 
 
 def good_events(numbers: Iterable[int]) -> list[dict]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg._choice import check_choice
 from tissuereg.errors import SupportError
 
 #: What a tracker's frame may do beside a body that is held.
@@ -78,9 +79,7 @@ def drifts(frame: str) -> bool:
     SupportError
         If `frame` is neither "known" nor "drifts".
     """
-    if frame not in FRAMES:
-        message = f"`frame` must be 'known' or 'drifts', got {frame!r}"
-        raise SupportError(message, where="frame")
+    check_choice("frame", frame, FRAMES, SupportError)
     return frame == "drifts"
 
 

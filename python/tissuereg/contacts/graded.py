@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg._choice import check_choice
 from tissuereg.contacts.evidence import log_evidence
 from tissuereg.contacts.fit import Passes
 from tissuereg.contacts.frame import Frame
@@ -58,9 +59,7 @@ def is_graded(stiffness: str) -> bool:
     MaterialError
         If `stiffness` is neither "believed" nor "graded".
     """
-    if stiffness not in STIFFNESS:
-        message = f"`stiffness` must be 'believed' or 'graded', got {stiffness!r}"
-        raise MaterialError(message, where="stiffness")
+    check_choice("stiffness", stiffness, STIFFNESS, MaterialError)
     return stiffness == "graded"
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._choice import check_choice
 from tissuereg.errors import SupportError
 from tissuereg.mesh import Mesh
 
@@ -73,9 +74,7 @@ class Supports:
         SupportError
             If `held` is none of these.
         """
-        if held not in HELD:
-            message = f"`held` must be 'sure', 'perhaps' or 'free', got {held!r}"
-            raise SupportError(message, where="held")
+        check_choice("held", held, HELD, SupportError)
         none = np.empty(0, np.int64)
         fixed = mesh.node_sets.get("fixed", none) if held_nodes is None else np.unique(np.asarray(held_nodes))
         perhaps = mesh.node_sets.get(PERHAPS, none)
