@@ -3,7 +3,8 @@
     python benchmarks/misuse.py [--jobs N] [--page]
 
 Forty misuses on five bodies, and 500 good events, all of them odd-numbered; `tissuereg.readings` was developed on the
-even-numbered. Where nothing is found, the event is registered. `--page` writes the page again from the archive. Events: `tests/misuse`, its data by `misuse.generate`.
+even-numbered. Where nothing is found, the event is registered. `--page` writes the page again from the archive. Events:
+`tests/misuse`, its data by `misuse.generate`.
 """
 
 import argparse
