@@ -124,9 +124,9 @@ def test_a_body_softer_at_its_top_is_found_so(body):
 
 def test_words_for_frame_and_stiffness_are_checked(body):
     markers = seen(body, body.nodes)
-    with pytest.raises(SupportError, match="'known' or 'drifts'"):
+    with pytest.raises(SupportError, match="one of known, drifts, got 'moves'"):
         tr.register(body, markers, frame="moves")
-    with pytest.raises(MaterialError, match="'believed' or 'graded'"):
+    with pytest.raises(MaterialError, match="one of believed, graded, got 'soft'"):
         tr.register(body, markers, stiffness="soft")
     with pytest.raises(MaterialError, match="a load or none"):
         tr.register(body, markers, stiffness="graded", simulation=np.zeros_like(body.nodes))
