@@ -17,7 +17,7 @@ from tissuereg.contacts.surface_points import SeenPoints
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.mesh import det_f
 from tissuereg.result import MarkerFit, Registration, Target
-from tissuereg.trust import Trust, judge
+from tissuereg.trust import LEVEL, Trust, judge
 
 #: A target is flagged where the markers take away less than this share of its variance under unseen contacts.
 LEAST_CONSTRAINED = 0.8
@@ -25,7 +25,7 @@ LEAST_CONSTRAINED = 0.8
 #: What a flagged target is told.
 NO_MARKER = "no marker tells"
 
-#: A marker that is wrong with at least this probability is named and does not count.
+#: A marker that is wrong with at least this probability does not count.
 _WRONG = 0.5
 
 
@@ -108,12 +108,13 @@ class Answer:
         used, lost = self.known.used, self.known.lost
         some = np.asarray(np.isfinite(markers.measured).any(axis=1))
         begun, ratios = self._begun(), det_f(mesh, body)
+        unseen = [self._unseen(k, begun[i]) for k, i in enumerate(lost)]
         return Registration(
             mesh=mesh,
             displacement=moment.frame.apply(mesh.nodes + body) - mesh.nodes,
             nodes=self.nodes,
             targets=self._targets(),
-            unseen={names[i]: self._unseen(k, begun[i]) for k, i in enumerate(lost)},
+            unseen={names[i]: target for i, target in zip(lost, unseen, strict=True)},
             markers=MarkerFit(
                 used=tuple(names[i] for i in used),
                 dropped=tuple((names[i], "wrong" if some[i] else "not seen") for i in lost),
@@ -125,7 +126,7 @@ class Answer:
             start_markers=markers.reference + begun,
             min_det_f=float(ratios.min()),
             inverted_tets=int((ratios <= 0).sum()),
-            trust=self._trust(float(ratios.min())),
+            trust=self._trust(unseen, float(ratios.min())),
             surface=self.surface,
             model={"kind": "contacts", "source": "fitted here", "patches": fit.columns.n_patches},
             seconds=clock.seconds,
@@ -178,20 +179,38 @@ class Answer:
             NO_MARKER if share < LEAST_CONSTRAINED else None,
         )
 
-    def _trust(self, min_det_f: float) -> Trust:
+    def _wrong(self, unseen: list[Target]) -> list[str]:
+        """Return a reason for every marker that was dropped and lies outside the region that the others leave it.
+
+        One that lies inside contradicts nothing: the contacts tried did not reach it, and its region says so.
+        """
+        markers, limit = self.given.markers, LEVEL / max(len(self.given.markers), 1)
+        return [
+            f"wrong marker: {markers.names[i]} does not fit the others (probability {self.fit.wrong[i]:.2f})"
+            for i, target in zip(self.known.lost, unseen, strict=True)
+            if _chance(markers.measured[i] - target.mean, target.covariance) < limit
+        ]
+
+    def _residual_variance(self, moved: FloatArray) -> FloatArray:
+        """Return the variance of what is left at markers, (n_markers, 3) in mm^2: the tracker's and the model's.
+
+        Where the motion differs much across an element, at the rim of a contact, the mesh cannot follow it: the model's
+        share grows there, in the test alone. `moved` is how far each marker moved, mm.
+        """
+        settings, observed = self.given.settings.contacts, self.given.observed
+        local = observed.variation(self.fit.moment.displacement[observed.nodes])
+        model = (settings.model_error * moved) ** 2 + (settings.local_error * local) ** 2
+        return np.asarray(self.given.markers.axis_std**2 + model[:, None])
+
+    def _trust(self, unseen: list[Target], min_det_f: float) -> Trust:
         used = self.known.used
         given, fit, markers, surface = self.given, self.fit, self.given.markers, self.surface
-        model_error = given.settings.contacts.model_error
-        notes = list(given.suspicions)
-        notes += [
-            f"wrong marker: {markers.names[i]} does not fit the others (probability {fit.wrong[i]:.2f})"
-            for i in np.flatnonzero(fit.wrong >= _WRONG)
-        ]
+        notes = [*given.suspicions, *self._wrong(unseen)]
         notes += [] if surface is None else surface.reasons()
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
         left = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
-        size = SeenMarkers(given.observed, markers, model_error).moved(fit.moment.frame)[used]
-        variance = (markers.axis_std[used] ** 2 + (model_error * size[:, None]) ** 2).ravel()
+        moved = SeenMarkers(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
+        variance = self._residual_variance(moved)[used].ravel()
         # A component that was not seen says nothing.
         variance[~np.isfinite(left.ravel())] = 1e12
         # Whether a marker is wrong is decided with the contacts; here its residual is held against its noise alone.
@@ -201,6 +220,15 @@ class Answer:
         # The innovation's misfit counts the data term once more: what it has beyond that is the prior's.
         prior_term = max(0.0, fit.misfit - float(np.sum(residual.ravel() ** 2 / variance)))
         return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes, points)
+
+
+def _chance(left: FloatArray, covariance: FloatArray) -> float:
+    """Return the chance of an offset at least this unlikely; components that are not numbers say nothing."""
+    from scipy.stats import chi2
+
+    seen = np.flatnonzero(np.isfinite(left))
+    score = left[seen] @ np.linalg.solve(covariance[np.ix_(seen, seen)], left[seen])
+    return float(chi2.sf(score, max(len(seen), 1)))
 
 
 def surface_fit(given: RegisterInput, points: SeenPoints | None, start: Moment, end: Moment) -> SurfaceFit | None:

@@ -72,6 +72,9 @@ class MarkerObservation:
         self.nodes: IntArray = np.unique(np.concatenate([feet_nodes.ravel(), *patches]))
         self._foot_nodes = np.searchsorted(self.nodes, feet_nodes)
         self._offset = places - feet
+        corners = mesh.nodes[mesh.surface[triangles]]
+        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        self._height = self.distance / edges
         self._turned = np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM)
         self._patches = [np.searchsorted(self.nodes, patches[marker]) for marker in self._turned]
         # Patches are of corner nodes alone.
@@ -105,6 +108,24 @@ class MarkerObservation:
             turned = _rotations(self._arms, displacement[..., self._members, :])
             moved[..., self._turned, :] += np.einsum("...mxy,my->...mx", turned - np.eye(3), self._offset[self._turned])
         return np.asarray(moved)
+
+    def variation(self, displacement: FloatArray) -> FloatArray:
+        """Return by how much the motion differs across the element under every marker.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (n_needed, 3)
+            Displacement of `nodes` in mm.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_markers,)
+            Largest difference between corners of the closest triangle, mm; more for a marker off the surface, by its
+            distance over the longest edge.
+        """
+        corners = displacement[self._foot_nodes[:, :3]]
+        differences = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        return np.asarray((1.0 + self._height) * differences)
 
     def jacobian(self, displacement: FloatArray) -> FloatArray:
         """Return how the displacement of every marker follows that of `nodes`.

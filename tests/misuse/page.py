@@ -35,6 +35,20 @@ With one marker 5 mm off, which is for the mechanics to find, {n_off} of {n_off_
 misread{off_kinds}.
 """
 
+REGISTERED = """
+## Through `register`
+
+Events in which geometry finds nothing are registered with nothing known of the load. A marker is *named* where it is
+dropped as wrong or given as a reason; the answer is *trusted* where nothing speaks against it.
+
+Good events: {n_good} registered, **{n_alarms} not trusted** ({share}; 95 % interval {low} to {high}){kinds}. A wrong
+marker is named in {n_named} of them, in most without a loss of trust: it lies inside the region that the others leave
+it.
+
+One marker 5 mm off: {n_off} registered; the marker is named in {n_off_named}, the answer not trusted in {n_off_told}.
+
+"""
+
 
 def interval(count: int, n: int) -> tuple[float, float]:
     """Return Wilson's 95 % interval of a share."""
@@ -55,7 +69,7 @@ def page(answers: dict) -> str:
     missed = Counter((row["misuse"], _said(row)) for row in rows if not row["named"] and not row["alike"])
     ends = [f"* {title}: {said}, {count}" for (title, said), count in missed.items()]
     unnamed = "\n## Not named, though something tells\n\n" + ("\n".join(ends) if ends else "None.") + "\n"
-    return head + "\n" + "\n".join(table) + "\n" + unnamed + _good(answers)
+    return head + "\n" + "\n".join(table) + "\n" + unnamed + _good(answers) + _registered(answers)
 
 
 def _row(title: str, rows: list[dict]) -> str:
@@ -88,6 +102,53 @@ def _good(answers: dict) -> str:
         n_off_all=len(off),
         off_kinds=_kinds(called),
     )
+
+
+def _registered(answers: dict) -> str:
+    """Return what `register` made of the odd-numbered events in which geometry finds nothing."""
+    good, off, misread = (
+        [row for row in answers[which] if row["event"] % 2 and not row["found"]]
+        for which in ("good", "one_marker_off", "misuses")
+    )
+    alarms = _untrusted(good)
+    low, high = interval(len(alarms), len(good))
+    counts = Counter(_reason(row) for row in alarms)
+    text = REGISTERED.format(
+        n_good=len(good),
+        n_alarms=len(alarms),
+        share=_share(len(alarms), len(good)),
+        low=f"{100 * low:.2f}",
+        high=f"{100 * high:.2f} %",
+        kinds=": " + ", ".join(f"{said} {count}" for said, count in counts.most_common()) if alarms else "",
+        n_named=sum(bool(row["register"]["wrong"]) for row in good),
+        n_off=len(off),
+        n_off_named=sum(_names_its_marker(row) for row in off),
+        n_off_told=len(_untrusted(off)),
+    )
+    table = ["| misuse not found | registered | not trusted | nothing tells | not trusted of the others |"]
+    table.append("| --- | --- | --- | --- | --- |")
+    for title in [*dict.fromkeys(row["misuse"] for row in misread), None]:
+        rows = [row for row in misread if title in (None, row["misuse"])]
+        told = [row for row in rows if not row["alike"]]
+        counts_of = [len(rows), len(_untrusted(rows)), len(rows) - len(told), len(_untrusted(told))]
+        table.append("| " + " | ".join([title or "**all**", *map(str, counts_of)]) + " |")
+    return text + "\n".join(table) + "\n"
+
+
+def _untrusted(rows: list[dict]) -> list[dict]:
+    return [row for row in rows if not row["register"]["trusted"]]
+
+
+def _reason(row: dict) -> str:
+    """Return the kinds of reasons for which an answer is not trusted."""
+    kinds = dict.fromkeys(reason.split(":")[0] for reason in row["register"]["reasons"])
+    return " and ".join(kinds)
+
+
+def _names_its_marker(row: dict) -> bool:
+    """Return whether the marker that is off is dropped as wrong or given as a reason."""
+    reasons = row["register"]["reasons"]
+    return row["marker"] in row["register"]["wrong"] or any(f" {row['marker']} " in reason for reason in reasons)
 
 
 def _kinds(rows: list[dict]) -> str:

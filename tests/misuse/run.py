@@ -56,12 +56,13 @@ def misuses(numbers: Iterable[int]) -> list[dict]:
 
 
 def registered(event: Event) -> dict:
-    """Return whether `register` trusts its answer, and its reasons if not."""
+    """Return whether `register` trusts its answer, its reasons if not, and the markers that it calls wrong."""
     try:
-        trust = tr.register(event.mesh(), event.markers(), threads=1).trust
+        result = tr.register(event.mesh(), event.markers(), threads=1)
     except TissueRegError as error:
-        return {"trusted": False, "reasons": [f"{type(error).__name__}: {error}"]}
-    return {"trusted": bool(trust.ok), "reasons": list(trust.reasons)}
+        return {"trusted": False, "reasons": [f"{type(error).__name__}: {error}"], "wrong": []}
+    wrong = [name for name, why in result.markers.dropped if why == "wrong"]
+    return {"trusted": bool(result.trust.ok), "reasons": list(result.trust.reasons), "wrong": wrong}
 
 
 def through_register(answers: dict, jobs: int) -> None:
@@ -70,7 +71,7 @@ def through_register(answers: dict, jobs: int) -> None:
     Parameters
     ----------
     answers : dict
-        Answers of `misuses` and of `good_events`; changed in place.
+        Answers of `misuses`, `good_events` and `one_marker_off`; changed in place.
     jobs : int
         Processes side by side.
     """
@@ -80,8 +81,10 @@ def through_register(answers: dict, jobs: int) -> None:
     events = [event for which, _, event in misused(numbers) if (which["misuse"], which["body"], which["event"]) in left]
     well = [row for row in answers["good"] if not row["found"]]
     events += [good(row["body"], row["event"]) for row in well]
+    off = [row for row in answers["one_marker_off"] if not row["found"]]
+    events += [marker_off(row["body"], row["event"])[1] for row in off]
     with Pool(jobs) as pool:
-        for row, found in zip([*rows, *well], pool.imap(registered, events, chunksize=4), strict=True):
+        for row, found in zip([*rows, *well, *off], pool.imap(registered, events, chunksize=4), strict=True):
             row["register"] = found
 
 
@@ -95,15 +98,18 @@ def good_events(numbers: Iterable[int]) -> list[dict]:
     ]
 
 
+def marker_off(body: str, number: int) -> tuple[str, Event]:
+    """Return an event with one marker 5 mm off, and that marker's name."""
+    event = misusable(body, number)
+    rng = np.random.default_rng([22, 3, BODIES.index(body), number])
+    measured = event.measured.copy()
+    step = rng.standard_normal(3)
+    marker = int(rng.integers(len(measured)))
+    measured[marker] += 5.0 * step / np.linalg.norm(step)
+    return event.markers().names[marker], event.but(measured=measured)
+
+
 def one_marker_off(numbers: Iterable[int]) -> list[dict]:
     """Return an answer for events with one marker 5 mm off, which is for the mechanics to find."""
-    rows = []
-    for body in BODIES:
-        for number in numbers:
-            event = misusable(body, number)
-            rng = np.random.default_rng([22, 3, BODIES.index(body), number])
-            measured = event.measured.copy()
-            step = rng.standard_normal(3)
-            measured[rng.integers(len(measured))] += 5.0 * step / np.linalg.norm(step)
-            rows.append({"body": body, "event": number, **answer(event.but(measured=measured))})
-    return rows
+    cases = [(body, number, *marker_off(body, number)) for body in BODIES for number in numbers]
+    return [{"body": body, "event": number, "marker": name, **answer(event)} for body, number, name, event in cases]

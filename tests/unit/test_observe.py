@@ -75,3 +75,19 @@ def test_a_marker_off_the_surface_turns_with_its_patch_among_mid_edge_nodes_too(
     observation = MarkerObservation(block_mesh, places, ("top",), quadratic=True)
     field = turn.apply(everywhere) - everywhere
     np.testing.assert_allclose(observation.predict(field[observation.nodes]), turn.apply(places) - places, atol=1e-12)
+
+
+def test_the_variation_of_a_motion_is_that_of_the_corners_under_the_marker(block_mesh):
+    places = np.array([[13.0, 7.0, 40.0], [13.0, 7.0, 44.0]])  # on the top, and 4 mm above the same place
+    observation = MarkerObservation(block_mesh, places, ("on", "above"))
+    shift = np.tile([1.0, -2.0, 3.0], (block_mesh.n_nodes, 1))
+    np.testing.assert_allclose(observation.variation(shift[observation.nodes]), 0.0, atol=1e-12)
+    stretch = np.zeros((block_mesh.n_nodes, 3))
+    stretch[:, 0] = 0.1 * block_mesh.nodes[:, 0]
+    on, above = observation.variation(stretch[observation.nodes])
+    closest = np.unique(observation.nodes[observation._foot_nodes[0, :3]])
+    width = np.ptp(block_mesh.nodes[closest, 0])
+    assert on == pytest.approx(0.1 * width)
+    corners = block_mesh.nodes[closest]
+    longest = max(np.linalg.norm(a - b) for a in corners for b in corners)
+    assert above == pytest.approx(on * (1.0 + 4.0 / longest))

@@ -42,6 +42,8 @@ class ContactSettings:
         Standard deviation of a wrong marker, over the extent of the body.
     model_error : float
         Standard deviation of what the model gets wrong at a marker, over the marker's motion.
+    local_error : float
+        The same, over how much the motion differs across the element under the marker; in tests of residuals alone.
     young_log_std, poisson_std : float
         Uncertainty of the stiffness (smooth fields of its logarithm) and of Poisson's ratio.
     graded_log_std : float
@@ -87,6 +89,7 @@ class ContactSettings:
     wrong_odds: float = 0.02
     wrong_share: float = 0.05
     model_error: float = 0.02
+    local_error: float = 0.2
     young_log_std: float = 0.2
     poisson_std: float = 0.02
     graded_log_std: float = 1.0
