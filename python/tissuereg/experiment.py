@@ -54,12 +54,15 @@ class Boundary:
         ``"fixed"``.
     rule : str or mapping, optional
         How the experiment file chooses the nodes; None where they were given as they are.
+    edge_std : float, optional
+        Standard deviation of where its edge lies, mm; None where it is not stated.
     """
 
     name: str
     nodes: IntArray
     kind: str = "fixed"
     rule: str | Mapping[str, Any] | None = None
+    edge_std: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +81,8 @@ class Actuator:
         ``"bonded"``.
     rule : str or mapping, optional
         How the experiment file chooses the nodes; None where they were given as they are.
+    edge_std : float, optional
+        Standard deviation of where its edge lies, mm; None where it is not stated.
     """
 
     name: str
@@ -85,6 +90,7 @@ class Actuator:
     kind: str
     contact: str = "bonded"
     rule: str | Mapping[str, Any] | None = None
+    edge_std: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +233,10 @@ class Experiment:
         ``[[effect]]`` tables in file order (`tissuereg.effects`): what is believed besides, and simulated with it.
     trial_share : float
         Standard deviation of what two trials of one case differ by, smooth over the markers, over the markers' motion.
+    surface_std : float
+        Standard deviation of how far the body's surface lies beside the mesh's, along its normal, mm.
+    surface_length : float or None
+        Length over which it is off alike, mm; None where it is not stated.
     """
 
     name: str
@@ -248,6 +258,8 @@ class Experiment:
     rest_case: str | None = None
     effects: "tuple[Effect, ...]" = ()
     trial_share: float = 0.0
+    surface_std: float = 0.0
+    surface_length: float | None = None
 
     def __repr__(self) -> str:
         frames = sum(len(case.times) for case in self.cases.values())

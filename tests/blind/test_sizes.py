@@ -20,13 +20,13 @@ def drawn(true, generator, size=40):
 
 def test_sizes_are_found_again():
     rng = np.random.default_rng(3)
-    true = {"frame": 1.0, "rim": 2.5, "gain": 0.4}
+    true = {"frame": 1.0, "size": 2.5, "tilt": 0.4}
     found = sizes_of([drawn(true, rng) for _ in range(40)])
     for kind, size in found.items():
         # Ranges are of two standard deviations; this is one of four.
         assert size["low"] ** 2 / size["factor"] < true[kind] < size["high"] ** 2 / size["factor"], kind
         assert size["high"] / size["low"] < 1.7, kind
-    assert found["rim"]["gain_nats"] > 20.0
+    assert found["size"]["gain_nats"] > 20.0
 
 
 def test_likelihood_is_that_of_the_whole_covariance():
@@ -47,7 +47,7 @@ def test_forces_and_markers_of_the_mesh_are_told_apart():
     pads = {"push_x"}
     assert kind_of("mesh push_x push_x 2", pads) == "mesh, forces"
     assert kind_of("mesh push_x 2 0", pads) == "mesh, markers"
-    assert kind_of("rim push_x P3 1", pads) == "rim"
+    assert kind_of("tilt of push_x 1", pads) == "tilt"
 
 
 def test_errors_of_forces_are_told_along_and_across_them():
@@ -66,8 +66,8 @@ def test_errors_of_forces_are_told_along_and_across_them():
 
 
 def test_the_report_shows_what_was_found():
-    sizes = {"nulls": 9, "sizes": {"rim": {"factor": 1.31, "low": 1.2, "high": 1.46, "gain_nats": 10.4}}}
-    assert "| rim | 1.31 | 1.20-1.46 | 10.4 |" in report([], {}, {}, {}, sizes=sizes)
+    sizes = {"nulls": 9, "sizes": {"size": {"factor": 1.31, "low": 1.2, "high": 1.46, "gain_nats": 10.4}}}
+    assert "| size | 1.31 | 1.20-1.46 | 10.4 |" in report([], {}, {}, {}, sizes=sizes)
     assert "uncertain" not in report([], {}, {}, {})
     sizes["forces"] = {"along": 0.0123, "across": 0.004, "noise": 0.001}
     assert "off by 1.23 % of their largest along the force and by 0.40 %" in report([], {}, {}, {}, sizes=sizes)

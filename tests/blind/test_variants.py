@@ -116,7 +116,7 @@ def test_draws_of_noise_alone_hold_no_nuisances_and_no_meshes():
 
 
 def test_nuisances_of_the_mesh_go_and_others_stay():
-    names = ("stiffness", "mesh push_x 0 1", "rim push_x P1 0", "frame shift 0")
+    names = ("stiffness", "mesh push_x 0 1", "tilt of push_x 0", "frame shift 0")
     kept = variants._but_the_mesh(Nuisances(names, np.arange(8.0).reshape(4, 2)))
     assert kept.names == ("stiffness", "frame shift 0")
     np.testing.assert_array_equal(kept.columns, [[0.0, 1.0], [6.0, 7.0]])

@@ -36,8 +36,8 @@ NO_THRESHOLD = -1e6
 #: A probability that no misfit is below: whatever it leaves, a told fit is not taken back.
 ANY_MISFIT = 0.0
 
-#: Nuisances of the mesh's error begin with these words.
-OF_THE_MESH = ("mesh ", "rim ")
+#: Nuisances of the mesh's error and of the shape begin with these words.
+OF_THE_MESH = ("mesh ", "place of ", "size of ", "height of ", "tilt of ", "edge of ", "facets", "surface ")
 
 
 def ours(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from support.rigs import rig
 from support.targets import YOUNG, part, target_of
 from tissuereg.diagnose import candidates
 from tissuereg.diagnose.bench import Bench
@@ -19,7 +18,6 @@ from tissuereg.diagnose.correction import make_correction
 from tissuereg.diagnose.findings import _chances, group_of
 from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, best_start, fit
 from tissuereg.diagnose.modulus import _pinned, modulus_finding
-from tissuereg.diagnose.nuisances import RIM_ERROR, _rim_sizes
 from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import LEFT, recorrected, settled
 from tissuereg.diagnose.refined import refined_effects
@@ -380,23 +378,6 @@ def test_figures_are_given_of_cases_where_the_others_tell_what_the_cause_does(of
     otherwise = 20.0 * own * np.resize([1.0, -1.0], layout.size)
     both = figure_blocks(layout, np.stack([shared, otherwise]), shared + otherwise)
     assert list(both) == [layout.parts[1].name]
-
-
-def test_a_marker_near_the_rim_of_a_ball_has_an_error_though_the_mesh_has_no_node_there():
-    believed = rig()
-    pad = believed.actuator("top")
-    middle = believed.mesh.nodes[pad.nodes].mean(axis=0)
-    # One node in the ball: its rim is far from it.
-    lone = pad.nodes[[np.argmin(np.linalg.norm(believed.mesh.nodes[pad.nodes] - middle, axis=1))]]
-    radius = 1.05 * float(np.linalg.norm(believed.marker_reference[0] - middle))
-    ball = replace(pad, nodes=lone, rule={"centre_mm": middle.tolist(), "radius_mm": radius / 1.1})
-    cases = {name: believed.cases[name] for name in ("rest", "down")}
-    for given, seen in ((replace(pad, nodes=lone, rule={}), 0.0), (ball, RIM_ERROR * 3.0)):
-        experiment = replace(believed, cases=cases, actuators=(given, *believed.actuators[1:]))
-        bench = SimpleNamespace(experiment=experiment, layout=Layout(experiment))
-        sizes = _rim_sizes(bench, bench.layout["down"])
-        assert sizes[0] <= seen
-        assert bool(sizes[0]) == bool(seen)
 
 
 def test_a_shifted_patch_is_put_right_too():

@@ -17,13 +17,18 @@ from tissuereg.diagnose.signals import CasePart
 from tissuereg.effects import ChainEffect, extended, seen_markers
 from tissuereg.experiment import Case, Experiment
 from tissuereg.load import Load
+from tissuereg.mesh import Mesh
+from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.experiment import believed_case
-from tissuereg.simulate.loading import distinct_states, pads_of
+from tissuereg.simulate.loading import distinct_states, pads_of, traction_of
 from tissuereg.simulate.sensitivity import Cause, Linearised, Observation
 from tissuereg.simulate.solve import Simulator
 
 #: Tangents of bodies up to this many nodes are kept; a larger body's are factored anew for each question.
 KEPT_UP_TO_NODES = 8000
+
+#: Step of differences by the shape, over the mesh's shortest edge.
+STEP = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +86,7 @@ class Tangents:
         self.layout = predictor.layout
         self.worked: Experiment = extended(predictor.experiment, predictor.element)
         self.states = [state for case in self.worked.cases.values() for state in self._of_case(case)]
-        self._kept: list[tuple[Linearised, FloatArray] | None] = [None] * len(self.states)
+        self._kept: list[tuple[Linearised, FloatArray, FloatArray] | None] = [None] * len(self.states)
 
     def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
         """Return how everything measured follows directions.
@@ -98,10 +103,14 @@ class Tangents:
         ndarray of float64, shape (count, size)
             Over the unit of each cause, mm and mN.
         """
+        return self._seen(self._columns(lambda _, state: direction(state), count))
+
+    def _columns(self, direction: Callable[[int, State], Sequence[Cause]], count: int) -> FloatArray:
+        """Return columns as `columns`, before the tracker sees them; directions are told the number of the state."""
         flat = np.zeros((count, self.layout.size))
         for number, state in enumerate(self.states):
-            tangent, slopes = self._at(number)
-            found = tangent.derivatives(direction(state))
+            tangent, slopes, _ = self._at(number)
+            found = tangent.derivatives(direction(number, state))
             nodes = self.predictor.observation.nodes
             markers = np.einsum("mxny,cny->cmx", slopes, found.displacement[:, nodes])
             part = self.layout[state.case.name]
@@ -109,7 +118,7 @@ class Tangents:
             for i, pad in enumerate(part.pads):
                 force = found.reactions[:, state.pad_rows[pad]].sum(axis=1)
                 part.forces(flat)[:, state.frames, i] = force[:, None]
-        return self._seen(flat)
+        return flat
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
         """Return how everything measured follows relative changes of the modulus in parts of the body.
@@ -127,7 +136,7 @@ class Tangents:
         flat = np.zeros((shares.shape[1], self.layout.size))
         young = np.broadcast_to(_per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
         for number, state in enumerate(self.states):
-            tangent, slopes = self._at(number)
+            tangent, slopes, _ = self._at(number)
             part = self.layout[state.case.name]
             by_young = tangent.adjoints(self._observations(state, part, slopes)).young.mean(axis=2)
             by_young = by_young * (young * tangent.simulator.n_points)
@@ -137,6 +146,44 @@ class Tangents:
             part.forces(flat)[:, state.frames] = rates[:, None, n_markers:]
         return self._seen(flat)
 
+    def by_shapes(self, motions: Sequence[FloatArray]) -> FloatArray:
+        """Return how everything measured follows the shape of the body.
+
+        Parameters
+        ----------
+        motions : sequence of ndarray of float64, shape (n_nodes, 3)
+            Of the mesh's nodes.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_motions, size)
+            Over each motion, mm and mN: patches move with their nodes, markers stay where they are. The weight of what
+            is added to the body is left out.
+
+        Notes
+        -----
+        One evaluation of the internal forces and one solution a motion and state, forward differences.
+        """
+        longest = [max(float(np.abs(motion).max()), np.finfo(float).tiny) for motion in motions]
+        step = STEP * _shortest_edge(self.worked.mesh)
+        moved = [
+            _Moved(self.worked, self.predictor, motion, step / most)
+            for motion, most in zip(motions, longest, strict=True)
+        ]
+        plain = _Moved(self.worked, self.predictor, np.zeros_like(self.worked.mesh.nodes), step)
+        markers = np.zeros((len(motions), self.layout.size))
+
+        def direction(number: int, state: State) -> list[Cause]:
+            field = self._at(number)[2]
+            balance, places = plain.out_of_balance(field, state), plain.seen(field)
+            part = self.layout[state.case.name]
+            for i, body in enumerate(moved):
+                part.markers(markers)[i, state.frames] = (body.seen(field) - places) / body.step
+            # What the moved body leaves out of balance is a load that acts on this one.
+            return [Load(forces=(body.out_of_balance(field, state) - balance) / body.step) for body in moved]
+
+        return self._seen(self._columns(direction, len(motions)) + markers)
+
     def _of_case(self, case: Case) -> list[State]:
         believed = believed_case(self.worked, case, element=self.predictor.element, threads=self.predictor.threads)
         held = believed.simulator.held_nodes
@@ -145,8 +192,8 @@ class Tangents:
         frames = [np.flatnonzero(state_of == number) for number in range(len(states))]
         return [State(case, mine, believed.simulator, believed.loads[mine[0]], rows) for mine in frames]
 
-    def _at(self, number: int) -> tuple[Linearised, FloatArray]:
-        """Return tangent and slopes of the observation in a state."""
+    def _at(self, number: int) -> tuple[Linearised, FloatArray, FloatArray]:
+        """Return tangent, slopes of the observation and displacement of all nodes in a state."""
         kept = self._kept[number]
         if kept is not None:
             return kept
@@ -155,7 +202,7 @@ class Tangents:
         found = state.simulator.solve(state.load, material, threads=threads)
         tangent = Linearised(state.simulator, state.load, material, found.all_displacement, threads=threads)
         slopes = self.predictor.observation.jacobian(found.displacement[self.predictor.observation.nodes])
-        made = (tangent, slopes)
+        made = (tangent, slopes, found.all_displacement)
         if self.worked.mesh.n_nodes <= KEPT_UP_TO_NODES:
             self._kept[number] = made
         return made
@@ -187,6 +234,32 @@ class Tangents:
             for row in markers:
                 row[:] = seen_markers(tracker, places + row, part.times) - here
         return flat
+
+
+class _Moved:
+    """The body of an experiment on a mesh whose nodes were moved."""
+
+    def __init__(self, worked: Experiment, predictor: Predictor, motion: FloatArray, step: float) -> None:
+        mesh = worked.mesh
+        self.step = step
+        self._experiment = replace(worked, mesh=Mesh(mesh.nodes + step * motion, mesh.tets, mesh.node_sets))
+        self._simulator = Simulator(self._experiment.mesh, element=predictor.element)
+        layout = predictor.layout
+        self._observation = MarkerObservation(self._experiment.mesh, layout.reference, layout.marker_names)
+
+    def out_of_balance(self, field: FloatArray, state: State) -> FloatArray:
+        """Return the nodal forces of pads that pull less those that hold a displacement of all nodes, mN."""
+        held = self._simulator.internal_forces(field, self._experiment.material)
+        pulled = self._simulator.forces(Load(traction=traction_of(self._experiment, state.case, state.frame)))
+        return -held if pulled is None else pulled - held
+
+    def seen(self, field: FloatArray) -> FloatArray:
+        """Return how markers move, (n_markers, 3) in mm."""
+        return self._observation.predict(field[self._observation.nodes])
+
+
+def _shortest_edge(mesh: Mesh) -> float:
+    return float(np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1).min())
 
 
 def _per_tet(young: FloatArray) -> FloatArray:

@@ -71,6 +71,10 @@ def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
     if not _same(folder, experiment.folder):
         content["tables"] = _from(folder, experiment.folder)
     content["mesh"] = {"file": _from(folder, experiment.mesh_file)}
+    if experiment.surface_std:
+        content["mesh"]["surface_std_mm"] = experiment.surface_std
+    if experiment.surface_length is not None:
+        content["mesh"]["surface_length_mm"] = experiment.surface_length
     content["material"] = {
         "law": material.law,
         **{key: value if np.ndim(value) == 0 else list(value) for key, value in material.shape.items()},
@@ -108,7 +112,8 @@ def _patch(patch: Boundary | Actuator) -> dict[str, Any]:
     if patch.rule is None:
         message = f"a patch in an experiment file must have a rule for its nodes; '{patch.name}' has nodes alone"
         raise ExperimentError(message, where=patch.name)
-    return {"name": patch.name, "nodes": patch.rule, "kind": patch.kind}
+    stated = {} if patch.edge_std is None else {"edge_std_mm": patch.edge_std}
+    return {"name": patch.name, "nodes": patch.rule, "kind": patch.kind, **stated}
 
 
 def _belief(name: str, mean: FloatArray, std: float | None) -> float | list[float]:

@@ -53,7 +53,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     _refuse_other_kinds(top)
     tables = (file.parent / top.text("tables")) if "tables" in top else file.parent
     name = top.text("name", file.absolute().parent.name)
-    mesh_file, mesh = _mesh(top)
+    mesh_file, mesh, surface_std, surface_length = _mesh(top)
     material, young_std, poisson_std = _material(top)
     gravity = _gravity(top)
     boundaries = tuple(_boundary(table, mesh) for table in top.tables("boundary"))
@@ -82,6 +82,8 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
         force_std=measured.force_std,
         rest_case=measured.rest_case,
         trial_share=measured.trial_share,
+        surface_std=surface_std,
+        surface_length=surface_length,
         effects=tuple(_effect(table) for table in effects),
     )
     try:
@@ -156,11 +158,18 @@ def _effect(table: Table) -> Effect:
         table.refuse(str(error))
 
 
-def _mesh(top: Table) -> tuple[Path, Mesh]:
+def _mesh(top: Table) -> tuple[Path, Mesh, float, float | None]:
+    """Return file and mesh, and how far its surface is off, over which length."""
     table = _needed_table(top, "mesh")
     file = table.file.parent / table.text("file")
+    std = _positive(table, "surface_std_mm")
+    length = _positive(table, "surface_length_mm")
     table.finish()
-    return file, read_mesh(file)
+    return file, read_mesh(file), std or 0.0, length
+
+
+def _positive(table: Table, key: str) -> float | None:
+    return table.number(key, positive=True) if key in table else None
 
 
 def _material(top: Table) -> tuple[Material, float | None, float | None]:
@@ -196,8 +205,9 @@ def _boundary(table: Table, mesh: Mesh) -> Boundary:
     name = table.text("name")
     kind = table.text("kind", "fixed", among=("fixed",))
     nodes = _selected_nodes(table, mesh)
+    edge_std = _positive(table, "edge_std_mm")
     table.finish()
-    return Boundary(name, nodes, kind, table.get("nodes"))
+    return Boundary(name, nodes, kind, table.get("nodes"), edge_std)
 
 
 def _actuator(table: Table, mesh: Mesh) -> Actuator:
@@ -207,8 +217,9 @@ def _actuator(table: Table, mesh: Mesh) -> Actuator:
     kind = table.text("kind", among=tuple(_CONTROL_TABLES))
     contact = table.text("contact", "bonded", among=("bonded",))
     nodes = _selected_nodes(table, mesh)
+    edge_std = _positive(table, "edge_std_mm")
     table.finish()
-    return Actuator(name, nodes, kind, contact, table.get("nodes"))
+    return Actuator(name, nodes, kind, contact, table.get("nodes"), edge_std)
 
 
 def _selected_nodes(table: Table, mesh: Mesh) -> IntArray:
@@ -283,7 +294,7 @@ def _measured(top: Table, folder: Path, actuators: Sequence[Actuator], targets: 
     table = _needed_table(top, "markers")
     std = table.number("std_mm", positive=True)
     rest_case = table.text("rest_case") if "rest_case" in table else None
-    trial_share = table.number("trial_share", positive=True) if "trial_share" in table else 0.0
+    trial_share = _positive(table, "trial_share") or 0.0
     reference, reference_time = _marker_reference(table)
     table.finish()
     markers = read_histories(folder / "markers.csv", "marker", "mm", None if reference is None else reference)

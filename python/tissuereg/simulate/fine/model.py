@@ -188,7 +188,7 @@ class FineModel:
         readings = {case.name: reader.read(solved[case.name]) for case in cases}
         if fully:
             return readings
-        twin = _without_time(fine)
+        twin = without_time(fine)
         of_rough = self._kept(twin, cases, rough, threads, report, "rough elastic frames")
         of_fine = self._kept(twin, cases, "tet10", threads, report, "fine elastic frames")
         return {name: corrected(said, of_rough[name], of_fine[name]) for name, said in readings.items()}
@@ -242,9 +242,22 @@ def _shifted(pad: Actuator, shift: Vector) -> Actuator:
     return replace(pad, rule={**rule, "centre_mm": (np.asarray(rule["centre_mm"]) + shift).tolist()})
 
 
-def _without_time(experiment: Experiment) -> Experiment:
-    """Return an experiment whose frames depend on their own load alone: no memory, nothing slides, no weight acts."""
-    gravity = extended(experiment, "tet10").gravity
+def without_time(experiment: Experiment, element: str = "tet10") -> Experiment:
+    """Return an experiment whose frames depend on their own load alone: no memory, nothing slides.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is believed.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements that it is solved with.
+
+    Returns
+    -------
+    Experiment
+        Weightless too where the mesh hangs already.
+    """
+    gravity = extended(experiment, element).gravity
     weightless = gravity is not None and gravity.in_reference
     left_out = (Memory, Sliding, Gravity, Reference) if weightless else (Memory, Sliding)
     rest = tuple(effect for effect in experiment.effects if not isinstance(effect, left_out))
@@ -309,7 +322,7 @@ def _by_load(
     first = [case for case in cases if len(near.get(case.name, ())) != len(first_frames(states[case.name]))]
     report = Progress(progress, sum(len(case.times) for case in (*cases, *first)))
     if first:
-        _elastic(_without_time(fine), first, "tet10", threads, report, "elastic frames", near)
+        _elastic(without_time(fine), first, "tet10", threads, report, "elastic frames", near)
     solved = _remembering(worked, cases, "tet10", threads, report, near)
     reader = Reader(fine, quadratic=True)
     for case in cases:

@@ -1,0 +1,204 @@
+"""What may be off in the shape of a body and of its patches: motions of its mesh, and how far each may go.
+
+Two solvers that read the same words make two bodies. A pad in a ball is a disc, the nodes in the ball, or a patch that
+conforms to it; flat facets lie beside the smooth surface; a segmented surface is off by a share of a voxel. None of it
+is a finding. Each is a direction here, a motion of the mesh's nodes over one mm:
+
+* a patch slides along the surface, in two directions, or grows;
+* the surface under a pad lies higher, or is tilted;
+* the edge of a support lies elsewhere;
+* the surface as a whole is off along its normal, by a smooth random field, and out to the smooth surface behind the
+  facets.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.experiment import Actuator, Boundary, Experiment
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.fine.folds import Folds, folds_of
+from tissuereg.simulate.fine.meshing import rim_of
+from tissuereg.simulate.fine.rims import sharp_nodes
+from tissuereg.simulate.fine.third import gaps
+
+#: Deviations of a patch's place along the surface, of its radius, and of its height at its edge, where none is stated:
+#: shares of its radius.
+PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE = 0.03, 0.01, 0.02
+
+#: Length over which the surface is off alike where none is stated, over the extent of the body.
+LENGTH_SHARE = 0.2
+
+#: Share of the variance of the surface's offset that its patterns hold, and their number at most.
+HELD_VARIANCE, MOST_PATTERNS = 0.9, 40
+
+#: Places that a surface's patterns are made from at most.
+MOST_PLACES = 1500
+
+#: How far around a patch the mesh moves with it, over the patch's radius.
+REACH = 0.6
+
+#: Mean of the unit normals of a patch below which it goes round the body, and has no side to slide along.
+_ROUND = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """One way in which the body may have another shape.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    motion : ndarray of float64, shape (n_nodes, 3)
+        Of the mesh's nodes, over one mm.
+    std_mm : float
+        How far it may go: prior standard deviation.
+    """
+
+    name: str
+    motion: FloatArray
+    std_mm: float
+
+
+def shape_directions(experiment: Experiment) -> list[Direction]:
+    """Return the ways in which the body of an experiment may have another shape.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With its mesh and patches, and their deviations where stated.
+
+    Returns
+    -------
+    list of Direction
+        Six a pad, one a support whose edge is no edge of the body, and those of the surface as a whole.
+    """
+    surface = _Surface(experiment)
+    found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
+    found += [direction for support in experiment.boundaries for direction in _of_support(surface, support)]
+    return [*found, *_of_surface(surface, experiment)]
+
+
+class _Surface:
+    """The surface of a body: normals, sharp edges, whose nodes are whose."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.mesh: Mesh = experiment.mesh
+        self.folds: Folds = folds_of(self.mesh.nodes, self.mesh.surface)
+        self.normals = _node_normals(self.mesh, self.folds)
+        self.gaps = gaps(self.mesh)
+        self.sharp = sharp_nodes(self.mesh.nodes, self.mesh.surface)
+        self.patches: Sequence[Actuator | Boundary] = (*experiment.actuators, *experiment.boundaries)
+
+    def of(self, patch: Actuator | Boundary) -> IntArray:
+        """Return the nodes of a patch that lie on the surface."""
+        return np.intersect1d(patch.nodes, self.mesh.surface_nodes)
+
+    def radius(self, nodes: IntArray) -> float:
+        """Return the radius of a disc of a patch's area, a third of a facet for each of its corners, mm."""
+        share = np.isin(self.mesh.surface, nodes).sum(axis=1) / 3.0
+        return float(np.sqrt((share * self.folds.areas).sum() / np.pi))
+
+    def stays(self, patch: Actuator | Boundary) -> np.ndarray:
+        """Return which nodes do not move when a patch does: edges of the body, other patches. Shape (n_nodes,)."""
+        others = [other.nodes for other in self.patches if other is not patch]
+        return np.isin(np.arange(self.mesh.n_nodes), np.concatenate([self.sharp, *others]))
+
+    def along(self, motion: FloatArray) -> FloatArray:
+        """Return a motion whose surface nodes stay in the surface."""
+        return np.asarray(motion - (motion * self.normals).sum(axis=1, keepdims=True) * self.normals)
+
+
+def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
+    mesh, inside = surface.mesh, surface.of(pad)
+    normal = surface.normals[inside].mean(axis=0) if len(inside) else np.zeros(3)
+    if np.linalg.norm(normal) < _ROUND:
+        return
+    normal /= np.linalg.norm(normal)
+    rim = rim_of(pad)
+    radius = surface.radius(inside) if rim is None else rim.radius
+    place, size, height = (
+        share * radius if pad.edge_std is None else pad.edge_std for share in (PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE)
+    )
+    arms = mesh.nodes - (mesh.nodes[inside].mean(axis=0) if rim is None else np.asarray(rim.centre))
+    near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, REACH * radius))[:, None]
+    first = np.linalg.svd(normal[None])[2][1]
+    sides = np.array([first, np.cross(normal, first)])
+    for number, side in enumerate(sides):
+        yield Direction(f"place of {pad.name} {number}", surface.along(near * side), place)
+    yield Direction(f"size of {pad.name}", surface.along(near * arms / radius), size)
+    # Facets lie off the smooth surface, and each at its own angle.
+    across = float(np.hypot(height, np.sqrt((surface.gaps[inside] ** 2).sum(axis=1).mean())))
+    yield Direction(f"height of {pad.name}", near * normal, across)
+    for number, side in enumerate(sides):
+        yield Direction(f"tilt of {pad.name} {number}", (arms @ side / radius)[:, None] * near * normal, across)
+
+
+def _of_support(surface: _Surface, support: Boundary) -> Iterator[Direction]:
+    mesh, inside = surface.mesh, surface.of(support)
+    beyond = mesh.surface[~np.isin(mesh.surface, inside).all(axis=1)]
+    rim = np.setdiff1d(np.intersect1d(inside, beyond), np.flatnonzero(surface.stays(support)))
+    if not len(rim):
+        return
+    outwards = np.zeros_like(mesh.nodes)
+    middles = mesh.nodes[beyond].mean(axis=1)
+    for corner in range(3):
+        np.add.at(outwards, beyond[:, corner], middles - mesh.nodes[beyond[:, corner]])
+    outwards = surface.along(outwards)
+    motion = np.zeros_like(mesh.nodes)
+    motion[rim] = outwards[rim] / np.maximum(np.linalg.norm(outwards[rim], axis=1, keepdims=True), 1e-300)
+    edge = PLACE_SHARE * surface.radius(inside) if support.edge_std is None else support.edge_std
+    yield Direction(f"edge of {support.name}", motion, edge)
+
+
+def _of_surface(surface: _Surface, experiment: Experiment) -> Iterator[Direction]:
+    mesh = surface.mesh
+    held = [support.nodes for support in experiment.boundaries]
+    free = np.setdiff1d(mesh.surface_nodes, np.concatenate(held) if held else [])
+    facets = float(np.sqrt((surface.gaps[mesh.surface_nodes] ** 2).sum(axis=1).mean()))
+    if facets > 1e-6 * mesh.extent:
+        yield Direction("facets", surface.gaps / facets, facets)
+    std = float(np.hypot(experiment.surface_std, facets))
+    if not std > 1e-6 * mesh.extent:
+        return
+    length = experiment.surface_length or LENGTH_SHARE * mesh.extent
+    for number, pattern in enumerate(_patterns(mesh.nodes[free], length)):
+        motion = np.zeros_like(mesh.nodes)
+        motion[free] = pattern[:, None] * surface.normals[free]
+        yield Direction(f"surface {number}", motion, std)
+
+
+def _patterns(places: FloatArray, length: float) -> FloatArray:
+    """Return the largest patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3).
+
+    Of many places it is known by an even share of them (Nystrom).
+    """
+    known = places[:: -(-len(places) // MOST_PLACES)]
+
+    def alike(of: FloatArray) -> FloatArray:
+        return np.asarray(np.exp(-0.5 * ((of[:, None] - known[None]) ** 2).sum(axis=2) / length**2))
+
+    values, vectors = np.linalg.eigh(alike(known))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    enough = int(np.searchsorted(np.cumsum(values), HELD_VARIANCE * values.sum())) + 1
+    chosen = slice(min(enough, MOST_PATTERNS))
+    return np.asarray((alike(places) @ vectors[:, chosen] / np.sqrt(values[chosen])).T)
+
+
+def _node_normals(mesh: Mesh, folds: Folds) -> FloatArray:
+    """Return unit normals at the nodes of a surface, shape (n_nodes, 3); zero inside."""
+    total = np.zeros_like(mesh.nodes)
+    for corner in range(3):
+        np.add.at(total, mesh.surface[:, corner], folds.normals * folds.areas[:, None])
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny))
+
+
+def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
+    """Return 1 at some nodes, and less at others the farther they lie from them, shape (n_nodes,)."""
+    from scipy.spatial import KDTree
+
+    away = KDTree(mesh.nodes[nodes]).query(mesh.nodes)[0]
+    return np.asarray(np.exp(-0.5 * (away / reach) ** 2))
