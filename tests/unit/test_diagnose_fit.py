@@ -10,22 +10,24 @@ import pytest
 from support.targets import YOUNG, part, target_of
 from tissuereg.diagnose import candidates
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.candidates import Candidate, _fit_forms
+from tissuereg.diagnose.candidates import FURTHER, LEAST_FURTHER, Candidate, _fit_forms, asked_of
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.causes.base import knobs
 from tissuereg.diagnose.chances import LOOK_ALIKE
 from tissuereg.diagnose.correction import make_correction
+from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.findings import _chances, group_of
 from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, best_start, fit
 from tissuereg.diagnose.modulus import _pinned, modulus_finding
+from tissuereg.diagnose.nuisances import FORM_ERROR, other_forms
 from tissuereg.diagnose.proof import figure_blocks, proof_blocks
 from tissuereg.diagnose.recorrect import LEFT, recorrected, settled
 from tissuereg.diagnose.refined import refined_effects
 from tissuereg.diagnose.revise import exchanged, needed, without
-from tissuereg.diagnose.screen import UNKNOWN, Screened
-from tissuereg.diagnose.search import Search, Step
+from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
+from tissuereg.diagnose.search import Search, Step, _beyond
 from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import ActuatorOffset, Detachment, Latency, Mooney, Poisson, Relaxation, Sliding
+from tissuereg.effects import ActuatorOffset, Detachment, Latency, MarkerSlip, Mooney, Poisson, Relaxation, Sliding
 
 
 @pytest.fixture(scope="module")
@@ -430,3 +432,57 @@ def test_a_fit_begins_where_least_is_left():
     found = fit(target, [detached], start=begin)
     assert found.objective <= min(left) + 0.5
     assert abs(found.values(0, 1.0)[0]["share"] - 0.3) < 0.1
+
+
+def test_beside_an_error_of_the_tracker_a_cause_must_pass_its_own_threshold_and_beside_a_body_more():
+    thresholds = {"layer": 6.0, "inclusion": 30.0}
+    assert asked_of(thresholds) == thresholds
+    assert asked_of(thresholds, ("latency", "marker_slip")) == thresholds
+    assert asked_of(thresholds, ("latency", "poisson")) == {"layer": LEAST_FURTHER, "inclusion": 30.0 * FURTHER}
+
+
+def test_a_slip_is_found_to_begin_in_its_own_frame():
+    # Screened are four frames of a case; this is another one.
+    slip = MarkerSlip(marker="P2", offset_mm=(0.3, 0.0, -0.2), from_time_s=2.0)
+    target = target_of(slip)
+    cause = CAUSES["marker_slip"]
+    bank = {"marker_slip": list(cause.variants(target.bench))}
+    assert 2.0 not in {variant.settings["onset"] for variant in bank["marker_slip"]}
+    near = next(v for v in bank["marker_slip"] if (v.settings["marker"], v.settings["onset"]) == ("P2", 1.0))
+    base = fit(target, [])
+    screened = Screened(10.0, near, np.full(3, 0.3))
+    found = _fit_forms(target, SimpleNamespace(bank=bank), screened, base, "marker_slip", base.log_evidence)[0]
+    values, deviations = found.values(0, 1.0)
+    assert (values["marker"], values["from_time_s"]) == ("P2", 2.0)
+    np.testing.assert_allclose(values["offset_mm"], slip.offset_mm, atol=4.0 * max(deviations["offset_mm"]))
+
+
+def test_what_another_form_of_a_cause_does_is_no_further_cause():
+    rng = np.random.default_rng(0)
+    change, unlike = 40.0 * rng.standard_normal((2, 60))
+    later = change + 10.0 * rng.standard_normal(60)
+    columns = other_forms(np.stack([0.1 * later[None], 0.1 * unlike[None], 0.2 * change[None]]), change)
+    covered = Null(columns)
+    # What the one form leaves of the other is expected, and another cause's change is not.
+    left, other = (
+        later * (change @ later) / (later @ later) - change,
+        unlike - (unlike @ change) / (change @ change) * change,
+    )
+    assert np.linalg.norm(covered.reduced(left)) < 0.2 * np.linalg.norm(left)
+    assert np.linalg.norm(covered.reduced(other)) > 0.9 * np.linalg.norm(other)
+    # Together they are a share of the change.
+    assert np.linalg.norm(columns) == pytest.approx(FORM_ERROR * np.linalg.norm(change))
+    assert other_forms(np.stack([unlike[None]]), change).shape == (0, 60)
+
+
+def test_the_forms_of_what_was_found_stand_beside_further_causes(of_two):
+    noise, layout = of_two.noise, of_two.bench.layout
+    bank = {name: list(CAUSES[name].variants(of_two.bench)) for name in ("swelling",)}
+    screen = Screen(bank, np.zeros((1, 1, layout.size)), noise, layout, of_two.correction, of_two.null)
+    base = fit(of_two, [])
+    found = fit(of_two, [part(of_two, "swelling", 1.0)])
+    _, beyond, _ = _beyond(of_two, screen, base, Candidate("swelling", found, 10.0, of_two))
+    change = of_two.white(found.prediction - base.prediction)
+    expected = other_forms(screen.white_columns("swelling"), change)
+    assert len(expected)
+    np.testing.assert_allclose(beyond.null.nuisances[-len(expected) :], expected)

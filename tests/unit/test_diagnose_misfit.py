@@ -1,5 +1,7 @@
 """The battery that tells what a model leaves from noise."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,9 @@ from support.rigs import rig
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise
+from tissuereg.diagnose.proof import HeldOut
 from tissuereg.diagnose.run import _stands, _verdict
+from tissuereg.diagnose.search import CLEAR, Step
 from tissuereg.diagnose.signals import Layout
 
 N_NULLS = 300
@@ -68,12 +72,34 @@ def test_the_explained_share_is_that_where_the_rest_stands_out(subspaces, nulls)
     assert battery.judge(noise, noise + 80.0 * pattern, nulls).explained_there <= 0.0
 
 
+def searched(gain=50.0, over_generic=10.0, over_others=10.0):
+    """Return a search with one cause found, whose proof beats its rivals by so many nats."""
+    proof = HeldOut(("a",), np.array([[0.0], [20.0], [20.0 - over_generic], [0.0]]), np.empty((4, 0)))
+    found = SimpleNamespace(id="latency", gain=gain)
+    rivals = 20.0 - min(over_generic, over_others)
+    return SimpleNamespace(steps=[Step({}, [], found, proof, proof, rivals), Step({}, [], None, None)])
+
+
 @pytest.mark.parametrize(
     ("p", "of_all", "there", "named"),
     [(0.02, 0.0, 0.0, True), (0.005, 0.9, 0.8, True), (0.005, 1.0, 0.3, False), (0.005, 0.4, 0.8, False)],
 )
 def test_what_leaves_a_misfit_is_named_where_it_explains_half_of_all_and_of_the_worst(p, of_all, there, named):
-    assert _stands(Misfit(p, of_all, there)) == named
+    assert _stands(Misfit(p, of_all, there), searched()) == named
+
+
+@pytest.mark.parametrize(
+    ("search", "of_all", "named"),
+    [
+        (searched(gain=2.0 * CLEAR), 0.99, True),
+        (searched(gain=2.0 * CLEAR), 0.4, False),
+        (searched(gain=0.9 * CLEAR), 0.99, False),
+        (searched(gain=2.0 * CLEAR, over_generic=-1.0), 0.99, False),
+        (searched(gain=2.0 * CLEAR, over_others=-1.0), 0.99, False),
+    ],
+)
+def test_what_gains_far_more_than_its_rivals_is_named_though_something_is_left(search, of_all, named):
+    assert _stands(Misfit(1e-9, of_all, 0.1), search) == named
 
 
 def test_what_was_taken_back_is_not_consistent_whatever_is_left_without_it():

@@ -14,7 +14,7 @@ from tissuereg.diagnose.causes.base import Variant
 from tissuereg.diagnose.causes.tracker import changed_by
 from tissuereg.diagnose.correction import make_correction
 from tissuereg.diagnose.noise import Noise, estimate_noise
-from tissuereg.diagnose.nuisances import MESH_SHARE, make_nuisances
+from tissuereg.diagnose.nuisances import FORCE_BENT, FORCE_SHARE, make_nuisances
 from tissuereg.diagnose.patterns import load_history
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import ActuatorDirection, ActuatorGain, ActuatorOffset, Gravity, Latency, Poisson
@@ -211,10 +211,13 @@ def test_forces_may_be_off_in_every_component_as_meshes_differ_in_any(bench):
     for part, force in pads:
         strength = np.linalg.norm(force, axis=1)
         top = load_history(part, bench.base) > 0.5
-        size = MESH_SHARE * np.sqrt(((0.03 * strength[top] / strength.max()) ** 2).mean() / 3.0)
+        size = FORCE_SHARE * np.sqrt(((0.03 * strength[top] / strength.max()) ** 2).mean() / 3.0)
         for axis in range(3):
-            column = made.columns[made.names.index(f"mesh {part.name} {part.pads[0]} {axis}")]
-            assert np.allclose(part.forces(column)[:, 0, axis], size * strength)
+            mine = [name == f"mesh {part.name} {part.pads[0]} {axis}" for name in made.names]
+            grows, bends = (part.forces(column)[:, 0, axis] for column in made.columns[mine])
+            assert np.allclose(grows, size * strength)
+            # The rest grows with the square of the force.
+            assert np.allclose(bends, FORCE_BENT * strength**2 / strength.max())
 
 
 def test_an_inclusion_is_as_stiff_or_soft_as_its_knobs_say(bench):

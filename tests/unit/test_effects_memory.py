@@ -155,6 +155,25 @@ def test_swelling_follows_the_clock_and_lifts_the_body_that_is_held_below(rig):
     assert top[2] == pytest.approx(0.5 * top[3], rel=0.02)
 
 
+@pytest.mark.parametrize("pads", ["hold", "follow"])
+def test_pads_hold_a_body_that_grows_or_follow_it(rig, pads):
+    held = case("held", [10.0, 20.0, 30.0], [0.0, 0.0, 0.0])
+    growth = Swelling(linear_strain=0.02, from_time_s=0.0, to_time_s=40.0, pads=pads)
+    answer = simulated(rig, [held], growth)["held"]
+    patch = rig.actuator("push").nodes
+    moved = answer.displacement[2][patch].mean(axis=0) - answer.displacement[0][patch].mean(axis=0)
+    free = simulated(rig, [case("free", [10.0, 30.0], None)], growth)["free"]
+    wanted = (free.displacement[1] - free.displacement[0])[patch].mean(axis=0)
+    against = np.linalg.norm(answer.forces["push"][2])
+    if pads == "hold":
+        np.testing.assert_allclose(moved, 0.0, atol=1e-9)
+        assert against > 10.0
+    else:
+        np.testing.assert_allclose(moved, wanted, rtol=1e-3, atol=1e-4)
+        stiff = np.linalg.norm(simulated(rig, [held], replace(growth, pads="hold"))["held"].forces["push"][2])
+        assert against < 0.3 * stiff
+
+
 def test_drainage_relaxes_volume_alone(rig):
     elastic = push(simulated(rig, [HOLD]))
     drained = push(simulated(rig, [HOLD], Drainage(share=0.8, tau_s=1.0)))

@@ -99,6 +99,8 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
     for cause in answer["causes"]:
         tied = f" (or {', '.join(cause['group'][1:])})" if len(cause["group"]) > 1 else ""
         lines.append(f"  {cause['id']}{tied}, P = {cause['probability']:.2f}: {cause['sentence']}")
+    if answer.get("left"):
+        lines.append(f"  {answer['left']['sentence']}")
     if answer.get("next_experiment"):
         lines.append(f"  next: {answer['next_experiment']['action']}")
     lines.append(seconds_line(clock.seconds))

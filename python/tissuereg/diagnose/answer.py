@@ -85,6 +85,9 @@ class Diagnosis:
         The believed experiment with the findings as effects, and the modulus as fitted where the data tell it.
     next_experiment : dict or None
         What would tell tied causes apart.
+    left : dict or None
+        What the findings do not explain, where that is more than effect-free data leave: its probability ``p``,
+        ``where`` (markers and pads), ``when``, the cause that it ``looks_like``, and a ``sentence``.
     seed : int
         Of all chance.
     versions : dict of str to str
@@ -102,6 +105,7 @@ class Diagnosis:
     next_experiment: dict[str, Any] | None
     seed: int
     versions: dict[str, str]
+    left: dict[str, Any] | None = None
     details: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -123,6 +127,7 @@ class Diagnosis:
             "causes": [finding.to_json() for finding in self.findings],
             "candidates": list(self.candidates),
             "p_misfit": self.p_misfit,
+            "left": self.left,
             "discrepancy": self.discrepancy,
             "extended_model": "experiment.extended.toml",
             "next_experiment": self.next_experiment,

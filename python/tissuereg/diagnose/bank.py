@@ -22,7 +22,7 @@ from tissuereg.io.cache import cache_folder, keep_in_cache
 from tissuereg.io.json import dumps
 
 #: Raised when columns change their meaning: banks of other releases are not read.
-SCHEMA = 9
+SCHEMA = 10
 
 #: Causes whose columns are closed forms: made anew each time, never kept.
 CLOSED_FORM = ("frame", "scale", "latency", "marker_slip", "marker_swap")

@@ -1,6 +1,6 @@
 """Causes that may be it: chosen by their linear evidence, fitted, the mesh's error in them put right."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.fit import Fit, Part, Target, best_start, choices_of, fit
 from tissuereg.diagnose.recorrect import PUT_RIGHT, settled
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
-from tissuereg.effects import EFFECTS
+from tissuereg.effects import EFFECTS, ChainEffect
 
 #: Candidates that are fitted: this many, and all within so many nats of the best.
 REFITTED = 4
@@ -19,8 +19,8 @@ WITHIN = 10.0
 #: Shares of what a cause must pass that its linear evidence must reach to be fitted: alone, and beside others.
 LIKELY, LIKELY_FURTHER = 0.4, 0.5
 
-#: A further cause must pass this many times its threshold, and so many nats: what was found before has an error of a
-#: form unknown.
+#: Beside a cause that acts on the body a further one must pass this many times its threshold, and so many nats: what
+#: was found before has an error of a form unknown. What the tracker does is known exactly.
 FURTHER, LEAST_FURTHER = 1.5, 18.0
 
 
@@ -115,9 +115,22 @@ def refitted(
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
-def asked_of(thresholds: Mapping[str, float], *, further: bool) -> dict[str, float]:
-    """Return the log Bayes factor that every cause must pass, alone or beside others found before."""
-    if not further:
+def asked_of(thresholds: Mapping[str, float], beside: Iterable[str] = ()) -> dict[str, float]:
+    """Return the log Bayes factor that every cause must pass, alone or beside others found before.
+
+    Parameters
+    ----------
+    thresholds : mapping of str to float
+        Alone.
+    beside : iterable of str
+        Ids of those found before.
+
+    Returns
+    -------
+    dict of str to float
+        Nats.
+    """
+    if all(issubclass(EFFECTS[name], ChainEffect) for name in beside):
         return dict(thresholds)
     return {name: max(FURTHER * least, LEAST_FURTHER) for name, least in thresholds.items()}
 

@@ -44,13 +44,14 @@ def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mappi
     findings = []
     young = target.bench.young
     named = {step.found.id for step in found.steps if step.found is not None}
-    for part, step in enumerate(step for step in found.steps if step.found is not None):
+    rounds = [step for step in found.steps if step.found is not None]
+    for part, step in enumerate(rounds):
         top = step.found
         assert top is not None  # of those steps
         # Parameters are those of the model with all causes found.
         values, deviations = found.final.values(part, young)
         chances = _chances(step)
-        asked = asked_of(thresholds, further=part > 0)
+        asked = asked_of(thresholds, (before.found.id for before in rounds[:part] if before.found is not None))
         assert step.proof is not None  # found causes were proved
         assert step.figures is not None
         findings.append(

@@ -24,12 +24,16 @@ MESH_SHARE = 0.7
 #: The same of forces: much of what two meshes differ by there is the shape of their pads.
 FORCE_SHARE = 0.35
 
-#: Error of the forces that is expected at least, as a share of them; and one that grows with the square of the force, at
-#: the largest: strains at a pad's rim, where they are singular, grow faster than the load.
+#: Error of the forces that is expected at least, as a share of them; and one that grows with the square of the force,
+#: at the largest: strains at a pad's rim, where they are singular, grow faster than the load.
 FORCE_LEFT, FORCE_BENT = 0.0025, 0.01
 
 #: Error of a found cause's form and of its fine mesh, as a share of what it changes.
 EFFECT_ERROR = 0.07
+
+#: How much of what a found cause changes may be what its other hypotheses change, which do so much of the same, in
+#: squares; and the number of directions that this is kept in.
+FORM_ERROR, ALIKE, MOST_FORMS = 0.3, 0.5, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,3 +182,32 @@ def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
             strength = EFFECT_ERROR * np.linalg.norm(part.forces(change)[:, i], axis=1)
             columns += list(force_columns(layout, part, i, strength))
     return np.array([column for column in columns if column.any()]).reshape(-1, layout.size)
+
+
+def other_forms(hypotheses: FloatArray, change: FloatArray) -> FloatArray:
+    """Return nuisances for a found cause that acts at another place, from another time on or by another exponent.
+
+    What its own form leaves of it would else be taken for a further cause.
+
+    Parameters
+    ----------
+    hypotheses : ndarray of float64, shape (n_variants, p, size)
+        Whitened columns of all hypotheses of the cause.
+    change : ndarray of float64, shape (size,)
+        What it was found to change, whitened.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, size)
+        Over one prior deviation: together `FORM_ERROR` of the change, along what hypotheses do that do about the same.
+    """
+    power, found = float(change @ change), []
+    for columns in hypotheses:
+        amplitudes = np.linalg.lstsq(columns.T, change, rcond=None)[0]
+        alike = amplitudes @ columns
+        if float(alike @ alike) >= ALIKE * power > 0.0:
+            found.append(alike * np.sqrt(power / float(alike @ alike)))
+    if not found:
+        return np.zeros((0, len(change)))
+    _, sizes, rows = np.linalg.svd(np.array(found) * (FORM_ERROR / np.sqrt(len(found))), full_matrices=False)
+    return np.asarray((sizes[:, None] * rows)[:MOST_FORMS])

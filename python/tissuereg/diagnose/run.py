@@ -18,13 +18,14 @@ from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.findings import candidates_of, findings_of
 from tissuereg.diagnose.fit import Target, fit
 from tissuereg.diagnose.generic import generic_columns
+from tissuereg.diagnose.left import left_of
 from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnose.nulls import draw_nulls
 from tissuereg.diagnose.refined import path_of, refined_predictions
 from tissuereg.diagnose.screen import Screen
-from tissuereg.diagnose.search import search
+from tissuereg.diagnose.search import Search, search
 from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.targets import target_rms
 from tissuereg.effects import Effect, Stiffness
@@ -34,7 +35,7 @@ from tissuereg.experiment import Experiment
 MISFIT = 0.01
 
 #: Causes that leave a misfit must explain this share of what the believed model leaves, of all of it and where it
-#: stands out most, or nothing is named.
+#: stands out most, or nothing is named; of all of it alone where one gains far more than any rival.
 EXPLAINED = 0.5
 
 
@@ -65,7 +66,7 @@ def diagnose_body(
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, screen, found, nulls.thresholds)
-    taken_back = bool(findings) and not _stands(misfit)
+    taken_back = bool(findings) and not _stands(misfit, found)
     if taken_back:
         # What was found is at best the nearest thing to what is there.
         findings, found = [], found.taken_back(target)
@@ -83,6 +84,7 @@ def diagnose_body(
         findings=tuple(findings),
         candidates=candidates_of(screen, found.steps[0]),
         p_misfit=misfit.p,
+        left=left_of(layout, screen, found, misfit) if findings and misfit.p < MISFIT else None,
         discrepancy=describe(layout, found.base, found.final),
         extended=extended,
         next_experiment=advise(target, found.steps, findings),
@@ -189,9 +191,11 @@ def _own_modulus(experiment: Experiment) -> Experiment:
     return replace(experiment, material=replace(experiment.material, young=young), young_std=spread, effects=others)
 
 
-def _stands(misfit: Misfit) -> bool:
-    """Say whether what was found may be named: it leaves no misfit, or explains enough of one."""
-    return misfit.p >= MISFIT or min(misfit.explained, misfit.explained_there) >= EXPLAINED
+def _stands(misfit: Misfit, found: Search) -> bool:
+    """Say whether findings may be named: they leave no misfit, explain enough of one, or beat all else by far."""
+    if misfit.p >= MISFIT or min(misfit.explained, misfit.explained_there) >= EXPLAINED:
+        return True
+    return misfit.explained >= EXPLAINED and any(step.is_clear for step in found.steps)
 
 
 def _verdict(findings: list[Finding], misfit: float, *, taken_back: bool) -> str:

@@ -1,5 +1,6 @@
 """Screening: the exact linear evidence of every hypothesis in the bank, and of the generic rival."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,6 +68,9 @@ class Screen:
     ) -> None:
         self.bank = bank
         self.null = null
+        self._white: Callable[[FloatArray], FloatArray] = lambda columns: noise.whitened(
+            correction.of_columns(columns), layout
+        )
         self.generic_white: FloatArray = np.stack(
             [noise.whitened(replace(correction, modulus=1.0).of_columns(block), layout) for block in generic]
         )
@@ -100,6 +104,10 @@ class Screen:
         each = np.array([block.log_bayes_factors(residual[None])[0, 0] for block in self.generic])
         found[UNKNOWN] = Screened(float(log_mean_exp(each)), None, np.empty(0))
         return found
+
+    def white_columns(self, name: str) -> FloatArray:
+        """Return the whitened columns of all hypotheses of a cause, (n_variants, p, size), not reduced."""
+        return np.stack([self._white(variant.columns.astype(np.float64)) for variant in self.bank[name]])
 
     def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
         """Return the length of what a hypothesis of a cause changes, in noise deviations, nuisances taken out."""

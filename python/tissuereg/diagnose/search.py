@@ -1,6 +1,6 @@
 """The search for causes: one after another, each proved, each weighed against what else could explain the data."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from tissuereg.diagnose.candidates import Candidate, asked_of, refitted
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.evidence import Null, fit_amplitudes
 from tissuereg.diagnose.fit import Fit, Target, fit
-from tissuereg.diagnose.nuisances import effect_nuisances
+from tissuereg.diagnose.nuisances import effect_nuisances, other_forms
 from tissuereg.diagnose.proof import (
     BEFORE,
     GENERIC,
@@ -34,6 +34,9 @@ SEPARABLE = 4.0
 #: Gain in log predictive density that a proof asks for.
 PROVED = 4.0
 
+#: A cause that gains so many nats and beats its rivals is named though something is left that it does not explain.
+CLEAR = 100.0
+
 #: Mates that are tried in the place of one of several causes: so many, and within so many nats of it.
 MOST_MATES, MATES_WITHIN = 2, 40.0
 
@@ -54,6 +57,9 @@ class Step:
         Of the likeliest candidate or the one found; rows as `proof` names them.
     figures : HeldOut or None
         Of the one found, on what can be guessed without it being measured; rows as in the proof.
+    rivals : float
+        Log density that the best rival gives to what the proof held out: the generic one, or another candidate that the
+        data tell from the one found.
     """
 
     screened: dict[str, Screened]
@@ -61,6 +67,14 @@ class Step:
     found: Candidate | None
     proof: HeldOut | None
     figures: HeldOut | None = None
+    rivals: float = np.inf
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the one found gains `CLEAR` nats, and foretells what was held out better than every rival does."""
+        if self.found is None or self.proof is None:
+            return False
+        return self.found.gain >= CLEAR and float(self.proof.log_density[NAMED].sum()) > self.rivals
 
     def close(self, nats: float) -> list[Candidate]:
         """Return the candidates within so many nats of the one found, itself left out, likeliest first."""
@@ -129,7 +143,7 @@ def search(
         steps.append(step)
         if step.found is None:
             break
-        plain, target, current = _beyond(plain, base, step.found)
+        plain, target, current = _beyond(plain, screen, base, step.found)
     if len(current.parts) > 1:
         if progress is not None:
             progress("second thoughts")
@@ -148,7 +162,7 @@ def _round(
 ) -> Step:
     """Return what is likely beside a fit, and the likeliest of it that is proved."""
     screened = screen.of(_as_screened(screen, target, current))
-    asked = asked_of(thresholds, further=bool(current.parts))
+    asked = asked_of(thresholds, current.ids)
     candidates = refitted(target, screen, screened, current, asked, progress)
     step = Step(screened, candidates, None, None)
     passing = [candidate for candidate in candidates if candidate.gain >= asked[candidate.id]]
@@ -159,17 +173,29 @@ def _round(
         density = tried.log_density.sum(axis=1)
         proved = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
         if density[NAMED] > density[BEFORE] + proved and density[NAMED] > density[GENERIC]:
-            return replace(step, found=candidate, proof=tried, figures=_figures(target, beside, current, candidate))
+            rivals = max(float(density[GENERIC]), _best_rival(target, current, candidates, candidate))
+            figures = _figures(target, beside, current, candidate)
+            return replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
     return step
 
 
-def _beyond(plain: Target, base: Fit, found: Candidate) -> tuple[Target, Target, Fit]:
+def _best_rival(target: Target, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
+    """Return the best log density that causes which data tell from the one found give to what its proof held out."""
+    blocks = proof_blocks(target.bench.layout, _seen(target, current, found, -1)[0])
+    others = [other for other in candidates if other.gain <= found.gain - 0.5 * SEPARABLE**2]
+    held = held_out([linear_model(target, other.fit) for other in others], blocks) if others else None
+    return -np.inf if held is None else float(held.log_density.sum(axis=1).max())
+
+
+def _beyond(plain: Target, screen: Screen, base: Fit, found: Candidate) -> tuple[Target, Target, Fit]:
     """Return what is fitted once a cause was found, without and with the error of what was found, and the fit then."""
     # What was found has an error of its own: that of the mesh was put right, and what is left of it and of the form
     # stands beside further causes.
     plain = replace(plain, correction=found.target.correction)
-    change = effect_nuisances(plain.bench, found.fit.prediction - base.prediction)
-    target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, plain.white(change)])))
+    change = found.fit.prediction - base.prediction
+    body = plain.white(effect_nuisances(plain.bench, change))
+    others = other_forms(screen.white_columns(found.id), plain.white(change))
+    target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, body, others])))
     return plain, target, fit(target, found.fit.parts, start=found.fit.x) or found.fit
 
 

@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
+from tissuereg._arrays import FloatArray
 from tissuereg.effects.base import Effect, number, numbers, refuse, text
 from tissuereg.experiment import Experiment
 
@@ -67,17 +70,25 @@ class Set(Memory):
 
 @dataclass(frozen=True, kw_only=True)
 class Swelling(Memory):
-    """Growth of all lengths by `linear_strain`, evenly from one time to another; negative: drying."""
+    """Growth of all lengths by `linear_strain`, evenly from one time to another; negative: drying.
+
+    Pads that are bonded hold their patches against it, or follow as the body grows where nothing touches it.
+    """
 
     id: ClassVar[str] = "swelling"
     linear_strain: float = number(above=-1.0)
     from_time_s: float = number()
     to_time_s: float = number()
+    pads: str = text(among=("hold", "follow"), default="hold")
 
     def check(self) -> None:
         """Refuse an end before the beginning."""
         if self.to_time_s <= self.from_time_s:
             refuse("`to_time_s` must lie after `from_time_s`", [self.from_time_s, self.to_time_s])
+
+    def share(self, times: FloatArray) -> FloatArray:
+        """Return which share of the growth is done at times (n,) in s."""
+        return np.clip((times - self.from_time_s) / (self.to_time_s - self.from_time_s), 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -153,6 +153,7 @@ def solve_through_time(
         If cases that depend on each other overlap in time.
     """
     groups = [sorted(cases, key=lambda case: float(case.times[0]))] if is_carried(experiment) else [[c] for c in cases]
+    growing = _growing(experiment, element, tolerance, threads)
     solved: dict[str, SolvedCase] = {}
     done = 0
     for group in groups:
@@ -163,7 +164,7 @@ def solve_through_time(
         if near is not None:
             guides = {case.name: near[case.name][first] for case, (first, _) in zip(group, told, strict=True)}
         report = None if progress is None else _counting(progress, done, told)
-        found = _solve_group(experiment, fewer, element, tolerance, threads, guides, rigs, report)
+        found = _solve_group(experiment, fewer, growing, element, tolerance, threads, guides, rigs, report)
         for case, (_, of_frame) in zip(group, told, strict=True):
             solved[case.name] = found[case.name].at_every_frame(of_frame)
         done += sum(len(case.times) for case in group)
@@ -220,6 +221,7 @@ def _counting(
 def _solve_group(
     experiment: Experiment,
     group: Sequence[Case],
+    growing: "_Growing | None",
     element: str,
     tolerance: float,
     threads: int,
@@ -252,7 +254,7 @@ def _solve_group(
         experiment.material,
         np.concatenate(times),
         loads=loads,
-        pads=_pads(experiment, group, rows, len(loads)),
+        pads=_pads(experiment, group, rows, len(loads), growing),
         behaviour=behaviour_of(experiment),
         springs=_springs(experiment),
         weight=weight_of(experiment),
@@ -283,7 +285,7 @@ def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
     for effect in experiment.effects:
         if isinstance(effect, Memory):
             kind = getattr(behaviour, type(effect).__name__)
-            given[effect.id] = kind(**{key.name: getattr(effect, key.name) for key in fields(effect)})
+            given[effect.id] = kind(**{key.name: getattr(effect, key.name) for key in fields(kind)})
     return behaviour.Behaviour(**given) if given else None
 
 
@@ -296,12 +298,49 @@ def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
     return begin - _REST * max(fading) * np.arange(4.0, -1.0, -1.0) if fading and loaded else np.empty(0)
 
 
-def _pads(experiment: Experiment, group: Sequence[Case], rows: dict[str, slice], n_frames: int) -> list[Pad]:
+@dataclass(frozen=True, eq=False)
+class _Growing:
+    """How far a body that grows moves where nothing touches it, (n_nodes, 3) in mm when all growth is done."""
+
+    swelling: Swelling
+    field: FloatArray
+
+    def moved(self, nodes: IntArray, times: FloatArray) -> FloatArray:
+        """Return how far a patch has moved on since the first of some times, (n, 3) in mm."""
+        share = self.swelling.share(times)
+        return np.asarray((share - share[0])[:, None] * self.field[nodes].mean(axis=0))
+
+
+def _growing(experiment: Experiment, element: str, tolerance: float, threads: int) -> _Growing | None:
+    """Return how a body grows whose pads follow; None where they hold their patches or nothing grows."""
+    swelling = next((effect for effect in experiment.effects if isinstance(effect, Swelling)), None)
+    if swelling is None or swelling.pads == "hold":
+        return None
+    alone = replace(experiment, effects=(swelling,))
+    found = solve_frames(
+        experiment.mesh,
+        experiment.material,
+        np.array([swelling.from_time_s, swelling.to_time_s]),
+        loads=[Load(), Load()],
+        behaviour=behaviour_of(alone),
+        element=element,
+        held_nodes=experiment.mesh.fixed_nodes,
+        tolerance=tolerance,
+        threads=threads,
+    )
+    return _Growing(swelling, found.displacement[1])
+
+
+def _pads(
+    experiment: Experiment, group: Sequence[Case], rows: dict[str, slice], n_frames: int, growing: _Growing | None
+) -> list[Pad]:
     motions: dict[str, FloatArray] = {}
     for case in group:
         for pad in pads_of(experiment, case):
             motion = motions.setdefault(pad.name, np.full((n_frames, 3), np.nan))
             motion[rows[case.name]] = case.displacements[pad.name]
+            if growing is not None:
+                motion[rows[case.name]] += growing.moved(pad.nodes, case.times)
     return [Pad(name, experiment.actuator(name).nodes, motion) for name, motion in motions.items()]
 
 

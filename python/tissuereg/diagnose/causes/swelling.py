@@ -1,6 +1,7 @@
 """The body grows or shrinks while it is measured."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import ClassVar
 
 from tissuereg._arrays import FloatArray
@@ -11,12 +12,15 @@ from tissuereg.effects import Effect, Swelling
 #: Strain where secants are taken, also the prior deviation.
 SIZE = 0.01
 
+#: What pads do in the hypotheses of the bank: they hold their patches against the growth.
+HOLD = "hold"
+
 
 class SwellingCause(Cause):
     """Growth of all lengths, even in time, over the whole session or a half of it."""
 
     id: ClassVar[str] = "swelling"
-    discrete: ClassVar[tuple[str, ...]] = ("window",)
+    discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return secants for three windows of time."""
@@ -27,21 +31,27 @@ class SwellingCause(Cause):
             return
         middle = 0.5 * (begin + end)
         windows = ((begin, end), (begin, middle), (middle, end))
-        changes = bench.changes([[_effect(SIZE, window)] for window in windows])
+        changes = bench.changes([[_effect(SIZE, window, HOLD)] for window in windows])
         for window, changed in zip(windows, changes, strict=True):
             if changed is not None:
-                yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window})
+                yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window, "pads": HOLD})
+
+    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
+        """Return the same growth with pads that follow it."""
+        moved = any(case.displacements for case in bench.experiment.cases.values())
+        return (replace(variant, settings={**variant.settings, "pads": "follow"}),) if moved else ()
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return the strain in units of the secant's."""
-        window = variant.settings["window"]
+        window, pads = variant.settings["window"], str(variant.settings["pads"])
         return knobs(
             [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
-            lambda x, young: (_effect(SIZE * float(x[0]), window),),
+            lambda x, young: (_effect(SIZE * float(x[0]), window, pads),),
             lambda x, young: {
                 "linear_strain": SIZE * float(x[0]),
                 "from_time_s": float(window[0]),
                 "to_time_s": float(window[1]),
+                "pads": pads,
             },
         )
 
@@ -52,5 +62,5 @@ class SwellingCause(Cause):
         return f"The body {verb} by {abs(100 * strain):.2g} % of its lengths while it is measured."
 
 
-def _effect(strain: float, window: tuple[float, float]) -> Effect:
-    return Swelling(linear_strain=strain, from_time_s=window[0], to_time_s=window[1])
+def _effect(strain: float, window: tuple[float, float], pads: str) -> Effect:
+    return Swelling(linear_strain=strain, from_time_s=window[0], to_time_s=window[1], pads=pads)

@@ -121,15 +121,16 @@ class SlipCause(Cause):
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one a marker and onset, with three amplitudes."""
-        times = bench.layout.times()
-        for onset in _onsets(bench):
-            later = times >= onset
-            for number, marker in enumerate(bench.layout.marker_names):
-                columns = np.zeros((3, bench.layout.size))
-                for part in bench.layout.parts:
-                    for axis in range(3):
-                        part.markers(columns)[axis, :, number, axis] = part.markers(later)[:, number, axis]
-                yield Variant(f"{marker} from {onset:.4g} s", SLIP * columns, {"marker": marker, "onset": onset})
+        return (_slip(bench, marker, onset) for onset in _onsets(bench) for marker in bench.layout.marker_names)
+
+    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
+        """Return the same marker from the other frames on that lie nearest to this onset."""
+        screened, mine = _onsets(bench), float(variant.settings["onset"])
+        before = max((onset for onset in screened if onset < mine), default=-np.inf)
+        after = min((onset for onset in screened if onset > mine), default=np.inf)
+        frames = sorted({float(time) for part in bench.layout.parts for time in part.times})
+        onsets = (time for time in frames if before < time < after and time != mine)
+        return tuple(_slip(bench, str(variant.settings["marker"]), onset) for onset in onsets)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return the offset in mm."""
@@ -215,6 +216,16 @@ def _frame(bench: Bench, x: FloatArray) -> Frame:
 
 def _middle(bench: Bench) -> FloatArray:
     return np.asarray(bench.layout.reference.mean(axis=0))
+
+
+def _slip(bench: Bench, marker: str, onset: float) -> Variant:
+    """Return a slip of one marker from a time on, with three amplitudes."""
+    later, number = bench.layout.times() >= onset, bench.layout.marker_names.index(marker)
+    columns = np.zeros((3, bench.layout.size))
+    for part in bench.layout.parts:
+        for axis in range(3):
+            part.markers(columns)[axis, :, number, axis] = part.markers(later)[:, number, axis]
+    return Variant(f"{marker} from {onset:.4g} s", SLIP * columns, {"marker": marker, "onset": onset})
 
 
 def _onsets(bench: Bench) -> list[float]:

@@ -56,12 +56,11 @@ def rankings(found: "Diagnosis") -> str:
     groups = {number: set(one.group) for number, one in zip(rounds, found.findings[first:], strict=False)}
     early = {name for finding in found.findings[: first if steps else None] for name in finding.group}
     parts = [ranking(found.candidates, thresholds, early | groups.get(0, set()), "First round")]
-    further = asked_of(thresholds, further=True)
     for number, step in enumerate(steps[1:], start=1):
         before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
         known = f"{', '.join(map(plain_name, before))} is" if before else "a cause that was dropped again was"
         said = f"Round {number + 1}: what else, once {known} in the model"
-        chart = ranking(_rows(step, before), further, groups.get(number, set()), said)
+        chart = ranking(_rows(step, before), asked_of(thresholds, before), groups.get(number, set()), said)
         parts.append(f"<details><summary>{escape(said)}</summary>{chart}</details>")
     return "\n".join(parts)
 

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from tissuereg.diagnose.answer import Diagnosis, Finding
     from tissuereg.diagnose.noise import Noise
 
-#: What is left after the findings counts as unexplained below this probability.
-LEFT = 0.01
-
 
 def verdict_sentence(found: "Diagnosis") -> str:
     """Return the verdict in one sentence, plain text."""
@@ -134,9 +131,7 @@ def _discrepancy(found: "Diagnosis") -> str:
 def _left(found: "Diagnosis") -> str:
     given = "With the findings in the model, data" if found.findings else "Data"
     text = f"{given} without further effects would misfit as much with probability {chance(found.p_misfit)}."
-    if found.findings and found.p_misfit < LEFT:
-        text += " So something is left that the findings do not explain."
-    return text
+    return text if found.left is None else f"{text} {found.left['sentence']}"
 
 
 def _finding(finding: "Finding") -> str:
