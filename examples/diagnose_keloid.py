@@ -31,7 +31,7 @@ import tissuereg as tr
 from tissuereg.diagnose.answer import Diagnosis
 from tissuereg.io.cases import write_histories
 from tissuereg.io.toml_text import write_toml
-from tissuereg.simulate.experiment import simulate_experiment
+from tissuereg.simulate.experiment import simulate_plain
 
 THICKNESS_MM, POISSON = 4.0, 0.4
 
@@ -242,7 +242,7 @@ def believed_modulus(folder: Path, recording: Recording) -> float:
     case = experiment.cases["pull"]
     little = {"moving_pad": case.displacements["moving_pad"][1:2] * 0.1}
     short = replace(case, times=case.times[1:2], markers=case.markers[1:2], displacements=little, forces={})
-    answer = simulate_experiment(replace(experiment, cases={"pull": short}))["pull"]
+    answer = simulate_plain(replace(experiment, cases={"pull": short}))["pull"]
     simulated = np.linalg.norm(answer.forces["moving_pad"]) / np.linalg.norm(little["moving_pad"])
     return float(experiment.material.young) * slope / float(simulated)
 

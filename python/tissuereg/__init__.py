@@ -24,10 +24,13 @@ from tissuereg.mesh import Mesh
 from tissuereg.registration import RegisterSettings, register
 from tissuereg.result import Registration
 from tissuereg.simulate import Simulation, Simulator, simulate
+from tissuereg.simulate.believed import simulate_experiment
+from tissuereg.simulate.fine import FineModel
 
 __all__ = [
     "Experiment",
     "Fibre",
+    "FineModel",
     "Load",
     "Markers",
     "Material",
@@ -51,5 +54,6 @@ __all__ = [
     "register",
     "register_frame",
     "simulate",
+    "simulate_experiment",
     "write_experiment",
 ]

@@ -21,6 +21,22 @@ if TYPE_CHECKING:
     from tissuereg.effects.base import Effect
 
 
+@dataclass(frozen=True)
+class Simulated:
+    """With what the data of an experiment were simulated here.
+
+    Attributes
+    ----------
+    model : {"fine", "plain"}
+        The fine model (`tissuereg.FineModel`), or the mesh as it is.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Of the plain model; the fine one has ten-node elements.
+    """
+
+    model: str
+    element: str
+
+
 @dataclass(frozen=True, eq=False)
 class Gravity:
     """The body's own weight.
@@ -237,6 +253,8 @@ class Experiment:
         Standard deviation of how far the body's surface lies beside the mesh's, along its normal, mm.
     surface_length : float or None
         Length over which it is off alike, mm; None where it is not stated.
+    simulated : Simulated or None
+        With what the data were simulated here; None where they were measured, or made by others.
     """
 
     name: str
@@ -260,6 +278,7 @@ class Experiment:
     trial_share: float = 0.0
     surface_std: float = 0.0
     surface_length: float | None = None
+    simulated: Simulated | None = None
 
     def __repr__(self) -> str:
         frames = sum(len(case.times) for case in self.cases.values())

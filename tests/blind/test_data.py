@@ -11,7 +11,7 @@ from blind.generator.open_cases import make_open_cases
 from blind.materialise import CASES, DATA, case_names, materialise
 from blind.run import tier_cases
 from blind.scored import open_answers
-from tissuereg.simulate.experiment import simulate_experiment
+from tissuereg.simulate.experiment import simulate_plain
 
 LINES = [line.split("  ") for line in (DATA / "SHA256SUMS").read_text(encoding="utf-8").splitlines()]
 
@@ -67,7 +67,7 @@ def test_a_believed_model_moves_the_markers_as_the_foreign_one_does(tmp_path):
     # smallest stroke, places that are mixed up 0.3.
     case = tier_cases("fine")[0]
     experiment = tr.read_experiment(materialise(case, tmp_path))
-    simulated = simulate_experiment(experiment, threads=1)
+    simulated = simulate_plain(experiment, threads=1)
     for name in ("push_x", "push_y", "push_z"):
         hold = slice(2, 9)
         seen = np.nanmean(experiment.cases[name].markers[hold], axis=0) - experiment.marker_reference

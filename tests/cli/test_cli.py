@@ -280,8 +280,9 @@ def test_simulate_writes_an_experiment_in_its_own_format(tmp_path, capsys):
     assert (said["members"], said["failed"]) == (5, [])
     assert said["members_per_s"] > 0
     assert said["cases"] == {"rest": 2, "lean": 3}
-    files = ["case_lean.npz", "case_rest.npz", "forces.csv", "markers.csv", "targets.csv"]
-    assert sorted(file.name for file in (tmp_path / "sim").iterdir()) == files
+    assert (said["model"], said["element"]) == ("fine", "tet10")
+    files = ["actuators.csv", "case_lean.npz", "case_rest.npz", "experiment.toml", "forces.csv", "markers.csv"]
+    assert sorted(file.name for file in (tmp_path / "sim").iterdir()) == [*files, "targets.csv"]
     pushed = read_histories(tmp_path / "sim" / "forces.csv", "actuator", "mN", ["push"])["lean"]["push"]
     assert pushed.values[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert pushed.values[2][0] > 1.5 * pushed.values[1][0] > 0
@@ -289,6 +290,50 @@ def test_simulate_writes_an_experiment_in_its_own_format(tmp_path, capsys):
         assert kept["displacement_mm"].shape == (3, 120, 3)
         patch = tr.read_experiment(rig).mesh.node_set("push")
         assert np.allclose(kept["displacement_mm"][2, patch], [2.0, 0.0, 0.0])
+
+
+def test_what_was_simulated_is_an_experiment_that_says_with_which_model(tmp_path, capsys):
+    rig = write_experiment(tmp_path / "rig")
+    given = tr.read_experiment(rig)
+    for words, expected in (([], ("fine", "tet10")), (["--plain", "--element", "tet10"], ("plain", "tet10"))):
+        code, _, _ = run_json(capsys, "simulate", rig, *words, "--out", tmp_path / "sim", "--quiet")
+        made = tr.read_experiment(tmp_path / "sim")
+        assert code == 0
+        assert (made.simulated.model, made.simulated.element) == expected
+        assert made.mesh.digest() == given.mesh.digest()
+        for name, case in given.cases.items():
+            np.testing.assert_allclose(made.cases[name].times, case.times)
+            for pad, motion in case.displacements.items():
+                np.testing.assert_allclose(made.cases[name].displacements[pad], motion)
+        answers = tr.simulate_experiment(given, model=expected[0], element="tet10")
+        np.testing.assert_allclose(made.cases["lean"].markers, answers["lean"].markers, atol=1e-5)
+    code, said, _ = run_json(capsys, "simulate", rig, "--element", "tet10", "--out", tmp_path / "sim", "--quiet")
+    assert code != 0
+    assert "--plain" in said["error"]
+
+
+def test_simulated_noise_is_the_stated_one_by_seed(tmp_path, capsys):
+    rig = write_experiment(tmp_path / "rig")
+    given = tr.read_experiment(rig)
+    seen = []
+    for number, words in enumerate((["--noise"], ["--noise"], ["--noise", "--seed", "3"], [])):
+        out = tmp_path / f"sim{number}"
+        run_json(capsys, "simulate", rig, "--plain", *words, "--out", out, "--quiet")
+        seen.append(np.concatenate([case.markers.ravel() for case in tr.read_experiment(out).cases.values()]))
+    noisy, again, other, clean = seen
+    np.testing.assert_array_equal(noisy, again)
+    assert np.std(noisy - clean) == pytest.approx(given.marker_std, rel=0.5)
+    assert np.std(noisy - other) == pytest.approx(np.sqrt(2.0) * given.marker_std, rel=0.5)
+
+
+def test_an_unknown_model_of_a_simulation_is_refused(tmp_path, capsys):
+    rig = write_experiment(tmp_path / "rig")
+    file = rig / "experiment.toml"
+    file.write_text(file.read_text() + '\n[simulated]\nmodel = "finest"\nelement = "tet4"\n')
+    with pytest.raises(tr.errors.ExperimentError, match="finest"):
+        tr.read_experiment(rig)
+    with pytest.raises(tr.errors.ExperimentError, match="'fine' or 'plain'"):
+        tr.simulate_experiment(tr.read_experiment(write_experiment(tmp_path / "other")), model="finest")
 
 
 def test_simulate_makes_a_data_set_and_finishes_one_that_was_begun(tmp_path, capsys):

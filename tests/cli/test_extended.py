@@ -27,8 +27,8 @@ def extended(folder, *effects):
     return file
 
 
-def simulated(capsys, path, out):
-    code, said, err = run_json(capsys, "simulate", path, "--out", out, "--quiet")
+def simulated(capsys, path, out, *words):
+    code, said, err = run_json(capsys, "simulate", path, *words, "--out", out, "--quiet")
     assert (code, err, said["failed"], said["members"]) == (0, "", [], 5)
     return read_histories(out / "markers.csv", "marker", "mm", None)["lean"]
 
@@ -59,7 +59,7 @@ def test_register_takes_a_frame_that_went_through_time(folder, tmp_path, capsys)
 
 def test_simulate_lets_a_base_slip_by_friction(folder, tmp_path, capsys):
     slips = extended(folder, Sliding(boundary="base", friction=0.1, cohesion_kpa=0.02))
-    held, slid = simulated(capsys, folder, tmp_path / "a"), simulated(capsys, slips, tmp_path / "b")
+    held, slid = (simulated(capsys, file, tmp_path / out, "--plain") for file, out in ((folder, "a"), (slips, "b")))
     assert np.array(slid["P1"].values[1])[0] > np.array(held["P1"].values[1])[0] + 0.05
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import tissuereg as tr
 from tissuereg.effects import Inclusion, Relaxation, Stiffness
-from tissuereg.simulate.experiment import simulate_experiment
+from tissuereg.simulate.experiment import simulate_plain
 
 
 def example(shared_data, name, case, frames=None):
@@ -30,7 +30,7 @@ def example(shared_data, name, case, frames=None):
 def force_factor(rig, case, *effects):
     """Return the factor by which the measured force is the simulated one, and the rms in mN that it leaves."""
     measured = rig.case(case).forces[case]
-    simulated = simulate_experiment(replace(rig, effects=effects))[case].forces[case]
+    simulated = simulate_plain(replace(rig, effects=effects))[case].forces[case]
     factor = float((measured * simulated).sum() / (simulated**2).sum())
     return factor, float(np.sqrt(np.mean((measured - factor * simulated) ** 2)))
 

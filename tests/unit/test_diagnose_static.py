@@ -16,7 +16,7 @@ from tissuereg.effects import Effect, Gravity, MarkerSlip
 from tissuereg.experiment import Actuator, Boundary, Case, Experiment
 from tissuereg.experiment import Gravity as Weight
 from tissuereg.material import GRAVITY_MM_PER_S2
-from tissuereg.simulate.experiment import simulate_experiment
+from tissuereg.simulate.experiment import simulate_plain
 
 STD = 0.05
 DOWN = (0.0, 0.0, -1.0)
@@ -39,7 +39,7 @@ def shelf(*effects: Effect, weight: Weight | None = None, trial_share: float = 0
         (Boundary("wall", wall),), (Actuator("load", edge, "force"),), NAMES, PLACES, STD, {}, cases,
         trial_share=trial_share,
     )  # fmt: skip
-    said = simulate_experiment(replace(believed, effects=effects), element="tet10")
+    said = simulate_plain(replace(believed, effects=effects), element="tet10")
     rng = np.random.default_rng(3)
     measured = {
         name: replace(case, markers=said[name].markers + STD * rng.standard_normal((1, 6, 3)))

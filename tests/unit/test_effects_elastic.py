@@ -32,7 +32,7 @@ from tissuereg.effects.regions import Ellipsoid, OuterLayer, share_inside
 from tissuereg.effects.supports import node_areas
 from tissuereg.errors import ExperimentError
 from tissuereg.frames import frame_input
-from tissuereg.simulate.experiment import simulate_experiment
+from tissuereg.simulate.experiment import simulate_plain
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +42,11 @@ def rig(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def believed(rig):
-    return simulate_experiment(rig)
+    return simulate_plain(rig)
 
 
 def simulated(rig, *effects):
-    return simulate_experiment(replace(rig, effects=effects))
+    return simulate_plain(replace(rig, effects=effects))
 
 
 def same(one, other, *parts):
@@ -67,12 +67,12 @@ def test_an_experiment_without_effects_is_solved_as_it_stands(rig, believed):
 
 def test_stiffness_and_ratio_are_those_of_another_belief(rig, believed):
     stiff = simulated(rig, Stiffness(young_kpa=20.0))
-    assert same(stiff, simulate_experiment(replace(rig, material=tr.Material(20.0, 0.45))))
+    assert same(stiff, simulate_plain(replace(rig, material=tr.Material(20.0, 0.45))))
     # Moved by displacements alone, the body does not feel its modulus; the pusher does, in proportion.
     assert np.abs(stiff["lean"].markers - believed["lean"].markers).max() < 1e-6
     assert np.allclose(stiff["lean"].forces["push"], 2.0 * believed["lean"].forces["push"], rtol=1e-6, atol=1e-6)
     drained = simulated(rig, Poisson(poisson=0.2))
-    assert same(drained, simulate_experiment(replace(rig, material=tr.Material(10.0, 0.2))))
+    assert same(drained, simulate_plain(replace(rig, material=tr.Material(10.0, 0.2))))
     assert np.abs(drained["lean"].markers - believed["lean"].markers).max() > 0.01
 
 
@@ -137,7 +137,7 @@ def test_the_share_moves_on_smoothly_with_the_inclusion(block_mesh):
 def test_weight_acts_where_an_effect_says_so(rig):
     down = simulated(rig, Gravity(direction=(0, 0, -1)))
     hung = replace(rig, gravity=tr.experiment.Gravity(np.array([0.0, 0.0, -1.0]), in_reference=False))
-    assert same(down, simulate_experiment(hung))
+    assert same(down, simulate_plain(hung))
     sunk = down["rest"].displacement[0]
     assert sunk[:, 2].min() < -0.1
     # Weight is linear to a few percent here: half as strong, half as deep; turned over, the other way.
@@ -172,7 +172,7 @@ def test_a_detached_rim_has_the_share_of_the_area_and_lies_towards_the_azimuth(r
 def test_a_gain_is_a_larger_motion(rig):
     lean = rig.case("lean")
     larger = replace(lean, displacements={"push": 1.1 * lean.displacements["push"]})
-    wanted = simulate_experiment(replace(rig, cases={**rig.cases, "lean": larger}))
+    wanted = simulate_plain(replace(rig, cases={**rig.cases, "lean": larger}))
     assert same(simulated(rig, ActuatorGain(actuator="push", gain=1.1)), wanted)
 
 

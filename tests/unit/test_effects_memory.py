@@ -24,7 +24,7 @@ from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Case
 from tissuereg.frames import frame_input
 from tissuereg.simulate import memory
-from tissuereg.simulate.experiment import simulate_experiment
+from tissuereg.simulate.experiment import simulate_plain
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def case(name, times, motion):
 
 
 def simulated(rig, cases, *effects, **options):
-    return simulate_experiment(replace(rig, cases={c.name: c for c in cases}, effects=effects), **options)
+    return simulate_plain(replace(rig, cases={c.name: c for c in cases}, effects=effects), **options)
 
 
 #: At once to 2 mm, held for a long time, and let go.
@@ -293,9 +293,7 @@ def test_registration_gets_the_relaxed_shape_as_its_simulation(rig):
     effects = (Gravity(direction=(0, 0, -1)), Relaxation(g=(0.5,), tau_s=(0.5,)))
     slow = replace(rig, effects=effects)
     given = frame_input(slow, "lean", 11.0)
-    assert np.array_equal(given["simulation"], simulate_experiment(slow)["lean"].displacement[2])
+    assert np.array_equal(given["simulation"], simulate_plain(slow)["lean"].displacement[2])
     assert "simulation" not in frame_input(rig, "lean", 11.0)
     soft = replace(rig, effects=(Set(fraction=0.1),))
-    assert np.array_equal(
-        frame_input(soft, "lean", 11.0)["simulation"], simulate_experiment(soft)["lean"].displacement[2]
-    )
+    assert np.array_equal(frame_input(soft, "lean", 11.0)["simulation"], simulate_plain(soft)["lean"].displacement[2])

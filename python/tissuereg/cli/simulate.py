@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from tissuereg.simulate.experiment import CaseSimulation
 
 _DETAILS = (
-    "PATH is an experiment (a folder, or its .toml): OUT gets what the believed model says of every frame, as "
-    "markers.csv, forces.csv, targets.csv in the experiment's own format and case_NAME.npz with displacement_mm "
-    "(frames, n, 3). Or PATH is a data-set recipe (.toml): OUT gets the data set; run again, it goes on where it "
-    "was stopped."
+    "PATH is an experiment (a folder, or its .toml): OUT becomes an experiment of the same rig with what the believed "
+    "model says of every frame as its markers.csv, forces.csv and targets.csv, without noise unless it is asked for, "
+    "and case_NAME.npz with displacement_mm (frames, n, 3) at the nodes of the mesh. The model is the fine one that "
+    "diagnose believes in (pads cut out along their rims, ten-node elements), or the mesh as it is with --plain; "
+    "[simulated] in OUT's experiment.toml says which. Or PATH is a data-set recipe (.toml): OUT gets the data set; "
+    "run again, it goes on where it was stopped."
 )
 
 
@@ -33,9 +35,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("path", metavar="PATH", help="experiment folder or file, or data-set recipe")
     parser.add_argument("--out", required=True, metavar="OUT", help="folder for the results")
     how = parser.add_argument_group("experiment")
-    text = "nodes a tet (default: tet4; a recipe states its own)"
+    how.add_argument("--plain", action="store_true", help="simulate on the mesh as it is, not with the fine model")
+    text = "elements of a plain simulation (default: tet4; a recipe states its own)"
     how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
-    add_common(parser, seed="seed of a data set (default: the recipe's, which is 0 unless it says so)")
+    how.add_argument("--noise", action="store_true", help="add the noise that the experiment states, by --seed")
+    add_common(parser, seed="seed of noise (default: 0), or of a data set (default: the recipe's)")
     parser.set_defaults(run=run)
 
 
@@ -63,9 +67,10 @@ def _run_recipe(args: argparse.Namespace) -> Outcome:
     from tissuereg.simulate.dataset import make_dataset
     from tissuereg.simulate.recipe import read_recipe
 
-    if args.element is not None:
-        message = "--element must be left out for a recipe, which states its own"
-        raise UsageError(message, where="--element")
+    for given, word in ((args.element is not None, "--element"), (args.plain, "--plain"), (args.noise, "--noise")):
+        if given:
+            message = f"{word} must be left out for a recipe, which states what is simulated"
+            raise UsageError(message, where=word)
     recipe = read_recipe(args.path)
     with progress_bar("simulations", quiet=args.quiet) as progress:
         made = make_dataset(recipe, args.out, seed=args.seed, threads=args.threads, progress=progress)
@@ -73,24 +78,35 @@ def _run_recipe(args: argparse.Namespace) -> Outcome:
 
 
 def _run_experiment(args: argparse.Namespace) -> Outcome:
+    from tissuereg.experiment import Simulated
     from tissuereg.io.experiments import read_experiment
-    from tissuereg.simulate.experiment import simulate_experiment
+    from tissuereg.io.simulated import TABLES, write_simulated
+    from tissuereg.simulate.believed import simulate_experiment
+    from tissuereg.simulate.noise import with_noise
 
+    if args.element is not None and not args.plain:
+        message = "--element must come with --plain: the fine model has elements of its own"
+        raise UsageError(message, where="--element")
     clock = Stopwatch()
     experiment = read_experiment(args.path)
-    tables = ("markers.csv", "forces.csv", "targets.csv")
-    refuse_overwriting([Path(args.out) / name for name in tables], [experiment.folder / name for name in tables])
+    refuse_overwriting([Path(args.out) / name for name in TABLES], _inputs(args.path, experiment))
     clock.lap("read")
-    element = args.element or "tet4"
+    said = Simulated("plain", args.element or "tet4") if args.plain else Simulated("fine", "tet10")
     with progress_bar("frames", quiet=args.quiet) as progress:
-        answers = simulate_experiment(experiment, element=element, threads=args.threads, progress=progress)
+        answers = simulate_experiment(
+            experiment, model=said.model, element=said.element, threads=args.threads, progress=progress
+        )
     spent = clock.lap("solve")
-    _write(Path(args.out), experiment, answers)
+    if args.noise:
+        answers = with_noise(experiment, answers, seed=args.seed or 0)
+    write_simulated(Path(args.out), experiment, answers, said)
     clock.lap("write")
     failed = _failed(answers)
     n_frames = sum(len(answer.times) for answer in answers.values())
     content = {
         "schema": "tissuereg.simulate/1",
+        "model": said.model,
+        "element": said.element,
         "cases": {name: len(answer.times) for name, answer in answers.items()},
         "members": n_frames - len(failed),
         "failed": failed,
@@ -101,6 +117,14 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
     return _outcome(content, args)
 
 
+def _inputs(path: str, experiment: "Experiment") -> list[Path]:
+    """Return the files that an experiment is read from, mesh apart."""
+    from tissuereg.io.simulated import TABLES
+
+    file = Path(path) / "experiment.toml" if Path(path).is_dir() else Path(path)
+    return [file, *(experiment.folder / name for name in TABLES)]
+
+
 def _failed(answers: "Mapping[str, CaseSimulation]") -> list[list[Any]]:
     """Return frames without equilibrium, counted through all cases, each with its reason."""
     failed, before = [], 0
@@ -108,31 +132,6 @@ def _failed(answers: "Mapping[str, CaseSimulation]") -> list[list[Any]]:
         failed += [[before + index, f"case '{name}': {reason}"] for index, reason in answer.failed]
         before += len(answer.times)
     return failed
-
-
-def _write(out: Path, experiment: "Experiment", answers: "Mapping[str, CaseSimulation]") -> None:
-    from tissuereg.io.atomic import atomic_folder
-    from tissuereg.io.cases import write_histories
-    from tissuereg.io.npz import write_npz
-
-    with atomic_folder(out) as folder:
-        names = experiment.marker_names
-        markers = {c: (a.times, {n: a.markers[:, i] for i, n in enumerate(names)}) for c, a in answers.items()}
-        write_histories(folder / "markers.csv", "marker", "mm", markers)
-        forces = {case: (answer.times, answer.forces) for case, answer in answers.items() if answer.forces}
-        if forces:
-            write_histories(folder / "forces.csv", "actuator", "mN", forces)
-        targets = {case: (answer.times, answer.targets) for case, answer in answers.items() if answer.targets}
-        if targets:
-            write_histories(folder / "targets.csv", "target", "mm", targets)
-        for number, (case, answer) in enumerate(answers.items()):
-            arrays = {"time_s": answer.times, "displacement_mm": answer.displacement}
-            write_npz(folder / f"case_{_file_word(case, number)}.npz", arrays)
-
-
-def _file_word(case: str, number: int) -> str:
-    plain = all(letter.isalnum() or letter in "-_" for letter in case)
-    return case if plain else str(number)
 
 
 def _outcome(content: dict[str, Any], args: argparse.Namespace) -> Outcome:

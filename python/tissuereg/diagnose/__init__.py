@@ -24,7 +24,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
-    element: str = "tet4",
+    element: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> "Diagnosis": ...
 @overload
@@ -34,7 +34,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
-    element: str = "tet4",
+    element: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> "MaterialDiagnosis": ...
 def diagnose(
@@ -43,7 +43,7 @@ def diagnose(
     seed: int = 0,
     threads: int = 0,
     keep: bool = True,
-    element: str = "tet4",
+    element: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> "Diagnosis | MaterialDiagnosis":
     """Return what the simulation of an experiment gets wrong, and why.
@@ -58,9 +58,11 @@ def diagnose(
         Threads to use; 0 takes all cores. The answer does not depend on it.
     keep : bool
         Whether the bank of causes and the fine meshes' answers are kept for the next experiment of this mesh and rig.
-    element : {"tet4", "tet4-averaged", "tet10"}
-        Elements of the believed model of a body. Four-node ones are stiff in bending; a fine mesh corrects what the
-        believed model says, but not what moves only with a cause: a slender body under its own weight wants others.
+    element : {"tet4", "tet4-averaged", "tet10"}, optional
+        Elements of the believed model of a body; ``"tet4"`` where absent, and those that the data were simulated with
+        where they are a plain simulation's (``[simulated]`` in the experiment's file). Four-node ones are stiff in
+        bending; a fine mesh corrects what the believed model says, but not what moves only with a cause: a slender body
+        under its own weight wants others.
     progress : callable of str, optional
         Called with what is at work.
 

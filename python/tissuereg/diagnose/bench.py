@@ -62,6 +62,12 @@ class Bench:
         """The believed model on a fine mesh."""
         return FineModel(self.experiment)
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether the data were simulated with this model, on this mesh as it is: nothing of it is uncertain."""
+        said = self.experiment.simulated
+        return said is not None and said.model == "plain" and said.element == self.predictor.element
+
     @cached_property
     def is_elastic(self) -> bool:
         """Whether the believed model's frames depend on their own load alone."""

@@ -35,6 +35,9 @@ EFFECT_ERROR = 0.07
 #: squares; and the number of directions that this is kept in.
 FORM_ERROR, ALIKE, MOST_FORMS = 0.3, 0.5, 12
 
+#: A direction shorter than this, over the change, is none.
+_LEAST_FORM = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Nuisances:
@@ -93,7 +96,7 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
             size = MESH_SHARE * _rms(part.markers(mesh_errors)[:, top][..., axis])
             names += [f"mesh {part.name} {axis} {number}" for number in range(len(patterns))]
             columns += list(size * smooth)
-        for i, pad in enumerate(part.pads):
+        for i, pad in enumerate(() if bench.is_exact else part.pads):
             strength = np.linalg.norm(part.forces(bench.base)[:, i], axis=1)
             errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
             # A pad on a curved body is tilted otherwise on every mesh: what they differ by in one component of its
@@ -148,7 +151,7 @@ def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArra
 
 def _shapes(bench: Bench) -> Iterator[tuple[str, FloatArray]]:
     """Yield what another shape of the body and of its patches changes."""
-    directions = shape_directions(bench.experiment)
+    directions = [] if bench.is_exact else shape_directions(bench.experiment)
     for direction, column in zip(directions, bench.by_shapes([one.motion for one in directions]), strict=True):
         yield direction.name, direction.std_mm * column
 
@@ -199,15 +202,18 @@ def other_forms(hypotheses: FloatArray, change: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n, size)
-        Over one prior deviation: together `FORM_ERROR` of the change, along what hypotheses do that do about the same.
+        Over one prior deviation: of what hypotheses do that do about the same, `FORM_ERROR` together, the part that is
+        no multiple of the change itself.
     """
     power, found = float(change @ change), []
     for columns in hypotheses:
         amplitudes = np.linalg.lstsq(columns.T, change, rcond=None)[0]
         alike = amplitudes @ columns
         if float(alike @ alike) >= ALIKE * power > 0.0:
-            found.append(alike * np.sqrt(power / float(alike @ alike)))
+            alike *= np.sqrt(power / float(alike @ alike))
+            found.append(alike - (alike @ change) / power * change)
     if not found:
         return np.zeros((0, len(change)))
     _, sizes, rows = np.linalg.svd(np.array(found) * (FORM_ERROR / np.sqrt(len(found))), full_matrices=False)
-    return np.asarray((sizes[:, None] * rows)[:MOST_FORMS])
+    kept = sizes > _LEAST_FORM * np.sqrt(power)
+    return np.asarray((sizes[:, None] * rows)[kept][:MOST_FORMS])

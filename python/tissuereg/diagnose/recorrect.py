@@ -101,11 +101,12 @@ def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] |
     Returns
     -------
     Target
-        The one given where the answer hangs on more than displacements and the modulus scales more than forces, where
-        the tracker's errors alone or memory were found, and where the fine mesh finds no equilibrium.
+        The one given where the answer depends on more than displacements and the modulus scales more than forces, where
+        the tracker's errors alone or memory were found, where the fine mesh finds no equilibrium, and of data that were
+        simulated with this very mesh.
     """
     bench = target.bench
-    if not bench.scales_forces or any(part.id in ABSOLUTE for part in found.parts):
+    if bench.is_exact or not bench.scales_forces or any(part.id in ABSOLUTE for part in found.parts):
         return target
     if all(issubclass(EFFECTS[part.id], ChainEffect) for part in found.parts):
         return target

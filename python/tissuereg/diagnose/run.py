@@ -45,11 +45,13 @@ def diagnose_body(
     seed: int,
     threads: int,
     keep: bool,
-    element: str,
+    element: str | None,
     progress: Callable[[str], None] | None,
 ) -> Diagnosis:
     """Return what the simulation of a body gets wrong; see `tissuereg.diagnose.diagnose`."""
     experiment = _own_modulus(experiment)
+    said = experiment.simulated
+    element = element or (said.element if said is not None and said.model == "plain" else "tet4")
     layout = Layout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, element=element, threads=threads)
@@ -149,7 +151,10 @@ def make_believed(
         If a frame finds no equilibrium on a fine mesh.
     """
     layout = bench.layout
-    fine, others = refined_predictions(bench, path_of(bench.experiment) if keep else None, progress=progress)
+    if bench.is_exact:
+        fine, others = bench.base, np.zeros((0, layout.size))
+    else:
+        fine, others = refined_predictions(bench, path_of(bench.experiment) if keep else None, progress=progress)
     correction = make_correction(layout, bench.base, fine)
     nuisances = make_nuisances(bench, others - fine)
     correction = _at_modulus(bench, noise, correction, nuisances)

@@ -4,7 +4,7 @@ import numpy as np
 
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment import Experiment
-from tissuereg.simulate.experiment import simulate_experiment
+from tissuereg.simulate.experiment import simulate_plain
 
 
 def target_rms(experiment: Experiment, *, element: str, threads: int) -> float | None:
@@ -15,7 +15,7 @@ def target_rms(experiment: Experiment, *, element: str, threads: int) -> float |
     experiment : Experiment
         With its effects; the user's mesh, uncorrected.
     element : str
-        Elements to use, as `simulate_experiment` takes it.
+        Elements to use, as `simulate_plain` takes it.
     threads : int
         Threads to use; 0 takes all cores.
 
@@ -28,7 +28,7 @@ def target_rms(experiment: Experiment, *, element: str, threads: int) -> float |
     if not measured:
         return None
     try:
-        answers = simulate_experiment(experiment, element=element, threads=threads)
+        answers = simulate_plain(experiment, element=element, threads=threads)
     except TissueRegError:  # a model without equilibrium says nothing of its targets
         return None
     left = [answers[case].targets[name] - found for case, of in measured.items() for name, found in of.items()]

@@ -93,6 +93,8 @@ def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
     if experiment.force_std is not None:
         content["forces"] = {"std_mN": experiment.force_std}
     content["markers"] = _markers(experiment)
+    if experiment.simulated is not None:
+        content["simulated"] = {"model": experiment.simulated.model, "element": experiment.simulated.element}
     content["boundary"] = [_patch(boundary) for boundary in experiment.boundaries]
     content["actuator"] = [{**_patch(actuator), "contact": actuator.contact} for actuator in experiment.actuators]
     content["target"] = [{"name": name, "reference": place.tolist()} for name, place in experiment.targets.items()]

@@ -11,12 +11,15 @@ import numpy as np
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.effects import Effect, check_effects, effect_from_table
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, MeshError
-from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity
+from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
 from tissuereg.io.meshes import nodes_near_plane, read_mesh
 from tissuereg.io.toml import Table, read_toml
 from tissuereg.material import GRAVITY_MM_PER_S2, SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.mesh import Mesh
+
+#: Words of ``[simulated]``.
+MODELS, ELEMENTS = ("fine", "plain"), ("tet4", "tet4-averaged", "tet10")
 
 _CONTROL_TABLES = {"displacement": ("actuators.csv", "mm"), "force": ("forces_applied.csv", "mN")}
 
@@ -62,6 +65,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     targets = _targets(top)
     measured = _measured(top, tables, actuators, targets)
     effects = top.tables("effect")
+    simulated = _simulated(top)
     top.finish()
     experiment = Experiment(
         name=name,
@@ -84,6 +88,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
         trial_share=measured.trial_share,
         surface_std=surface_std,
         surface_length=surface_length,
+        simulated=simulated,
         effects=tuple(_effect(table) for table in effects),
     )
     try:
@@ -199,6 +204,15 @@ def _gravity(top: Table) -> Gravity | None:
     gravity = Gravity(direction, table.flag("in_reference"), strength)
     table.finish()
     return gravity
+
+
+def _simulated(top: Table) -> Simulated | None:
+    table = top.table("simulated")
+    if table is None:
+        return None
+    said = Simulated(table.text("model", among=MODELS), table.text("element", among=ELEMENTS))
+    table.finish()
+    return said
 
 
 def _boundary(table: Table, mesh: Mesh) -> Boundary:

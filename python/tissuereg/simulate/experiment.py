@@ -97,7 +97,7 @@ def believed_case(
     Believed
         A pad is bonded to the shape that the body has when the case begins: with gravity acting, the sagged one.
         A weight that acts in the mesh as given already is left out: it is in balance there, and what it changes of
-        the answer to other loads is not seen. `simulate_experiment` sees it.
+        the answer to other loads is not seen. `simulate_plain` sees it.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def believed_case(
     return Believed(simulator, _loads(experiment, case, pads, held, sag, weight))
 
 
-def simulate_experiment(
+def simulate_plain(
     experiment: Experiment,
     *,
     element: str = "tet4",
@@ -222,7 +222,7 @@ def solve_cases(
     Raises
     ------
     ConvergenceError, ExperimentError
-        As `simulate_experiment`.
+        As `simulate_plain`.
     """
     in_all = sum(len(case.times) for case in cases)
     if goes_through_time(experiment):

@@ -127,7 +127,7 @@ class FineModel:
         -------
         dict of str to CaseSimulation
             One a case, in the experiment's order: its frames, its markers, its targets. Displacements are those of the
-            nodes of `mesh`; where an effect shifts a pad or frees a ball, of a mesh of its own.
+            nodes of the experiment's mesh, where they lie in it.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class FineModel:
             if warm and (self._near is None or self._near[0] is not fine.mesh):
                 self._near = (fine.mesh, {})
             near = self._near[1] if warm and self._near is not None else None
-            readings = _by_load(fine, worked, wanted, threads, near, progress)
+            readings = _by_load(fine, self.experiment.mesh, worked, wanted, threads, near, progress)
         answers = {}
         for case in wanted:
             said = readings[case.name]
@@ -184,7 +184,7 @@ class FineModel:
         n_frames = sum(len(case.times) for case in cases)
         report = Progress(progress, sum(len(case.times) for case in through) + (0 if fully else 2 * n_frames))
         solved = _remembering(worked, through, element, threads, report)
-        reader = Reader(fine, quadratic=fully)
+        reader = Reader(fine, self.experiment.mesh, quadratic=fully)
         readings = {case.name: reader.read(solved[case.name]) for case in cases}
         if fully:
             return readings
@@ -202,7 +202,7 @@ class FineModel:
         for case in cases:
             if case not in missing and (told := report.of(f"{part} of {case.name}")) is not None:
                 told(len(case.times))
-        fresh = _elastic(twin, missing, element, threads, report, part) if missing else {}
+        fresh = _elastic(twin, self.experiment.mesh, missing, element, threads, report, part) if missing else {}
         found = {name: fresh[name] if name in fresh else self._elastic.pop(key) for name, key in keys.items()}
         self._elastic |= {keys[name]: said for name, said in found.items()}
         while len(self._elastic) > _MOST_KEPT:
@@ -266,6 +266,7 @@ def without_time(experiment: Experiment, element: str = "tet10") -> Experiment:
 
 def _elastic(
     fine: Experiment,
+    given: Mesh,
     cases: Sequence[Case],
     element: str,
     threads: int,
@@ -275,7 +276,7 @@ def _elastic(
 ) -> dict[str, Reading]:
     """Return elastic cases, solved in parallel; they begin at fields near by, where given, and leave theirs there."""
     ready = extended(fine, element)
-    reader = Reader(fine, quadratic=element == "tet10")
+    reader = Reader(fine, given, quadratic=element == "tet10")
     share = max(1, threads // max(len(cases), 1))
 
     def read(case: Case) -> Reading:
@@ -302,6 +303,7 @@ def _with_those_before(worked: Experiment, cases: Sequence[Case]) -> list[Case]:
 
 def _by_load(
     fine: Experiment,
+    given: Mesh,
     worked: Experiment,
     cases: Sequence[Case],
     threads: int,
@@ -315,16 +317,16 @@ def _by_load(
     """
     if not goes_through_time(worked):
         report = Progress(progress, sum(len(case.times) for case in cases))
-        return _elastic(fine, cases, "tet10", threads, report, "frames", near)
+        return _elastic(fine, given, cases, "tet10", threads, report, "frames", near)
     cases = _with_those_before(worked, cases)
     states = {case.name: distinct_states(case)[1] for case in cases}
     near = {} if near is None else near
     first = [case for case in cases if len(near.get(case.name, ())) != len(first_frames(states[case.name]))]
     report = Progress(progress, sum(len(case.times) for case in (*cases, *first)))
     if first:
-        _elastic(without_time(fine), first, "tet10", threads, report, "elastic frames", near)
+        _elastic(without_time(fine), given, first, "tet10", threads, report, "elastic frames", near)
     solved = _remembering(worked, cases, "tet10", threads, report, near)
-    reader = Reader(fine, quadratic=True)
+    reader = Reader(fine, given, quadratic=True)
     for case in cases:
         near[case.name] = solved[case.name].all_displacement[first_frames(states[case.name])]
     return {case.name: reader.read(solved[case.name]) for case in cases}

@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from tissuereg._arrays import FloatArray
 from tissuereg.experiment import Experiment
+from tissuereg.mesh import Mesh
 from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.simulate.fine.forces import force_maps, mapped
 from tissuereg.simulate.memory import SolvedCase
@@ -16,7 +19,7 @@ class Reading:
     Attributes
     ----------
     displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
-        Of the mesh's nodes, mm; NaN in frames without equilibrium.
+        Of the given mesh's nodes, mm; NaN in frames without equilibrium.
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
         Where the markers are, mm, before any error of their tracker.
     targets : ndarray of float64, shape (n_frames, n_targets, 3)
@@ -41,11 +44,18 @@ class Reader:
     ----------
     experiment : Experiment
         With the mesh.
+    given : Mesh
+        The one that it was made from: its nodes come first, some of them moved onto a rim.
     quadratic : bool
         Whether fields are those of ten-node elements.
     """
 
-    def __init__(self, experiment: Experiment, *, quadratic: bool) -> None:
+    def __init__(self, experiment: Experiment, given: Mesh, *, quadratic: bool) -> None:
+        self._n_given = given.n_nodes
+        self._moved = np.flatnonzero((experiment.mesh.nodes[: given.n_nodes] != given.nodes).any(axis=1))
+        names = tuple(f"node {node}" for node in self._moved)
+        places = given.nodes[self._moved]
+        self._old = MarkerObservation(experiment.mesh, places, names, quadratic=quadratic) if names else None
         self._markers = MarkerObservation(
             experiment.mesh, experiment.marker_reference, experiment.marker_names, quadratic=quadratic
         )
@@ -55,8 +65,12 @@ class Reader:
     def read(self, solved: SolvedCase) -> Reading:
         """Return what the frames of a case say."""
         field = solved.all_displacement
+        displacement = solved.displacement[:, : self._n_given].copy()
+        if self._old is not None:
+            # Where the node was before it was moved.
+            displacement[:, self._moved] = self._old.predict(field[:, self._old.nodes])
         return Reading(
-            solved.displacement,
+            displacement,
             self._marker_reference + self._markers.predict(field[:, self._markers.nodes]),
             self._targets.reference + self._targets.predict(field[:, self._targets.nodes]),
             solved.forces,

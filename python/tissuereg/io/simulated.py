@@ -1,0 +1,80 @@
+"""A folder with what was simulated of an experiment: an experiment of the same rig, and its displacement fields."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissuereg._arrays import FloatArray
+from tissuereg.experiment import Experiment, Simulated
+from tissuereg.io.atomic import atomic_folder
+from tissuereg.io.cases import write_histories
+from tissuereg.io.experiment_out import write_experiment
+from tissuereg.io.npz import write_npz
+
+if TYPE_CHECKING:
+    from tissuereg.simulate.experiment import CaseSimulation
+
+#: Files that are written beside the fields; those without content are not.
+TABLES = ("experiment.toml", "markers.csv", "forces.csv", "targets.csv", "actuators.csv", "forces_applied.csv")
+
+#: Values by name in the frames of every case, with their times.
+_Histories = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
+
+
+def write_simulated(
+    out: Path, experiment: Experiment, answers: "Mapping[str, CaseSimulation]", said: Simulated
+) -> None:
+    """Write what was simulated, all or nothing.
+
+    Parameters
+    ----------
+    out : Path
+        Folder to write.
+    experiment : Experiment
+        What was simulated; its mesh stays where it is.
+    answers : mapping of str to CaseSimulation
+        All cases.
+    said : Simulated
+        With which model; the experiment file says so.
+
+    Raises
+    ------
+    ExperimentError
+        If what is believed cannot stand in an experiment file.
+    OutputError
+        If the folder cannot be written.
+    """
+    names = experiment.marker_names
+    cases = experiment.cases
+    tables: dict[str, tuple[str, str, _Histories]] = {
+        "markers": (
+            "marker",
+            "mm",
+            {c: (a.times, {n: a.markers[:, i] for i, n in enumerate(names)}) for c, a in answers.items()},
+        ),
+        "forces": ("actuator", "mN", {c: (a.times, a.forces) for c, a in answers.items()}),
+        "targets": ("target", "mm", {c: (a.times, a.targets) for c, a in answers.items()}),
+        "actuators": ("actuator", "mm", {name: (case.times, dict(case.displacements)) for name, case in cases.items()}),
+        "forces_applied": (
+            "actuator",
+            "mN",
+            {name: (case.times, dict(case.applied_forces)) for name, case in cases.items()},
+        ),
+    }
+    with atomic_folder(out) as folder:
+        # Paths are those seen from where the folder will be.
+        described = replace(experiment, folder=out, simulated=said)
+        write_experiment(described, folder / "experiment.toml", seen_from=out)
+        for table, (who, unit, histories) in tables.items():
+            filled = {case: told for case, told in histories.items() if told[1]}
+            if filled:
+                write_histories(folder / f"{table}.csv", who, unit, filled)
+        for number, (case, answer) in enumerate(answers.items()):
+            arrays = {"time_s": answer.times, "displacement_mm": answer.displacement}
+            write_npz(folder / f"case_{_file_word(case, number)}.npz", arrays)
+
+
+def _file_word(case: str, number: int) -> str:
+    plain = all(letter.isalnum() or letter in "-_" for letter in case)
+    return case if plain else str(number)

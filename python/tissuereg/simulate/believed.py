@@ -1,0 +1,62 @@
+"""What is simulated of an experiment: by the model that diagnoses believe in, or on the mesh as it is."""
+
+from collections.abc import Callable
+
+from tissuereg.errors import ExperimentError
+from tissuereg.experiment import Experiment
+from tissuereg.simulate.experiment import CaseSimulation, simulate_plain
+
+
+def simulate_experiment(
+    experiment: Experiment,
+    *,
+    model: str = "fine",
+    element: str = "tet4",
+    threads: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, CaseSimulation]:
+    """Return what is believed of every case of an experiment, its effects included.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is believed (`tissuereg.read_experiment`).
+    model : {"fine", "plain"}
+        `fine`: pads cut out of the surface along their rims, small elements round them, ten nodes each: the model that
+        `tissuereg.diagnose` believes in (`tissuereg.FineModel`). `plain`: the mesh as it is.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Of the plain model; the fine one has its own.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    progress : callable of (int, int), optional
+        Called with frames done and frames in all.
+
+    Returns
+    -------
+    dict of str to CaseSimulation
+        One a case, in the experiment's order; displacements are those of the nodes of its mesh, mm.
+
+    Raises
+    ------
+    ConvergenceError
+        If no frame of a case finds equilibrium, or a mesh that hangs in gravity already has no unloaded shape.
+    ExperimentError
+        If there is no such model, or an effect does not fit the experiment.
+    MeshError
+        If the body cannot be meshed anew, finer.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> rig = tr.read_experiment("rig")  # doctest: +SKIP
+    >>> tr.simulate_experiment(rig)["push_x"].markers.shape  # doctest: +SKIP
+    (24, 25, 3)
+    """
+    if model == "plain":
+        return simulate_plain(experiment, element=element, threads=threads, progress=progress)
+    if model != "fine":
+        message = f"`model` must be 'fine' or 'plain', got '{model}'"
+        raise ExperimentError(message, where="model")
+    from tissuereg.simulate.fine import FineModel
+
+    return FineModel(experiment).simulate(threads=threads, progress=progress)
