@@ -309,7 +309,7 @@ def test_what_was_simulated_is_an_experiment_that_says_with_which_model(tmp_path
         np.testing.assert_allclose(made.cases["lean"].markers, answers["lean"].markers, atol=1e-5)
     code, said, _ = run_json(capsys, "simulate", rig, "--element", "tet10", "--out", tmp_path / "sim", "--quiet")
     assert code != 0
-    assert "--plain" in said["error"]
+    assert "--plain" in said["message"]
 
 
 def test_simulated_noise_is_the_stated_one_by_seed(tmp_path, capsys):

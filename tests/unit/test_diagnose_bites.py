@@ -1,0 +1,187 @@
+"""What every part of a diagnosis stands for, each held by what it does to an answer."""
+
+from dataclasses import replace
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from support.rigs import rig
+from support.targets import part, target_of
+from tissuereg.diagnose import search as search_module
+from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnose.evidence import Null
+from tissuereg.diagnose.fit import fit
+from tissuereg.diagnose.left import left_of
+from tissuereg.diagnose.misfit import Misfit
+from tissuereg.diagnose.noise import Noise, estimate_noise
+from tissuereg.diagnose.nuisances import EFFECT_ERROR, MESH_SHARE, effect_nuisances
+from tissuereg.diagnose.nulls import MESH_SPREAD, draw_nulls
+from tissuereg.diagnose.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
+from tissuereg.diagnose.report.words import ties
+from tissuereg.diagnose.screen import UNKNOWN, Screen
+from tissuereg.diagnose.search import Search, search
+from tissuereg.diagnose.signals import Layout
+from tissuereg.effects import Latency, MarkerSlip, Poisson
+
+
+@pytest.fixture(scope="module")
+def of_two():
+    return target_of(Poisson(poisson=0.3), Latency(latency_s=0.1))
+
+
+def screen_of(target, names, null=None):
+    """Return a screen of some causes and a generic rival that does nothing."""
+    bank = {name: list(CAUSES[name].variants(target.bench)) for name in names}
+    layout = target.bench.layout
+    return Screen(bank, np.zeros((1, 1, layout.size)), target.noise, layout, target.correction, null or target.null)
+
+
+def test_effect_free_draws_have_the_error_of_another_mesh(of_two):
+    layout = of_two.bench.layout
+    screen = screen_of(of_two, ("latency",))
+    error = np.zeros(layout.size)
+    for p in layout.parts:
+        p.markers(error)[:] = 0.2
+    drawn = draw_nulls(screen, of_two.null, of_two.noise, layout, [error], 0).residuals
+    along = of_two.noise.whitened(error, layout)
+    length = float(np.linalg.norm(along))
+    sizes = np.abs(drawn @ along) / length
+    # Each is as large as what was found for the mesh, within a factor; noise alone has a length of one.
+    assert sizes.min() > MESH_SHARE * length / MESH_SPREAD - 5.0
+    assert np.median(sizes) == pytest.approx(MESH_SHARE * length, rel=0.15)
+    assert np.abs(draw_nulls(screen, of_two.null, of_two.noise, layout, [], 0).residuals @ along).max() < 6.0 * length
+
+
+def test_a_mesh_error_that_looks_like_a_cause_raises_that_causes_threshold(of_two):
+    layout = of_two.bench.layout
+    screen = screen_of(of_two, ("latency", "poisson"))
+    like = 2.0 * screen.bank["poisson"][0].columns[0].astype(float)
+    plain = draw_nulls(screen, of_two.null, of_two.noise, layout, [], 0).thresholds
+    asked = draw_nulls(screen, of_two.null, of_two.noise, layout, [like], 0).thresholds
+    assert asked["poisson"] > 2.0 * plain["poisson"]
+
+
+def test_noise_that_lasts_from_frame_to_frame_is_seen_in_the_rest_case():
+    experiment = rig()
+    rng = np.random.default_rng(5)
+    own = rng.standard_normal((200, 6, 3))
+    for frame in range(1, len(own)):
+        own[frame] = 0.6 * own[frame - 1] + 0.8 * own[frame]
+    rest = replace(
+        experiment.cases["rest"], times=np.arange(200.0) - 200.0, markers=experiment.marker_reference + 0.05 * own
+    )
+    changed = replace(experiment, cases={**experiment.cases, "rest": rest})
+    noise = estimate_noise(changed, Layout(changed))
+    assert noise.memory == pytest.approx(0.6, abs=0.06)
+
+
+def test_a_linear_model_passes_through_its_fit(of_two):
+    found = fit(of_two, [part(of_two, "poisson"), part(of_two, "latency")])
+    model = linear_model(of_two, found)
+    away = (found.x - found.mean) / found.deviation
+    assert np.linalg.norm(away) > 0.5
+    slopes = model.columns[len(of_two.null.nuisances) :]
+    # Its coordinates are those of the prior's mean; at those of the fit it leaves what the fit leaves.
+    np.testing.assert_allclose(model.residual - away @ slopes, found.residual, atol=1e-9)
+
+
+def test_what_was_found_has_an_error_of_its_own_beside_further_causes(of_two):
+    bench = of_two.bench
+    layout = bench.layout
+    change = np.zeros(layout.size)
+    for p in layout.parts[1:]:
+        p.markers(change)[..., 0] = 1.0
+    covariance = effect_nuisances(bench, change)
+    for p in layout.parts[1:]:
+        spread = np.sqrt((p.markers(covariance)[..., 0] ** 2).sum(axis=0))
+        # The change itself, and smooth patterns of the same size together.
+        np.testing.assert_allclose(spread, EFFECT_ERROR * np.sqrt(2.0), rtol=0.2)
+    assert not layout.parts[0].markers(covariance).any()
+    # A twentieth of it, here more and there less, is what another form of it does: hardly anything stands out.
+    slope = (layout.reference[:, 0] - layout.reference[:, 0].mean()) / np.ptp(layout.reference[:, 0])
+    wrong = np.zeros(layout.size)
+    for p in layout.parts[1:]:
+        p.markers(wrong)[..., 0] = 0.05 * (1.0 + slope)
+    white = of_two.white(wrong)
+    assert np.linalg.norm(Null(of_two.white(covariance)).reduced(white)) < 0.3 * np.linalg.norm(white)
+
+
+def test_figures_give_each_model_its_own_residuals():
+    layout = Layout(rig())
+    noise = Noise(np.full(6, 0.05), 0.0, 0.0, 0.0, 1.0, 2.0, True)
+    sizes = {BEFORE: 4.0, NAMED: 1.0, GENERIC: 2.0, BELIEVED: 8.0}
+    left = np.array([np.full(layout.size, sizes[row]) for row in range(4)])
+    figures = HeldOut(("down",), np.arange(4.0)[:, None], left)
+    said = held_out_figures(layout, noise, figures, figures)
+    assert [said[f"chi_{name}"] for name in ("base", "named", "generic")] == [8.0, 1.0, 2.0]
+    assert [said[f"rms_{name}_mm"] for name in ("base", "named", "generic")] == pytest.approx([0.4, 0.05, 0.1])
+    assert said["log_density_gain"] == NAMED - BEFORE
+
+
+def test_detectability_is_what_nuisances_do_not_hide(of_two):
+    layout = of_two.bench.layout
+    bare = screen_of(of_two, ("poisson",))
+    variant = bare.bank["poisson"][0]
+    seen = bare.detectability("poisson", variant, np.ones(1))
+    white = of_two.white(variant.columns[0].astype(float))
+    assert seen == pytest.approx(np.linalg.norm(white), rel=1e-4)
+    like = Null(10.0 * white[None])
+    hidden = Screen(bare.bank, np.zeros((1, 1, layout.size)), of_two.noise, layout, of_two.correction, like)
+    assert hidden.detectability("poisson", variant, np.ones(1)) < 0.11
+
+
+def test_what_cannot_be_told_apart_is_said():
+    tied = SimpleNamespace(group=("layer", "fibre"))
+    said = ties(SimpleNamespace(findings=(tied,), next_experiment=None))
+    assert said.count("<li>") == 2
+    assert "layer" in said.lower()
+    alone = ties(SimpleNamespace(findings=(SimpleNamespace(group=("layer",)),), next_experiment=None))
+    assert "<li>" not in alone
+
+
+def test_second_thoughts_drop_what_a_later_cause_makes_needless(of_two, monkeypatch):
+    # Two rounds find a cause that explains a part, then the one that explains all of it.
+    monkeypatch.setattr(import_module("tissuereg.diagnose.recorrect"), "refined_effects", lambda *_: None)
+    target = target_of(Latency(latency_s=0.15))
+    screen = screen_of(target, ("latency", "poisson"))
+    base = fit(target, [])
+    order = iter(("poisson", "latency"))
+    rounds = search_module._round
+
+    def misled(target, screen, base, current, thresholds, progress):
+        name = next(order, None)
+        step = rounds(target, screen, base, current, {"latency": 1e9, "poisson": 1e9}, progress)
+        if name is None:
+            return step
+        parts = [*current.parts, part(target, name)]
+        found = fit(target, parts, start=np.concatenate([current.x, parts[-1].knobs.start]))
+        gain = found.log_evidence - current.log_evidence
+        candidate = search_module.Candidate(name, found, gain, target)
+        return replace(step, candidates=[candidate], found=candidate, proof=None, figures=None)
+
+    monkeypatch.setattr(search_module, "_round", misled)
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    assert found.final.ids == ("latency",)
+    assert [step.found.id for step in found.steps if step.found is not None] == ["latency"]
+    assert base.parts == ()
+
+
+def test_what_findings_leave_is_told_with_its_place_time_and_likeness():
+    slip = MarkerSlip(marker="P3", offset_mm=(0.5, 0.0, 0.0), from_time_s=22.0)
+    target = target_of(Latency(latency_s=0.1), slip)
+    screen = screen_of(target, ("latency", "marker_slip"))
+    base = fit(target, [])
+    found = fit(target, [part(target, "latency")])
+    left = left_of(target.bench.layout, screen, Search(base, found, [], found.residual), Misfit(1e-6, 0.7, 0.2))
+    assert left["p"] == 1e-6
+    assert left["where"][0] == "P3"
+    assert "case in" in left["when"]
+    assert left["looks_like"] == "marker_slip"
+    assert "P3" in left["sentence"]
+    # What looks like nothing is said to.
+    nothing = left_of(
+        target.bench.layout, screen, Search(base, found, [], 0.0 * found.residual), Misfit(0.001, 0.9, 0.2)
+    )
+    assert nothing["looks_like"] == UNKNOWN
