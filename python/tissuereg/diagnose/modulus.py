@@ -45,13 +45,13 @@ def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | 
     Returns
     -------
     Finding or None
-        Its log Bayes factor is that of a modulus which may be anything against its prior: half the square of the prior
-        deviations that it is off, as many for half of the modulus as for twice of it; the proof is against the model
-        whose modulus is as believed. None too where the causes find no equilibrium with that.
+        Its log Bayes factor is that of a modulus which may be anything against its prior, normal in its logarithm: half
+        the square of the prior deviations that it is off, as many for half of the modulus as for twice of it; the proof
+        is against the model whose modulus is as believed. None too where the causes find no equilibrium with that.
     """
     target = found.target or target
     final, bench = found.final, target.bench
-    excess = float(np.expm1(abs(final.x[0]))) / bench.young_spread
+    excess = float(abs(final.x[0])) / bench.young_spread
     deviation = float(np.sqrt(final.covariance[0, 0]))
     if excess < BEYOND or deviation > TOLD * bench.young_spread or "stiffness" in final.ids:
         return None
