@@ -30,11 +30,11 @@ below 5 need not be found.
 
 
 def asked(folder: Path, threads: int) -> dict[str, object]:
-    """Diagnose one folder by the command, nothing kept from before, and return what was said beside its truth."""
+    """Diagnose one folder by the command and return what was said beside its truth."""
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as work:
         answer = Path(work) / "said.json"
-        words = ["diagnose", str(folder), "--no-cache", "--threads", str(threads), "--quiet", "--json", str(answer)]
+        words = ["diagnose", str(folder), "--threads", str(threads), "--quiet", "--json", str(answer)]
         if command(words):
             message = f"{folder.name} was not diagnosed"
             raise SystemExit(message)
@@ -79,7 +79,7 @@ def page(archive: dict) -> str:
         )
         lines.append("| " + " | ".join(cells) + " |")
     right = sum(is_right(row) for row in rows.values())
-    times = f"Times: nothing kept from before, {archive['threads']} threads."
+    times = f"Times: banks and fine meshes of these rigs were kept, threads: {archive['threads']}."
     return "\n".join([*lines, "", f"{right} of {len(rows)} are right. {times}"]) + "\n"
 
 

@@ -168,6 +168,34 @@ def test_second_thoughts_drop_what_a_later_cause_makes_needless(of_two, monkeypa
     assert base.parts == ()
 
 
+def test_a_cause_is_clear_only_if_no_rival_foretells_as_well_what_was_left_out(monkeypatch):
+    # Two causes explain about the same; the one with less evidence is told first.
+    target = target_of(Latency(latency_s=0.15))
+    base = fit(target, [])
+    true, other = (
+        search_module.Candidate(name, found, gain, target)
+        for name, found, gain in (
+            ("latency", fit(target, [part(target, "latency")]), 150.0),
+            ("scale", fit(target, [part(target, "scale")]), 300.0),
+        )
+    )
+    screen = screen_of(target, ("latency", "scale"))
+    asked = {"latency": 6.0, "scale": 6.0}
+    for candidates, clear in (([true], True), ([replace(true, gain=300.0), replace(other, gain=150.0)], True)):
+        monkeypatch.setattr(search_module, "refitted", lambda *_, c=candidates: c)
+        step = search_module._round(target, screen, base, base, asked, None)
+        assert step.found.id == "latency"
+        assert step.is_clear == clear
+    # A rival that foretells better than the one that is named takes its clearness.
+    wrong = replace(other, gain=300.0, fit=other.fit)
+    monkeypatch.setattr(search_module, "refitted", lambda *_: [replace(wrong, id="latency"), true])
+    monkeypatch.setattr(search_module, "PROVED", -1e9)
+    monkeypatch.setattr(search_module, "GENERIC", BEFORE)
+    step = search_module._round(target, screen, base, base, asked, None)
+    if step.found is not None and step.found.fit is wrong.fit:
+        assert not step.is_clear
+
+
 def test_what_findings_leave_is_told_with_its_place_time_and_likeness():
     slip = MarkerSlip(marker="P3", offset_mm=(0.5, 0.0, 0.0), from_time_s=22.0)
     target = target_of(Latency(latency_s=0.1), slip)
