@@ -490,8 +490,24 @@ def test_the_forms_of_what_was_found_stand_beside_further_causes(of_two):
     screen = Screen(bank, np.zeros((1, 1, layout.size)), noise, layout, of_two.correction, of_two.null)
     base = fit(of_two, [])
     found = fit(of_two, [part(of_two, "swelling", 1.0)])
-    _, beyond, _ = _beyond(of_two, screen, base, Candidate("swelling", found, 10.0, of_two))
+    plain, beyond, _ = _beyond(of_two, screen, base, base, Candidate("swelling", found, 10.0, of_two))
     change = of_two.white(found.prediction - base.prediction)
     expected = other_forms(screen.white_columns("swelling"), change)
     assert len(expected)
-    np.testing.assert_allclose(beyond.null.nuisances[-len(expected) :], expected)
+    n = len(of_two.null.nuisances)
+    np.testing.assert_allclose(plain.null.nuisances[n:], expected)
+    np.testing.assert_allclose(beyond.null.nuisances[: n + len(expected)], plain.null.nuisances)
+    assert len(beyond.null.nuisances) > n + len(expected)
+    # Of a second cause it is what that one changes beside the first whose other forms count.
+    both = fit(of_two, [*found.parts, part(of_two, "latency")], start=np.append(found.x, 0.1))
+    screen = Screen(
+        {"latency": list(CAUSES["latency"].variants(of_two.bench))},
+        np.zeros((1, 1, layout.size)),
+        noise,
+        layout,
+        of_two.correction,
+        of_two.null,
+    )
+    further, _, _ = _beyond(plain, screen, base, found, Candidate("latency", both, 10.0, of_two))
+    own = of_two.white(both.prediction - found.prediction)
+    np.testing.assert_allclose(further.null.nuisances[len(plain.null.nuisances) :] @ own, 0.0, atol=1e-6)

@@ -143,7 +143,7 @@ def search(
         steps.append(step)
         if step.found is None:
             break
-        plain, target, current = _beyond(plain, screen, base, step.found)
+        plain, target, current = _beyond(plain, screen, base, current, step.found)
     if len(current.parts) > 1:
         if progress is not None:
             progress("second thoughts")
@@ -187,15 +187,15 @@ def _best_rival(target: Target, current: Fit, candidates: Sequence[Candidate], f
     return -np.inf if held is None else float(held.log_density.sum(axis=1).max())
 
 
-def _beyond(plain: Target, screen: Screen, base: Fit, found: Candidate) -> tuple[Target, Target, Fit]:
-    """Return what is fitted once a cause was found, without and with the error of what was found, and the fit then."""
-    # What was found has an error of its own: that of the mesh was put right, and what is left of it and of the form
-    # stands beside further causes.
-    plain = replace(plain, correction=found.target.correction)
-    change = found.fit.prediction - base.prediction
-    body = plain.white(effect_nuisances(plain.bench, change))
-    others = other_forms(screen.white_columns(found.id), plain.white(change))
-    target = replace(plain, null=Null(np.concatenate([plain.null.nuisances, body, others])))
+def _beyond(plain: Target, screen: Screen, base: Fit, before: Fit, found: Candidate) -> tuple[Target, Target, Fit]:
+    """Return what is fitted once a cause was found, without and with the size of its error, and the fit then."""
+    # What was found has an error of its own: that of the mesh was corrected, what is left of it and of the form stands
+    # beside further causes.
+    forms = other_forms(screen.white_columns(found.id), plain.white(found.fit.prediction - before.prediction))
+    null = Null(np.concatenate([plain.null.nuisances, forms]))
+    plain = replace(plain, correction=found.target.correction, null=null)
+    errors = plain.white(effect_nuisances(plain.bench, found.fit.prediction - base.prediction))
+    target = replace(plain, null=Null(np.concatenate([null.nuisances, errors])))
     return plain, target, fit(target, found.fit.parts, start=found.fit.x) or found.fit
 
 
