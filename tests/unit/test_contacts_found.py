@@ -150,6 +150,29 @@ def test_three_markers_are_enough_to_answer_and_leave_more_unknown(result):
         assert found.target(name).constrained < result.target(name).constrained
 
 
+def test_no_marker_tells_of_a_target_that_few_markers_leave_to_itself(result):
+    targets = {"beside them": (57.0, 3.0, 20.0), "in the far corner": (57.0, 57.0, 22.0)}
+    found = registered(push().markers().only([1, 6, 11]), targets=targets)
+    assert found.target("beside them").flag is None
+    assert found.target("in the far corner").flag == "no marker tells"
+    assert all(target.flag is None for target in result.targets.values())
+    # The region keeps room for a contact that no marker would have seen.
+    settings = tr.RegisterSettings()
+    settings = replace(settings, contacts=replace(settings.contacts, unseen_chance=0.0))
+    without = registered(push().markers().only([1, 6, 11]), targets=targets, settings=settings)
+    room = {name: np.trace(found.target(name).covariance - without.target(name).covariance) for name in targets}
+    assert room["in the far corner"] > 10 * room["beside them"] > 0.0
+
+
+def test_the_nodal_forces_hold_the_registered_body(result):
+    fit = result.draw.fit
+    simulator = fit.columns.body.simulator
+    weight = fit.columns.weight_forces(np.asarray(fit.columns.load(fit.moment.coefficients).body_force))
+    left = simulator.internal_forces(np.ascontiguousarray(result.displacement), MATERIAL) - result.forces - weight
+    free = np.setdiff1d(np.arange(push().mesh.n_nodes), simulator.held_nodes)
+    assert np.linalg.norm(left[free]) < 1e-5 * np.linalg.norm(result.forces)
+
+
 def test_markers_off_the_surface_move_with_it(result):
     markers = push().markers(off=1.5)
     assert np.abs(markers.reference - push().markers().reference).max() == pytest.approx(1.5)
@@ -241,3 +264,12 @@ def test_a_simulation_that_the_markers_contradict_is_left():
     result = registered(push().markers(), simulation=field)
     assert push().errors(result).mean() < 0.15 * moved()
     assert result.markers.before_rms_mm > 10 * result.markers.after_rms_mm
+
+
+def test_an_error_of_a_believed_load_is_of_the_size_of_the_load():
+    # One marker that hardly tells anything: what is left is the prior.
+    markers = tr.Markers(push().markers().reference[:1], push().markers().measured[:1], 50.0)
+    drawn = registered(markers, load=tr.Load(body_force=(0.0, 0.0, -1e-3))).draw
+    (believed,) = [family.columns for family in drawn.fit.columns.families if family.name == "believed"]
+    shares = drawn.spread.coefficients(np.random.default_rng(0), 400)[:, believed]
+    assert 0.1 < np.median(np.abs(shares)) < 1.0

@@ -140,3 +140,17 @@ def test_drawn_coefficients_have_the_mean_and_the_gain_of_the_moments(spread):
     error = drawn.std(axis=0) / np.sqrt(len(drawn))
     assert (np.abs(drawn.mean(axis=0) - mean) < 6 * error + 1e-12).all()
     assert gain.shape == (fit.columns.n_columns, len(fit.posed.variances))
+
+
+@pytest.mark.parametrize("doubt", [{"held": "perhaps"}, {"stiffness": "graded"}])
+def test_what_was_sought_of_supports_or_stiffness_stays_uncertain_in_the_regions(doubt):
+    target = {"deep": (40.0, 20.0, 9.0)}
+    found = tr.register(push().mesh, push().markers(), material=MATERIAL, threads=1, targets=target, **doubt)
+    draw = found.draw
+    alone = Spread(draw.fit, draw.material, draw.spread._settings, 1)
+    nodes = free_nodes(10)
+    rows, places = rows_of(nodes), places_of(draw.fit, nodes)
+    whole, without = (one.points(rows, places).covariance for one in (draw.spread, alone))
+    more = np.trace(whole - without, axis1=1, axis2=2)
+    assert more.min() >= -1e-12 * np.trace(whole, axis1=1, axis2=2).max()
+    assert more.max() > 1e-6

@@ -98,6 +98,15 @@ def test_the_noise_of_a_point_grows_with_what_is_left_of_it():
     assert slope == pytest.approx(1.0 / factor[2] ** 2, rel=1e-6)
 
 
+def test_the_error_of_the_model_is_shared_by_points_close_to_each_other_and_noise_is_not(block_mesh):
+    drawn = Moment(np.zeros(1), np.tile([0.0, 0.0, 3.0], (block_mesh.n_nodes, 1)), Frame.still())
+    many = np.array([[5.0, 5.0, 43.0]] * 6 + [[25.0, 15.0, 43.0]])
+    seen = SeenPoints(block_mesh, many, 0.05, 0.02)
+    std = seen.std(drawn, seen.feet(drawn))
+    assert std[-1] == pytest.approx(np.hypot(0.05, 0.02 * 3.0))
+    assert std[:6] == pytest.approx(np.sqrt(0.05**2 + 6 * (0.02 * 3.0) ** 2))
+
+
 def test_flat_faces_have_no_facet_error_and_a_curved_surface_has_that_of_its_edges(block_mesh):
     assert np.max(facet_errors(block_mesh)) < 1e-6
     phantom = tr.phantom.phantom_mesh()

@@ -1,6 +1,8 @@
 """The answer to "can I trust this?" under known misfits."""
 
 import numpy as np
+import pytest
+from scipy.stats import chi2
 
 from tissuereg.trust import judge
 
@@ -45,3 +47,20 @@ def test_p_values_of_pure_noise_are_uniform():
     p = np.array([verdict(0.1 * rng.standard_normal((8, 3))).p_value for _ in range(400)])
     # Largest distance from uniform: the 1 % point of Kolmogorov's law is 1.63 / sqrt(n).
     assert np.abs(np.sort(p) - (np.arange(400) + 0.5) / 400).max() < 1.63 / np.sqrt(400)
+
+
+@pytest.mark.parametrize(("chance", "trusted"), [(0.02, True), (0.005, False)])
+def test_a_misfit_takes_trust_below_a_chance_of_one_percent(chance, trusted):
+    trust = verdict(np.zeros((8, 3)), prior_misfit=float(chi2.isf(chance, 24)))
+    assert trust.p_value == pytest.approx(chance)
+    assert trust.ok == trusted
+
+
+@pytest.mark.parametrize(("share", "trusted"), [(2.0, True), (0.5, False)])
+def test_one_percent_is_shared_out_among_markers(share, trusted):
+    residual = np.zeros((8, 3))
+    # What the fit has absorbed leaves 0.8 of the noise.
+    residual[5, 0] = 0.1 * np.sqrt(0.8 * chi2.isf(share * 0.01 / 8, 3))
+    trust = verdict(residual)
+    assert trust.ok == trusted
+    assert all(reason.startswith("wrong marker: P5 ") for reason in trust.reasons)

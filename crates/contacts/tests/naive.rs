@@ -91,21 +91,22 @@ fn explained<'a>(each: impl Iterator<Item = (&'a Configuration, f64)>) -> [[f64;
     found
 }
 
-#[test]
-fn a_wrong_group_and_a_contact_beneath_it_have_the_probabilities_of_the_posterior() {
-    let case = beneath();
-    let all = all_of(&case);
-    let wanted = explained(all.iter().zip(posterior(&case, &all)));
+/// Chains that all begin at the same explanation, and are short, against the posterior; with `others` the groups beside
+/// the first are wrong from the start.
+fn weigh_both_explanations(case: &Case, others: bool, sharpness: f64) {
+    let all = all_of(case);
+    let wanted = explained(all.iter().zip(posterior(case, &all)));
     // Two explanations with hardly a way between them but by exchange.
     assert!(wanted[0][1] > 0.2 && wanted[1][0] > 0.2, "{wanted:?}");
     assert!(wanted[0][0] + wanted[1][1] < 0.01, "{wanted:?}");
-    // Chains that all begin at the same explanation, and are short.
     let problem = case.problem();
-    let settings = ChainSettings { powers: vec![1.0; 30], n_kept: 5, ..ChainSettings::default() };
+    let short = ChainSettings { powers: vec![1.0; 30], n_kept: 5, ..ChainSettings::default() };
+    let settings = ChainSettings { sharpness, ..short };
     let n_chains = 1000;
     let uniforms = Numbers::new(11).uniforms(n_chains, problem.n_uniforms(&settings));
     for contact in [None, Some(Contact { patch: 0, size: 1 })] {
         let mut start = Configuration::empty(&problem);
+        start.wrong.fill(others);
         (start.slots[0], start.wrong[0]) = (contact, contact.is_none());
         let starts = vec![start; n_chains];
         let run = problem.run(&settings, uniforms.as_ref(), &starts, Par::Seq).unwrap();
@@ -114,6 +115,31 @@ fn a_wrong_group_and_a_contact_beneath_it_have_the_probabilities_of_the_posterio
         let gaps = found.as_flattened().iter().zip(wanted.as_flattened());
         // A standard error of a share of one half is 0.016 or less.
         assert!(gaps.clone().all(|(f, w)| (f - w).abs() < 0.05), "{found:?} {wanted:?}");
+    }
+}
+
+#[test]
+fn a_wrong_group_and_a_contact_beneath_it_have_the_probabilities_of_the_posterior() {
+    weigh_both_explanations(&beneath(), false, ChainSettings::default().sharpness);
+}
+
+#[test]
+fn another_group_that_is_wrong_for_sure_does_not_change_how_often_they_are_exchanged() {
+    let mut case = beneath();
+    // Far off, where nothing else moves anything: more groups to choose from one way than the other.
+    for row in [0, 4] {
+        case.columns.row_mut(row).fill(0.0);
+        for other in (0..5).filter(|&other| other != row) {
+            (case.observed.noise[(row, other)], case.observed.noise[(other, row)]) = (0.0, 0.0);
+        }
+    }
+    (case.observed.innovation[0], case.observed.innovation[4]) = (6.0, -6.0);
+    // Once the groups are likelier, once the contact: the way there is cut short, or the way back.
+    for share in [0.023_f64, 0.21] {
+        let mut case = case.clone();
+        case.prior.log_filled.iter_mut().for_each(|log| *log += share.ln());
+        // Drawn from a table as sharp as the posterior, contacts are taken as often as the number of groups says.
+        weigh_both_explanations(&case, true, 1.0);
     }
 }
 

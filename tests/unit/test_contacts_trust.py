@@ -1,0 +1,93 @@
+"""What takes trust from an answer by contacts: dropped markers outside their regions, rims of contacts, the misfit."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, norm
+
+import tissuereg as tr
+from support.pushes import ELEMENT, MATERIAL, push
+from tissuereg.contact_answer import Answer, _chance
+from tissuereg.observe import MarkerObservation
+
+#: A region whose axes are not those of the tracker.
+COVARIANCE = np.array([[1.0, 0.6, -0.3], [0.6, 2.0, 0.5], [-0.3, 0.5, 0.7]])
+
+
+def registered(markers: tr.Markers, **options: Any) -> tr.Registration:
+    options = {"material": MATERIAL, "element": ELEMENT, "threads": 1, **options}
+    return tr.register(push().mesh, markers, **options)
+
+
+@pytest.fixture(scope="module")
+def result() -> tr.Registration:
+    return registered(push().markers())
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_one_component_is_as_unlikely_as_its_own_distribution_says(axis: int) -> None:
+    left = np.full(3, np.nan)
+    left[axis] = 1.7
+    wanted = 2.0 * norm.sf(1.7 / np.sqrt(COVARIANCE[axis, axis]))
+    assert _chance(left, COVARIANCE) == pytest.approx(wanted)
+
+
+def test_two_components_are_as_unlikely_as_where_the_third_could_be_anything() -> None:
+    left = np.array([1.0, -1.5, 0.0])
+    wide = COVARIANCE.copy()
+    wide[2, 2] = 1e12
+    score = float(left @ np.linalg.solve(wide, left))
+    assert _chance(np.array([1.0, -1.5, np.nan]), COVARIANCE) == pytest.approx(chi2.sf(score, 2), rel=1e-6)
+    assert _chance(np.full(3, np.nan), COVARIANCE) == 1.0
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.5, True), (2.0, False)])
+def test_a_dropped_marker_is_told_of_below_one_percent_shared_out_among_all(share: float, told: bool) -> None:
+    places = np.random.default_rng(0).normal(size=(20, 3))
+    size = np.sqrt(chi2.isf(share * 0.01 / 20, 3))
+    lost = SimpleNamespace(mean=places[7] - size * np.linalg.cholesky(COVARIANCE)[:, 0], covariance=COVARIANCE)
+    answer: Any = SimpleNamespace(
+        given=SimpleNamespace(markers=tr.Markers(places, places)),
+        known=SimpleNamespace(lost=np.array([7])),
+        fit=SimpleNamespace(wrong=np.where(np.arange(20) == 7, 0.9, 0.0)),
+    )
+    unseen: Any = [lost]
+    found = Answer._wrong(answer, unseen)
+    assert [reason[: len("wrong marker: M8 ")] for reason in found] == (["wrong marker: M8 "] if told else [])
+
+
+def test_the_misfit_is_that_of_the_innovation_where_the_prior_has_a_part_in_it(result: tr.Registration) -> None:
+    trust, misfit = result.trust, result.draw.fit.misfit  # type: ignore[union-attr]
+    assert trust.residual_chi_square < misfit
+    assert trust.chi_square == pytest.approx(misfit)
+
+
+def test_a_push_that_the_prior_of_contacts_cannot_make_takes_trust_though_markers_are_met() -> None:
+    believed = tr.RegisterSettings().contacts
+    narrow = replace(believed, sizes=believed.sizes[:1], background=(1e-6, 0.1), weight=(1e-6, 0.1), wrong_odds=1e-30)
+    found = registered(push().markers(), settings=tr.RegisterSettings(contacts=narrow))
+    assert not found.trust.ok
+    assert found.trust.chi_square > 2.0 * found.trust.residual_chi_square
+
+
+def test_room_for_a_residual_at_a_rim_is_less_than_how_far_the_motion_differs_there(
+    monkeypatch: pytest.MonkeyPatch, result: tr.Registration
+) -> None:
+    # All markers are kept and held against the room that their residual has.
+    monkeypatch.setattr("tissuereg.contact_answer._WRONG", 2.0)
+    markers, mesh = push().markers(), push().mesh
+    observed = MarkerObservation.of(mesh, markers)
+    differs = observed.variation(push().displacement[observed.nodes])
+    at_rim = int(np.argmax(differs))
+    assert differs[at_rim] > 10 * 0.03
+    measured = markers.measured.copy()
+    measured[at_rim] += 2.5 * differs[at_rim] * np.array([0.6, 0.8, 0.0])
+    found = registered(tr.Markers(markers.reference, measured, 0.03))
+    name = markers.names[at_rim]
+    left = np.linalg.norm(found.markers.residual_mm[name])
+    assert left > 1.2 * differs[at_rim]
+    assert any(reason.startswith(f"wrong marker: {name} ") for reason in found.trust.reasons)
+    assert result.trust.ok
