@@ -6,8 +6,9 @@ DIR holds files of one kind, any number of them:
 
 brain        ``REGION_tension.txt``, ``REGION_compression.txt``, ``REGION_simple_shear.txt``: stretch or amount of
              shear, nominal stress in kPa, no header. One diagnosis a region; modes are left out in turn.
-silicone     ``NAME_SPECIMEN.csv``: time s, compression, load, engineering strain, engineering stress kPa, ...; lines
-             with ``#`` are skipped. One diagnosis a silicone (same NAME), specimens left out, and one a file.
+silicone     ``NAME_SPECIMENTEST.csv``: time s, compression, load, engineering strain, engineering stress kPa, ...; lines
+             with ``#`` are skipped. One diagnosis a silicone (same NAME), and one a file. SPECIMEN is a letter and the
+             number of a test of it; whole specimens are left out.
 shear-rates  ``*_RATE_per_s.csv`` with the header time_s, shear, nominal shear stress in kPa. One diagnosis of all
              rates, and one without each rate, which it then foretells.
 
@@ -47,11 +48,11 @@ def read_region(folder: Path, region: str) -> list[Curve]:
 
 
 def read_silicone(path: Path) -> Curve:
-    """Return one compression of a silicone; its name is that of the specimen."""
+    """Return one compression of a silicone; the letter of its name is that of the specimen, the digit of the test."""
     columns = np.loadtxt(path, delimiter=",", comments="#", ndmin=2)
     time, stretch, stress = columns[:, 0], 1.0 + columns[:, 3], columns[:, 4]
     rate = float(abs(stretch[-1] - stretch[0]) / (time[-1] - time[0]))
-    return Curve(path.stem.rsplit("_", 1)[-1], "compression", float(f"{rate:.3g}"), time, stretch, stress)
+    return Curve(path.stem.rsplit("_", 1)[-1][0], "compression", float(f"{rate:.3g}"), time, stretch, stress)
 
 
 def read_rate(path: Path) -> Curve:

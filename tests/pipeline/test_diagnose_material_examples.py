@@ -41,6 +41,8 @@ def test_a_silicone_stiffens_and_reaches_the_published_standard_error(shared_dat
     (row,) = run("silicone", tmp_path, tmp_path / "told.json")
     assert row["groups"] == [["stiffening"]]
     assert row["held_out"]["rms_named_kpa"] < 0.25 * row["held_out"]["rms_base_kpa"]
+    # Whole specimens are left out, each with all of its tests.
+    assert set(row["held_out"]["by_case"]) == {"A", "B"}
     for file in row["files"]:
         # Published: 13 kPa for the neo-Hookean, 0.7 for the best law.
         assert file["neo_hookean_kpa"] == pytest.approx(13.4, abs=0.5)
