@@ -211,15 +211,12 @@ class Answer:
         left = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
         moved = SeenMarkers(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
         variance = self._residual_variance(moved)[used].ravel()
-        # A component that was not seen says nothing.
-        variance[~np.isfinite(left.ravel())] = 1e12
         # Whether a marker is wrong is decided with the contacts; here its residual is held against its noise alone.
         spread = np.zeros((3 * len(used), 3 * len(used)))
         names = tuple(markers.names[i] for i in used)
-        residual = np.nan_to_num(left)
         # The innovation's misfit counts the data term once more: what it has beyond that is the prior's.
-        prior_term = max(0.0, fit.misfit - float(np.sum(residual.ravel() ** 2 / variance)))
-        return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes, points)
+        prior_term = max(0.0, fit.misfit - float(np.nansum(left.ravel() ** 2 / variance)))
+        return judge(names, left, np.diag(variance), spread, prior_term, min_det_f, notes, points)
 
 
 def _chance(left: FloatArray, covariance: FloatArray) -> float:

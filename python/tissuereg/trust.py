@@ -66,7 +66,7 @@ def judge(
     names : tuple of str
         Markers that were used.
     residual : ndarray of float64, shape (n_markers, 3)
-        Measured minus fitted, mm.
+        Measured minus fitted, mm; NaN = not seen, which says nothing and is no observation.
     noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
         Covariance C_d, mm^2.
     posterior_spread : ndarray of float64, shape (3 n_markers, 3 n_markers)
@@ -88,8 +88,9 @@ def judge(
     from scipy.stats import chi2
 
     flat = residual.ravel()
-    n_obs = int(flat.size) + points[1]
-    data_misfit = float(flat @ np.linalg.solve(noise, flat)) + points[0]
+    seen = np.flatnonzero(np.isfinite(flat))
+    n_obs = len(seen) + points[1]
+    data_misfit = float(flat[seen] @ np.linalg.solve(noise[np.ix_(seen, seen)], flat[seen])) + points[0]
     total = data_misfit + prior_misfit
     p_value = float(chi2.sf(total, n_obs))
     reasons = list(notes)
@@ -98,11 +99,13 @@ def judge(
             f"misfit: {_data(len(names), points[1])} and model disagree, {total:.1f} where {n_obs} is expected "
             f"(p = {p_value:.2g}); the noise is larger than stated, the prior too narrow, or the model misses something"
         )
-    limit = float(chi2.isf(LEVEL / max(len(names), 1), 3))
     for index, name in enumerate(names):
-        rows = slice(3 * index, 3 * index + 3)
-        score = _marker_score(flat[rows], noise[rows, rows], posterior_spread[rows, rows])
-        if score > limit:
+        rows = seen[seen // 3 == index]
+        if not len(rows):
+            continue
+        here = np.ix_(rows, rows)
+        score = _marker_score(flat[rows], noise[here], posterior_spread[here])
+        if score > float(chi2.isf(LEVEL / len(names), len(rows))):
             off = np.sqrt(score)
             reasons.append(f"wrong marker: {name} does not fit the others, {off:.1f} standard deviations off")
     if min_det_f <= 0:
@@ -119,7 +122,7 @@ def _marker_score(residual: FloatArray, noise: FloatArray, absorbed: FloatArray)
     """Return the squared Mahalanobis length of a fitted residual, its covariance floored at 5 % of the noise."""
     values, vectors = np.linalg.eigh(noise)
     whiten = vectors / np.sqrt(values)
-    left = np.eye(3) - whiten.T @ absorbed @ whiten
+    left = np.eye(len(residual)) - whiten.T @ absorbed @ whiten
     shares, axes = np.linalg.eigh(0.5 * (left + left.T))
     scaled = axes.T @ (whiten.T @ residual)
     return float(np.sum(scaled**2 / np.maximum(shares, 0.05)))

@@ -49,7 +49,7 @@ def test_a_body_in_a_turned_frame_is_the_same_body_turned(still: tr.Registration
         assert two.constrained == pytest.approx(one.constrained, abs=1e-6)
     assert still.node_covariance is not None
     assert turned.node_covariance is not None
-    # Draws to first order, other ones in the two frames only by the noise that is drawn along the tracker's axes.
+    # From 64 draws, alike in both frames but for the signs of the noise.
     of_nodes = TURNED.rotation @ still.node_covariance @ TURNED.rotation.T
     off = np.abs(turned.node_covariance - of_nodes).max(axis=(1, 2))
     assert np.median(off / np.trace(of_nodes, axis1=1, axis2=2)) < 0.1

@@ -60,7 +60,8 @@ def test_a_dropped_marker_is_told_of_below_one_percent_shared_out_among_all(shar
 
 
 def test_the_misfit_is_that_of_the_innovation_where_the_prior_has_a_part_in_it(result: tr.Registration) -> None:
-    trust, misfit = result.trust, result.draw.fit.misfit  # type: ignore[union-attr]
+    draw: Any = result.draw
+    trust, misfit = result.trust, draw.fit.misfit
     assert trust.residual_chi_square < misfit
     assert trust.chi_square == pytest.approx(misfit)
 

@@ -64,3 +64,24 @@ def test_one_percent_is_shared_out_among_markers(share, trusted):
     trust = verdict(residual)
     assert trust.ok == trusted
     assert all(reason.startswith("wrong marker: P5 ") for reason in trust.reasons)
+
+
+def test_components_that_were_not_seen_are_no_observations():
+    # A camera sees two of three components: p-values are those of what it saw.
+    rng = np.random.default_rng(3)
+    p = []
+    for _ in range(400):
+        residual = 0.1 * rng.standard_normal((8, 3))
+        residual[:, 2] = np.nan
+        trust = verdict(residual)
+        assert trust.n_obs == 16
+        p.append(trust.p_value)
+    assert np.abs(np.sort(p) - (np.arange(400) + 0.5) / 400).max() < 1.63 / np.sqrt(400)
+    # A marker of one component is wrong where one component says so.
+    one = np.full((8, 3), np.nan)
+    one[:, 0] = 0.0
+    limit = float(chi2.isf(0.01 / 8, 1))
+    for share, trusted in ((0.9, True), (1.1, False)):
+        # The posterior takes a fifth of the noise.
+        one[4, 0] = 0.1 * np.sqrt(0.8 * share * limit)
+        assert verdict(one).ok == trusted
