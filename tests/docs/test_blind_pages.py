@@ -16,7 +16,12 @@ def tables(text):
 
 
 @pytest.mark.parametrize(
-    ("page", "archive", "tier"), [("blind", "blind", "full"), ("blind-fine", "blind-fine", "fine")]
+    ("page", "archive", "tier"),
+    [
+        ("blind", "blind", "full"),
+        ("blind-fine", "blind-fine", "fine"),
+        ("blind-sample", "blind-sample", "sample"),
+    ],
 )
 def test_tables_are_those_of_the_archived_verdicts(page, archive, tier, tmp_path, monkeypatch):
     with tarfile.open(ROOT / "benchmarks" / "results" / f"{archive}.tar.xz") as kept:
