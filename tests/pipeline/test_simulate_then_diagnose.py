@@ -74,6 +74,14 @@ def test_what_is_simulated_here_without_an_effect_is_consistent(pads, words, tmp
     assert (said["verdict"], said["causes"], said["left"]) == ("consistent", [], None)
 
 
+def test_a_simulation_without_noise_is_consistent_too(tmp_path, capsys):
+    rig = write_rig(tmp_path / "rig", "sets")
+    run_json(capsys, "simulate", rig, "--out", tmp_path / "made", "--quiet")
+    code, said, _ = run_json(capsys, "diagnose", tmp_path / "made", "--no-cache", "--quiet")
+    assert code == 0
+    assert said["verdict"] == "consistent"
+
+
 def test_a_plain_simulation_is_compared_with_its_own_mesh_and_not_with_a_fine_one(tmp_path, capsys):
     rig = write_rig(tmp_path / "rig", "balls")
     made = tmp_path / "made"

@@ -17,6 +17,9 @@ from tissuereg.experiment import Experiment
 #: A stated standard deviation is kept unless the rest frames contradict it at this level.
 LEVEL = 1e-3
 
+#: No noise is believed to be less than this share of the stated one: frames may be simulated, without any.
+LEAST_SHARE = 0.1
+
 #: Frames below this number say nothing about noise; a hold must have so many to count.
 LEAST_FRAMES, LEAST_HOLD = 6, 4
 
@@ -195,7 +198,7 @@ def _still(experiment: Experiment, layout: Layout) -> list[tuple[FloatArray, int
 def _believed(stated: FloatArray, found: FloatArray, statistic: FloatArray, freedom: float) -> FloatArray:
     """Return the stated deviations where a chi-square statistic does not contradict them, the found ones elsewhere."""
     tail = 2.0 * np.minimum(chi2.sf(statistic, freedom), chi2.cdf(statistic, freedom))
-    return np.where(tail < LEVEL, found, stated)
+    return np.where(tail < LEVEL, np.maximum(found, LEAST_SHARE * stated), stated)
 
 
 def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]]) -> float:
