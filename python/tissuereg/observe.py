@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray, float_array
+from tissuereg._arrays import BoolArray, FloatArray, IntArray, float_array
 from tissuereg._per_mesh import per_mesh
 from tissuereg.errors import MarkerError
 from tissuereg.markers import Markers
@@ -33,6 +33,9 @@ WARN_TARGET_SHARE = 0.01
 #: Offsets below this many mm need no rotation.
 _ON_SURFACE_MM = 1e-3
 
+#: A place lies beyond an edge of a triangle where its weight of the corner across is less than minus this.
+_BEYOND = 1e-6
+
 
 class MarkerObservation:
     """Displacement of markers as a function of the displacement of few nodes.
@@ -48,6 +51,10 @@ class MarkerObservation:
     quadratic : bool
         Whether fields are those of ten-node elements: nodes in the middle of `mesh.edges`, in their order, follow those
         of the mesh.
+    like : MarkerObservation, optional
+        Of the same markers on a mesh of the same tets: feet lie in the same triangles, or on the same edges where they
+        are the closest points of convex ones. For derivatives by the shape of a mesh: the closest triangle of a marker
+        on an edge may change with any step.
 
     Raises
     ------
@@ -62,9 +69,23 @@ class MarkerObservation:
         Distance of every marker from the surface, mm.
     """
 
-    def __init__(self, mesh: Mesh, reference: Any, names: tuple[str, ...], *, quadratic: bool = False) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        reference: Any,
+        names: tuple[str, ...],
+        *,
+        quadratic: bool = False,
+        like: "MarkerObservation | None" = None,
+    ) -> None:
         places = float_array("reference", reference, (None, 3))
-        triangles, weights, feet = _closest_triangles(mesh, places)
+        if like is None:
+            triangles, weights, feet = _closest_triangles(mesh, places)
+            self._free = _free_corners(mesh.nodes[mesh.surface[triangles]], places, weights)
+        else:
+            triangles, self._free = like._triangles, like._free
+            weights, feet = _feet_in(mesh.nodes[mesh.surface[triangles]], places, self._free)
+        self._triangles: IntArray = triangles
         self.distance: FloatArray = np.linalg.norm(places - feet, axis=1)
         _check_distance(self.distance, names, mesh.extent)
         patches = _patches(mesh, triangles)
@@ -258,10 +279,38 @@ def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatA
     proximity: Any = trimesh.proximity  # trimesh leaves these functions without annotations
     feet, _, triangles = proximity.closest_point(surface, places)
     corners = mesh.nodes[mesh.surface[triangles]]
-    to_barycentric: Any = trimesh.triangles.points_to_barycentric
-    weights = np.clip(to_barycentric(corners, feet), 0.0, None)
+    weights = np.clip(_barycentric(corners, feet), 0.0, None)
     weights /= weights.sum(axis=1, keepdims=True)
     return np.asarray(triangles, np.int64), np.asarray(weights), np.asarray(feet)
+
+
+def _free_corners(corners: FloatArray, places: FloatArray, weights: FloatArray) -> BoolArray:
+    """Return which corners (n, 3) span what feet may slide on: a plane, or the edge beyond which a place lies."""
+    beyond = (_barycentric(corners, places) < -_BEYOND).any(axis=1, keepdims=True)
+    return np.logical_or(~beyond, weights > 0.0)
+
+
+def _feet_in(corners: FloatArray, places: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return weights (n, 3) and feet (n, 3): the closest points of planes, or of lines, through free corners."""
+    weights = _barycentric(corners, places)
+    for marker in np.flatnonzero(~free.all(axis=1)):
+        ends = np.flatnonzero(free[marker])
+        first, last = corners[marker, ends[0]], corners[marker, ends[-1]]
+        along = last - first
+        share = (places[marker] - first) @ along / max(float(along @ along), np.finfo(float).tiny)
+        weights[marker] = 0.0
+        weights[marker, ends] = (1.0 - share, share) if len(ends) == 2 else 1.0
+    return weights, np.einsum("nc,ncx->nx", weights, corners)
+
+
+def _barycentric(corners: FloatArray, places: FloatArray) -> FloatArray:
+    """Return the weights (n, 3) of places projected onto the planes of triangles with corners (n, 3, 3)."""
+    if not len(places):
+        return np.empty((0, 3))
+    import trimesh
+
+    to_barycentric: Any = trimesh.triangles.points_to_barycentric
+    return np.asarray(to_barycentric(corners, places), np.float64)
 
 
 def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:

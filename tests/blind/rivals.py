@@ -206,9 +206,9 @@ def look_at(folder: Path, threads: int, *, fine: bool = False) -> Scene:
     correction = Correction(layout)
     if fine:
         correction = make_correction(layout, bench.base, refined_predictions(bench, path_of(experiment))[0])
-    nuisances = make_nuisances(bench, np.zeros((1, layout.size)))
+    nuisances = make_nuisances(bench, np.zeros((1, layout.size)), correction)
     free = [i for i, name in enumerate(nuisances.names) if name == "stiffness" or name.startswith("frame ")]
-    null = Null(noise.whitened(correction.of_columns(nuisances.columns[free]), layout))
+    null = Null(noise.whitened(correction.at_modulus(nuisances.columns[free]), layout))
     residual = np.where(layout.seen, layout.measured - correction.corrected(bench.base), 0.0)
     return Scene(layout, bench, noise, correction, noise.whitened(residual, layout), null)
 

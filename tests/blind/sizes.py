@@ -1,10 +1,11 @@
-"""How large what is uncertain must be, on effect-free data: ``python -m blind.sizes PREDICTIONS``.
+"""How large what is uncertain must be, on effect-free data: ``python -m blind.sizes PREDICTIONS`` or ``--open DIR``.
 
 Evidence that a cause must beat falls as the nuisances of `tissuereg.diagnose` grow; whether they are larger than need
 be tells whether weak effects could be seen. The factor on the prior deviations of every kind is sought under which the
 residuals of all nulls that have been answered are likeliest, the other kinds as they are: 1 is right, below 1 too much
 is taken for uncertain. How far forces are off is told too. Kept in ``PREDICTIONS/sizes.json``, which `blind.score`
-shows.
+shows. ``--open DIR`` looks at the experiment folders in DIR instead (``python -m blind.generator.open_cases nulls DIR``,
+or those of another solver), of which it is known that they have no effect: to tune on.
 """
 
 import argparse
@@ -110,11 +111,11 @@ def force_errors(layout: Layout, predicted: np.ndarray, base: np.ndarray, std: f
 
 
 def kind_of(name: str, pads: set[str]) -> str:
-    """Return the kind of a nuisance: its first word, the mesh's error in forces and in markers apart."""
+    """Return the kind of a nuisance: its first word; the mesh's error in markers, and in forces that bend, apart."""
     words = name.split()
-    if words[0] != "mesh":
+    if words[0] not in ("mesh", "bent"):
         return words[0]
-    return "mesh, forces" if words[-2] in pads else "mesh, markers"
+    return f"{words[0]}, forces" if words[-2] in pads else "mesh, markers"
 
 
 def sizes_of(needs: list[Needs]) -> dict[str, dict[str, float]]:
@@ -139,17 +140,24 @@ def _together(needs: list[Needs], kind: str, factor: float) -> float:
 def main() -> None:
     """Look at the nulls of a folder of predictions and keep what they ask for."""
     parser = argparse.ArgumentParser(prog="python -m blind.sizes", description=__doc__)
-    parser.add_argument("predictions", type=Path, help="folder of answers; only nulls among them are looked at")
+    parser.add_argument("predictions", type=Path, nargs="?", help="answers; only nulls among them are looked at")
+    parser.add_argument("--open", type=Path, help="folder of experiments without an effect")
     parser.add_argument("--work", type=Path, default=BUILD)
     parser.add_argument("--threads", type=int, default=0)
     options = parser.parse_args()
     os.environ.setdefault("TISSUEREG_CACHE", str((options.work / "cache").resolve()))
+    if (options.predictions is None) == (options.open is None):
+        parser.error("either a folder of answers or --open")
+    if options.open is not None:
+        nulls = sorted(file.parent for file in options.open.glob("*/experiment.toml"))
+    else:
+        answered = of_kind(scored(read_predictions(options.predictions)), "null")
+        nulls = [folder_of(null.case, options.work) for null in answered]
     needs = []
-    nulls = of_kind(scored(read_predictions(options.predictions)), "null")
     for number, null in enumerate(nulls, start=1):
-        needs.append(needs_of(folder_of(null.case, options.work), options.threads))
-        print(f"{number}/{len(nulls)} {null.case}", flush=True)
-    kept = options.predictions / "sizes.json"
+        needs.append(needs_of(null, options.threads))
+        print(f"{number}/{len(nulls)} {null.name}", flush=True)
+    kept = (options.predictions or options.open) / "sizes.json"
     found = {"nulls": len(nulls), "sizes": sizes_of(needs)}
     if needs:
         rms = np.sqrt((np.concatenate([case.forces for case in needs]) ** 2).mean(axis=0))

@@ -46,6 +46,7 @@ def test_likelihood_is_that_of_the_whole_covariance():
 def test_forces_and_markers_of_the_mesh_are_told_apart():
     pads = {"push_x"}
     assert kind_of("mesh push_x push_x 2", pads) == "mesh, forces"
+    assert kind_of("bent push_x push_x 2", pads) == "bent, forces"
     assert kind_of("mesh push_x 2 0", pads) == "mesh, markers"
     assert kind_of("tilt of push_x 1", pads) == "tilt"
 

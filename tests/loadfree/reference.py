@@ -7,9 +7,10 @@ from functools import cache
 
 import numpy as np
 
+from loadfree import wrong
 from loadfree.archive import REPOSITORY
 from loadfree.bench import Bench
-from loadfree.events import Body, Event
+from loadfree.events import Body, Event, free_surface
 from loadfree.rivals import Answer, Case, none, registered, rigid, spline
 from tissuereg import Material, Mesh
 
@@ -35,10 +36,10 @@ def read_reference(name: str) -> Body:
     high = (nodes[mesh.surface, 2] > base + ABOVE * mesh.extent).all(axis=1)
     pool, at_pool = _inside(rng, mesh.surface[high], nodes, truth, N_POOL)
     targets, at_targets = _inside(rng, mesh.tets, nodes, truth, N_TARGETS)
-    size = np.linalg.norm(forces, axis=1)
     told = {
         "kind": "traction",
-        "contacts": [{"centre": (size @ nodes / size.sum()).tolist()}],
+        "contacts": [_contact(mesh, forces)],
+        "weight_mN_per_mm3": [0.0, 0.0, 0.0],
         "difference": None,
         "largest_mm": float(np.linalg.norm(truth, axis=1).max()),
         "poisson": poisson,
@@ -46,6 +47,21 @@ def read_reference(name: str) -> Body:
     # The bodies of the bench seed markers and noise; these domes stand at its dome's place.
     events = tuple(Event("dome", n, {**told, "event": n}, truth, at_pool, at_targets) for n in range(N_DRAWS))
     return Body(name, mesh, pool, targets, events)
+
+
+def _contact(mesh: Mesh, forces: np.ndarray) -> dict:
+    """Return a dead load on a patch as the bodies of the bench tell a contact."""
+    size = np.linalg.norm(forces, axis=1)
+    centre = size @ mesh.nodes / size.sum()
+    triangles, normals = free_surface(mesh)
+    normal = normals[np.isin(triangles, np.flatnonzero(size)).all(axis=1)].sum(axis=0)
+    radius = float(np.linalg.norm(mesh.nodes[size > 0.0] - centre, axis=1).max())
+    return {
+        "centre": centre.tolist(),
+        "normal": (normal / np.linalg.norm(normal)).tolist(),
+        "force_mN": forces.sum(axis=0).tolist(),
+        "radii": [radius, radius],
+    }
 
 
 def _inside(
@@ -59,14 +75,23 @@ def _inside(
 
 def contacts(case: Case) -> Answer:
     """Register with nothing known of the load, with the problem's Poisson's ratio and elements."""
-    return registered(case, material=Material(10.0, case.event.told["poisson"]), element="tet4")
+    return _registered(case)
+
+
+def wrong_load(case: Case) -> Answer:
+    """Register about a wrong load: half as large, turned by 30 degrees, 12 mm from where it truly acts."""
+    return _registered(case, load=wrong.wrong_load(case.body, case.event))
+
+
+def _registered(case: Case, **options) -> Answer:
+    return registered(case, material=Material(10.0, case.event.told["poisson"]), element="tet4", **options)
 
 
 REFERENCE = Bench(
     "reference-",
     PROBLEMS,
     read_reference,
-    {"contacts": contacts, "rigid": rigid, "spline": spline, "none": none},
-    ("contacts", "rigid", "spline", "none"),
+    {"contacts": contacts, "wrong_load": wrong_load, "rigid": rigid, "spline": spline, "none": none},
+    ("contacts", "wrong_load", "rigid", "spline", "none"),
     ("spread", "random", "near"),
 )

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from loadfree import archive, run, table
-from loadfree.events import BODIES, read_body
+from loadfree.events import BODIES, read_body, true_load
 from loadfree.gaussian import LENGTHS, gaussian_answer, responses
 from loadfree.layouts import NOISE_MM, chosen
+from loadfree.reference import FOLDER, read_reference
 from loadfree.rivals import METHODS, Case
 from loadfree.wrong import wrong_load, wrongly_told
 from tissuereg import Load
@@ -136,3 +137,17 @@ def test_the_page_is_what_its_command_writes(tmp_path):
     again = tmp_path / "loadfree.md"
     table.write(again)
     assert again.read_text(encoding="utf-8") == table.PAGE.read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(not FOLDER.is_dir(), reason="the reference problems lie beside the repository")
+def test_a_reference_problem_is_told_its_own_load_and_a_wrong_one_of_half_its_size():
+    body = read_reference("dome_4k_pull")
+    with np.load(FOLDER / "dome_4k_pull.npz") as stored:
+        forces = stored["forces_mN"]
+    (contact,) = body.events[0].told["contacts"]
+    np.testing.assert_allclose(true_load(body, body.events[0]).forces.sum(axis=0), forces.sum(axis=0))
+    assert np.dot(contact["normal"], contact["force_mN"]) > 0.5 * np.linalg.norm(contact["force_mN"])
+    loaded = body.mesh.nodes[forces.any(axis=1)]
+    assert np.linalg.norm(loaded - contact["centre"], axis=1).max() == pytest.approx(contact["radii"][0])
+    believed = wrong_load(body, body.events[0])
+    assert np.linalg.norm(believed.forces.sum(axis=0)) == pytest.approx(0.5 * np.linalg.norm(forces.sum(axis=0)))

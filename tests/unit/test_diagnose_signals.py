@@ -12,7 +12,7 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.causes.base import Variant
 from tissuereg.diagnose.causes.tracker import changed_by
-from tissuereg.diagnose.correction import make_correction
+from tissuereg.diagnose.correction import Correction, make_correction
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import FORCE_BENT, FORCE_SHARE, make_nuisances
 from tissuereg.diagnose.patterns import load_history
@@ -207,14 +207,16 @@ def test_forces_may_be_off_in_every_component_as_meshes_differ_in_any(bench):
     pads = [(part, part.forces(bench.base)[:, 0]) for part in bench.layout.parts if part.pads]
     for part, force in pads:
         part.forces(errors)[:, :, 0, 0] = 0.03 * np.linalg.norm(force, axis=1)
-    made = make_nuisances(bench, errors)
+    made = make_nuisances(bench, errors, Correction(bench.layout))
     for part, force in pads:
         strength = np.linalg.norm(force, axis=1)
         top = load_history(part, bench.base) > 0.5
         size = FORCE_SHARE * np.sqrt(((0.03 * strength[top] / strength.max()) ** 2).mean() / 3.0)
         for axis in range(3):
-            mine = [name == f"mesh {part.name} {part.pads[0]} {axis}" for name in made.names]
-            grows, bends = (part.forces(column)[:, 0, axis] for column in made.columns[mine])
+            grows, bends = (
+                part.forces(made.columns[made.names.index(f"{word} {part.name} {part.pads[0]} {axis}")])[:, 0, axis]
+                for word in ("mesh", "bent")
+            )
             assert np.allclose(grows, size * strength)
             # The rest grows with the square of the force.
             assert np.allclose(bends, FORCE_BENT * strength**2 / strength.max())

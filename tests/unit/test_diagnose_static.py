@@ -9,6 +9,7 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.nuisances import make_nuisances
 from tissuereg.diagnose.patterns import LENGTH
 from tissuereg.diagnose.signals import Layout
@@ -75,7 +76,8 @@ def test_a_slip_in_the_only_frame_of_the_last_case_is_named_beside_a_weight_that
 def test_what_trials_differ_by_grows_with_the_motion_and_is_alike_in_a_neighbourhood():
     experiment = shelf(weight=Weight(np.array(DOWN), in_reference=False), trial_share=0.04)
     layout = Layout(experiment)
-    nuisances = make_nuisances(Bench(experiment, layout, element="tet10", threads=1), np.zeros((0, layout.size)))
+    none = np.zeros((0, layout.size))
+    nuisances = make_nuisances(Bench(experiment, layout, element="tet10", threads=1), none, Correction(layout))
     chosen = np.array([name.startswith("trial loaded 1") for name in nuisances.names])
     part = layout["loaded"]
     columns = part.markers(nuisances.columns[chosen])[:, 0, :, 1]
@@ -86,7 +88,7 @@ def test_what_trials_differ_by_grows_with_the_motion_and_is_alike_in_a_neighbour
     away = np.linalg.norm(PLACES[:, None] - PLACES, axis=2)
     assert correlation == pytest.approx(np.exp(-0.5 * (away / (LENGTH * experiment.mesh.extent)) ** 2), abs=1e-6)
     plain = replace(experiment, trial_share=0.0)
-    without = make_nuisances(Bench(plain, layout, element="tet10", threads=1), np.zeros((0, layout.size)))
+    without = make_nuisances(Bench(plain, layout, element="tet10", threads=1), none, Correction(layout))
     assert not any(name.startswith("trial") for name in without.names)
 
 

@@ -15,7 +15,7 @@ from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.tangents import State, Tangents
 from tissuereg.effects import Effect, extended
 from tissuereg.experiment import Experiment
-from tissuereg.simulate.fine import FineModel, without_time
+from tissuereg.simulate.fine import FineModel
 from tissuereg.simulate.memory import goes_through_time
 from tissuereg.simulate.sensitivity import Cause, Field
 
@@ -92,17 +92,6 @@ class Bench:
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
         """Return how everything measured follows relative changes of the modulus; see `Tangents.by_fields`."""
         return self.tangents.by_fields(shares)
-
-    def by_shapes(self, motions: Sequence[FloatArray]) -> FloatArray:
-        """Return how everything measured follows motions of the mesh's nodes; see `Tangents.by_shapes`.
-
-        Of a model that goes through time, how the body that depends on its load alone does.
-        """
-        if self.is_elastic:
-            return self.tangents.by_shapes(motions)
-        timeless = without_time(self.experiment, self.predictor.element)
-        predictor = Predictor(timeless, self.layout, element=self.predictor.element, threads=self.predictor.threads)
-        return Tangents(predictor).by_shapes(motions)
 
     @cached_property
     def by_young(self) -> FloatArray:

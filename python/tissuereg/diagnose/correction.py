@@ -78,7 +78,11 @@ class Correction:
 
     def of_columns(self, columns: FloatArray) -> FloatArray:
         """Return derivatives (..., size) of the believed model as the finer mesh would give them at the modulus."""
-        return self._mapped(columns) * self._scale(self.modulus)
+        return self.at_modulus(self._mapped(columns))
+
+    def at_modulus(self, columns: FloatArray) -> FloatArray:
+        """Return derivatives (..., size) of a fine mesh at the believed modulus as they are at this one."""
+        return np.asarray(columns * self._scale(self.modulus))
 
     def with_effect(self, base: FloatArray, coarse: FloatArray, fine: FloatArray, std: FloatArray) -> "Correction":
         """Return the correction that is right for the believed model and for one with an effect.

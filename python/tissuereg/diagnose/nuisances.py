@@ -7,8 +7,9 @@ import numpy as np
 
 from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.diagnose.bench import Bench
+from tissuereg.diagnose.correction import Correction
 from tissuereg.diagnose.patterns import force_columns, load_history, marker_columns, smooth_patterns
-from tissuereg.diagnose.shape import shape_directions
+from tissuereg.diagnose.shape_columns import shape_columns
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects.base import rotation_from_vector
 
@@ -26,7 +27,7 @@ FORCE_SHARE = 0.35
 
 #: Error of the forces that is expected at least, as a share of them; and one that grows with the square of the force,
 #: at the largest: strains at a pad's rim, where they are singular, grow faster than the load.
-FORCE_LEFT, FORCE_BENT = 0.0025, 0.007
+FORCE_LEFT, FORCE_BENT = 0.0025, 0.005
 
 #: Error of a found cause's form and of its fine mesh, as a share of what it changes.
 EFFECT_ERROR = 0.07
@@ -48,7 +49,7 @@ class Nuisances:
     names : tuple of str
         One a column.
     columns : ndarray of float64, shape (n, size)
-        Over one prior deviation, mm and mN.
+        Over one prior deviation, mm and mN, as a fine mesh gives them at the believed modulus.
     """
 
     names: tuple[str, ...]
@@ -59,7 +60,7 @@ class Nuisances:
         return np.array([other != name for other in self.names], bool)
 
 
-def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
+def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction) -> Nuisances:
     """Return the nuisances of an experiment.
 
     Parameters
@@ -68,6 +69,8 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
         The believed model.
     mesh_errors : ndarray of float64, shape (n_meshes, size)
         Other fine meshes less the one that corrects, mm and mN.
+    correction : Correction
+        Of the mesh's error, at the believed modulus.
 
     Returns
     -------
@@ -103,11 +106,15 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray) -> Nuisances:
             # force they may be off in another.
             size = max(FORCE_SHARE * _rms(errors), FORCE_LEFT)
             largest = max(float(strength.max()), 1e-9)
-            for history, share in ((strength, size), (strength**2 / largest, FORCE_BENT)):
+            for word, history, share in (("mesh", strength, size), ("bent", strength**2 / largest, FORCE_BENT)):
                 for axis, column in enumerate(force_columns(layout, part, i, history)):
-                    names.append(f"mesh {part.name} {pad} {axis}")
+                    names.append(f"{word} {part.name} {pad} {axis}")
                     columns.append(share * column)
-    for name, column in (*_trials(bench, patterns), *_shapes(bench)):
+    for name, column in _trials(bench, patterns):
+        names.append(name)
+        columns.append(column)
+    columns = list(correction.of_columns(np.array(columns)))
+    for name, column in _shapes(bench, correction):
         names.append(name)
         columns.append(column)
     kept = [i for i, column in enumerate(columns) if column.any()]
@@ -149,11 +156,11 @@ def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArra
                 yield f"trial {part.name} {axis} {number}", column
 
 
-def _shapes(bench: Bench) -> Iterator[tuple[str, FloatArray]]:
+def _shapes(bench: Bench, correction: Correction) -> Iterator[tuple[str, FloatArray]]:
     """Yield what another shape of the body and of its patches changes."""
-    directions = [] if bench.is_exact else shape_directions(bench.experiment)
-    for direction, column in zip(directions, bench.by_shapes([one.motion for one in directions]), strict=True):
-        yield direction.name, direction.std_mm * column
+    if not bench.is_exact:
+        for direction, column in shape_columns(bench, correction.corrected(bench.base)):
+            yield direction.name, direction.std_mm * column
 
 
 def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:

@@ -156,9 +156,9 @@ def make_believed(
     else:
         fine, others = refined_predictions(bench, path_of(bench.experiment) if keep else None, progress=progress)
     correction = make_correction(layout, bench.base, fine)
-    nuisances = make_nuisances(bench, others - fine)
+    nuisances = make_nuisances(bench, others - fine, correction)
     correction = _at_modulus(bench, noise, correction, nuisances)
-    white = noise.whitened(correction.of_columns(nuisances.columns), layout)
+    white = noise.whitened(correction.at_modulus(nuisances.columns), layout)
     target = Target(bench, noise, correction, Null(white[nuisances.but("stiffness")]))
     return Believed(target, nuisances, Null(white), others - fine)
 
@@ -167,7 +167,7 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
     """Return a correction with the modulus that forces ask for, if it scales them alone."""
     if not bench.scales_forces:
         return correction
-    others = noise.whitened(correction.of_columns(nuisances.columns[nuisances.but("stiffness")]), bench.layout)
+    others = noise.whitened(correction.at_modulus(nuisances.columns[nuisances.but("stiffness")]), bench.layout)
     found = fit(Target(bench, noise, correction, Null(others)), [])
     return correction if found is None else replace(correction, modulus=found.young(1.0))
 

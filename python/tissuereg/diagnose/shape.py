@@ -5,6 +5,7 @@ conforms to it; flat facets lie beside the smooth surface; a segmented surface i
 is a finding. Each is a direction here, a motion of the mesh's nodes over one mm:
 
 * a patch slides along the surface, in two directions, or grows;
+* its rim, a closed curve, is no circle: it goes out and in twice or three times around the patch;
 * the surface under a pad lies higher, or is tilted;
 * the edge of a support lies elsewhere;
 * the surface as a whole is off along its normal, by a smooth random field, and out to the smooth surface behind the
@@ -19,14 +20,18 @@ import numpy as np
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.experiment import Actuator, Boundary, Experiment
 from tissuereg.mesh import Mesh
+from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.fine.folds import Folds, folds_of
 from tissuereg.simulate.fine.meshing import rim_of
 from tissuereg.simulate.fine.rims import sharp_nodes
 from tissuereg.simulate.fine.third import gaps
 
-#: Deviations of a patch's place along the surface, of its radius, and of its height at its edge, where none is stated:
-#: shares of its radius.
+#: Deviations of a patch's place along the surface and of its rim's waves, of its radius, and of its height at its edge,
+#: where none is stated: shares of its radius.
 PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE = 0.03, 0.01, 0.02
+
+#: How often a rim goes out and in around its patch. Once is another place.
+WAVES = (2, 3)
 
 #: Length over which the surface is off alike where none is stated, over the extent of the body.
 LENGTH_SHARE = 0.2
@@ -63,33 +68,37 @@ class Direction:
     std_mm: float
 
 
-def shape_directions(experiment: Experiment) -> list[Direction]:
+def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[Direction]:
     """Return the ways in which the body of an experiment may have another shape.
 
     Parameters
     ----------
     experiment : Experiment
         With its mesh and patches, and their deviations where stated.
+    given : Mesh, optional
+        The mesh whose facets the experiment's own mesh divides; facets lie beside the smooth surface as those of it do.
 
     Returns
     -------
     list of Direction
-        Six a pad, one a support whose edge is no edge of the body, and those of the surface as a whole.
+        Ten a pad, one a support whose edge is no edge of the body, and those of the surface as a whole.
     """
-    surface = _Surface(experiment)
+    surface = _Surface(experiment, given or experiment.mesh)
     found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
     found += [direction for support in experiment.boundaries for direction in _of_support(surface, support)]
     return [*found, *_of_surface(surface, experiment)]
 
 
 class _Surface:
-    """The surface of a body: normals, sharp edges, whose nodes are whose."""
+    """The surface of a body: normals, gaps to a smooth one, sharp edges, whose nodes are whose."""
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, given: Mesh) -> None:
         self.mesh: Mesh = experiment.mesh
         self.folds: Folds = folds_of(self.mesh.nodes, self.mesh.surface)
         self.normals = _node_normals(self.mesh, self.folds)
-        self.gaps = gaps(self.mesh)
+        between = gaps(given)
+        self.facets = float(np.sqrt((between[given.surface_nodes] ** 2).sum(axis=1).mean()))
+        self.gaps = between if given is self.mesh else _carried(given, between, self.mesh)
         self.sharp = sharp_nodes(self.mesh.nodes, self.mesh.surface)
         self.patches: Sequence[Actuator | Boundary] = (*experiment.actuators, *experiment.boundaries)
 
@@ -115,11 +124,12 @@ class _Surface:
 def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
     mesh, inside = surface.mesh, surface.of(pad)
     normal = surface.normals[inside].mean(axis=0) if len(inside) else np.zeros(3)
-    if np.linalg.norm(normal) < _ROUND:
-        return
-    normal /= np.linalg.norm(normal)
     rim = rim_of(pad)
     radius = surface.radius(inside) if rim is None else rim.radius
+    if np.linalg.norm(normal) < _ROUND:
+        yield from _of_grip(surface, pad, radius)
+        return
+    normal /= np.linalg.norm(normal)
     place, size, height = (
         share * radius if pad.edge_std is None else pad.edge_std for share in (PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE)
     )
@@ -129,7 +139,12 @@ def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
     sides = np.array([first, np.cross(normal, first)])
     for number, side in enumerate(sides):
         yield Direction(f"place of {pad.name} {number}", surface.along(near * side), place)
-    yield Direction(f"size of {pad.name}", surface.along(near * arms / radius), size)
+    outwards = surface.along(near * arms / radius)
+    yield Direction(f"size of {pad.name}", outwards, size)
+    angle = np.arctan2(arms @ sides[1], arms @ sides[0])
+    for times in WAVES:
+        for number, wave in enumerate((np.cos(times * angle), np.sin(times * angle))):
+            yield Direction(f"rim of {pad.name} {times} {number}", wave[:, None] * outwards, place)
     # Facets lie off the smooth surface, and each at its own angle.
     across = float(np.hypot(height, np.sqrt((surface.gaps[inside] ** 2).sum(axis=1).mean())))
     yield Direction(f"height of {pad.name}", near * normal, across)
@@ -137,7 +152,17 @@ def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
         yield Direction(f"tilt of {pad.name} {number}", (arms @ side / radius)[:, None] * near * normal, across)
 
 
-def _of_support(surface: _Surface, support: Boundary) -> Iterator[Direction]:
+def _of_grip(surface: _Surface, pad: Actuator, radius: float) -> Iterator[Direction]:
+    """Yield those of a pad that goes round the body: it slides along its surface, and its edge lies elsewhere."""
+    near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), REACH * radius))[:, None]
+    for axis, side in enumerate(np.eye(3)):
+        motion = surface.along(near * side)
+        if motion.any():
+            yield Direction(f"place of {pad.name} {axis}", motion, pad.edge_std or PLACE_SHARE * radius)
+    yield from _of_support(surface, pad)
+
+
+def _of_support(surface: _Surface, support: Actuator | Boundary) -> Iterator[Direction]:
     mesh, inside = surface.mesh, surface.of(support)
     beyond = mesh.surface[~np.isin(mesh.surface, inside).all(axis=1)]
     rim = np.setdiff1d(np.intersect1d(inside, beyond), np.flatnonzero(surface.stays(support)))
@@ -158,7 +183,7 @@ def _of_surface(surface: _Surface, experiment: Experiment) -> Iterator[Direction
     mesh = surface.mesh
     held = [support.nodes for support in experiment.boundaries]
     free = np.setdiff1d(mesh.surface_nodes, np.concatenate(held) if held else [])
-    facets = float(np.sqrt((surface.gaps[mesh.surface_nodes] ** 2).sum(axis=1).mean()))
+    facets = surface.facets
     if facets > 1e-6 * mesh.extent:
         yield Direction("facets", surface.gaps / facets, facets)
     std = float(np.hypot(experiment.surface_std, facets))
@@ -194,6 +219,15 @@ def _node_normals(mesh: Mesh, folds: Folds) -> FloatArray:
     for corner in range(3):
         np.add.at(total, mesh.surface[:, corner], folds.normals * folds.areas[:, None])
     return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny))
+
+
+def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
+    """Return a motion (n_nodes, 3) of a surface on a mesh that divides its facets; zero inside."""
+    places = mesh.nodes[mesh.surface_nodes]
+    between = MarkerObservation(given, places, tuple(f"node {node}" for node in mesh.surface_nodes))
+    carried = np.zeros_like(mesh.nodes)
+    carried[mesh.surface_nodes] = between.predict(motion[between.nodes])
+    return carried
 
 
 def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:

@@ -245,7 +245,9 @@ class _Moved:
         self._experiment = replace(worked, mesh=Mesh(mesh.nodes + step * motion, mesh.tets, mesh.node_sets))
         self._simulator = Simulator(self._experiment.mesh, element=predictor.element)
         layout = predictor.layout
-        self._observation = MarkerObservation(self._experiment.mesh, layout.reference, layout.marker_names)
+        self._observation = MarkerObservation(
+            self._experiment.mesh, layout.reference, layout.marker_names, like=predictor.observation
+        )
 
     def out_of_balance(self, field: FloatArray, state: State) -> FloatArray:
         """Return the nodal forces of pads that pull less those that hold a displacement of all nodes, mN."""

@@ -175,9 +175,7 @@ class FineModel:
         progress: Callable[[int, int], None] | None,
     ) -> dict[str, Reading]:
         """Return cases that go through time, in ten-node elements or corrected by their elastic answers."""
-        # Four-node elements lock where ten-node ones do not; there their averaged kin stand in.
-        locks = float(extended(fine, "tet4").material.poisson_array.max()) > _LOCKS_ABOVE
-        rough = "tet4-averaged" if locks else "tet4"
+        rough = rough_element(fine)
         element = "tet10" if fully else rough
         worked = extended(fine, element)
         through = _with_those_before(worked, cases)
@@ -240,6 +238,12 @@ class FineModel:
 def _shifted(pad: Actuator, shift: Vector) -> Actuator:
     rule: Any = pad.rule
     return replace(pad, rule={**rule, "centre_mm": (np.asarray(rule["centre_mm"]) + shift).tolist()})
+
+
+def rough_element(experiment: Experiment) -> str:
+    """Return elements of first order for an experiment: four-node ones, averaged where they would lock."""
+    locks = float(extended(experiment, "tet4").material.poisson_array.max()) > _LOCKS_ABOVE
+    return "tet4-averaged" if locks else "tet4"
 
 
 def without_time(experiment: Experiment, element: str = "tet10") -> Experiment:
