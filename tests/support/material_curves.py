@@ -6,11 +6,14 @@ fine grid of times by the midpoint rule. Paths: a ramp to the largest strain, a 
 
 import itertools
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import tissuereg as tr
+from tissuereg.diagnose.material.data import data_of, path_arc
+from tissuereg.diagnose.material.weights import generic_covariance
 from tissuereg.material_experiment import Curve, MaterialExperiment
 
 MU = 10.0 / 3.0
@@ -176,6 +179,34 @@ def histories(rng, answer, *, modes=("tension", "simple-shear"), rates=(0.01, 0.
             times, strain = ramp_and_hold(size, rate, 100.0) if path == "hold" else cycles(size, rate)
             curves.append(measured("a", mode, rate, times, strain, spoilt(answer(mode, times, strain), rng, noise)))
     return curves
+
+
+def with_lasting_errors(curves, rng, size=0.02):
+    """Return curves with errors of a share of the stress that last a quarter of the way, a fifth of them rough."""
+    return [_off(curve, rng, size, np.eye(len(curve.amounts))) for curve in curves]
+
+
+def _off(curve, rng, size, rough):
+    arc = path_arc(curve)
+    level = np.abs(curve.stress) + 0.1 * np.abs(curve.stress).max()
+    smooth = np.exp(-0.5 * ((arc[:, None] - arc[None, :]) / 0.25) ** 2)
+    factor = np.linalg.cholesky(0.8 * smooth + (0.2 + 1e-9) * rough)
+    return replace(curve, stress=curve.stress + size * level * (factor @ rng.standard_normal(len(arc))))
+
+
+def with_smooth_misfit(curves, rng, size):
+    """Return curves with a misfit that modes do not share and that no cause of the catalogue has, over their stress."""
+    data = data_of(believed(curves), max_rows=10**6)
+    factor = np.linalg.cholesky(generic_covariance(data) + 1e-12 * np.diag(data.level**2))
+    misfit = size * factor @ rng.standard_normal(len(data.stress))
+    parts = np.split(misfit, np.cumsum([len(rows) for rows in data.rows])[:-1])
+    return [replace(curve, stress=_added(curve, *part)) for curve, *part in zip(curves, data.rows, parts, strict=True)]
+
+
+def _added(curve, rows, misfit):
+    stress = curve.stress.copy()
+    stress[rows] += misfit
+    return stress
 
 
 def believed(curves, young=10.0, folder=Path(), **changes):

@@ -12,7 +12,7 @@ from tissuereg._version import __version__
 from tissuereg.diagnose.material.advice import best_test
 from tissuereg.diagnose.material.causes import CAUSES
 from tissuereg.diagnose.material.data import BoolArray
-from tissuereg.diagnose.material.fit import effects_of
+from tissuereg.diagnose.material.fit import Fit, effects_of
 from tissuereg.diagnose.material.search import LEAST_SEPARABILITY, Finding
 from tissuereg.diagnose.material.verdict import MISFIT, Outcome
 from tissuereg.effects import Effect
@@ -41,7 +41,7 @@ def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> di
         As experiment-format says, with ``kind = "material-test"``; lengths become stresses (``rms_base_kpa``), and
         ``held_out`` has ``unit`` and ``by_case`` beside them.
     """
-    parameters = _parameters(outcome)
+    parameters = {} if outcome.refined is None else parameters_of(outcome.refined.fit, outcome.known.ids)
     causes = [
         {
             "id": finding.id,
@@ -89,11 +89,21 @@ def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> di
     }
 
 
-def _parameters(outcome: Outcome) -> dict[str, dict[str, list[float]]]:
-    """Return value and standard deviation of the numbers of every finding, by linear propagation."""
-    if outcome.refined is None:
-        return {}
-    fit = outcome.refined.fit
+def parameters_of(fit: Fit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+    """Return the numbers of every finding, with standard deviations by linear propagation of the fit's covariance.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the findings.
+    ids : sequence of str
+        Of its forms, in their order.
+
+    Returns
+    -------
+    dict of str to dict of str to [float, float]
+        By id, then by key of the effect's table: value and standard deviation.
+    """
     plain = [_numbers(effect) for effect in fit.effects]
     columns: list[list[FloatArray]] = [[] for _ in plain]
     for i, std in enumerate(np.sqrt(np.diag(fit.covariance))):
@@ -103,7 +113,7 @@ def _parameters(outcome: Outcome) -> dict[str, dict[str, list[float]]]:
             after = _numbers(effect)
             column.append(np.array([(after[key] - before[key]) / (1e-3 * std) for key in before]))
     told = {}
-    for id, before, column in zip(outcome.known.ids, plain, columns, strict=True):
+    for id, before, column in zip(ids, plain, columns, strict=True):
         slopes = np.stack(column, axis=1)
         spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fit.covariance, slopes))
         told[id] = {key: [value, float(s)] for (key, value), s in zip(before.items(), spread, strict=True)}
@@ -227,6 +237,11 @@ def _sentences(outcome: Outcome) -> list[str]:
     said.append(f"With {what[outcome.unit]} left out of the fit its error falls {fall}.")
     if outcome.p_misfit <= MISFIT:
         said.append(f"A remainder beyond the noise is left: {outcome.explained:.0%} of the misfit are explained.")
+        assert outcome.refined is not None  # there are findings
+        said.append(
+            f"The form found cannot follow some {outcome.refined.form_error:.1%} of the stress: the deviations stated "
+            "allow for that within the modes, rates and strains tested."
+        )
     if outcome.unit == "part":
         said.append(
             "Nothing but the last part could be left out: provisional until another mode, rate or specimen is tested."

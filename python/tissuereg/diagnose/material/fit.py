@@ -65,7 +65,8 @@ class Fit:
     x : ndarray of float64, shape (n,)
         Logarithm of the modulus, then the numbers of each form.
     covariance : ndarray of float64, shape (n, n)
-        Of `x`.
+        Of `x`, by the curvature: that of a form that is right under noise that is as it was weighed. What is handed
+        on is widened by `deviations.stated`.
     share : float
         Size of a generic misfit beside it, over the stress.
     evidence : float

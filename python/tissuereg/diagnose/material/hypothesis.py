@@ -12,7 +12,7 @@ from tissuereg.diagnose.material.fit import Fit, Problem, fitted
 from tissuereg.diagnose.material.weights import SHARES, weights_of
 
 #: Prior weight of no generic misfit beside named causes; the rest is spread over its sizes.
-_NO_MISFIT = 0.5
+NO_MISFIT = 0.5
 
 #: Log evidence that a form with more numbers must gain over one with fewer.
 _SIMPLER = 3.0
@@ -142,12 +142,12 @@ def refitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArra
     """
     plain = fitted(problem, forms, starts)
     share = _likeliest_share(problem, plain)
-    small = math.log((1.0 - _NO_MISFIT) / len(SHARES))
+    small = math.log((1.0 - NO_MISFIT) / len(SHARES))
     if share == 0.0:
-        return plain, plain.evidence + math.log(_NO_MISFIT)
+        return plain, plain.evidence + math.log(NO_MISFIT)
     beside = fitted(problem, forms, [plain.x], share)
-    evidence = float(np.logaddexp(plain.evidence + math.log(_NO_MISFIT), beside.evidence + small))
-    return (beside if beside.evidence + small > plain.evidence + math.log(_NO_MISFIT) else plain), evidence
+    evidence = float(np.logaddexp(plain.evidence + math.log(NO_MISFIT), beside.evidence + small))
+    return (beside if beside.evidence + small > plain.evidence + math.log(NO_MISFIT) else plain), evidence
 
 
 def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> list[Form]:
@@ -161,7 +161,7 @@ def _likeliest_share(problem: Problem, fit: Fit) -> float:
 
     def score(share: float) -> float:
         white = problem.weights.whitened(residual, share)
-        prior = _NO_MISFIT if share == 0.0 else (1.0 - _NO_MISFIT) / len(SHARES)
+        prior = NO_MISFIT if share == 0.0 else (1.0 - NO_MISFIT) / len(SHARES)
         return -0.5 * float(white @ white) - problem.weights.log_size(share) + math.log(prior)
 
     return max((0.0, *SHARES), key=score)

@@ -3,13 +3,16 @@
 Evidence needs the noise as it is, errors that last along a curve included; such weights trust slopes more than levels,
 and where a law is a little wrong they may foretell worse than rows that all count alike. Which of the two, and
 which form of a law, held-out data decide; for a lone curve, whose rest is no fair judge of forms, the fit itself.
+Weights choose the numbers; their deviations are those of the noise as it is and of the form's own error (`deviations`).
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissuereg.diagnose.material.causes import CAUSES, Form
+from tissuereg.diagnose.material.deviations import stated
 from tissuereg.diagnose.material.fit import Fit, fitted
 from tissuereg.diagnose.material.holdout import Bench, Foretold, foretold
 from tissuereg.diagnose.material.hypothesis import Hypothesis
@@ -30,16 +33,19 @@ class Refined:
     Attributes
     ----------
     fit : Fit
-        Of all rows.
+        Of all rows; its covariance carries the error of its form.
     foretold : Foretold
         Held-out data by the same form and weights.
     weighting : {"lasting errors", "rows alike"}
         Which noise the rows were given.
+    form_error : float
+        Size of what the form cannot follow, over the stress.
     """
 
     fit: Fit
     foretold: Foretold
     weighting: str
+    form_error: float = math.nan
 
 
 def refined(search: Search, none: Hypothesis, known: Hypothesis, noise: Noise) -> Refined:
@@ -57,16 +63,17 @@ def refined(search: Search, none: Hypothesis, known: Hypothesis, noise: Noise) -
     Returns
     -------
     Refined
-        One of the forms tried of each cause.
+        One of the forms tried of each cause, with its deviations.
     """
-    benches = {"lasting errors": search.bench, "rows alike": _rows_alike(search.bench, noise)}
+    benches = {"lasting errors": search.bench, "rows alike": rows_alike(search.bench, noise)}
     if search.bench.unit == "part":
         # What lasts along a lone curve is told from memory by its noise; a law without memory is no such rival.
         del benches["rows alike" if known.fit.model.remembers else "lasting errors"]
     best = min((_of(bench, known.fit, name) for name, bench in benches.items()), key=lambda r: _error(search, r))
     for cause in (cause for cause in known.ids if CAUSES[cause].slot == "law"):
         best = _best_form(search, none, replace(known, fit=best.fit), cause, best, benches)
-    return best
+    said = stated(benches[best.weighting], best.fit)
+    return replace(best, fit=said.fit, form_error=said.form_error)
 
 
 def _best_form(
@@ -118,11 +125,24 @@ def _error(search: Search, refined: Refined) -> float:
     return float(np.sqrt(np.mean((data.stress - data.modelled(refined.fit.model)) ** 2)))
 
 
-def _rows_alike(bench: Bench, noise: Noise) -> Bench:
+def rows_alike(bench: Bench, noise: Noise) -> Bench:
+    """Return a bench on which the rows of a curve count alike in fits.
+
+    Parameters
+    ----------
+    bench : Bench
+        Rows, covariances and folds.
+    noise : Noise
+        Of the curves.
+
+    Returns
+    -------
+    Bench
+        Errors stay counted in units of the true noise.
+    """
     data = bench.problem.data
     peaks = np.array([float(np.nanmax(np.abs(curve.stress))) for curve in data.curves])
     size = np.maximum(noise.std, _ALIKE * peaks)[data.curve_of]
     own = np.diag(size**2)
     problem = replace(bench.problem, weights=weights_of(own, np.zeros_like(own)))
-    # Errors stay counted in units of the true noise.
     return replace(bench, problem=problem, fitting=own)

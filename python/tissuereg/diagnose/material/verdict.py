@@ -101,7 +101,7 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
         With all figures of the answer.
     """
     rng = np.random.default_rng(seed)
-    bench, noise = _bench(experiment)
+    bench, noise = bench_of(experiment)
     problem, scene = bench.problem, scene_of(experiment)
     none = nothing(problem)
     forms = visible({id: cause.forms(scene) for id, cause in CAUSES.items()})
@@ -145,7 +145,21 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     )
 
 
-def _bench(experiment: MaterialExperiment) -> tuple[Bench, Noise]:
+def bench_of(experiment: MaterialExperiment) -> tuple[Bench, Noise]:
+    """Return all that fits and proofs of an experiment need.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Beliefs and curves.
+
+    Returns
+    -------
+    bench : Bench
+        Rows, covariances and folds.
+    noise : Noise
+        Of the curves.
+    """
     data, noise = data_of(experiment), noise_of(experiment)
     own, generic = covariance(data, noise), generic_covariance(data)
     base = model_of(experiment)
