@@ -54,3 +54,29 @@ def test_the_solver_tables_are_those_of_the_json():
     assert text.split(tables.BEGIN + "\n")[1].split(tables.END)[0] == tables.tables(answer)
     answer["many"]["ms_a_member"] += 1.0
     assert tables.tables(answer) not in text
+
+
+def test_the_page_of_parts_of_material_tests_is_that_of_its_archive():
+    script = loaded("material_parts")
+    archive = json.loads((BENCHMARKS / "results" / "material-parts.json").read_text(encoding="utf-8"))
+    kept = (BENCHMARKS.parent / "docs" / "material-parts.md").read_text(encoding="utf-8")
+    assert script.page(archive) == kept
+    # Numbers of one part lie within two stated deviations of another's; by curvature alone they would not.
+    adhesive = archive["measured"]["adhesive"]["pairs"]
+    apart = {kind: [z for pair in adhesive if pair["same_form"] for z in pair[kind].values()] for kind in script.KINDS}
+    assert max(apart["stated"]) <= 2.0 < max(apart["right"])
+    next(iter(archive["known"].values()))["rows alike"]["stated"]["within_two"] = 0.123
+    assert script.page(archive) != kept
+
+
+def test_parts_are_compared_by_their_difference_or_by_the_smaller_one():
+    script = loaded("material_parts")
+    one, other = {"b": [1.0, 0.3]}, {"b": [1.5, 0.4]}
+    assert script.distances(one, other, "apart")["b"] == pytest.approx(1.0)
+    assert script.distances(one, other, "within")["b"] == pytest.approx(0.5 / 0.3)
+    a, b = object(), object()
+    assert script.pairs({"a": [a], "b": [b], "both": [a, b]}) == [
+        ("a", "b", "apart"),
+        ("a", "both", "within"),
+        ("b", "both", "within"),
+    ]

@@ -57,3 +57,14 @@ def test_an_adhesive_relaxes_and_an_unseen_rate_is_foretold(shared_data, tmp_pat
         unseen = row["unseen"]
         assert unseen["rms_extended_kpa"] < 0.1 * unseen["peak_kpa"]
         assert unseen["rms_extended_kpa"] < 0.5 * unseen["rms_neo_hookean_kpa"]
+    # Numbers of two rates lie within two of their deviations of those of all three.
+    everything = rows[0]["parameters"]["relaxation"]
+    apart = [
+        abs(value - everything[key][0]) / deviation
+        for row in rows[1:]
+        for key, (value, deviation) in row["parameters"]["relaxation"].items()
+    ]
+    assert len(apart) == 18
+    assert max(apart) <= 2.0
+    # Deviations three times as large would foretell less than these parts agree.
+    assert max(apart) > 0.7

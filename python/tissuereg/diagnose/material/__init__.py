@@ -1,8 +1,9 @@
-"""What a believed law gets wrong in material tests: found, named, proved on held-out data, and put right.
+"""What a believed law gets wrong in material tests: found, named, proved on held-out data, and corrected.
 
 `diagnose_material` is the whole path: `noise` (what curves do by themselves), `hypothesis` (causes fitted, evidence),
-`nulls` (what chance does), `search` (race, proof, groups), `verdict`, `answer`, `extend`, `report`. One file a cause
-family in `causes`; the stress of a model along a curve is `history.stress_of`.
+`nulls` (what chance does), `search` (race, proof, groups), `verdict`, `refine` and `deviations` (numbers, and how far
+they may lie off), `answer`, `extend`, `report`. One file a cause family in `causes`; the stress of a model along a
+curve is `history.stress_of`.
 """
 
 import os

@@ -244,7 +244,8 @@ def _sentences(outcome: Outcome) -> list[str]:
         )
     if outcome.unit == "part":
         said.append(
-            "Nothing but the last part could be left out: provisional until another mode, rate or specimen is tested."
+            "Nothing but the last part could be left out: provisional until another mode, rate or specimen is tested, "
+            "of which the deviations stated say nothing."
         )
     return said
 
