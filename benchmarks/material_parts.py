@@ -98,7 +98,7 @@ def answered(name: str, curves: Curves) -> dict[str, Any]:
         "provisional": diagnosis.answer["provisional"],
         "weighting": outcome.refined.weighting,
         "form_error": outcome.refined.form_error,
-        "stated": {"young_kpa": young, **{key: value for told in causes.values() for key, value in told.items()}},
+        "stated": {"young_kpa": young, **{key: value for found in causes.values() for key, value in found.items()}},
         "right": right,
     }
 

@@ -28,10 +28,13 @@ def fit_and_bench(experiment, cause, label, weighting="lasting errors"):
     return refitted(bench.problem, [form], starts)[0], bench
 
 
-def numbers(fit, cause):
-    """Return values and deviations of a fit of one cause, the modulus among them."""
+def numbers(fit, *causes):
+    """Return values and deviations of a fit of some causes, the modulus among them."""
     young = float(np.exp(fit.x[0]))
-    return {"young_kpa": [young, young * float(np.sqrt(fit.covariance[0, 0]))], **parameters_of(fit, [cause])[cause]}
+    found = {"young_kpa": [young, young * float(np.sqrt(fit.covariance[0, 0]))]}
+    for values in parameters_of(fit, causes).values():
+        found |= values
+    return found
 
 
 def both(experiment, cause, label, weighting="lasting errors"):
