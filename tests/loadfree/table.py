@@ -63,7 +63,9 @@ SUPPORTS_INTRODUCTION = """## Supports partly wrong
 Dome, phantom and half ellipsoid with a hole again, each with eight events of its own. The user says that the whole base
 is held. Truly an outer *ring* of it is held, or its *middle*, or three *patches*, or a *band* of the skin above it as
 well. The body is as the user believes otherwise. *perhaps*: `register(..., held="perhaps")`, for supports that are
-doubted; *sure*: the same without doubt, `held="sure"`.
+doubted; *sure*: the same without doubt, `held="sure"`. The other half was registered once more, with a version in which
+some sixty cells of the base hold or give way one by one: worked out on the development half, where it left 0.24 mm for
+0.28, it left 0.35 mm for 0.32 here (coverage 92 %), and was not taken.
 """
 
 
