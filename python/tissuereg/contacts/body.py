@@ -9,6 +9,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.contacts.patches import Patches, make_patches
+from tissuereg.contacts.places import smooth_fields
 from tissuereg.contacts.supports import Supports, springs_of
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.solve import Simulator
@@ -39,6 +40,8 @@ class ContactBody:
         Where contacts may be.
     base : Patches or None
         Patches of supports that are perhaps held.
+    springs : list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
+        Sets of springs: see `springs_of`.
     blobs : ndarray of float64, shape (n_blobs, n_tets)
         Smooth fields; their squares add up to one in every tet.
     """
@@ -48,6 +51,7 @@ class ContactBody:
     simulator: Simulator
     patches: Patches
     base: Patches | None
+    springs: list[tuple[IntArray, FloatArray]] = field(repr=False)
     blobs: FloatArray = field(repr=False)
 
     @cached_property
@@ -113,6 +117,7 @@ class ContactBody:
             simulator,
             make_patches(mesh, free),
             base,
+            springs,
             smooth_fields(mesh.nodes[mesh.tets].mean(axis=1), _N_BLOBS),
         )
 
@@ -121,47 +126,3 @@ def forget_bodies() -> None:
     """Forget the bodies that are kept for the next call."""
     with _lock:
         _kept.clear()
-
-
-def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
-    """Return Gaussian fields about places that lie far from each other.
-
-    Parameters
-    ----------
-    middles : ndarray of float64, shape (n, 3)
-        Where the fields are wanted, mm.
-    count : int
-        Fields at most.
-
-    Returns
-    -------
-    ndarray of float64, shape (n_fields, n)
-        Their squares add up to one at every place.
-    """
-    from scipy.spatial import cKDTree
-
-    chosen = _far_apart(middles, min(count, len(middles)))
-    places = middles[chosen]
-    if len(places) < 2:
-        return np.ones((1, len(middles)))
-    gaps = np.asarray(cKDTree(places).query(places, k=2)[0])
-    width = 0.8 * float(np.median(gaps[:, 1]))
-    squared = np.sum(middles**2, axis=1) - 2.0 * places @ middles.T + np.sum(places**2, axis=1)[:, None]
-    fields = np.exp(-0.5 * squared / width**2)
-    return np.asarray(fields / np.sqrt(np.sum(fields**2, axis=0)))
-
-
-def _far_apart(places: FloatArray, count: int) -> IntArray:
-    """Return indices of places, each the farthest from those before it."""
-    # Axis by axis: sums over three neighbouring numbers are slow.
-    x, y, z = (np.ascontiguousarray(places[:, axis]) for axis in range(3))
-
-    def away(place: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt((x - place[0]) ** 2 + (y - place[1]) ** 2 + (z - place[2]) ** 2))
-
-    chosen = [int(np.argmin(away(places.mean(axis=0))))]
-    gap = away(places[chosen[0]])
-    while len(chosen) < count:
-        chosen.append(int(np.argmax(gap)))
-        np.minimum(gap, away(places[chosen[-1]]), out=gap)
-    return np.array(chosen, np.int64)

@@ -15,7 +15,6 @@ from tissuereg._arrays import FloatArray
 from tissuereg.contacts.body import ContactBody
 from tissuereg.contacts.patches import Patches
 from tissuereg.contacts.settings import ContactSettings
-from tissuereg.contacts.supports import springs_of
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.simulate.sensitivity import Compliance
@@ -139,8 +138,7 @@ class Columns:
 
     def on_springs(self, stiffness: Sequence[float]) -> "Columns":
         """Return the same columns on supports of another stiffness a set, over Young's modulus and extent."""
-        units = springs_of(self.body.mesh, self.body.supports)
-        springs = [unit * self.base_young * one for (_, unit), one in zip(units, stiffness, strict=True)]
+        springs = [unit * self.base_young * one for (_, unit), one in zip(self.body.springs, stiffness, strict=True)]
         return replace(self, springs=np.array(springs))
 
     @property
@@ -305,9 +303,8 @@ def spring_stiffness(body: ContactBody, material: Material, stiffness: float) ->
     stiffness : float
         Of supports that are perhaps held, over Young's modulus and extent.
     """
-    units = springs_of(body.mesh, body.supports)
     young = float(np.mean(material.young_array)) * (stiffness if body.base is not None else 1.0)
-    return np.array([unit * young for _, unit in units]) if units else None
+    return np.array([unit * young for _, unit in body.springs]) if body.springs else None
 
 
 def _patch_young(body: ContactBody, material: Material) -> FloatArray:

@@ -1,15 +1,16 @@
 """How well a body explains the markers before any contact is sought: the evidence of a stiffness or of supports.
 
 Contacts of all radii count as one Gaussian. Its size and those of all families are the best ones. That costs one
-factorisation and one right-hand side a marker component.
+factorisation and one right-hand side a marker component; of supports of any stiffness three more a cell of them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.contacts.columns import Columns
+from tissuereg.contacts.condensed import Condensed
 from tissuereg.contacts.fit import Passes, start_of
 from tissuereg.contacts.frame import Frame
 
@@ -70,17 +71,23 @@ def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
     Returns
     -------
     SupportStiffness
-        The best for all sets of springs, then for one set after the other, twice.
+        The best for all sets of springs, then for one set after the other, twice. Cost: one factorisation, one
+        right-hand side a marker component and three a cell, whatever is tried.
     """
     tried = passes.settings.stiffness_tried
-    columns = passes.columns
-    n_sets = 0 if columns.springs is None else len(columns.springs)
+    n_sets = len(passes.columns.body.springs)
+    if not n_sets:
+        return SupportStiffness((), ())
+    condensed = Condensed.of(passes, frame, tried[len(tried) // 2])
+    parts = _parts(condensed.columns, condensed.responses)
+    noise = np.diag(condensed.variances)
     known: dict[tuple[int, ...], float] = {}
 
     def value(levels: tuple[int, ...]) -> float:
         if levels not in known:
-            moved = replace(passes, columns=columns.on_springs([tried[level] for level in levels]))
-            known[levels] = log_evidence(moved, frame)
+            there = condensed.on([tried[level] for level in levels])
+            seen = [(there.observed(covariance), factors, log_prior) for covariance, factors, log_prior in parts]
+            known[levels] = _best_over_sizes(there.innovation, noise, seen)
         return known[levels]
 
     def others(levels: tuple[int, ...], index: int) -> list[tuple[int, ...]]:

@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.contacts.body import smooth_fields
 from tissuereg.contacts.fit import ContactFit
 from tissuereg.contacts.patches import Patches
+from tissuereg.contacts.places import smooth_fields
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.contacts.tangent import Row
 from tissuereg.material import Material

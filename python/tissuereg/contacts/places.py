@@ -1,0 +1,80 @@
+"""Places that lie far from each other, and smooth fields about them."""
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+
+
+def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
+    """Return Gaussian fields about places that lie far from each other.
+
+    Parameters
+    ----------
+    middles : ndarray of float64, shape (n, 3)
+        Where the fields are wanted, mm.
+    count : int
+        Fields at most.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_fields, n)
+        Their squares add up to one at every place.
+    """
+    from scipy.spatial import cKDTree
+
+    chosen = far_apart(middles, min(count, len(middles)))
+    places = middles[chosen]
+    if len(places) < 2:
+        return np.ones((1, len(middles)))
+    gaps = np.asarray(cKDTree(places).query(places, k=2)[0])
+    width = 0.8 * float(np.median(gaps[:, 1]))
+    squared = np.sum(middles**2, axis=1) - 2.0 * places @ middles.T + np.sum(places**2, axis=1)[:, None]
+    fields = np.exp(-0.5 * squared / width**2)
+    return np.asarray(fields / np.sqrt(np.sum(fields**2, axis=0)))
+
+
+def far_apart(places: FloatArray, count: int) -> IntArray:
+    """Return indices (count,) of places (n, 3), each the farthest from those before it; the first is in the middle."""
+    # Axis by axis: sums over three neighbouring numbers are slow.
+    x, y, z = (np.ascontiguousarray(places[:, axis]) for axis in range(3))
+
+    def away(place: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt((x - place[0]) ** 2 + (y - place[1]) ** 2 + (z - place[2]) ** 2))
+
+    chosen = [int(np.argmin(away(places.mean(axis=0))))]
+    gap = away(places[chosen[0]])
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(gap)))
+        np.minimum(gap, away(places[chosen[-1]]), out=gap)
+    return np.array(chosen, np.int64)
+
+
+def gathered(places: FloatArray, weights: FloatArray, count: int, rounds: int = 5) -> IntArray:
+    """Return which of a few compact groups each place belongs to (Lloyd's rounds from places far apart).
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (n, 3)
+        mm.
+    weights : ndarray of float64, shape (n,)
+        Of each place in the middle of its group.
+    count : int
+        Groups at most.
+    rounds : int
+        How often the middles are moved.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        0 to the number of groups less one; none is empty.
+    """
+    from scipy.spatial import cKDTree
+
+    middles = places[far_apart(places, min(count, len(places)))]
+    group = np.asarray(cKDTree(middles).query(places)[1])
+    for _ in range(rounds):
+        total = np.bincount(group, weights, len(middles))
+        moved = np.stack([np.bincount(group, weights * along, len(middles)) for along in places.T], axis=1)
+        middles = np.where(total[:, None] > 0.0, moved / np.maximum(total, 1e-300)[:, None], middles)
+        group = np.asarray(cKDTree(middles).query(places)[1])
+    return np.asarray(np.unique(group, return_inverse=True)[1], np.int64)
