@@ -4,8 +4,8 @@ Evidence that a cause must beat falls as the nuisances of `tissuereg.diagnose` g
 be tells whether weak effects could be seen. The factor on the prior deviations of every kind is sought under which the
 residuals of all nulls that have been answered are likeliest, the other kinds as they are: 1 is right, below 1 too much
 is taken for uncertain. How far forces are off is told too. Kept in ``PREDICTIONS/sizes.json``, which `blind.score`
-shows. ``--open DIR`` looks at the experiment folders in DIR instead (``python -m blind.generator.open_cases nulls DIR``,
-or those of another solver), of which it is known that they have no effect: to tune on.
+shows. ``--open DIR`` looks at the experiment folders in DIR instead, of which it is known that they have no effect: to
+tune on (``python -m blind.generator.open_cases nulls DIR``, or those of another solver).
 """
 
 import argparse

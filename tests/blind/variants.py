@@ -37,7 +37,18 @@ NO_THRESHOLD = -1e6
 ANY_MISFIT = 0.0
 
 #: Nuisances of the mesh's error and of the shape begin with these words.
-OF_THE_MESH = ("mesh ", "bent ", "place of ", "rim of ", "size of ", "height of ", "tilt of ", "edge of ", "facets", "surface ")
+OF_THE_MESH = (
+    "mesh ",
+    "bent ",
+    "place of ",
+    "rim of ",
+    "size of ",
+    "height of ",
+    "tilt of ",
+    "edge of ",
+    "facets",
+    "surface ",
+)
 
 
 def ours(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:

@@ -12,8 +12,7 @@ from tissuereg.effects import Poisson, Stiffness
 
 
 def test_the_answer_depends_on_neither_threads_nor_the_call():
-    # Its markers do not move, though its pads meet the forces that they should: nothing explains that, and everything is
-    # tried.
+    # Its markers do not move, though its pads meet the forces that they should: nothing explains that, all is tried.
     believed = rig()
     said = tr.simulate_experiment(believed)
     cases = {name: replace(case, forces=dict(said[name].forces)) for name, case in believed.cases.items()}

@@ -10,8 +10,10 @@ from support.rigs import rig
 from tissuereg.diagnose import predictor
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.correction import make_correction
+from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.nuisances import make_nuisances
 from tissuereg.diagnose.refined import flat_of
+from tissuereg.diagnose.run import make_believed
 from tissuereg.diagnose.shape import HEIGHT_SHARE, PLACE_SHARE, SIZE_SHARE, WAVES, shape_directions
 from tissuereg.diagnose.shape_columns import shape_columns
 from tissuereg.diagnose.signals import Layout
@@ -62,23 +64,18 @@ def test_derivatives_by_the_shape_are_those_of_bodies_that_are_solved_anew(name,
         assert np.linalg.norm((found - expected)[of]) < 0.01 * np.linalg.norm(expected[of])
 
 
-def test_a_marker_on_an_edge_of_the_mesh_follows_the_shape_as_one_beside_it():
+def test_a_marker_on_an_edge_of_the_mesh_has_one_derivative_whichever_way_the_shape_goes():
     believed = rig()
     mesh = believed.mesh
-    edge = mesh.nodes[mesh.surface[5][:2]].mean(axis=0)
-    (inside,) = np.flatnonzero((mesh.surface == mesh.surface[5]).all(axis=1))
-    out = np.cross(*(mesh.nodes[mesh.surface[inside][1:]] - mesh.nodes[mesh.surface[inside][0]]))
-    out /= np.linalg.norm(out)
-    middle = mesh.nodes[mesh.surface[inside]].mean(axis=0)
+    triangle = mesh.surface[5]
+    out = np.cross(*(mesh.nodes[triangle[1:]] - mesh.nodes[triangle[0]]))
+    # Off the surface it turns with the patch of its triangle, which a step to one side would exchange.
+    place = mesh.nodes[triangle[:2]].mean(axis=0) + 0.5 * out / np.linalg.norm(out)
+    moved = replace(believed, marker_reference=np.concatenate([place[None], believed.marker_reference[1:]]))
     motion = np.random.default_rng(0).normal(size=mesh.nodes.shape)
-    sizes = []
-    for place in (edge, edge + 0.01 * (middle - edge), edge - 0.01 * (middle - edge)):
-        # Off the surface it turns with the patch of its triangle, which another step may exchange.
-        reference = np.concatenate([place[None] + 0.5 * out, believed.marker_reference[1:]])
-        moved = replace(believed, marker_reference=reference)
-        found = Tangents(predictor.Predictor(moved, Layout(moved))).by_shapes([motion])[0]
-        sizes.append(np.linalg.norm(Layout(moved)["down"].markers(found)[:, 0]))
-    assert sizes[0] < 3.0 * max(sizes[1:])
+    tangents = Tangents(predictor.Predictor(moved, Layout(moved)))
+    one, other = (Layout(moved)["down"].markers(found) for found in tangents.by_shapes([motion, -motion]))
+    np.testing.assert_allclose(one[:, 0], -other[:, 0], atol=1e-3 * np.abs(one[:, 0]).max())
 
 
 def test_a_pad_that_pulls_does_so_by_the_same_force_whatever_its_size():
@@ -146,6 +143,18 @@ def test_a_derivative_by_a_pads_place_or_height_is_that_of_the_fine_model():
     assert np.linalg.norm((columns[name] - expected)[~markers]) < 0.25 * size
 
 
+def test_forces_of_a_derivative_are_carried_into_those_of_the_fine_answer_and_markers_are_not():
+    believed = disc()
+    layout = Layout(believed)
+    bench = Bench(believed, layout)
+    markers = layout.of_markers()
+    fine = flat_of(layout, bench.fine.simulate())
+    softer = np.where(markers, fine, 0.8 * fine)
+    for (direction, column), (_, other) in zip(shape_columns(bench, fine), shape_columns(bench, softer), strict=True):
+        np.testing.assert_allclose(other[~markers], 0.8 * column[~markers], err_msg=direction.name)
+        np.testing.assert_allclose(other[markers], column[markers])
+
+
 class _FineWith:
     """The fine model of an experiment with its mesh moved."""
 
@@ -181,6 +190,9 @@ def test_facets_that_a_fine_mesh_divides_lie_beside_the_smooth_surface_as_before
     assert divided["facets"].motion[added].any(axis=1).mean() > 0.3
     # Taken for facets of its own they would lie nearer to it.
     assert {one.name: one for one in shape_directions(fine)}["facets"].std_mm < 0.7 * whole["facets"].std_mm
+    bench = Bench(believed, Layout(believed))
+    taken = {direction.name: direction for direction, _ in shape_columns(bench, bench.base)}
+    assert taken["facets"].std_mm == whole["facets"].std_mm
 
 
 def test_patches_slide_along_the_surface_and_edges_of_the_body_stay():
@@ -292,6 +304,36 @@ def test_nuisances_hold_every_direction_times_its_deviation():
     for direction, column in shape_columns(bench, correction.corrected(bench.base)):
         (mine,) = np.flatnonzero([name == direction.name for name in nuisances.names])
         np.testing.assert_allclose(nuisances.columns[mine], direction.std_mm * column)
+
+
+def test_other_nuisances_are_carried_into_the_fine_mesh_too():
+    believed = hill()
+    layout = Layout(believed)
+    bench = Bench(believed, layout)
+    correction = make_correction(layout, bench.base, np.where(layout.of_markers(), bench.base, 0.8 * bench.base))
+    nuisances = make_nuisances(bench, np.zeros((0, layout.size)), correction)
+    (column,) = nuisances.columns[[name == "stiffness" for name in nuisances.names]]
+    scale = np.where(layout.of_markers(), 1.0, 0.8)
+    np.testing.assert_allclose(column, scale * bench.young_spread * bench.by_young[0], atol=1e-9)
+
+
+def test_nuisances_are_taken_at_the_modulus_that_forces_ask_for():
+    believed = rig()
+    said = tr.simulate_experiment(believed)
+    cases = {
+        name: replace(case, markers=said[name].markers, forces={pad: 1.4 * f for pad, f in said[name].forces.items()})
+        for name, case in believed.cases.items()
+    }
+    believed = replace(believed, cases=cases)
+    layout = Layout(believed)
+    bench, noise = Bench(believed, layout), Noise(np.full(6, 0.05), 0.0, 0.0, 0.0, 1.0, 2.0, True)
+    found = make_believed(bench, noise, keep=False)
+    modulus = found.target.correction.modulus
+    assert 1.2 < modulus < 1.6
+    scale = np.where(layout.of_markers(), 1.0, modulus)
+    np.testing.assert_allclose(
+        found.null.nuisances, noise.whitened(scale * found.nuisances.columns, layout), atol=1e-12
+    )
 
 
 def _swept_volume(mesh, motion):

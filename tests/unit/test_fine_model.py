@@ -24,7 +24,7 @@ from tissuereg.errors import ConvergenceError, ExperimentError
 from tissuereg.experiment import Case
 from tissuereg.simulate import memory as memory_module
 from tissuereg.simulate.experiment import simulate_plain
-from tissuereg.simulate.fine import FineMeshing, FineModel
+from tissuereg.simulate.fine import FineMeshing, FineModel, rough_element
 from tissuereg.simulate.fine import model as model_module
 from tissuereg.simulate.fine.elastic import guess
 from tissuereg.simulate.loading import distinct_states
@@ -287,3 +287,8 @@ def test_data_of_another_mesh_are_met_far_better_than_by_the_users(shared_data):
     held = case.markers[-4:].mean(axis=0)
     left = [np.sqrt(np.mean((said.markers[-1] - held) ** 2)) for said in (fine, user)]
     assert left[0] < 0.03 < 0.06 < left[1]
+
+
+def test_elements_of_first_order_are_averaged_where_plain_ones_lock(rig):
+    for poisson, element in ((0.45, "tet4"), (0.49, "tet4-averaged")):
+        assert rough_element(replace(rig, material=tr.Material(10.0, poisson))) == element

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tissuereg.errors import MarkerError
+from tissuereg.mesh import Mesh
 from tissuereg.observe import MarkerObservation, TargetObservation
 
 
@@ -91,3 +92,26 @@ def test_the_variation_of_a_motion_is_that_of_the_corners_under_the_marker(block
     corners = block_mesh.nodes[closest]
     longest = max(np.linalg.norm(a - b) for a in corners for b in corners)
     assert above == pytest.approx(on * (1.0 + 4.0 / longest))
+
+
+def test_feet_that_are_kept_are_those_of_before_where_the_mesh_stands_and_move_along_their_edge_where_it_moves(
+    block_mesh,
+):
+    mesh = block_mesh
+    size = mesh.nodes.max(axis=0)
+    # Above a face; beyond an edge of the body; beyond a corner.
+    places = np.array([[0.4, 0.3, 1.0], [1.0, 0.37, 1.0], [1.0, 1.0, 1.0]]) * size
+    places += np.array([[0.0, 0.0, 1.5], [1.2, 0.0, 0.8], [1.0, 1.0, 1.0]])
+    before = MarkerObservation(mesh, places, ("a", "b", "c"))
+    rng = np.random.default_rng(1)
+    field = rng.normal(size=mesh.nodes.shape)
+    same = MarkerObservation(mesh, places, ("a", "b", "c"), like=before)
+    np.testing.assert_allclose(same.predict(field[same.nodes]), before.predict(field[before.nodes]), atol=1e-9)
+    # A mesh that slides along the edge by a step: the foot goes back by as much, to first order.
+    step = 1e-4 * np.array([0.0, 1.0, 0.0])
+    slid = Mesh(mesh.nodes + step, mesh.tets, mesh.node_sets)
+    kept, anew = (
+        MarkerObservation(slid, places, ("a", "b", "c"), like=before),
+        MarkerObservation(slid, places, ("a", "b", "c")),
+    )
+    np.testing.assert_allclose(kept.predict(field[kept.nodes])[:2], anew.predict(field[anew.nodes])[:2], atol=1e-9)
