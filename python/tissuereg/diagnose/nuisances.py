@@ -20,14 +20,14 @@ FRAME_SHIFT, FRAME_TURN = 0.02, 0.02
 DRIFT = 0.02
 
 #: Share of the difference between two fine meshes that is taken for what is left of the mesh's error.
-MESH_SHARE = 0.7
+MESH_SHARE = 0.4
 
 #: The same of forces: much of what two meshes differ by there is the shape of their pads.
-FORCE_SHARE = 0.35
+FORCE_SHARE = 0.2
 
 #: Error of the forces that is expected at least, as a share of them; and one that grows with the square of the force,
 #: at the largest: strains at a pad's rim, where they are singular, grow faster than the load.
-FORCE_LEFT, FORCE_BENT = 0.0025, 0.005
+FORCE_LEFT, FORCE_BENT = 0.0015, 0.005
 
 #: Error of a found cause's form and of its fine mesh, as a share of what it changes.
 EFFECT_ERROR = 0.07

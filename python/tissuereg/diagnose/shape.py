@@ -30,6 +30,9 @@ from tissuereg.simulate.fine.third import gaps
 #: where none is stated: shares of its radius.
 PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE = 0.03, 0.01, 0.02
 
+#: How far the edge of a tilted patch lies off, over the deviation of its height.
+TILT_SHARE = 0.5
+
 #: How often a rim goes out and in around its patch. Once is another place.
 WAVES = (2, 3)
 
@@ -149,7 +152,9 @@ def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
     across = float(np.hypot(height, np.sqrt((surface.gaps[inside] ** 2).sum(axis=1).mean())))
     yield Direction(f"height of {pad.name}", near * normal, across)
     for number, side in enumerate(sides):
-        yield Direction(f"tilt of {pad.name} {number}", (arms @ side / radius)[:, None] * near * normal, across)
+        yield Direction(
+            f"tilt of {pad.name} {number}", (arms @ side / radius)[:, None] * near * normal, TILT_SHARE * across
+        )
 
 
 def _of_grip(surface: _Surface, pad: Actuator, radius: float) -> Iterator[Direction]:
