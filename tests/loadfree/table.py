@@ -65,8 +65,8 @@ is held. Truly an outer *ring* of it is held, or its *middle*, or three *patches
 well. The body is as the user believes otherwise. *perhaps*: `register(..., held="perhaps")`, for supports that are
 doubted; *sure*: the same without doubt, `held="sure"`. The other half was registered once more, with a version in which
 some sixty cells of the base hold or give way one by one: worked out on the development half, where it left 0.24 mm for
-0.28, it left 0.35 mm for 0.32 there (coverage 92 %), and was not taken. Figures of the release are the last. Figures of the other half are from before all
-stiffnesses were tried on one factorisation, which changed those of the development half by -3 %.
+0.28, it left 0.35 mm for 0.32 there (coverage 92 %), and was not taken. Figures of `perhaps` are those of the release,
+taken after that.
 """
 
 
