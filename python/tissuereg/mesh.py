@@ -8,8 +8,12 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray, float_array, frozen, index_array
+from tissuereg._choice import check_choice
 from tissuereg._core import check_mesh, surface_triangles
 from tissuereg.errors import MeshError, UnitError
+
+#: Frames of a patient: x to the left, y to the back, z to the head; or x to the right, y to the front, z to the head.
+PATIENT_FRAMES = ("LPS", "RAS")
 
 #: Extents, in mm, outside which a body is taken to be in other units.
 PLAUSIBLE_EXTENT_MM = (1.0, 3000.0)
@@ -26,13 +30,17 @@ class Mesh:
         Node indices; positive volume in the order (a, b, c, d) with d on the side of (b-a) x (c-a).
     node_sets : mapping of str to array_like of int, optional
         Named sets of nodes. The set ``fixed`` is what is held.
+    frame : {"LPS", "RAS"}, optional
+        Frame of a patient that the coordinates are declared to be in; nothing is computed from it, and files that state
+        a frame are written in it.
 
     Raises
     ------
     ShapeError
         If an array has another shape or dtype.
     MeshError
-        If a coordinate is not finite, an index out of range, a tet inverted or degenerate, a node loose.
+        If a coordinate is not finite, an index out of range, a tet inverted or degenerate, a node loose; or if `frame`
+        is none of the two.
     UnitError
         If the body's extent cannot be millimetres.
 
@@ -43,7 +51,11 @@ class Mesh:
     Mesh(4 nodes, 1 tets, node sets: fixed (3))
     """
 
-    def __init__(self, nodes: Any, tets: Any, node_sets: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, nodes: Any, tets: Any, node_sets: Mapping[str, Any] | None = None, frame: str | None = None
+    ) -> None:
+        if frame is not None:
+            check_choice("frame", frame, PATIENT_FRAMES, MeshError)
         points = float_array("nodes", nodes, (None, 3))
         cells = index_array("tets", tets, (None, 4))
         check_mesh(points, cells)
@@ -53,6 +65,7 @@ class Mesh:
         self.node_sets: dict[str, IntArray] = {
             name: _node_set(name, indices, len(points)) for name, indices in (node_sets or {}).items()
         }
+        self.frame = frame
 
     def __repr__(self) -> str:
         sets = ", ".join(f"{name} ({len(indices)})" for name, indices in self.node_sets.items()) or "none"
@@ -121,7 +134,22 @@ class Mesh:
         Mesh
             Shares nodes and tets with this one.
         """
-        return Mesh(self.nodes, self.tets, {**self.node_sets, name: indices})
+        return Mesh(self.nodes, self.tets, {**self.node_sets, name: indices}, self.frame)
+
+    def in_frame(self, frame: str | None) -> "Mesh":
+        """Return the same mesh, its coordinates declared to be in a frame; none is changed.
+
+        Parameters
+        ----------
+        frame : {"LPS", "RAS"} or None
+            Frame of a patient; None is an unknown one.
+
+        Returns
+        -------
+        Mesh
+            Shares nodes and tets with this one.
+        """
+        return Mesh(self.nodes, self.tets, self.node_sets, frame)
 
     @cached_property
     def extent(self) -> float:

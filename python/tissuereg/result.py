@@ -285,8 +285,14 @@ class Registration:
             "seconds": dict(self.seconds),
         }
 
-    def save(self, folder: str | os.PathLike[str], extra: dict[str, Any] | None = None) -> Path:
-        """Write ``registered.vtu``, ``targets.csv``, ``registration.json`` and ``registered.png``, all or none.
+    def save(
+        self, folder: str | os.PathLike[str], extra: dict[str, Any] | None = None, *, deformed: bool = False
+    ) -> Path:
+        """Write the result, all files or none.
+
+        ``registered.vtu``, ``targets.csv``, ``targets.mrk.json`` (registered places for 3D Slicer, in the frame of the
+        mesh; LPS, which Slicer takes for granted, where the mesh declares none), ``registration.json`` and
+        ``registered.png``.
 
         Parameters
         ----------
@@ -294,15 +300,22 @@ class Registration:
             Made where absent.
         extra : dict, optional
             Entries added to the JSON, or put over its own.
+        deformed : bool
+            Write ``registered_deformed.vtu`` too: the body with its nodes where they are now, the same point data.
 
         Returns
         -------
         Path
             The folder.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written; nothing is changed then.
         """
         from tissuereg.report.files import save_registration
 
-        return save_registration(self, Path(folder), extra or {})
+        return save_registration(self, Path(folder), extra or {}, deformed=deformed)
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the body before and after, with the markers and the spread."""

@@ -112,14 +112,14 @@ def test_an_untrusted_answer_is_said_on_the_last_line(block_mesh, pulled, tmp_pa
     measured[2] += (3.0, -3.0, 3.0)
     write_vtu(tmp_path / "mesh.vtu", block_mesh)
     write_points(tmp_path / "targets.csv", TARGETS)
-    for name, places, last in (
-        ("good", pulled[1], "Nothing speaks against this registration."),
-        ("bad", measured, "Do not trust this registration: wrong marker."),
+    for name, places, last, expected in (
+        ("good", pulled[1], "Nothing speaks against this registration.", 0),
+        ("bad", measured, "Do not trust this registration: wrong marker.", 4),
     ):
         write_markers(tmp_path / f"{name}.csv", tr.Markers(reference, places, 0.05))
         files = (tmp_path / "mesh.vtu", tmp_path / f"{name}.csv", "--targets", tmp_path / "targets.csv")
         code, out, _ = run(capsys, "register", *files, "--out", tmp_path / name)
-        assert code == 0
+        assert code == expected
         lines = out.splitlines()
         assert lines[-1] == last
         told = json.loads((tmp_path / name / "registration.json").read_text(encoding="utf-8"))

@@ -1,6 +1,7 @@
 """The command ``tissuereg``: one file a command, one way to end.
 
-Exit codes: 0 done; 2 bad usage or bad input; 3 it could not be done; 130 interrupted; 1 is a bug.
+Exit codes: 0 done; 2 bad usage or bad input; 3 it could not be done; 4 answered and written, but not to be trusted;
+130 interrupted; 1 is a bug.
 """
 
 import contextlib
@@ -44,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return int(done.code or 0)
         except BaseException as error:
             return _fail(error, target, debug=debug)
-    return 0
+    return outcome.code
 
 
 def build_parser() -> Parser:
@@ -60,7 +61,11 @@ def build_parser() -> Parser:
     parser = Parser(
         prog="tissuereg",
         description="Register a deformed soft organ to a few tracked markers, with honest uncertainty.",
-        epilog="'tissuereg COMMAND --help' explains a command. Lengths mm, forces mN, stresses kPa, times s.",
+        epilog=(
+            "'tissuereg COMMAND --help' explains a command. Lengths mm, forces mN, stresses kPa, times s.\n"
+            "Exit codes: 0 done, 2 bad usage or input, 3 it could not be done, 4 answered and written but not to be\n"
+            "trusted (register), 130 interrupted, 1 a bug."
+        ),
     )
     parser.add_argument("--version", action="version", version=f"tissuereg {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)

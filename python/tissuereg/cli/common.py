@@ -13,6 +13,9 @@ from tissuereg._machine import machine, n_cores, versions
 
 Progress = Callable[[int, int], None]
 
+#: Exit code of an answer that was found and written, but is not to be trusted.
+UNTRUSTED = 4
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -26,11 +29,14 @@ class Outcome:
         The same for people, a few lines.
     threads : int
         Threads that were asked for; 0 is all.
+    code : int
+        Exit code: 0, or `UNTRUSTED`.
     """
 
     content: dict[str, Any]
     summary: str
     threads: int = 0
+    code: int = 0
 
 
 def envelope(threads: int) -> dict[str, Any]:
@@ -98,6 +104,17 @@ def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
         warnings.filterwarnings("default", category=UserWarning)
         warnings.showwarning = show
         yield notes
+
+
+def note(text: str) -> None:
+    """Say something on standard error that is no warning, in one line.
+
+    Parameters
+    ----------
+    text : str
+        Any white space.
+    """
+    print(f"note: {' '.join(text.split())}", file=sys.stderr)
 
 
 @contextlib.contextmanager

@@ -30,7 +30,7 @@ _SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "q
 _TET_CELLS = {"tetra": 4, "tetra10": 10}
 
 
-def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None) -> Mesh:
+def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None, *, frame: str | None = None) -> Mesh:
     """Read a tetrahedral mesh with its node sets.
 
     Parameters
@@ -42,6 +42,8 @@ def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None) -> M
         What is held: ``"plane nx ny nz d tol"`` or those five numbers (the nodes within `tol` mm of the plane
         ``n . x = d``, n normalised, d in mm), or the name of another node set of the file. Where absent, the
         file's set ``fixed``.
+    frame : {"LPS", "RAS"}, optional
+        Frame of a patient that the coordinates are declared to be in; they are taken as they are.
 
     Returns
     -------
@@ -53,7 +55,7 @@ def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None) -> M
     FormatError
         If the file is missing, spoilt, of another kind, or holds no tetrahedra; or if `fixed` is no such rule.
     MeshError
-        If the mesh itself cannot carry a simulation, or the plane catches no node.
+        If the mesh itself cannot carry a simulation, the plane catches no node, or `frame` is none of the two.
     """
     file = existing_file(path)
     suffix = file.suffix.lower()
@@ -64,6 +66,8 @@ def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None) -> M
         mesh = _from_meshio(file, _meshio_content(file, _MESHIO_READERS[suffix]))
     else:
         raise _unknown_format(file)
+    if frame is not None:
+        mesh = mesh.in_frame(frame)
     return mesh if fixed is None else mesh.with_node_set("fixed", fixed_nodes(mesh, fixed))
 
 
@@ -163,7 +167,14 @@ def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, toleran
     return near
 
 
-def write_vtu(path: str | os.PathLike[str], mesh: Mesh, point_data: Mapping[str, Any] | None = None) -> None:
+def write_vtu(
+    path: str | os.PathLike[str],
+    mesh: Mesh,
+    point_data: Mapping[str, Any] | None = None,
+    *,
+    says: str = "",
+    places: Any = None,
+) -> None:
     """Write a mesh with values at its nodes as .vtu, whole or not at all.
 
     Parameters
@@ -174,6 +185,10 @@ def write_vtu(path: str | os.PathLike[str], mesh: Mesh, point_data: Mapping[str,
         Nodes in mm; its node sets are written as 0/1 point data, so that `read_mesh` finds them.
     point_data : mapping of str to array_like of float, shape (n_nodes,) or (n_nodes, 3), optional
         Values at the nodes, named with their unit.
+    says : str
+        What a viewer should know of the whole, in words joined by underscores: the name of an array of field data.
+    places : array_like of float, shape (n_nodes, 3), optional
+        Where the nodes are drawn, mm, in place of the mesh's own; tets may be inside out there.
 
     Raises
     ------
@@ -181,6 +196,8 @@ def write_vtu(path: str | os.PathLike[str], mesh: Mesh, point_data: Mapping[str,
         If an array does not have one row a node.
     """
     import meshio
+
+    points = mesh.nodes if places is None else float_array("places", places, (mesh.n_nodes, 3))
 
     values: dict[str, npt.NDArray[Any]] = {}
     for name, indices in mesh.node_sets.items():
@@ -193,9 +210,20 @@ def write_vtu(path: str | os.PathLike[str], mesh: Mesh, point_data: Mapping[str,
             message = f"`{name}` must have shape ({mesh.n_nodes},) or ({mesh.n_nodes}, 3), got {numbers.shape}"
             raise ShapeError(message, where=name)
         values[name] = numbers if numbers.dtype.kind in "iu" else float_array(name, numbers, numbers.shape)
-    content = meshio.Mesh(mesh.nodes.copy(), [("tetra", mesh.tets.copy())], point_data=values)
+    content = meshio.Mesh(points.copy(), [("tetra", mesh.tets.copy())], point_data=values)
     with atomic_file(path) as temporary, _meshio_hushed():
         meshio.vtu.write(temporary, content)
+        if says:
+            _add_field_data(temporary, says)
+
+
+def _add_field_data(file: Path, name: str) -> None:
+    """Put an array of field data with one 1 into a .vtu; meshio writes none, and reads none that holds text."""
+    array = (
+        f'<FieldData><DataArray type="Int8" Name="{name}" NumberOfTuples="1" format="ascii">1</DataArray></FieldData>'
+    )
+    grid = b"<UnstructuredGrid>"
+    file.write_bytes(file.read_bytes().replace(grid, grid + array.encode("ascii"), 1))
 
 
 def _holds_indices(array: npt.NDArray[Any]) -> bool:

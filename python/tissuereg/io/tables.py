@@ -1,4 +1,4 @@
-"""Markers and targets as comma-separated tables, lengths in mm."""
+"""Markers and targets as comma-separated tables, lengths in mm; readers take the files of 3D Slicer as well."""
 
 import os
 from collections.abc import Mapping
@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg._choice import check_choice
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.csv import Row, read_table, write_table
+from tissuereg.io.points import turned
+from tissuereg.io.slicer import is_slicer_file, markers_of, targets_of
 from tissuereg.markers import Markers
+from tissuereg.mesh import PATIENT_FRAMES
 
 #: Standard deviation of a measured coordinate, mm, where nobody says one.
 DEFAULT_STD = 0.1
@@ -19,7 +23,14 @@ _MOVED = ("moved_x_mm", "moved_y_mm", "moved_z_mm")
 _STD = ("std_x_mm", "std_y_mm", "std_z_mm")
 
 
-def read_markers(path: str | os.PathLike[str], std: float | None = None) -> Markers:
+def read_markers(
+    path: str | os.PathLike[str],
+    std: float | None = None,
+    *,
+    measured: str | os.PathLike[str] | None = None,
+    frame: str | None = None,
+    table_frame: str | None = None,
+) -> Markers:
     """Read the markers of one moment.
 
     Parameters
@@ -28,8 +39,17 @@ def read_markers(path: str | os.PathLike[str], std: float | None = None) -> Mark
         Table ``marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm[,std_mm]``: the marker's place on or
         off the undeformed surface, then where it was measured; empty (or ``nan``) = not seen. Columns
         ``std_x_mm,std_y_mm,std_z_mm`` may follow where axes differ; an empty cell takes the marker's own or `std`.
+        Or points of 3D Slicer (``.mrk.json``, ``.fcsv``): where the markers sit.
     std : float, optional
         Standard deviation in mm of a measured coordinate, for markers without their own; 0.1 where absent.
+    measured : path-like, optional
+        Beside points of 3D Slicer: points where the markers were seen, of the same labels. One that is missing, or
+        whose status is not ``defined``, was not seen.
+    frame : {"LPS", "RAS"}, optional
+        Frame of the mesh, in which the markers are wanted. Where absent, that of the file `path`, or a table's numbers
+        as they are.
+    table_frame : {"LPS", "RAS"}, optional
+        Frame of the numbers in a table, where it is not `frame`.
 
     Returns
     -------
@@ -39,29 +59,44 @@ def read_markers(path: str | os.PathLike[str], std: float | None = None) -> Mark
     Raises
     ------
     FormatError
-        If the table cannot be read, or a marker stands in it twice; the message names the line.
+        If a file cannot be read, or a marker stands in it twice; the message names the line. If `measured` does not go
+        with `path`, or has a label that `path` lacks.
     MarkerError
-        If a standard deviation is not positive.
+        If a standard deviation is not positive, a frame none of the two, or `table_frame` given without `frame`.
     """
+    _check_frames(frame, table_frame)
+    usual = DEFAULT_STD if std is None else std
+    if is_slicer_file(path) or (measured is not None and is_slicer_file(measured)):
+        return markers_of(path, measured, usual, frame)
+    if measured is not None:
+        message = f"a table of markers holds where they were seen itself; {measured} must be left out beside {path}"
+        raise FormatError(message, where=str(measured))
     rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm", *_STD))
     names = _unique_names(rows, "marker")
-    spread = [_own_std(row, DEFAULT_STD if std is None else std) for row in rows]
-    reference = [row.numbers(_PLACE) for row in rows]
-    measured = [row.numbers(_MOVED, may_miss=True) for row in rows]
+    spread = [_own_std(row, usual) for row in rows]
+    reference = np.array([row.numbers(_PLACE) for row in rows])
+    moved = np.array([row.numbers(_MOVED, may_miss=True) for row in rows])
     try:
-        return Markers(reference, measured, spread, names)
+        return Markers(turned(reference, table_frame, frame), turned(moved, table_frame, frame), spread, names)
     except MarkerError as error:
         error.args = (f"{rows[0].file}: {error}",)
         raise
 
 
-def read_targets(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
+def read_targets(
+    path: str | os.PathLike[str], *, frame: str | None = None, table_frame: str | None = None
+) -> dict[str, FloatArray]:
     """Read inner points of the undeformed body.
 
     Parameters
     ----------
     path : path-like
-        Table ``target,x_mm,y_mm,z_mm``.
+        Table ``target,x_mm,y_mm,z_mm``, or points of 3D Slicer (``.mrk.json``, ``.fcsv``).
+    frame : {"LPS", "RAS"}, optional
+        Frame of the mesh, in which they are wanted. Where absent, Slicer's points stay in the file's frame and a
+        table's numbers as they are.
+    table_frame : {"LPS", "RAS"}, optional
+        Frame of the numbers in a table, where it is not `frame`.
 
     Returns
     -------
@@ -71,20 +106,32 @@ def read_targets(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     Raises
     ------
     FormatError
-        If the table cannot be read, or a target stands in it twice; the message names the line.
+        If the file cannot be read, a target stands in it twice or is not defined; the message names the place.
+    MarkerError
+        If a frame is none of the two.
     """
+    _check_frames(frame, table_frame)
+    if is_slicer_file(path):
+        return targets_of(path, frame)
     rows = read_table(path, ("target", *_PLACE))
     names = _unique_names(rows, "target")
-    return {name: np.array(row.numbers(_PLACE)) for name, row in zip(names, rows, strict=True)}
+    places = turned(np.array([row.numbers(_PLACE) for row in rows]), table_frame, frame)
+    return dict(zip(names, places, strict=True))
 
 
-def read_surface(path: str | os.PathLike[str]) -> FloatArray:
+def read_surface(
+    path: str | os.PathLike[str], *, frame: str | None = None, table_frame: str | None = None
+) -> FloatArray:
     """Read points of a deformed surface, without labels.
 
     Parameters
     ----------
     path : path-like
         Table ``x_mm,y_mm,z_mm``.
+    frame : {"LPS", "RAS"}, optional
+        Frame of the mesh, in which they are wanted; where absent, the numbers are taken as they are.
+    table_frame : {"LPS", "RAS"}, optional
+        Frame of the numbers in the table, where it is not `frame`.
 
     Returns
     -------
@@ -95,8 +142,11 @@ def read_surface(path: str | os.PathLike[str]) -> FloatArray:
     ------
     FormatError
         If the table cannot be read; the message names the line.
+    MarkerError
+        If a frame is none of the two.
     """
-    return np.array([row.numbers(_PLACE) for row in read_table(path, _PLACE)])
+    _check_frames(frame, table_frame)
+    return turned(np.array([row.numbers(_PLACE) for row in read_table(path, _PLACE)]), table_frame, frame)
 
 
 def write_markers(path: str | os.PathLike[str], markers: Markers) -> None:
@@ -154,6 +204,16 @@ def _target_cells(values: Mapping[str, Any]) -> list[float | None]:
     cells = [*values["reference_mm"], *values["mean_mm"], *covariance, *values["region90_radii_mm"]]
     simulated = values.get("simulation_mm")
     return [*map(float, cells), *((None, None, None) if simulated is None else map(float, simulated))]
+
+
+def _check_frames(frame: str | None, table_frame: str | None) -> None:
+    """Refuse a frame that is none, and a table's frame without one to bring it to."""
+    for name, value in (("frame", frame), ("table_frame", table_frame)):
+        if value is not None:
+            check_choice(name, value, PATIENT_FRAMES, MarkerError)
+    if table_frame is not None and frame is None:
+        message = f"`table_frame` must come with `frame`, the one to bring it to; got {table_frame} alone"
+        raise MarkerError(message, where="table_frame")
 
 
 def _own_std(row: Row, default: float) -> list[float]:

@@ -8,14 +8,22 @@ import numpy as np
 from tissuereg.io.atomic import atomic_folder
 from tissuereg.io.json import write_json
 from tissuereg.io.meshes import write_vtu
+from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.tables import write_targets
 
 if TYPE_CHECKING:
     from tissuereg.result import Registration
 
 
-def save_registration(result: "Registration", folder: Path, extra: dict[str, Any]) -> Path:
-    """Write ``registered.vtu``, ``targets.csv``, ``registration.json`` and ``registered.png``.
+#: What `save_registration` writes.
+WRITTEN = ("registered.vtu", "targets.csv", "targets.mrk.json", "registration.json", "registered.png")
+
+#: What it writes where it is asked for.
+DEFORMED = "registered_deformed.vtu"
+
+
+def save_registration(result: "Registration", folder: Path, extra: dict[str, Any], *, deformed: bool = False) -> Path:
+    """Write the files in `WRITTEN`.
 
     Parameters
     ----------
@@ -25,6 +33,8 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
         Made where absent.
     extra : dict
         Entries added to the JSON, or put over its own.
+    deformed : bool
+        Write ``registered_deformed.vtu`` too.
 
     Returns
     -------
@@ -36,15 +46,32 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
     OutputError
         If the folder cannot be written; nothing is changed then.
     """
+    mesh = result.mesh
     fields = {"displacement_mm": result.displacement, "std_mm": result.std}
     if result.forces is not None:
         fields["contact_force_mN"] = result.forces
-    held = np.zeros(result.mesh.n_nodes, dtype=np.int8)
-    held[result.mesh.node_sets.get("fixed", np.empty(0, np.int64))] = 1
+    held = np.zeros(mesh.n_nodes, dtype=np.int8)
+    held[mesh.node_sets.get("fixed", np.empty(0, np.int64))] = 1
     content = result.to_json()
     with atomic_folder(folder) as draft:
-        write_vtu(draft / "registered.vtu", result.mesh, {**fields, "fixed": held})
+        values = {**fields, "fixed": held}
+        write_vtu(draft / "registered.vtu", mesh, values, says="points_are_undeformed_warp_by_displacement_mm")
+        if deformed:
+            says = "points_are_warped_by_displacement_mm_already"
+            write_vtu(draft / DEFORMED, mesh, values, says=says, places=mesh.nodes + result.displacement)
         write_targets(draft / "targets.csv", content["targets"])
+        write_mrk_json(draft / "targets.mrk.json", _labelled(content), mesh.frame)
         write_json(draft / "registration.json", {**content, **extra})
         result.plot().savefig(draft / "registered.png", dpi=110)
     return folder
+
+
+def _labelled(content: dict[str, Any]) -> dict[str, tuple[list[float], str]]:
+    """Return registered places with what a viewer must know of them beside the label."""
+    trusted = [] if content["trust"]["ok"] else ["do not trust this registration"]
+    points = {}
+    for name, target in content["targets"].items():
+        axes = " x ".join(f"{radius:.2f}" for radius in target["region90_radii_mm"])
+        flag = [] if target["flag"] is None else [target["flag"]]
+        points[name] = (target["mean_mm"], "; ".join([*trusted, *flag, f"90 % region with half-axes {axes} mm"]))
+    return points

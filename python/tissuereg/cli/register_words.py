@@ -1,0 +1,84 @@
+"""What ``tissuereg register`` prints at its end."""
+
+from typing import Any
+
+from tissuereg.cli.common import seconds_line
+
+
+def summary(content: dict[str, Any], out: str) -> str:
+    """Return what was found; contacts, flags and the verdict stand last.
+
+    Parameters
+    ----------
+    content : dict
+        Of ``registration.json``.
+    out : str
+        Folder of the results.
+
+    Returns
+    -------
+    str
+        Some lines, the last says whether to trust it.
+    """
+    markers, trust, body, model = (content[name] for name in ("markers", "trust", "body", "model"))
+    p_value = "not known" if trust["p_value"] is None else f"{trust['p_value']:.3g}"
+    return "\n".join(
+        [
+            *([_marker_line(markers)] if markers["used"] or markers["dropped"] else []),
+            *([_surface_line(content["surface"])] if content["surface"] is not None else []),
+            *(_target_line(name, target) for name, target in content["targets"].items()),
+            f"smallest det F {body['min_det_f']:.3f}, {body['inverted_tets']} inverted tets; p-value of the "
+            f"residuals {p_value}",
+            f"model: {model.get('kind')}, {model.get('source')}",
+            seconds_line(content["seconds"]),
+            f"written: {out}",
+            *(_contact_line(contact) for contact in content["contacts"]),
+            *_verdict_lines(content["targets"], trust),
+        ]
+    )
+
+
+def _surface_line(surface: dict[str, Any]) -> str:
+    thinned = "" if surface["thinned_from"] is None else f" (thinned evenly from {surface['thinned_from']})"
+    return (
+        f"{surface['used']} of {surface['points']} surface points used{thinned}, {len(surface['outliers'])} outliers; "
+        f"rms distance along the normal {surface['before_rms_mm']:.3f} mm before, "
+        f"{surface['after_rms_mm']:.3f} mm after"
+    )
+
+
+def _marker_line(markers: dict[str, Any]) -> str:
+    lost = ", ".join(f"{item['marker']} ({item['reason']})" for item in markers["dropped"])
+    return (
+        f"{len(markers['used'])} markers used{f'; dropped: {lost}' if lost else ''}; rms distance "
+        f"{markers['before_rms_mm']:.3f} mm before, {markers['after_rms_mm']:.3f} mm after"
+    )
+
+
+def _target_line(name: str, target: dict[str, Any]) -> str:
+    place = ", ".join(f"{x:.2f}" for x in target["mean_mm"])
+    axes = " x ".join(f"{x:.2f}" for x in target["region90_radii_mm"])
+    return f"target {name}: at ({place}) mm, 90 % region with half-axes {axes} mm"
+
+
+def _contact_line(contact: dict[str, Any]) -> str:
+    place = ", ".join(f"{x:.0f}" for x in contact["centre_mm"])
+    towards = ", ".join(f"{x:.2f}" for x in contact["direction"])
+    return (
+        f"contact at ({place}) mm: surface moved by {contact['size_mm']:.1f} mm, {contact['force_mN']:.0f} mN at the "
+        f"believed modulus towards ({towards}), probability {contact['probability']:.2f}"
+    )
+
+
+def _verdict_lines(targets: dict[str, Any], trust: dict[str, Any]) -> list[str]:
+    """Return flags and the verdict; one that is not trusted has its reasons above it and their kinds in it."""
+    from tissuereg.report.words import silent, verdict
+
+    flagged = [name for name, target in targets.items() if target["flag"]]
+    kinds = dict.fromkeys(reason.partition(":")[0] for reason in trust["reasons"])
+    last = verdict(trust["ok"])
+    return [
+        *([silent(flagged)] if flagged else []),
+        *trust["reasons"],
+        last if trust["ok"] else f"{last.removesuffix('.')}: {', '.join(kinds)}.",
+    ]

@@ -1,0 +1,118 @@
+"""Points with names, as a file of markups gives them: their own frame is kept until it is asked for another one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import FormatError
+
+#: Millimetres in one of the UCUM units of length that a file may state.
+MM_PER_UNIT = {"nm": 1e-6, "um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
+
+
+@dataclass(frozen=True, eq=False)
+class NamedPoints:
+    """Points of one file.
+
+    Attributes
+    ----------
+    file : Path
+        Where they were read.
+    frame : str
+        ``"LPS"`` or ``"RAS"``, as the file says.
+    names : tuple of str
+        One a point, no repeats.
+    places : ndarray of float64, shape (n_points, 3)
+        mm, in `frame`; NaN where the file says that a point is not defined.
+    """
+
+    file: Path
+    frame: str
+    names: tuple[str, ...]
+    places: FloatArray
+
+    @classmethod
+    def of(cls, file: Path, frame: str, points: Sequence[tuple[str, str, tuple[float, float, float]]]) -> "NamedPoints":
+        """Gather points and check their names.
+
+        Parameters
+        ----------
+        file : Path
+            Where they were read.
+        frame : str
+            ``"LPS"`` or ``"RAS"``.
+        points : sequence of (str, str, tuple of float)
+            Where each stands in the file in words ("line 4"), its name, and its place in mm; NaN = not defined.
+
+        Returns
+        -------
+        NamedPoints
+            In file order.
+
+        Raises
+        ------
+        FormatError
+            If there is none, or a name is empty or stands twice.
+        """
+        if not points:
+            message = f"{file} must hold at least one point; its list is empty"
+            raise FormatError(message, where=str(file))
+        first: dict[str, str] = {}
+        for where, name, _ in points:
+            if not name:
+                message = f"every point must have a label, the one at {where} of {file} has none"
+                raise FormatError(message, where=f"{file}: {where}")
+            if name in first:
+                message = f"each label must stand in {file} once; '{name}' is at {first[name]} and {where}"
+                raise FormatError(message, where=f"{file}: {where}")
+            first[name] = where
+        return cls(file, frame, tuple(first), np.array([place for _, _, place in points], dtype=np.float64))
+
+    @property
+    def defined(self) -> "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]":
+        """Which points have a place, shape (n_points,)."""
+        return np.asarray(np.isfinite(self.places).all(axis=1))
+
+    def places_in(self, frame: str | None) -> FloatArray:
+        """Return the places in another frame.
+
+        Parameters
+        ----------
+        frame : str or None
+            ``"LPS"`` or ``"RAS"``; None leaves them as they are.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_points, 3)
+            mm.
+        """
+        return turned(self.places, self.frame, frame)
+
+
+def turned(points: FloatArray, source: str | None, target: str | None) -> FloatArray:
+    """Return points of one frame in another: LPS and RAS differ by half a turn about z.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (..., 3)
+        Places or directions in `source`.
+    source, target : str or None
+        ``"LPS"`` or ``"RAS"``; None is whatever the other one is.
+
+    Returns
+    -------
+    ndarray of float64, shape (..., 3)
+        In `target`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> turned(np.array([1.0, -2.0, 3.0]), "RAS", "LPS")
+    array([-1.,  2.,  3.])
+    """
+    if source is None or target is None or source == target:
+        return points
+    return np.asarray(points * (-1.0, -1.0, 1.0) + 0.0)  # no zero with a minus

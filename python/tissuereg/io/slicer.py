@@ -1,0 +1,139 @@
+"""Files of 3D Slicer that hold points with labels: which they are, and markers and targets from them."""
+
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import FormatError, MarkerError
+from tissuereg.io.fcsv import read_fcsv
+from tissuereg.io.mrk_json import read_mrk_json
+from tissuereg.io.points import NamedPoints
+from tissuereg.markers import Markers
+
+_SUFFIXES = (".mrk.json", ".fcsv", ".json")
+
+
+def is_slicer_file(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is named like one of Slicer's: ``.mrk.json``, ``.json`` or ``.fcsv``."""
+    return str(path).lower().endswith(_SUFFIXES)
+
+
+def read_points(path: str | os.PathLike[str]) -> NamedPoints:
+    """Read the points of one of Slicer's files.
+
+    Parameters
+    ----------
+    path : path-like
+        A file that `is_slicer_file` takes.
+
+    Returns
+    -------
+    NamedPoints
+        In the file's frame, in mm.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing or spoilt; the message names the place in it.
+    """
+    return read_fcsv(path) if str(path).lower().endswith(".fcsv") else read_mrk_json(path)
+
+
+def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, FloatArray]:
+    """Read inner points.
+
+    Parameters
+    ----------
+    path : path-like
+        Slicer's file.
+    frame : str or None
+        ``"LPS"`` or ``"RAS"`` that they are wanted in; None: the file's.
+
+    Returns
+    -------
+    dict of str to ndarray of float64, shape (3,)
+        Place in mm by label, in file order.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or a target has no place.
+    """
+    points = read_points(path)
+    if not points.defined.all():
+        name = points.names[int(np.argmin(points.defined))]
+        message = f"every target must have a place; that of '{name}' in {points.file} is not defined"
+        raise FormatError(message, where=f"{points.file}: {name}")
+    return dict(zip(points.names, points.places_in(frame), strict=True))
+
+
+def markers_of(
+    reference: str | os.PathLike[str], measured: str | os.PathLike[str] | None, std: float, frame: str | None
+) -> Markers:
+    """Read markers from where they sit and where they were seen.
+
+    Parameters
+    ----------
+    reference, measured : path-like
+        Slicer's files; points of the same label belong together. They may have frames and units of their own.
+    std : float
+        Standard deviation of a measured coordinate, mm.
+    frame : str or None
+        ``"LPS"`` or ``"RAS"`` that the markers are wanted in; None: that of `reference`.
+
+    Returns
+    -------
+    Markers
+        In the order of `reference`. A marker that `measured` lacks, or does not define, was not seen; one that
+        `reference` does not define is left out, with a warning.
+
+    Raises
+    ------
+    FormatError
+        If there are not two such files, one cannot be read, or `measured` has a label that `reference` lacks.
+    MarkerError
+        If `std` is not positive.
+    """
+    files = {"reference": reference, "measured": measured}
+    for role, path in files.items():
+        if path is None or not is_slicer_file(path):
+            other = next(file for file in files.values() if file is not None and is_slicer_file(file))
+            message = (
+                f"markers of 3D Slicer must come in two files, where they sit and where they were seen; beside {other} "
+                f"the {role} one is {'missing' if path is None else path}"
+            )
+            raise FormatError(message, where=str(other if path is None else path))
+    sit, seen = read_points(reference), read_points(measured or "")
+    _refuse_strangers(sit, seen)
+    where = frame or sit.frame
+    found = dict(zip(seen.names, seen.places_in(where), strict=True))
+    names = [name for name, known in zip(sit.names, sit.defined, strict=True) if known]
+    if len(names) < len(sit.names):
+        lost = ", ".join(name for name in sit.names if name not in names)
+        warnings.warn(f"{sit.file}: {lost} left out, where it sits is not defined", stacklevel=4)
+    places = [found.get(name, np.full(3, np.nan)) for name in names]
+    try:
+        return Markers(sit.places_in(where)[sit.defined], np.reshape(places, (-1, 3)), std, names)
+    except MarkerError as error:
+        error.args = (f"{sit.file}: {error}",)
+        raise
+
+
+def frame_of_files(paths: list[str | Path]) -> tuple[str, str] | None:
+    """Return the frame of the first of Slicer's files among `paths`, and the name of that file; None without one."""
+    first = next((path for path in paths if is_slicer_file(path)), None)
+    return None if first is None else (read_points(first).frame, str(first))
+
+
+def _refuse_strangers(sit: NamedPoints, seen: NamedPoints) -> None:
+    """Refuse a measured label that no marker has: a slip of the pen would lose a marker unseen."""
+    strangers = [name for name in seen.names if name not in sit.names]
+    if strangers:
+        message = (
+            f"every label in {seen.file} must stand in {sit.file} too; {', '.join(map(repr, strangers))} does not "
+            f"(there are {', '.join(map(repr, sit.names))})"
+        )
+        raise FormatError(message, where=f"{seen.file}: {strangers[0]}")
