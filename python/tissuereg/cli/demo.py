@@ -23,7 +23,7 @@ def add_parser(commands: Any) -> None:
     """
     purpose = "register the embedded phantom, end to end"
     parser = command_parser(commands, "demo", purpose, _DETAILS, "tissuereg demo --out demo")
-    text = "folder for registered.vtu, targets.csv, registration.json, registered.png (default: demo)"
+    text = "folder for the files that 'register' writes, and for its input (default: demo)"
     parser.add_argument("--out", default="demo", metavar="DIR", help=text)
     add_common(parser, seed="seed of markers, noise and ensemble (default: 0)")
     parser.set_defaults(run=run)
