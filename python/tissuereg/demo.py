@@ -24,7 +24,8 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
     ----------
     out : path-like
         Folder for ``registered.vtu``, ``targets.csv``, ``targets.mrk.json``, ``registration.json``, ``registered.png``,
-        ``report.html``, and ``input/`` with the mesh, markers, targets and simulation that the command ``register`` takes.
+        ``report.html``, and ``input/`` with the mesh, markers, targets and simulation that the command ``register``
+        takes.
     seed : int
         Of markers, noise and ensemble.
     threads : int

@@ -254,6 +254,7 @@ class Registration:
         return {
             "schema": "tissuereg.registration/1",
             "seed": self.seed,
+            "frame": self.mesh.frame,
             "markers": {
                 "used": list(fit.used),
                 "dropped": [{"marker": name, "reason": reason} for name, reason in fit.dropped],

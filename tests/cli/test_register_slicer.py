@@ -106,7 +106,7 @@ def test_a_mesh_in_ras_has_the_same_answer_turned(capsys, folder, tmp_path, plai
         turned = np.array(said["targets"][name]["mean_mm"]) * (-1, -1, 1)
         np.testing.assert_allclose(turned, target["mean_mm"], atol=1e-6)
     written = read_mrk_json(tmp_path / "out" / "targets.mrk.json")
-    assert written.frame == "RAS"
+    assert (written.frame, said["frame"], plain["frame"]) == ("RAS", "RAS", None)
     assert written.places.tolist() == [target["mean_mm"] for target in said["targets"].values()]
     in_lps = tr.read_targets(tmp_path / "out" / "targets.mrk.json", frame="LPS")
     np.testing.assert_allclose(in_lps["deep"], plain["targets"]["deep"]["mean_mm"], atol=1e-6)

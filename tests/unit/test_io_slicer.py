@@ -224,7 +224,7 @@ POINT = control_point("a", (1, 2, 3))
         (markups([POINT], units=["mm", "DCM", "x"]), r"coordinateUnits of .*, got \['mm', 'DCM', 'x'\]"),
         (markups({}), "controlPoints of .* must be a list, got dict"),
         (markups([]), "must hold at least one point"),
-        (markups([POINT, 3]), "control point 2 of .* must be a table, got int"),
+        (markups([POINT, 3]), "control point 2 of .* must be a table, got float"),
         (markups([POINT, {**POINT, "label": 7}]), "control point 2 of .* must have text for its label, got 7"),
         (markups([POINT, {**POINT, "label": " "}]), "must have a label, the one at control point 2 .* has none"),
         (markups([POINT, POINT]), "'a' is at control point 1 and control point 2"),
@@ -233,6 +233,7 @@ POINT = control_point("a", (1, 2, 3))
         (markups([{**POINT, "position": [1, 2, "3"]}]), "three finite numbers"),
         (markups([{**POINT, "position": [1, 2, float("nan")]}]), "three finite numbers"),
         (markups([{**POINT, "position": [True, 2, 3]}]), "three finite numbers"),
+        (markups([{**POINT, "position": [10**400, 2, 3]}]), "three finite numbers, got .inf, 2.0, 3.0"),
         (markups([{**POINT, "positionStatus": "lost"}]), "positionStatus defined, undefined.*, got 'lost'"),
     ],
 )
@@ -246,6 +247,7 @@ def test_a_faulty_list_is_refused_by_place(tmp_path, content, words):
         ("", "must be JSON; it is not, at line 1 column 1"),
         ('{\n"@schema": 1,,}', "it is not, at line 2 column"),
         ("[" * 100000, "cannot be read|must be JSON"),
+        ("1" * 5000, "@schema of .* got None"),
     ],
 )
 def test_a_list_that_is_no_json_is_refused_by_line(tmp_path, text, words):

@@ -75,7 +75,8 @@ def registration_input(args: argparse.Namespace) -> dict[str, Any]:
 
     frames = _frames(args)
     given = _from_experiment(args) if is_experiment(args.path) else _from_files(args, frames)
-    given["mesh"] = given["mesh"].in_frame(frames["frame"])
+    if frames["frame"] is not None:
+        given["mesh"] = given["mesh"].in_frame(frames["frame"])
     if args.targets is not None:
         given["targets"] = {**given["targets"], **read_targets(args.targets, **frames)}
     if args.simulation is not None:
@@ -125,8 +126,8 @@ def _add_beliefs(what: Any) -> None:
     what.add_argument("--young", type=positive_number, metavar="KPA", help=text)
     what.add_argument("--poisson", type=finite_number, metavar="NU", help="Poisson's ratio (default: 0.45)")
     text = (
-        "acceleration in mm/s^2 that acts now and did not on MESH, e.g. '0 0 -9810'; of a body that was imaged in "
-        "gravity, the difference"
+        "acceleration in mm/s^2, in the frame of MESH, that acts now and did not on MESH, e.g. '0 0 -9810'; of a body "
+        "that was imaged in gravity, the difference"
     )
     what.add_argument("--gravity", type=_acceleration, metavar="'GX GY GZ'", help=text)
     text = "density in g/cm^3, with --gravity (default: 1)"

@@ -96,7 +96,8 @@ def write_mrk_json(
 
 def _content(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(file.read_text(encoding="utf-8-sig"))
+        # Whole numbers of any length become floats: none is counted here.
+        content = json.loads(file.read_text(encoding="utf-8-sig"), parse_int=float)
     except json.JSONDecodeError as error:
         message = f"{file} must be JSON; it is not, at line {error.lineno} column {error.colno}: {error.msg}"
         raise FormatError(message, where=f"{file}:{error.lineno}") from error
@@ -149,7 +150,7 @@ def _point(file: Path, row: int, point: object, scale: float) -> tuple[str, str,
 
 
 def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, float) and math.isfinite(value)
 
 
 def _refuse(file: Path, where: str, words: str) -> NoReturn:

@@ -113,7 +113,7 @@ def markers_of(
     names = [name for name, known in zip(sit.names, sit.defined, strict=True) if known]
     if len(names) < len(sit.names):
         lost = ", ".join(name for name in sit.names if name not in names)
-        warnings.warn(f"{sit.file}: {lost} left out, where it sits is not defined", stacklevel=4)
+        warnings.warn(f"{sit.file}: {lost} left out, where it sits is not defined", stacklevel=3)
     places = [found.get(name, np.full(3, np.nan)) for name in names]
     try:
         return Markers(sit.places_in(where)[sit.defined], np.reshape(places, (-1, 3)), std, names)
