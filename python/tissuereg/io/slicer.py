@@ -102,8 +102,8 @@ def markers_of(
         if path is None or not is_slicer_file(path):
             other = next(file for file in files.values() if file is not None and is_slicer_file(file))
             message = (
-                f"markers of 3D Slicer must come in two files, where they sit and where they were seen; beside {other} "
-                f"the {role} one is {'missing' if path is None else path}"
+                f"markers of 3D Slicer must come in two files, where they sit and, as `measured`, where seen; "
+                f"beside {other} the {role} one is {'missing' if path is None else path}"
             )
             raise FormatError(message, where=str(other if path is None else path))
     sit, seen = read_points(reference), read_points(measured or "")
