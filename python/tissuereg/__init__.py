@@ -21,15 +21,18 @@ from tissuereg.load import Load
 from tissuereg.markers import Markers
 from tissuereg.material import Fibre, Material
 from tissuereg.mesh import Mesh
+from tissuereg.meshing import FilledMesh, tetrahedralize
 from tissuereg.registration import RegisterSettings, register
 from tissuereg.result import Registration
 from tissuereg.simulate import Simulation, Simulator, simulate
 from tissuereg.simulate.believed import simulate_experiment
 from tissuereg.simulate.fine import FineModel
+from tissuereg.triangles import Triangles
 
 __all__ = [
     "Experiment",
     "Fibre",
+    "FilledMesh",
     "FineModel",
     "Load",
     "Markers",
@@ -40,6 +43,7 @@ __all__ = [
     "Simulation",
     "Simulator",
     "TissueRegError",
+    "Triangles",
     "__version__",
     "diagnose",
     "effects",
@@ -55,5 +59,6 @@ __all__ = [
     "register_frame",
     "simulate",
     "simulate_experiment",
+    "tetrahedralize",
     "write_experiment",
 ]

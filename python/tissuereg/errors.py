@@ -111,6 +111,12 @@ class EnsembleError(TissueRegError, RuntimeError):
     dropped: "list[tuple[int, str]]" = []  # noqa: RUF012
 
 
+class MeshingError(TissueRegError, RuntimeError):
+    """A surface could not be filled with tetrahedra."""
+
+    exit_code = 3
+
+
 class ParityError(TissueRegError, RuntimeError):
     """An exported network and its source disagree."""
 

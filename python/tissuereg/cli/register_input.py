@@ -105,7 +105,10 @@ def _add_files(more: Any) -> None:
     more.add_argument("--simulation", metavar="U.npz", help=text)
     text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
     more.add_argument("--targets", metavar="FILE", help=text)
-    text = "held nodes: 'plane nx ny nz d tol' (within tol mm of n . x = d mm), or the name of a node set"
+    text = (
+        "held nodes: 'plane nx ny nz d tol' (within tol mm of n . x = d mm), 'ball x y z r' (of the surface, "
+        "within r mm), or the name of a node set"
+    )
     more.add_argument("--fixed", metavar="RULE", help=text)
     text = "table x_mm,y_mm,z_mm of points on the deformed surface, or on a part of it, without labels"
     more.add_argument("--surface", metavar="FILE", help=text)

@@ -13,7 +13,8 @@ from tissuereg.effects import Effect, check_effects, effect_from_table
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, MeshError
 from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
-from tissuereg.io.meshes import nodes_near_plane, read_mesh
+from tissuereg.io.meshes import read_mesh
+from tissuereg.io.node_rules import nodes_near_plane, surface_nodes_in_ball
 from tissuereg.io.toml import Table, read_toml
 from tissuereg.material import GRAVITY_MM_PER_S2, SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.mesh import Mesh
@@ -268,14 +269,10 @@ def _near_plane(rule: Table, mesh: Mesh) -> IntArray:
 
 def _within_sphere(rule: Table, mesh: Mesh) -> IntArray:
     centre, radius = rule.numbers("centre_mm", 3), rule.number("radius_mm", positive=True)
-    nodes = mesh.surface_nodes_within(centre, radius)
-    if nodes.size == 0:
-        distance = np.linalg.norm(mesh.nodes[mesh.surface_nodes] - centre, axis=1)
-        rule.refuse(
-            f"a surface node must lie within {radius:g} mm of {centre.tolist()}; "
-            f"the nearest is {distance.min():.4g} mm away"
-        )
-    return nodes
+    try:
+        return surface_nodes_in_ball(mesh, centre, radius)
+    except MeshError as error:
+        rule.refuse(str(error))
 
 
 def _targets(top: Table) -> dict[str, FloatArray]:

@@ -8,7 +8,7 @@ import contextlib
 import io
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,9 @@ import numpy.typing as npt
 from tissuereg._arrays import IntArray, float_array
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
+from tissuereg.io.node_rules import NodeRule, nodes_by_rule
 from tissuereg.io.npz import Archive, existing_file, open_npz
 from tissuereg.mesh import Mesh
-
-#: A plane ``(nx, ny, nz, d, tolerance)`` in words or numbers, or the name of a node set.
-FixedRule = str | Sequence[float]
 
 _MESHIO_READERS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
 _SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".vtp")
@@ -30,7 +28,7 @@ _SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "q
 _TET_CELLS = {"tetra": 4, "tetra10": 10}
 
 
-def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None, *, frame: str | None = None) -> Mesh:
+def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, frame: str | None = None) -> Mesh:
     """Read a tetrahedral mesh with its node sets.
 
     Parameters
@@ -40,8 +38,8 @@ def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None, *, f
         ``fixed_nodes``, ``<name>_nodes``. Lengths in mm.
     fixed : str or sequence of float, optional
         What is held: ``"plane nx ny nz d tol"`` or those five numbers (the nodes within `tol` mm of the plane
-        ``n . x = d``, n normalised, d in mm), or the name of another node set of the file. Where absent, the
-        file's set ``fixed``.
+        ``n . x = d``, n normalised, d in mm), ``"ball x y z r"`` (the surface nodes within r mm of the point), or the
+        name of another node set of the file. Where absent, the file's set ``fixed``.
     frame : {"LPS", "RAS"}, optional
         Frame of a patient that the coordinates are declared to be in; they are taken as they are.
 
@@ -55,7 +53,7 @@ def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None, *, f
     FormatError
         If the file is missing, spoilt, of another kind, or holds no tetrahedra; or if `fixed` is no such rule.
     MeshError
-        If the mesh itself cannot carry a simulation, the plane catches no node, or `frame` is none of the two.
+        If the mesh itself cannot carry a simulation, the plane or ball catches no node, or `frame` is none of the two.
     """
     file = existing_file(path)
     suffix = file.suffix.lower()
@@ -68,7 +66,7 @@ def read_mesh(path: str | os.PathLike[str], fixed: FixedRule | None = None, *, f
         raise _unknown_format(file)
     if frame is not None:
         mesh = mesh.in_frame(frame)
-    return mesh if fixed is None else mesh.with_node_set("fixed", fixed_nodes(mesh, fixed))
+    return mesh if fixed is None else mesh.with_node_set("fixed", nodes_by_rule(mesh, fixed))
 
 
 def mesh_from_archive(archive: Archive) -> Mesh:
@@ -92,79 +90,6 @@ def mesh_from_archive(archive: Archive) -> Mesh:
         if name == "fixed_nodes" or (name.endswith("_nodes") and _holds_indices(archive.raw(name)))
     }
     return _placed(archive.path, nodes, tets, sets)
-
-
-def fixed_nodes(mesh: Mesh, rule: FixedRule) -> IntArray:
-    """Return the nodes that a rule holds.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The body, mm.
-    rule : str or sequence of float
-        ``"plane nx ny nz d tol"``, those five numbers, or the name of a node set.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Sorted indices, at least one.
-
-    Raises
-    ------
-    FormatError
-        If the rule cannot be read.
-    MeshError
-        If there is no such node set, or the plane catches no node.
-    """
-    if isinstance(rule, str) and rule.split()[:1] != ["plane"]:
-        return mesh.node_set(rule)
-    words = rule.split()[1:] if isinstance(rule, str) else list(rule)
-    try:
-        numbers = [float(word) for word in words]
-    except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != 5 or not np.isfinite(numbers).all() or numbers[4] < 0 or not any(numbers[:3]):
-        shown = rule if isinstance(rule, str) else list(rule)
-        message = f"`fixed` must be 'plane nx ny nz d tol', normal not zero and tol at least 0 mm, got {shown!r}"
-        raise FormatError(message, where="fixed")
-    return nodes_near_plane(mesh, numbers[:3], numbers[3], numbers[4])
-
-
-def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, tolerance: float) -> IntArray:
-    """Return the nodes with ``|n . x - offset| <= tolerance``, n normalised.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The body, mm.
-    normal : sequence of float, length 3
-        Normal of the plane; any length but none.
-    offset : float
-        Distance of the plane from the origin along the unit normal, mm.
-    tolerance : float
-        How far a node may lie from the plane, mm.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Sorted indices, at least one.
-
-    Raises
-    ------
-    MeshError
-        If no node is that close.
-    """
-    unit = np.asarray(normal, dtype=np.float64)
-    unit = unit / np.linalg.norm(unit)
-    distance = np.abs(mesh.nodes @ unit - offset)
-    near = np.flatnonzero(distance <= tolerance).astype(np.int64)
-    if near.size == 0:
-        message = (
-            f"the plane {unit.tolist()} . x = {offset:g} mm must have a node within {tolerance:g} mm; "
-            f"the nearest is {distance.min():.4g} mm away"
-        )
-        raise MeshError(message, where="plane")
-    return near
 
 
 def write_vtu(
@@ -276,7 +201,7 @@ def _refuse_other_cells(file: Path, kinds: list[str]) -> None:
         raise FormatError(message, where=str(file))
     if not any(kind in _TET_CELLS for kind in kinds):
         found = ", ".join(sorted(set(kinds))) or "no cells"
-        message = f"{file} must hold tetrahedra; it holds {found} only. {_HOW_TO_FILL}"
+        message = f"{file} must hold tetrahedra; it holds {found} only. {_how_to_fill(file)}"
         raise FormatError(message, where=str(file))
 
 
@@ -334,14 +259,15 @@ def _placed(file: Path, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:
 
 def _unknown_format(file: Path) -> FormatError:
     if file.suffix.lower() in _SURFACE_SUFFIXES:
-        message = f"a mesh must be made of tetrahedra; {file} holds a surface only. {_HOW_TO_FILL}"
+        message = f"a mesh must be made of tetrahedra; {file} holds a surface only. {_how_to_fill(file)}"
     else:
         known = ", ".join([*_MESHIO_READERS, ".npz"])
         message = f"a mesh file must be one of {known}, got '{file.name}'"
     return FormatError(message, where=str(file))
 
 
-_HOW_TO_FILL = (
-    "Fill the surface with tetrahedra first: pytetwild does it, pip install 'tissuereg[mesh]', "
-    "as examples/beam.py shows"
-)
+def _how_to_fill(file: Path) -> str:
+    return (
+        f"Fill the surface with tetrahedra first: tissuereg mesh {file} --size MM --out BODY.vtu "
+        "(by pytetwild: pip install 'tissuereg[mesh]')"
+    )

@@ -1,0 +1,126 @@
+"""``tissuereg mesh``: a surface becomes a body of tetrahedra."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
+from tissuereg.cli.options import UsageError, add_common, command_parser, positive_number, refuse_overwriting
+
+if TYPE_CHECKING:
+    from tissuereg.meshing import FilledMesh
+
+_DETAILS = (
+    "SURFACE is a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh of triangles. Its vertices are merged, holes closed "
+    "and normals turned outwards; whatever was done is listed. BODY.vtu gets tetrahedra in mm and the node sets, and "
+    "'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz d tol' (nodes within tol "
+    "mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm) or the name of another set; all in mm. The "
+    "mesher (pytetwild: pip install 'tissuereg[mesh]') draws by chance and takes no seed: its answer differs from run "
+    "to run."
+)
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command's parser.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers action
+        Where to.
+    """
+    example = "tissuereg mesh liver.stl --size 6 --out liver.vtu --json -"
+    parser = command_parser(commands, "mesh", "fill a surface with tetrahedra", _DETAILS, example)
+    parser.add_argument("surface", metavar="SURFACE", help="surface of the body, with any defects")
+    text = "length of edges that is aimed at, mm; three or more across the thinnest part that bends is a good start"
+    parser.add_argument("--size", type=positive_number, required=True, metavar="MM", help=text)
+    parser.add_argument("--out", required=True, metavar="BODY.vtu", help="file for the tetrahedra")
+    text = "unit of SURFACE's coordinates (default: what the file says, or else mm)"
+    parser.add_argument("--unit", choices=["mm", "cm", "m"], help=text)
+    text = "how far faces may lie from the surface (default: 5 %% of the size, at most 0.1 %% of the diagonal)"
+    parser.add_argument("--deviation", type=positive_number, metavar="MM", help=text)
+    sets = parser.add_argument_group("node sets")
+    text = "nodes that are held, by a rule; may be given several times"
+    sets.add_argument("--fixed", action="append", metavar="RULE", help=text)
+    text = "nodes of a set called NAME, by a rule; may be given several times"
+    sets.add_argument("--set", action="append", nargs=2, default=[], metavar=("NAME", "RULE"), help=text)
+    add_common(parser, threads="threads of the mesher (default: all cores)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Fill and write.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    Outcome
+        Schema ``tissuereg.mesh/1``.
+
+    Raises
+    ------
+    UsageError
+        If BODY is no .vtu, or would replace the surface.
+    """
+    from tissuereg.io.atomic import check_file_target
+    from tissuereg.io.meshes import write_vtu
+    from tissuereg.meshing import tetrahedralize
+
+    if Path(args.out).suffix.lower() != ".vtu":
+        message = f"--out must end in .vtu, got '{args.out}'"
+        raise UsageError(message, where="--out")
+    refuse_overwriting([Path(args.out)], [args.surface])
+    check_file_target(args.out)
+    clock = Stopwatch()
+    mesh = tetrahedralize(
+        args.surface,
+        args.size,
+        unit=args.unit,
+        fixed=args.fixed,
+        node_sets=_sets(args.set),
+        deviation_mm=args.deviation,
+        threads=args.threads,
+    )
+    clock.lap("mesh")
+    write_vtu(args.out, mesh)
+    writing = clock.lap("write")
+    seconds = {**mesh.seconds, "write": writing, "total": clock.seconds["total"]}
+    content = {
+        "schema": "tissuereg.mesh/1",
+        "nodes": mesh.n_nodes,
+        "tets": mesh.n_tets,
+        **mesh.quality,
+        "repaired": mesh.repaired,
+        "node_sets": {name: len(nodes) for name, nodes in mesh.node_sets.items()},
+        **mesh.settings,
+        "repeatable": False,
+        "seed": None,
+        "seconds": seconds,
+    }
+    return Outcome(content, _summary(mesh, seconds, args.out), args.threads)
+
+
+def _sets(given: list[list[str]]) -> dict[str, list[str]]:
+    sets: dict[str, list[str]] = {}
+    for name, rule in given:
+        sets.setdefault(name, []).append(rule)
+    return sets
+
+
+def _summary(mesh: "FilledMesh", seconds: dict[str, float], out: str) -> str:
+    found = mesh.quality
+    lines = [
+        f"{mesh.n_nodes} nodes, {mesh.n_tets} tets: shape quality at least {found['min_quality']:.2f}, median "
+        f"{found['median_quality']:.2f} (1 is regular); edges at least {found['shortest_edge_mm']:.3g} mm, median "
+        f"{found['median_edge_mm']:.3g} mm",
+        f"{found['volume_mm3']:.6g} mm^3, {found['volume_change_percent']:+.2g} % against the surface; faces at most "
+        f"{found['surface_distance_mm']:.2g} mm from it, the surface at most {found['missed_mm']:.2g} mm from them",
+        *(f"repaired: {sentence}" for sentence in mesh.repaired),
+        "node sets: " + (", ".join(f"{name} ({len(nodes)})" for name, nodes in mesh.node_sets.items()) or "none"),
+        seconds_line(seconds),
+        f"written: {out}",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,237 @@
+"""Surfaces of triangles: .stl, .ply, .obj and .off by trimesh, .vtp by pyvista, .vtu, .vtk and .msh by meshio.
+
+The unit is told, or read from the head of a file that says it (``unit: mm`` or ``UNITS=mm`` in the header of an .stl or
+in a comment of a .ply, .obj or .off), or else mm. A body's largest extent must lie between 5 and 2,000 mm: anything
+else is refused, with the unit that would make it a body.
+"""
+
+import contextlib
+import io
+import os
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, TissueRegError, UnitError
+from tissuereg.io.npz import existing_file
+from tissuereg.triangles import Triangles
+
+#: What may be given as a surface: a file, or vertices (n, 3) and triangles (m, 3).
+SurfaceInput = str | os.PathLike[str] | tuple[Any, Any] | Triangles
+
+#: How many mm each unit has.
+UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+
+#: Largest extents that an organ has, mm.
+ORGAN_EXTENT_MM = (5.0, 2000.0)
+
+#: Of two units that would do, the one is likelier whose extent is nearer to this many mm, as a ratio.
+_TYPICAL_EXTENT_MM = 150.0
+
+_UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres"}
+_TRIMESH_SUFFIXES = (".stl", ".ply", ".obj", ".off")
+_MESHIO_READERS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
+_FLAT_CELLS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
+_IGNORED_CELLS = {"vertex", "line", "line3"}
+_HEAD_BYTES = 4096
+_STL_HEAD_BYTES = 80
+_UNIT_NOTE = re.compile(r"\bunits?\b\s*[:= ]\s*(milli|centi)?(mm|cm|m|met(?:er|re)s?)\b", re.IGNORECASE)
+
+
+def read_triangles(surface: SurfaceInput, unit: str | None = None) -> Triangles:
+    """Read a surface, in mm.
+
+    Parameters
+    ----------
+    surface : path-like, pair of arrays, or Triangles
+        A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3).
+    unit : {"mm", "cm", "m"}, optional
+        Of the coordinates. Where absent, what the file's head says, or else mm.
+
+    Returns
+    -------
+    Triangles
+        As given, in mm; four-cornered faces are cut in two. The corners of an .stl, which repeats them for every
+        triangle, are joined where they are equal to the last bit.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, spoilt, of another kind, or holds no faces; or if `unit` is no such unit.
+    MeshError, ShapeError
+        If coordinates are not finite, or indices out of range.
+    UnitError
+        If the largest extent is not that of an organ, 5 to 2,000 mm.
+    MissingPackageError
+        If a .vtp is given and pyvista is not installed.
+
+    Examples
+    --------
+    >>> box = ([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    >>> read_triangles(box, "m").extent
+    100.0
+    >>> read_triangles(box)
+    Traceback (most recent call last):
+    ...
+    tissuereg.errors.UnitError: extent 0.1: looks like metres; say --unit m (unit="m" in Python). The largest extent
+    of a body must lie between 5 and 2000 mm; `surface`, read in mm, has 0.1 mm
+    """
+    if unit is not None and unit not in UNITS_MM:
+        message = f"`unit` must be one of {', '.join(UNITS_MM)}, got {unit!r}"
+        raise FormatError(message, where="unit")
+    if isinstance(surface, Triangles):
+        return _in_mm(surface, unit or "mm", "`surface`")
+    if isinstance(surface, tuple | list):
+        if len(surface) != 2:
+            message = f"`surface` must be a file, or vertices (n, 3) and triangles (m, 3), got {len(surface)} things"
+            raise ShapeError(message, where="surface")
+        return _in_mm(Triangles(*surface), unit or "mm", "`surface`")
+    file = existing_file(surface)
+    try:
+        found = Triangles(*_content(file))
+    except (MeshError, ShapeError) as error:
+        error.args = (f"{file}: {error}",)
+        raise
+    return _in_mm(found, _unit_of(file, unit), str(file))
+
+
+def _content(file: Path) -> tuple[FloatArray, IntArray]:
+    suffix = file.suffix.lower()
+    if suffix in _TRIMESH_SUFFIXES:
+        vertices, triangles = _by_trimesh(file)
+        return _joined(vertices, triangles) if suffix == ".stl" else (vertices, triangles)
+    if suffix == ".vtp":
+        return _by_pyvista(file)
+    if suffix in _MESHIO_READERS:
+        return _by_meshio(file, _MESHIO_READERS[suffix])
+    known = ", ".join([*_TRIMESH_SUFFIXES, ".vtp", *_MESHIO_READERS])
+    message = f"a surface file must be one of {known}, got '{file.name}'"
+    raise FormatError(message, where=str(file))
+
+
+@contextlib.contextmanager
+def _reading(file: Path) -> Any:
+    """Keep readers' prints and notes to themselves; whatever they stumble over is a spoilt file."""
+    silence = io.StringIO()
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+            warnings.simplefilter("ignore")
+            yield
+    except (TissueRegError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:
+        reason = str(error).strip() or type(error).__name__
+        message = (
+            f"{file} must be a surface of the kind that its name says ({file.suffix}); it cannot be read: {reason}"
+        )
+        raise FormatError(message, where=str(file)) from error
+
+
+def _by_trimesh(file: Path) -> tuple[FloatArray, IntArray]:
+    import trimesh
+
+    with _reading(file):
+        read: Any = trimesh.load_mesh(str(file), process=False)
+        vertices, triangles = np.asarray(read.vertices, np.float64), np.asarray(getattr(read, "faces", ()), np.int64)
+    if not triangles.size:
+        message = f"{file} must hold the faces of a surface; it holds {len(vertices)} points and no face"
+        raise FormatError(message, where=str(file))
+    return vertices, triangles
+
+
+def _by_pyvista(file: Path) -> tuple[FloatArray, IntArray]:
+    try:
+        import pyvista
+    except ImportError as error:
+        message = f"a .vtp is read by pyvista, which is not installed; pip install 'tissuereg[mesh]' brings it; {file}"
+        raise MissingPackageError(message, where=str(file)) from error
+    with _reading(file):
+        read: Any = pyvista.read(str(file)).triangulate()
+        vertices, faces = np.asarray(read.points, np.float64), np.asarray(read.faces, np.int64)
+    if not faces.size:
+        message = f"{file} must hold the faces of a surface; it holds {len(vertices)} points and no face"
+        raise FormatError(message, where=str(file))
+    return vertices, faces.reshape(-1, 4)[:, 1:]
+
+
+def _by_meshio(file: Path, reader: str) -> tuple[FloatArray, IntArray]:
+    import meshio
+
+    with _reading(file):
+        content: Any = getattr(meshio, reader).read(str(file))
+        vertices = np.asarray(content.points, np.float64)
+    kinds = sorted({str(block.type) for block in content.cells} - _IGNORED_CELLS)
+    if not kinds or any(kind not in _FLAT_CELLS for kind in kinds):
+        found = ", ".join(kinds) or "none"
+        message = f"{file} must be a surface of triangles or quads; it holds cells of kind {found}"
+        raise FormatError(message, where=str(file))
+    faces = [np.asarray(b.data, np.int64)[:, : _FLAT_CELLS[b.type]] for b in content.cells if b.type in _FLAT_CELLS]
+    return vertices, np.concatenate([_cut(block) for block in faces])
+
+
+def _cut(faces: IntArray) -> IntArray:
+    """Return faces (n, 3) or (n, 4) as triangles."""
+    return faces if faces.shape[1] == 3 else np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
+
+
+def _joined(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
+    """Return the surface with one vertex for all that are equal, in the order in which they first stand."""
+    _, first, of_vertex = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return vertices[first[order]], rank[of_vertex.reshape(-1)[triangles]]
+
+
+def _unit_of(file: Path, told: str | None) -> str:
+    said = _noted_unit(file)
+    if told is not None and said is not None and told != said:
+        text = f"{file} says of itself that it is in {_UNIT_NAMES[said]}; it is read in {_UNIT_NAMES[told]}, as told"
+        warnings.warn(text, stacklevel=4)
+    return told or said or "mm"
+
+
+def _noted_unit(file: Path) -> str | None:
+    """Return the unit that the head of a file notes, if any."""
+    suffix = file.suffix.lower()
+    if suffix not in _TRIMESH_SUFFIXES:
+        return None
+    with file.open("rb") as stream:
+        head = stream.read(_STL_HEAD_BYTES if suffix == ".stl" else _HEAD_BYTES).decode("latin-1")
+    if suffix == ".stl":
+        head = head.splitlines()[0] if head.startswith("solid") and head.strip() else head
+    elif suffix == ".ply":
+        head = "\n".join(line for line in head.partition("end_header")[0].splitlines() if line.startswith("comment"))
+    else:
+        head = "\n".join(line for line in head.splitlines() if line.startswith("#"))
+    note = _UNIT_NOTE.search(head)
+    if note is None:
+        return None
+    prefix, word = (note[1] or "").lower(), note[2].lower()
+    if word in ("mm", "cm"):
+        return None if prefix else word
+    return {"": "m", "milli": "mm", "centi": "cm"}[prefix]
+
+
+def _in_mm(surface: Triangles, unit: str, place: str) -> Triangles:
+    extent, (least, most) = surface.extent, ORGAN_EXTENT_MM
+    if not least <= extent * UNITS_MM[unit] <= most:
+        message = (
+            f"extent {extent:.3g}: {_advice(extent)}. The largest extent of a body must lie between {least:g} and "
+            f"{most:g} mm; {place}, read in {unit}, has {extent * UNITS_MM[unit]:.4g} mm"
+        )
+        raise UnitError(message, where=place.strip("`"))
+    return surface if unit == "mm" else Triangles(surface.vertices * UNITS_MM[unit], surface.triangles)
+
+
+def _advice(extent: float) -> str:
+    least, most = ORGAN_EXTENT_MM
+    likely = [unit for unit, factor in UNITS_MM.items() if least <= extent * factor <= most]
+    if not likely:
+        return f"neither of {', '.join(UNITS_MM)} makes this a body; convert the file"
+    best = min(likely, key=lambda unit: abs(np.log(extent * UNITS_MM[unit] / _TYPICAL_EXTENT_MM)))
+    return f'looks like {_UNIT_NAMES[best]}; say --unit {best} (unit="{best}" in Python)'

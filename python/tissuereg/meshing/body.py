@@ -1,0 +1,179 @@
+"""`tetrahedralize`: a surface becomes a mesh that can be simulated."""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._clock import Clock
+from tissuereg.errors import MeshError, MeshingError
+from tissuereg.io.node_rules import NodeRule, nodes_by_rule, parsed_rule
+from tissuereg.io.surfaces import SurfaceInput, read_triangles
+from tissuereg.mesh import Mesh
+from tissuereg.meshing.fill import check_mesher, filled
+from tissuereg.meshing.quality import quality
+from tissuereg.meshing.repair import repaired
+from tissuereg.triangles import Triangles
+
+#: More tetrahedra than this are refused before they are made.
+MOST_TETS = 3_000_000
+
+#: The faces of the tetrahedra keep to the surface within the smaller of these shares of size and of diagonal.
+_DEVIATION_OF_SIZE, _DEVIATION_OF_DIAGONAL = 0.05, 1e-3
+
+#: Volume of a regular tetrahedron whose edges are 1.
+_REGULAR = 1.0 / (6.0 * math.sqrt(2.0))
+
+
+#: One rule, or several of which all count.
+NodeRules = NodeRule | Sequence[NodeRule]
+
+
+class FilledMesh(Mesh):
+    """A mesh that knows how it came about.
+
+    Attributes
+    ----------
+    repaired : list of str
+        What was done to the surface and found in it, a plain sentence each; empty where it was in order.
+    quality : dict
+        As `tissuereg.meshing.quality.quality` returns it: shape, edges, distance from the surface, volume, parts.
+    settings : dict
+        ``size_mm`` and ``deviation_mm`` that were aimed at, ``mesher``, its name and version.
+    seconds : dict of str to float
+        ``read``, ``repair``, ``fill``, ``measure``.
+    """
+
+    repaired: list[str]
+    quality: dict[str, Any]
+    settings: dict[str, Any]
+    seconds: dict[str, float]
+
+
+def tetrahedralize(
+    surface: SurfaceInput,
+    size_mm: float,
+    *,
+    unit: str | None = None,
+    fixed: NodeRules | None = None,
+    node_sets: Mapping[str, NodeRules] | None = None,
+    deviation_mm: float | None = None,
+    threads: int = 0,
+) -> FilledMesh:
+    """Fill a surface with tetrahedra.
+
+    Parameters
+    ----------
+    surface : path-like, pair of arrays, or Triangles
+        A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3).
+    size_mm : float
+        Length of edges that is aimed at, mm, whatever `unit` is; at most half of the largest extent. Three or more
+        across the thinnest part that bends is a good start.
+    unit : {"mm", "cm", "m"}, optional
+        Of the surface's coordinates. Where absent, what the file's head says, or else mm.
+    fixed : str, sequence of float, or list of them, optional
+        What is held: ``"plane nx ny nz d tol"``, ``"ball x y z r"`` or the name of one of `node_sets`, in mm; of
+        several, all. `tol` should be at least `deviation_mm`.
+    node_sets : mapping of str to the same, optional
+        More named sets of nodes; a name may be used by those behind it.
+    deviation_mm : float, optional
+        How far the faces of the tetrahedra may lie from the surface, mm. Where absent, the smaller of 5 % of the size
+        and 0.1 % of the diagonal of the bounding box.
+    threads : int
+        For the mesher; 0: all cores. Its answer differs from run to run at any number.
+
+    Returns
+    -------
+    FilledMesh
+        A `Mesh` with the node sets, and `repaired`, `quality`, `settings`, `seconds`.
+
+    Raises
+    ------
+    FormatError
+        If the file, the unit or a rule cannot be read.
+    UnitError
+        If the largest extent is not that of an organ, 5 to 2,000 mm; nothing else is looked at before.
+    MeshError
+        If the surface encloses nothing, the size does not suit it, or a rule chooses no node.
+    MissingPackageError
+        If pytetwild is not installed.
+    MeshingError
+        If the mesher gives up.
+
+    Notes
+    -----
+    Cost: about 0.5 s a thousand tetrahedra on one core, nearly all of it in the mesher; a finer deviation costs more.
+    """
+    clock = Clock()
+    with clock.stage("read"):
+        given = read_triangles(surface, unit)
+        rules = {**(node_sets or {}), **({} if fixed is None else {"fixed": fixed})}
+        for name, several in rules.items():
+            for rule in _listed(several):
+                parsed_rule(rule, name)
+        _check_lengths(given, size_mm, deviation_mm)
+        check_mesher()
+    with clock.stage("repair"):
+        body, told = repaired(given, least_volume=_REGULAR * size_mm**3)
+        _check_number(body, size_mm)
+    wanted = deviation_mm or min(_DEVIATION_OF_SIZE * size_mm, _DEVIATION_OF_DIAGONAL * _diagonal(body))
+    with clock.stage("fill"):
+        nodes, tets, mesher = filled(body, size_mm, wanted, threads)
+        mesh = _with_sets(nodes, tets, rules)
+    with clock.stage("measure"):
+        mesh.quality = quality(mesh, body)
+    mesh.repaired, mesh.seconds = told, clock.seconds
+    mesh.settings = {"size_mm": float(size_mm), "deviation_mm": float(wanted), "mesher": mesher}
+    if mesh.quality["parts"] > 1:
+        text = f"the body is in {mesh.quality['parts']} parts that share no node: each must be held on its own"
+        warnings.warn(text, stacklevel=2)
+    return mesh
+
+
+def _listed(rules: NodeRules) -> Sequence[NodeRule]:
+    """Return several rules; one is a string, or five numbers."""
+    if isinstance(rules, str) or not all(isinstance(rule, str | Sequence) for rule in rules):
+        return [cast(NodeRule, rules)]
+    return cast(Sequence[NodeRule], rules)
+
+
+def _with_sets(nodes: FloatArray, tets: IntArray, rules: Mapping[str, NodeRules]) -> FilledMesh:
+    try:
+        mesh = FilledMesh(nodes, tets)
+    except MeshError as error:
+        message = f"the mesher must make a mesh that can be simulated: {error}; try another size"
+        raise MeshingError(message, where="surface") from error
+    for name, several in rules.items():
+        chosen = [nodes_by_rule(mesh, rule, name) for rule in _listed(several)]
+        mesh = FilledMesh(mesh.nodes, mesh.tets, {**mesh.node_sets, name: np.unique(np.concatenate(chosen))})
+    return mesh
+
+
+def _diagonal(surface: Triangles) -> float:
+    return float(math.dist(surface.vertices.min(axis=0), surface.vertices.max(axis=0)))
+
+
+def _check_lengths(surface: Triangles, size_mm: float, deviation_mm: float | None) -> None:
+    if not (math.isfinite(size_mm) and 0 < size_mm <= surface.extent / 2):
+        message = (
+            f"the size must be positive and at most half of the largest extent, {surface.extent / 2:.4g} mm, "
+            f"got {size_mm:g} mm"
+        )
+        raise MeshError(message, where="size_mm")
+    if deviation_mm is not None and not 0 < deviation_mm < size_mm:
+        message = f"the deviation must be positive and less than the size, {size_mm:g} mm, got {deviation_mm:g} mm"
+        raise MeshError(message, where="deviation_mm")
+
+
+def _check_number(body: Triangles, size_mm: float) -> None:
+    expected = body.volume / (_REGULAR * size_mm**3)
+    if expected > MOST_TETS:
+        least = (body.volume / (_REGULAR * MOST_TETS)) ** (1 / 3)
+        message = (
+            f"the size must leave at most {MOST_TETS:,} tetrahedra; {size_mm:g} mm would make about {expected:.2g}: "
+            f"choose at least {least:.2g} mm"
+        )
+        raise MeshError(message, where="size_mm")

@@ -1,0 +1,129 @@
+"""Tetrahedra inside a surface, by fTetWild through pytetwild."""
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.errors import MeshingError, MissingPackageError
+from tissuereg.meshing.worker import NO_MEMORY, NO_MESHER, SCRIPT
+from tissuereg.triangles import Triangles
+
+_MESHER = "pytetwild"
+
+#: Runs a file as a script, wherever the process starts.
+_RUN = "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+
+
+def check_mesher() -> None:
+    """Refuse early where the mesher is not installed.
+
+    Raises
+    ------
+    MissingPackageError
+        If pytetwild cannot be found.
+    """
+    if importlib.util.find_spec(_MESHER) is None:
+        raise _missing(_MESHER)
+
+
+def filled(
+    surface: Triangles, size_mm: float, deviation_mm: float, threads: int = 0
+) -> tuple[FloatArray, IntArray, str]:
+    """Return tetrahedra that fill a surface.
+
+    Parameters
+    ----------
+    surface : Triangles
+        Normals outward.
+    size_mm : float
+        Length of edges that is aimed at.
+    deviation_mm : float
+        How far the faces of the tetrahedra may lie from the surface.
+    threads : int
+        0: all cores.
+
+    Returns
+    -------
+    nodes : ndarray of float64, shape (n_nodes, 3)
+        mm; every one belongs to a tetrahedron.
+    tets : ndarray of int64, shape (n_tets, 4)
+        Positive volume.
+    mesher : str
+        Name and version of what made them.
+
+    Raises
+    ------
+    MissingPackageError
+        If pytetwild, or what it needs, is not installed.
+    MeshingError
+        If the mesher gives up, or an element that it made has no volume.
+    MemoryError
+        If memory is spent.
+
+    Notes
+    -----
+    The mesher draws from the system's own source of chance: two runs make two meshes of the same kind.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
+    with tempfile.TemporaryDirectory(prefix="tissuereg-mesh-") as scratch:
+        given, made = Path(scratch) / "given.npz", Path(scratch) / "made.npz"
+        np.savez(
+            given,
+            vertices=surface.vertices,
+            triangles=surface.triangles,
+            edge_share=size_mm / diagonal,
+            deviation_share=deviation_mm / diagonal,
+            threads=threads,
+        )
+        words = [sys.executable, "-c", _RUN, SCRIPT, str(given), str(made)]
+        done = subprocess.run(words, cwd=scratch, capture_output=True, text=True, errors="replace", check=False)
+        if done.returncode:
+            raise _failure(done.returncode, done.stderr)
+        with np.load(made) as content:
+            nodes, tets = np.asarray(content["nodes"], np.float64), np.asarray(content["tets"], np.int64)
+            mesher = str(content["mesher"])
+    return *_in_order(nodes, tets), mesher
+
+
+def _in_order(nodes: FloatArray, tets: IntArray) -> tuple[FloatArray, IntArray]:
+    """Return nodes that are used and tets of positive volume."""
+    if not len(tets):
+        message = (
+            "the mesher must find an inside; it made no tetrahedron: repair the surface where `repaired` tells of it"
+        )
+        raise MeshingError(message, where="surface")
+    a, b, c, d = (nodes[tets[:, i]] for i in range(4))
+    volumes = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+    if volumes.sum() < 0:
+        tets, volumes = tets[:, [0, 2, 1, 3]], -volumes
+    if volumes.min() <= 0:
+        n = int(np.count_nonzero(volumes <= 0))
+        message = (
+            f"every tetrahedron must have a volume; {n} of {len(tets)} that the mesher made have none: try another size"
+        )
+        raise MeshingError(message, where="tets")
+    used, corners = np.unique(tets, return_inverse=True)
+    return nodes[used], np.asarray(corners.reshape(-1, 4), np.int64)
+
+
+def _failure(code: int, said: str) -> Exception:
+    last = " ".join(said.split()[-40:])
+    if code == NO_MESHER:
+        return _missing(last)
+    if code == NO_MEMORY:
+        return MemoryError()
+    how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
+    message = f"the mesher must fill the surface; it {how}{': ' + last if last else ''}. Try another size"
+    return MeshingError(message, where="surface")
+
+
+def _missing(what: str) -> MissingPackageError:
+    message = (
+        f"tetrahedra are made by pytetwild, which must be installed: pip install 'tissuereg[mesh]' (missing: {what})"
+    )
+    return MissingPackageError(message, where=_MESHER)

@@ -1,0 +1,84 @@
+"""A surface as it was segmented becomes one that encloses a body; whatever is done to it is said."""
+
+import numpy as np
+
+from tissuereg.meshing.crossings import crossing_pairs
+from tissuereg.meshing.holes import closed
+from tissuereg.meshing.join import joined
+from tissuereg.meshing.shells import outward
+from tissuereg.meshing.topology import Edges, agreed_winding, turned_round
+from tissuereg.meshing.words import place, several, were
+from tissuereg.triangles import Triangles
+
+
+def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[str]]:
+    """Return a surface in order, and what was done and found.
+
+    In turn: vertices at one place are merged, triangles without an area or given twice go, neighbours are made to
+    agree in their winding, holes are closed, normals are turned outwards, tiny shells go; then triangles that cross are
+    counted.
+
+    Parameters
+    ----------
+    surface : Triangles
+        As read.
+    least_volume : float
+        Closed shells of less volume are left out, but for the largest, mm^3.
+
+    Returns
+    -------
+    Triangles
+        Normals outward.
+    list of str
+        A plain sentence each; empty where nothing had to be done.
+
+    Raises
+    ------
+    MeshError
+        If no triangle has an area, a shell has one side only, or nothing is enclosed.
+
+    Examples
+    --------
+    A tetrahedron without one of its faces, its normals inwards:
+
+    >>> open_ = Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2], [0, 3, 1], [0, 2, 3]])
+    >>> body, told = repaired(open_, 1.0)
+    >>> round(body.volume, 1)
+    121.5
+    >>> [sentence[:29] for sentence in told]
+    ['1 hole was closed: the larges', 'all normals pointed inwards a']
+    """
+    surface, told = joined(surface)
+    turned, _ = agreed_winding(surface)
+    if len(turned):
+        surface = Triangles(surface.vertices, turned_round(surface.triangles, turned))
+        told.append(
+            f"{several(len(turned), 'triangle')} facing the other way than their neighbours {were(len(turned))} turned"
+        )
+    surface, filled = closed(surface)
+    _, shell = agreed_winding(surface)
+    found, sided = outward(surface, shell, least_volume)
+    return found, [*told, *filled, *sided, *_left(found)]
+
+
+def _left(surface: Triangles) -> list[str]:
+    """Say what is left as it is."""
+    told = []
+    edges = Edges.of(surface.triangles)
+    walls, rim = int(np.count_nonzero(edges.count > 2)), int(np.count_nonzero(edges.count == 1))
+    if walls:
+        told.append(
+            f"{several(walls, 'edge')} of more than two triangles (inner walls, shells that touch) {were(walls)} left"
+        )
+    if rim:
+        told.append(f"{several(rim, 'edge')} at the rim of a hole could not be closed and {were(rim)} left")
+    crossing = crossing_pairs(surface)
+    if crossing is None:
+        told.append("whether triangles cross each other was not looked for: there are too many")
+    elif len(crossing):
+        where = place(surface.corners[crossing[0, 0]].mean(axis=0))
+        told.append(
+            f"{several(len(crossing), 'pair')} of triangles cross each other, one about {where}: what either side "
+            "encloses was filled"
+        )
+    return told

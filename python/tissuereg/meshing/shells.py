@@ -1,0 +1,166 @@
+"""Which side of every shell is outside, which shells are cavities, and which are too small to be filled."""
+
+import numpy as np
+
+from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg.errors import MeshError
+from tissuereg.meshing.topology import Edges, shell_volumes, turned_round
+from tissuereg.meshing.words import place, several, were
+from tissuereg.triangles import Triangles
+
+#: A shell of less than this share of its bounding box's volume is a sheet: it encloses nothing.
+_LEAST_FILLED = 1e-6
+
+#: A shell lies in another if about so many of its triangles do: shells that cross do not.
+_PROBES = 8
+
+
+def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[Triangles, list[str]]:
+    """Return the surface with normals outwards, without shells that no tetrahedron fits into.
+
+    A shell inside no other is turned so that its normals point outwards, and all within it with it. A shell within
+    another whose normals then point into it is the wall of a cavity; one whose normals point out of it lies in solid.
+
+    Parameters
+    ----------
+    surface : Triangles
+        Neighbours agree in their winding.
+    shell : ndarray of int64, shape (n_triangles,)
+        Of every triangle, from 0.
+    least_volume : float
+        Closed shells of less are left out, but for the largest, mm^3.
+
+    Returns
+    -------
+    Triangles
+        Without loose vertices.
+    list of str
+        What was done and found, a sentence each.
+
+    Raises
+    ------
+    MeshError
+        If nothing is enclosed.
+    """
+    volumes = shell_volumes(surface, shell)
+    largest = int(np.argmax(np.abs(volumes)))
+    _check_encloses(surface, shell == largest, float(volumes[largest]))
+    small = (np.abs(volumes) < least_volume) & _closed_shells(surface.triangles, shell)
+    small[largest] = False
+    within = _containers(surface, shell, np.flatnonzero(~small))
+    turned = np.zeros(len(volumes), bool)
+    for number in np.flatnonzero(~small).tolist():
+        outermost = [other for other in [number, *within[number]] if not within[other]]
+        turned[number] = bool(outermost) and volumes[outermost[0]] < 0
+    signed = np.where(turned, -volumes, volumes)
+    triangles = turned_round(surface.triangles, turned[shell])[~small[shell]]
+    kept, corners = np.unique(triangles, return_inverse=True)
+    found = Triangles(surface.vertices[kept], corners.reshape(-1, 3))
+    return found, [
+        *_turning(turned, small),
+        *_omission(volumes, small),
+        *_layout(surface, shell, signed, small, within),
+    ]
+
+
+def winding_number(point: FloatArray, corners: FloatArray) -> float:
+    """Return how often a surface goes round a point: 1 inside, 0 outside, where it is closed and points outwards.
+
+    The sum of the solid angles of its triangles over 4 pi, each by Van Oosterom and Strackee's formula [1]_.
+
+    Parameters
+    ----------
+    point : ndarray of float64, shape (3,)
+        mm.
+    corners : ndarray of float64, shape (n, 3, 3)
+        Of the triangles, mm.
+
+    Returns
+    -------
+    float
+        Dimensionless.
+
+    References
+    ----------
+    .. [1] A. Van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on Biomedical
+       Engineering 30, 125-126, 1983. doi:10.1109/TBME.1983.325207
+    """
+    a, b, c = (corners[:, i] - point for i in range(3))
+    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    above = _dot(a, np.cross(b, c))
+    below = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
+    return float(np.arctan2(above, below).sum() / (2.0 * np.pi))
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
+def _check_encloses(surface: Triangles, largest: BoolArray, volume: float) -> None:
+    box = float(np.prod(np.ptp(surface.corners[largest].reshape(-1, 3), axis=0)))
+    if abs(volume) <= _LEAST_FILLED * box or box <= _LEAST_FILLED * surface.extent**3:
+        message = (
+            f"a surface must enclose a body; this one encloses {abs(volume):.3g} mm^3 within an extent of "
+            f"{surface.extent:.4g} mm: it is a sheet"
+        )
+        raise MeshError(message, where="surface")
+
+
+def _closed_shells(triangles: IntArray, shell: IntArray) -> BoolArray:
+    edges = Edges.of(triangles)
+    loose = edges.owner[edges.count[edges.group] != 2]
+    return np.asarray(np.bincount(shell[loose], minlength=shell.max() + 1) == 0)
+
+
+def _containers(surface: Triangles, shell: IntArray, among: IntArray) -> dict[int, list[int]]:
+    """Return, for every shell, those that it lies in."""
+    corners = {int(number): surface.corners[shell == number] for number in among}
+    boxes = {number: (c.min(axis=(0, 1)), c.max(axis=(0, 1))) for number, c in corners.items()}
+    within: dict[int, list[int]] = {number: [] for number in corners}
+    for inner, own in corners.items():
+        points = own[:: max(1, len(own) // _PROBES)].mean(axis=1)
+        for outer, around in corners.items():
+            low, high = boxes[outer]
+            boxed = outer != inner and ((low <= points) & (points <= high)).all()
+            if boxed and all(abs(winding_number(point, around)) > 0.5 for point in points):
+                within[inner].append(outer)
+    return within
+
+
+def _turning(turned: BoolArray, small: BoolArray) -> list[str]:
+    n, of = int(turned.sum()), int((~small).sum())
+    if not n:
+        return []
+    if n == of:
+        return ["all normals pointed inwards and were turned outwards"]
+    return [f"the normals of {n} of {of} shells pointed inwards and were turned outwards"]
+
+
+def _omission(volumes: FloatArray, small: BoolArray) -> list[str]:
+    n = int(small.sum())
+    if not n:
+        return []
+    most = float(np.abs(volumes[small]).max())
+    return [f"{several(n, 'shell')} of at most {most:.3g} mm^3, less than a tetrahedron, {were(n)} left out"]
+
+
+def _layout(
+    surface: Triangles, shell: IntArray, signed: FloatArray, small: BoolArray, within: dict[int, list[int]]
+) -> list[str]:
+    if len(within) < 2:
+        return []
+    told = []
+    apart = [number for number in within if not within[number]]
+    if len(apart) > 1:
+        sizes = ", ".join(f"{signed[number]:.4g}" for number in apart[:5]) + (", ..." if len(apart) > 5 else "")
+        told.append(f"{len(apart)} separate shells ({sizes} mm^3): each was filled")
+    for number in within:
+        if within[number]:
+            middle = surface.corners[shell == number].mean(axis=(0, 1))
+            kind = (
+                "its normals point into it, so it was kept as a cavity"
+                if signed[number] < 0
+                else "its normals point out of it, so what it encloses was filled as well"
+            )
+            told.append(f"a shell of {abs(signed[number]):.4g} mm^3 about {place(middle)} lies inside another: {kind}")
+    return told

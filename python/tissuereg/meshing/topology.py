@@ -1,0 +1,116 @@
+"""Edges of triangles, and the shells that they join triangles to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg.errors import MeshError
+from tissuereg.triangles import Triangles, signed_volumes
+
+
+@dataclass(frozen=True)
+class Edges:
+    """The edges of m triangles, three a triangle: that from its first to its second corner, and so on.
+
+    Attributes
+    ----------
+    ends : ndarray of int64, shape (3 m, 2)
+        From, to, as the triangle goes round.
+    owner : ndarray of int64, shape (3 m,)
+        The triangle.
+    group : ndarray of int64, shape (3 m,)
+        The same number for all that join the same two vertices.
+    count : ndarray of int64, shape (n_groups,)
+        How many those are: 1 at the rim of a hole, 2 inside, more where walls meet.
+    """
+
+    ends: IntArray
+    owner: IntArray
+    group: IntArray
+    count: IntArray
+
+    @classmethod
+    def of(cls, triangles: IntArray) -> "Edges":
+        """Return the edges of triangles (m, 3); cost: one sort."""
+        ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        _, group, count = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True)
+        return cls(ends, np.repeat(np.arange(len(triangles)), 3), group.reshape(-1), count)
+
+    def pairs(self) -> tuple[IntArray, BoolArray]:
+        """Return the two triangles (k, 2) at every edge that has two, and whether both go along it the same way."""
+        order = np.argsort(self.group, kind="stable")
+        rows = order[self.count[self.group[order]] == 2].reshape(-1, 2)
+        return self.owner[rows], np.asarray(self.ends[rows[:, 0], 0] == self.ends[rows[:, 1], 0])
+
+
+def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
+    """Return which triangles must be turned for all neighbours to agree, and the shell of every triangle.
+
+    Every triangle stands twice in a graph, as given and turned; neighbours are joined as they agree. A shell that can
+    be given one side falls into two halves there, of which the one that turns less area is taken.
+
+    Parameters
+    ----------
+    surface : Triangles
+        Any surface.
+
+    Returns
+    -------
+    turned : ndarray of int64, shape (n_turned,)
+        Sorted triangles.
+    shell : ndarray of int64, shape (n_triangles,)
+        Numbered from 0, the largest area first.
+
+    Raises
+    ------
+    MeshError
+        If a shell has no two sides, as a Moebius strip has not.
+    """
+    n, areas = len(surface.triangles), surface.areas
+    neighbours, same = Edges.of(surface.triangles).pairs()
+    first, second = neighbours[:, 0], neighbours[:, 1]
+    across = np.where(same, n, 0)
+    to_second = np.concatenate([second + across, second + n - across])
+    half = _components(np.concatenate([first, first + n]), to_second, 2 * n)
+    as_given, turned = half[:n], half[n:]
+    if (as_given == turned).any():
+        worst = int(np.argmax(as_given == turned))
+        place = np.round(surface.corners[worst].mean(axis=0), 3).tolist()
+        message = f"a surface must have an inside and an outside; that through {place} mm has one side only"
+        raise MeshError(message, where=f"triangle {worst}")
+    # Area that stays as given in the half where a triangle does, and in the other; the lower number breaks a tie.
+    kept = np.bincount(as_given, areas, minlength=half.max() + 1)
+    better = (kept[as_given] > kept[turned]) | ((kept[as_given] == kept[turned]) & (as_given < turned))
+    return np.flatnonzero(~better).astype(np.int64), _largest_first(_components(first, second, n), areas)
+
+
+def _largest_first(label: IntArray, areas: FloatArray) -> IntArray:
+    """Return labels (n,) renumbered by falling area."""
+    size = np.bincount(label, areas)
+    rank = np.empty(len(size), np.int64)
+    rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
+    return np.asarray(rank[label], np.int64)
+
+
+def turned_round(triangles: IntArray, which: IntArray | BoolArray) -> IntArray:
+    """Return triangles (m, 3), some of them with their normal on the other side."""
+    changed: IntArray = triangles.copy()
+    changed[which] = changed[which][:, [0, 2, 1]]
+    return changed
+
+
+def shell_volumes(surface: Triangles, shell: IntArray) -> FloatArray:
+    """Return the signed volume of every shell about its own middle, mm^3, shape (n_shells,)."""
+    corners = surface.corners
+    share = np.bincount(shell)
+    middle = np.stack([np.bincount(shell, corners[:, :, x].mean(axis=1)) / share for x in range(3)], axis=1)
+    return np.asarray(np.bincount(shell, signed_volumes(corners - middle[shell][:, None])))
+
+
+def _components(first: IntArray, second: IntArray, n: int) -> IntArray:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)

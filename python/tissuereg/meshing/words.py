@@ -1,0 +1,24 @@
+"""Counts and places in sentences."""
+
+from tissuereg._arrays import FloatArray
+
+
+def several(count: int, one: str, more: str | None = None) -> str:
+    """Return a count with its noun.
+
+    Examples
+    --------
+    >>> several(1, "hole"), several(3, "hole"), several(2000, "vertex", "vertices")
+    ('1 hole', '3 holes', '2,000 vertices')
+    """
+    return f"{count:,} {one if count == 1 else more or one + 's'}"
+
+
+def were(count: int) -> str:
+    """Return the verb to a count."""
+    return "was" if count == 1 else "were"
+
+
+def place(point: FloatArray) -> str:
+    """Return a point (3,) in mm as it stands in a sentence."""
+    return "(" + ", ".join(f"{round(float(value), 2) + 0.0:g}" for value in point) + ") mm"

@@ -1,0 +1,61 @@
+"""The mesher in a process of its own: it holds the lock, leaves a file where it runs, and may end its process.
+
+Run as a script with two names: an .npz with the surface and what is wanted, and the .npz to be written. It imports
+nothing of tissuereg, so that it starts from any folder.
+"""
+
+import sys
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+#: What is run.
+SCRIPT = __file__
+
+#: Exit codes besides 0: the mesher cannot be imported, memory is spent, the mesher refused.
+NO_MESHER, NO_MEMORY, REFUSED = 65, 66, 67
+
+
+def main(given: str, made: str) -> int:
+    """Fill a surface.
+
+    Parameters
+    ----------
+    given : str
+        An .npz with ``vertices (n, 3)``, ``triangles (m, 3)``, ``edge_share`` and ``deviation_share`` (of the diagonal
+        of the bounding box), ``threads`` (0: all cores).
+    made : str
+        Where to write ``nodes``, ``tets`` and ``mesher``.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    try:
+        import pytetwild
+    except ImportError as error:
+        print(error, file=sys.stderr)
+        return NO_MESHER
+    with np.load(given) as wanted:
+        vertices, triangles = np.array(wanted["vertices"]), np.array(wanted["triangles"], np.int32)
+        settings = {
+            "edge_length_fac": float(wanted["edge_share"]),
+            "epsilon": float(wanted["deviation_share"]),
+            "num_threads": int(wanted["threads"]),
+        }
+    try:
+        fill: Any = pytetwild.tetrahedralize  # type: ignore[attr-defined]
+        nodes, tets = fill(vertices, triangles, quiet=True, **settings)[:2]
+    except MemoryError:
+        return NO_MEMORY
+    except (RuntimeError, ValueError, IndexError) as error:
+        print(error, file=sys.stderr)
+        return REFUSED
+    np.savez(made, nodes=nodes, tets=tets, mesher=f"pytetwild {metadata.version('pytetwild')}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
