@@ -18,7 +18,7 @@ from tissuereg.io.cases import read_histories
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_problem, read_simulation
 
-COMMANDS = ("solve", "simulate", "train", "register", "demo", "bench")
+COMMANDS = ("mesh", "solve", "simulate", "train", "register", "demo", "bench")
 ENVELOPE = {"schema", "seconds", "threads", "machine", "versions"}
 
 
@@ -71,7 +71,7 @@ def test_every_example_in_the_help_is_a_command_line():
 
 
 def test_help_is_quick_to_import():
-    heavy = ("torch", "onnxruntime", "meshio", "scipy", "trimesh", "matplotlib", "tqdm")
+    heavy = ("torch", "onnxruntime", "meshio", "scipy", "trimesh", "matplotlib", "tqdm", "pytetwild", "pyvista")
     ask = f"print([m for m in {heavy!r} if m in sys.modules])"
     code = f"import sys\nfrom tissuereg.cli import main\nmain(['--help'])\n{ask}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -100,6 +100,11 @@ def test_the_module_runs_as_a_command():
         ["register", "a.vtu", "b.csv", "--out", "b", "--time", "3"],
         ["register", "a.vtu", "b.csv", "--out", "b", "--seed", "1.5"],
         ["bench", "everything"],
+        ["mesh", "a.stl", "--out", "b.vtu"],
+        ["mesh", "a.stl", "--size", "-1", "--out", "b.vtu"],
+        ["mesh", "a.stl", "--size", "5", "--out", "b.stl"],
+        ["mesh", "a.stl", "--size", "5", "--out", "b.vtu", "--unit", "inch"],
+        ["mesh", "a.stl", "--size", "5", "--out", "b.vtu", "--set", "lid"],
     ],
     ids=" ".join,
 )

@@ -99,8 +99,8 @@ def test_an_archive_brings_nodes_tets_and_node_sets(block_mesh, tmp_path):
 
 @pytest.mark.parametrize(
     "rule",
-    ["plane 0 0 1 40 0.1", "plane 0 0 -3 -40 0", (0, 0, 2, 40, 0.5), "top"],
-    ids=["text", "turned", "numbers", "set"],
+    ["plane 0 0 1 40 0.1", "plane 0 0 -3 -40 0", (0, 0, 2, 40, 0.5), "ball 15 10 100 63", "top"],
+    ids=["text", "turned", "numbers", "ball", "set"],
 )
 def test_what_is_fixed_can_be_said_as_a_plane_or_a_set(block_mesh, tmp_path, rule):
     top = np.flatnonzero(block_mesh.nodes[:, 2] == 40)
@@ -118,6 +118,10 @@ def test_what_is_fixed_can_be_said_as_a_plane_or_a_set(block_mesh, tmp_path, rul
         ("plane 0 0 1 40 -0.1", FormatError, "tol at least 0"),
         ("plane 0 0 1 nan 0.1", FormatError, "plane nx ny nz d tol"),
         ("lid", MeshError, "'lid'.*fixed"),
+        ("ball 0 0 60 5", MeshError, "within 5 mm of .*nearest is 20 mm away"),
+        ("ball 0 0 60", FormatError, "ball x y z r"),
+        ("ball 0 0 60 -2", FormatError, "radius r positive"),
+        ("ball 0 0 inf 2", FormatError, "ball x y z r"),
     ],
 )
 def test_a_rule_that_holds_nothing_is_refused(block_mesh, tmp_path, rule, error, words):
@@ -127,12 +131,18 @@ def test_a_rule_that_holds_nothing_is_refused(block_mesh, tmp_path, rule, error,
 
 
 def test_a_surface_file_points_to_the_mesher(shared_data):
-    with pytest.raises(FormatError, match=r"surface only.*pytetwild.*tissuereg\[mesh\]"):
+    with pytest.raises(FormatError, match=r"surface only.*tissuereg mesh \S*beam\.stl --size MM.*tissuereg\[mesh\]"):
         tr.read_mesh(shared_data / "data" / "beam" / "beam.stl")
 
 
+def test_a_mesh_file_of_triangles_alone_points_to_the_mesher(block_mesh, tmp_path):
+    meshio.Mesh(block_mesh.nodes, [("triangle", block_mesh.surface)]).write(tmp_path / "skin.vtu")
+    with pytest.raises(FormatError, match=r"holds triangle only.*tissuereg mesh \S*skin\.vtu --size MM"):
+        tr.read_mesh(tmp_path / "skin.vtu")
+
+
 def test_a_planar_mesh_is_named_for_what_it_holds(shared_data):
-    with pytest.raises(FormatError, match=r"must hold tetrahedra; it holds line, triangle only"):
+    with pytest.raises(FormatError, match=r"must hold tetrahedra; it holds line, triangle only\. It is flat"):
         tr.read_mesh(shared_data / "data" / "keloid" / "mesh.msh")
 
 

@@ -177,7 +177,7 @@ def _meshio_hushed() -> Iterator[None]:
 
 
 def _from_meshio(file: Path, content: Any) -> Mesh:
-    _refuse_other_cells(file, [block.type for block in content.cells])
+    _refuse_other_cells(file, [block.type for block in content.cells], np.asarray(content.points))
     corners = [_corners(block) for block in content.cells if block.type in _TET_CELLS]
     tets = np.concatenate(corners).astype(np.int64)
     nodes = np.asarray(content.points)
@@ -194,14 +194,16 @@ def _from_meshio(file: Path, content: Any) -> Mesh:
     return _placed(file, nodes, tets, sets)
 
 
-def _refuse_other_cells(file: Path, kinds: list[str]) -> None:
+def _refuse_other_cells(file: Path, kinds: list[str], points: npt.NDArray[Any]) -> None:
     others = sorted({kind for kind in kinds if kind not in _TET_CELLS and kind not in _SURFACE_CELLS})
     if others:
         message = f"{file} must be made of tetrahedra; it also holds cells of kind {', '.join(others)}"
         raise FormatError(message, where=str(file))
     if not any(kind in _TET_CELLS for kind in kinds):
         found = ", ".join(sorted(set(kinds))) or "no cells"
-        message = f"{file} must hold tetrahedra; it holds {found} only. {_how_to_fill(file)}"
+        flat = len(points) == 0 or np.ptp(points, axis=0).min() == 0
+        advice = "It is flat: a mesh of a body is needed" if flat else _how_to_fill(file)
+        message = f"{file} must hold tetrahedra; it holds {found} only. {advice}"
         raise FormatError(message, where=str(file))
 
 

@@ -29,7 +29,7 @@ UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 #: Largest extents that an organ has, mm.
 ORGAN_EXTENT_MM = (5.0, 2000.0)
 
-#: Of two units that would do, the one is likelier whose extent is nearer to this many mm, as a ratio.
+#: Of cm and m, where both would do, the one is likelier whose extent is nearer to this many mm, as a ratio.
 _TYPICAL_EXTENT_MM = 150.0
 
 _UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres"}
@@ -233,5 +233,6 @@ def _advice(extent: float) -> str:
     likely = [unit for unit, factor in UNITS_MM.items() if least <= extent * factor <= most]
     if not likely:
         return f"neither of {', '.join(UNITS_MM)} makes this a body; convert the file"
-    best = min(likely, key=lambda unit: abs(np.log(extent * UNITS_MM[unit] / _TYPICAL_EXTENT_MM)))
+    # mm are the commonest; of the others the one whose body is nearer to a usual one.
+    best = min(likely, key=lambda unit: (unit != "mm", abs(np.log(extent * UNITS_MM[unit] / _TYPICAL_EXTENT_MM))))
     return f'looks like {_UNIT_NAMES[best]}; say --unit {best} (unit="{best}" in Python)'

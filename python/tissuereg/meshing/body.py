@@ -71,7 +71,8 @@ def tetrahedralize(
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3).
     size_mm : float
         Length of edges that is aimed at, mm, whatever `unit` is; at most half of the largest extent. Three or more
-        across the thinnest part that bends is a good start.
+        across the thinnest part that bends is a good start. Details of the surface are followed with shorter edges, and
+        above a twelfth of the body's diagonal the mesher makes shorter ones than asked for.
     unit : {"mm", "cm", "m"}, optional
         Of the surface's coordinates. Where absent, what the file's head says, or else mm.
     fixed : str, sequence of float, or list of them, optional
@@ -105,7 +106,7 @@ def tetrahedralize(
 
     Notes
     -----
-    Cost: about 0.5 s a thousand tetrahedra on one core, nearly all of it in the mesher; a finer deviation costs more.
+    Cost: about a second a thousand tetrahedra, nearly all of it in the mesher; a finer deviation costs more.
     """
     clock = Clock()
     with clock.stage("read"):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._machine import n_cores
 from tissuereg.errors import MeshingError, MissingPackageError
 from tissuereg.meshing.worker import NO_MEMORY, NO_MESHER, SCRIPT
 from tissuereg.triangles import Triangles
@@ -78,7 +79,7 @@ def filled(
             triangles=surface.triangles,
             edge_share=size_mm / diagonal,
             deviation_share=deviation_mm / diagonal,
-            threads=threads,
+            threads=threads or n_cores(),
         )
         words = [sys.executable, "-c", _RUN, SCRIPT, str(given), str(made)]
         done = subprocess.run(words, cwd=scratch, capture_output=True, text=True, errors="replace", check=False)

@@ -15,7 +15,7 @@ References
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._arrays import BoolArray, FloatArray, IntArray
 from tissuereg.meshing.topology import Edges
 from tissuereg.meshing.words import place, several, were
 from tissuereg.triangles import Triangles, triangle_areas
@@ -47,13 +47,18 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
     >>> cap[1]
     ['1 hole was closed: the largest has a rim of 3 edges about (3, 3, 3) mm; caps make up 36.6 % of the surface']
     """
+    surface, told = _without_loose(surface)
     rims = _rims(surface.triangles)
     if not rims:
-        return surface, []
+        return surface, told
+    edges = np.sort(Edges.of(surface.triangles).ends, axis=1)
+    taken = {(first, second) for first, second in edges[np.isin(edges, np.concatenate(rims)).all(axis=1)].tolist()}
     vertices, caps = surface.vertices, []
     for rim in rims:
         if len(rim) <= LONGEST_TABLE:
-            caps.append(rim[least_area_cap(surface.vertices[rim])])
+            barred = [[(min(a, b), max(a, b)) in taken for b in rim.tolist()] for a in rim.tolist()]
+            caps.append(rim[least_area_cap(surface.vertices[rim], np.array(barred))])
+            taken.update((a, b) for a, b in np.sort(Edges.of(caps[-1]).ends, axis=1).tolist())
         else:
             middle = np.full(len(rim), len(vertices))
             vertices = np.concatenate([vertices, surface.vertices[rim].mean(axis=0, keepdims=True)])
@@ -63,20 +68,23 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
     largest = int(np.argmax(size))
     share = 100.0 * sum(size) / float(whole.areas.sum())
     n, rim = len(rims), rims[largest]
-    told = (
+    told.append(
         f"{several(n, 'hole')} {were(n)} closed: the largest has a rim of {len(rim)} edges about "
         f"{place(surface.vertices[rim].mean(axis=0))}; caps make up {share:.3g} % of the surface"
     )
-    return whole, [told]
+    return whole, told
 
 
-def least_area_cap(corners: FloatArray) -> IntArray:
+def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntArray:
     """Return the triangles of least total area that close a rim.
 
     Parameters
     ----------
     corners : ndarray of float64, shape (n, 3)
         Of the rim in order, mm.
+    barred : ndarray of bool, shape (n, n), optional
+        Pairs of corners that an edge of the surface joins already: a cut between them is made only where there is
+        no other.
 
     Returns
     -------
@@ -92,6 +100,10 @@ def least_area_cap(corners: FloatArray) -> IntArray:
     """
     n = len(corners)
     least, via = np.zeros((n, n)), np.zeros((n, n), np.int64)
+    # More than any cap costs: its corners lie within the rim's length of each other.
+    price = n * float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).sum()) ** 2
+    prices = np.zeros((n, n)) if barred is None else price * barred
+    prices[0, -1] = 0.0
     for length in range(2, n):
         i = np.arange(n - length)[:, None]
         j, k = i + length, i + np.arange(1, length)
@@ -99,7 +111,8 @@ def least_area_cap(corners: FloatArray) -> IntArray:
         cost = least[i, k] + least[k, j] + triangle_areas(three)
         best = np.argmin(cost, axis=1)
         rows = np.arange(n - length)
-        least[rows, rows + length], via[rows, rows + length] = cost[rows, best], rows + 1 + best
+        least[rows, rows + length] = cost[rows, best] + prices[rows, rows + length]
+        via[rows, rows + length] = rows + 1 + best
     found, open_ = [], [(0, n - 1)]
     while open_:
         start, end = open_.pop()
@@ -108,6 +121,17 @@ def least_area_cap(corners: FloatArray) -> IntArray:
             found.append((start, cut, end))
             open_ += [(start, cut), (cut, end)]
     return np.array(found, np.int64).reshape(-1, 3)
+
+
+def _without_loose(surface: Triangles) -> tuple[Triangles, list[str]]:
+    """Return the surface without triangles that share no edge with another."""
+    edges = Edges.of(surface.triangles)
+    loose = (edges.count[edges.group].reshape(-1, 3) == 1).all(axis=1)
+    n = int(loose.sum())
+    if not n or loose.all():
+        return surface, []
+    told = f"{several(n, 'triangle')} that shared no edge with another {were(n)} left out"
+    return Triangles(surface.vertices, surface.triangles[~loose]), [told]
 
 
 def _rims(triangles: IntArray) -> list[IntArray]:

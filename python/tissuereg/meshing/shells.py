@@ -107,9 +107,11 @@ def _check_encloses(surface: Triangles, largest: BoolArray, volume: float) -> No
 
 
 def _closed_shells(triangles: IntArray, shell: IntArray) -> BoolArray:
+    """Return which shells have two of their own triangles at every edge; other shells may touch them there."""
     edges = Edges.of(triangles)
-    loose = edges.owner[edges.count[edges.group] != 2]
-    return np.asarray(np.bincount(shell[loose], minlength=shell.max() + 1) == 0)
+    key, count = np.unique(edges.group * (shell.max() + 1) + shell[edges.owner], return_counts=True)
+    loose = key[count != 2] % (shell.max() + 1)
+    return np.asarray(np.bincount(loose, minlength=shell.max() + 1) == 0)
 
 
 def _containers(surface: Triangles, shell: IntArray, among: IntArray) -> dict[int, list[int]]:

@@ -24,7 +24,7 @@ def main(given: str, made: str) -> int:
     ----------
     given : str
         An .npz with ``vertices (n, 3)``, ``triangles (m, 3)``, ``edge_share`` and ``deviation_share`` (of the diagonal
-        of the bounding box), ``threads`` (0: all cores).
+        of the bounding box), ``threads``.
     made : str
         Where to write ``nodes``, ``tets`` and ``mesher``.
 
