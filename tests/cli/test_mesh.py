@@ -103,7 +103,6 @@ def test_a_missing_mesher_exits_with_two_and_names_the_extra(surface, tmp_path, 
 
 def test_a_mesher_that_gives_up_exits_with_three_and_leaves_the_old_file(surface, tmp_path, capsys, monkeypatch):
     (tmp_path / "bar.vtu").write_text("of yesterday")
-    monkeypatch.setattr(fill, "check_mesher", lambda: None)
     monkeypatch.setattr("tissuereg.meshing.body.check_mesher", lambda: None)
     monkeypatch.setattr(
         fill.subprocess, "run", lambda words, **_: subprocess.CompletedProcess(words, -6, "", "stopped")

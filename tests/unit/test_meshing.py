@@ -111,6 +111,7 @@ def no_mesher_runs(monkeypatch):
         pytest.fail("the mesher was started")
 
     monkeypatch.setattr(fill.subprocess, "run", run)
+    monkeypatch.setattr("tissuereg.meshing.body.check_mesher", lambda: None)
 
 
 @pytest.mark.usefixtures("no_mesher_runs")
@@ -159,7 +160,6 @@ def test_a_mesher_that_ends_badly_is_an_error_of_its_own(monkeypatch, code, said
     def run(command, **settings):
         return subprocess.CompletedProcess(command, code, "", said)
 
-    monkeypatch.setattr(fill, "check_mesher", lambda: None)
     monkeypatch.setattr(fill.subprocess, "run", run)
     with pytest.raises(error, match=words):
         fill.filled(tr.Triangles(*BALL), 10.0, 0.1)
