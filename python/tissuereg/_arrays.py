@@ -1,7 +1,7 @@
 """The one place where a user's array is checked and, visibly, converted."""
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,11 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 def _shown(wanted: tuple[int | None, ...]) -> str:
     return "(" + ", ".join("any" if w is None else str(w) for w in wanted) + ("," if len(wanted) == 1 else "") + ")"
+
+
+def _refuse_kind(value: Any) -> NoReturn:
+    message = "nothing" if value is None else "complex numbers"
+    raise TypeError(message)
 
 
 def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:
@@ -46,8 +51,11 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatAr
         If `value` is not numeric or has another shape.
     """
     try:
-        array = np.ascontiguousarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        given = np.asarray(value)
+        if value is None or given.dtype.kind == "c":
+            _refuse_kind(value)
+        array = np.ascontiguousarray(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
         message = f"`{name}` must be an array of numbers of shape {_shown(shape)}, got {type(value).__name__}: {error}"
         raise ShapeError(message, where=name) from error
     array = array if np.ndim(value) else array.reshape(())
@@ -55,6 +63,15 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatAr
         message = f"`{name}` must have shape {_shown(shape)}, got {array.shape}"
         raise ShapeError(message, where=name)
     return array
+
+
+def depth(name: str, value: Any) -> int:
+    """Return the number of axes of a value that is to become an array; refuse lists of unequal lengths."""
+    try:
+        return np.ndim(value)
+    except ValueError as error:
+        message = f"`{name}` must be an array of numbers, got lists of unequal lengths"
+        raise ShapeError(message, where=name) from error
 
 
 def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArray:
@@ -79,7 +96,11 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
     ShapeError
         If `value` is not of an integer type or has another shape.
     """
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        message = f"`{name}` must hold integers of shape {_shown(shape)}, got {type(value).__name__}: {error}"
+        raise ShapeError(message, where=name) from error
     if array.size == 0:
         array = array.astype(np.int64)
     if array.dtype.kind not in "iu":

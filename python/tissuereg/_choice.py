@@ -1,24 +1,26 @@
 """Words of which one must be chosen."""
 
 from collections.abc import Collection
+from typing import Any
 
+from tissuereg._arguments import found
 from tissuereg.errors import TissueRegError
 
 
-def check_choice(name: str, value: str, choices: Collection[str], error: type[TissueRegError]) -> None:
+def check_choice(name: str, value: Any, choices: Collection[str], error: type[TissueRegError]) -> None:
     """Raise an error unless a value is one of the choices; the message names all of them.
 
     Parameters
     ----------
     name : str
         The argument.
-    value : str
+    value : object
         What was given for it.
     choices : collection of str
         What it may be.
     error : type of TissueRegError
         Raised where the value is none of these.
     """
-    if value not in choices:
-        message = f"`{name}` must be one of {', '.join(choices)}, got {value!r}"
+    if not isinstance(value, str) or value not in choices:
+        message = f"`{name}` must be one of {', '.join(choices)}, got {found(value)}"
         raise error(message, where=name)

@@ -31,6 +31,10 @@ class ShapeError(TissueRegError, ValueError):
     """An array has the wrong shape, dtype or memory order."""
 
 
+class ArgumentError(TissueRegError, ValueError):
+    """An argument is of another kind than it must be, or lies outside its range."""
+
+
 class MeshError(TissueRegError, ValueError):
     """A mesh cannot carry a simulation: degenerate, inverted, out of range or not finite."""
 
@@ -121,6 +125,10 @@ class ParityError(TissueRegError, RuntimeError):
     """An exported network and its source disagree."""
 
     exit_code = 3
+
+
+class UnitWarning(UserWarning):
+    """A number is plausible in another unit than the one it is taken in."""
 
 
 class LockingWarning(UserWarning):

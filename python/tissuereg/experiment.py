@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tissuereg._arguments import real, text
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import ExperimentError
 from tissuereg.markers import Markers
@@ -163,6 +164,7 @@ class Case:
         ExperimentError
             If no frame lies within half a frame step.
         """
+        time = real("time", time, unit="s", error=ExperimentError)
         nearest = int(np.argmin(np.abs(self.times - time)))
         if not abs(self.times[nearest] - time) <= 0.5 * self.frame_step + 1e-6:
             message = (
@@ -305,7 +307,7 @@ class Experiment:
         ExperimentError
             If there is no such case.
         """
-        if name not in self.cases:
+        if text("name of a case", name, error=ExperimentError) not in self.cases:
             message = f"experiment '{self.name}' must have a case '{name}'; it has: {', '.join(self.cases)}"
             raise ExperimentError(message, where=name)
         return self.cases[name]
@@ -328,6 +330,7 @@ class Experiment:
         ExperimentError
             If there is no such actuator.
         """
+        text("name of an actuator", name, error=ExperimentError)
         for actuator in self.actuators:
             if actuator.name == name:
                 return actuator

@@ -5,14 +5,17 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import check_running, of_kind
 from tissuereg._arrays import FloatArray
+from tissuereg._choice import check_choice
 from tissuereg.effects import extended, true_markers
-from tissuereg.errors import ConvergenceError
+from tissuereg.errors import ArgumentError, ConvergenceError
 from tissuereg.experiment import Case, Experiment
 from tissuereg.registration import register
 from tissuereg.result import Registration
 from tissuereg.simulate.experiment import believed_case
 from tissuereg.simulate.memory import goes_through_time, is_carried, solve_through_time
+from tissuereg.simulate.solve import ELEMENTS
 
 
 def frame_input(
@@ -47,6 +50,9 @@ def frame_input(
     ExperimentError
         If there is no such case, or no frame near that time.
     """
+    of_kind("experiment", experiment, Experiment)
+    check_choice("element", element, ELEMENTS, ArgumentError)
+    check_running(threads=threads)
     experiment = extended(experiment, element)
     history = experiment.case(case)
     measured = replace(history, markers=true_markers(experiment, history.markers, history.times))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import maybe, named, of_kind, real, whole
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.errors import MarkerError, ShapeError, SurfaceError
@@ -29,12 +30,23 @@ class RegisterSettings:
         Ratio of successive inflation coefficients.
     contacts : ContactSettings
         Prior and sampling of unknown contacts, without a model.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is none or out of its range.
     """
 
     n_members: int = 200
     n_steps: int = 5
     decrease: float = 2.0
     contacts: ContactSettings = field(default_factory=ContactSettings)
+
+    def __post_init__(self) -> None:
+        whole("n_members", self.n_members, least=2)
+        whole("n_steps", self.n_steps, least=1)
+        real("decrease", self.decrease, above=0.0)
+        of_kind("contacts", self.contacts, ContactSettings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +112,9 @@ class RegisterInput:
             raise MarkerError(message, where="markers")
         if surface is not None:
             suspicions = (*suspicions, *_points_suspected(body, surface, held))
-        inner = TargetObservation(body, targets or {})
-        return cls(body, marks, observed, inner, settings or RegisterSettings(), seed, threads, suspicions, surface)
+        inner = TargetObservation(body, named("targets", targets, error=MarkerError))
+        how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
+        return cls(body, marks, observed, inner, how, seed, threads, suspicions, surface)
 
 
 def _attached(mesh: Mesh, markers: Markers, held: str) -> tuple[MarkerObservation, tuple[str, ...]]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import found
 from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg.assimilate import Assimilation, assimilate
@@ -187,6 +188,9 @@ def _as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
 
             return NetworkModel(shipped_model_folder(), mesh, threads=threads, source="shipped")
         return NetworkModel(model, mesh, threads=threads)
+    if not isinstance(getattr(model, "n_nodes", None), int):
+        message = f"`model` must be a folder, 'phantom' or a model that knows a mesh, got {found(model)}"
+        raise ModelError(message, where="model")
     if model.n_nodes != mesh.n_nodes:
         message = f"the model must know this mesh of {mesh.n_nodes} nodes, it knows {model.n_nodes}"
         raise ModelError(message, where="model")

@@ -3,6 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
+from tissuereg._arguments import found
+from tissuereg._arrays import depth, float_array, index_array
+from tissuereg.errors import LoadError
+
 
 @dataclass(frozen=True, eq=False)
 class Load:
@@ -18,9 +22,35 @@ class Load:
         Displacement in mm of every held node, in the order in which they are held; None holds them still.
     traction : tuple of (array_like of int (n, 3), array_like of float (3,)), optional
         Boundary triangles and the dead traction on them in kPa of undeformed area.
+
+    Raises
+    ------
+    ShapeError
+        If a part is no array of numbers of its kind; whether it fits a body is seen when that is solved.
+    LoadError
+        If `traction` is no pair.
     """
 
     forces: Any = None
     body_force: Any = None
     prescribed: Any = None
     traction: Any = None
+
+    def __post_init__(self) -> None:
+        if self.forces is not None:
+            float_array("forces", self.forces, (None, 3))
+        if self.body_force is not None:
+            float_array("body_force", self.body_force, (3,))
+        if self.prescribed is not None:
+            float_array("prescribed", self.prescribed, (None, 3))
+        if self.traction is not None:
+            triangles, pull = _pair(self.traction)
+            index_array("traction", triangles, (None, 3))
+            float_array("traction", pull, (None, 3) if depth("traction", pull) == 2 else (3,))
+
+
+def _pair(traction: Any) -> tuple[Any, Any]:
+    if not isinstance(traction, tuple | list) or len(traction) != 2:
+        message = f"`traction` must be a pair of triangles and traction, got {found(traction)}"
+        raise LoadError(message, where="traction")
+    return traction[0], traction[1]

@@ -1,11 +1,12 @@
 """Tracked markers: where each sits on the undeformed body, where it was seen, how well."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, float_array, frozen
+from tissuereg._arguments import found
+from tissuereg._arrays import FloatArray, IntArray, depth, float_array, frozen
 from tissuereg.errors import MarkerError
 
 
@@ -44,7 +45,7 @@ class Markers:
         places = float_array("reference", reference, (None, 3))
         seen = float_array("measured", measured, (len(places), 3))
         spread = _spread(std, len(places))
-        titles = tuple(f"M{i + 1}" for i in range(len(places))) if names is None else tuple(str(n) for n in names)
+        titles = tuple(f"M{i + 1}" for i in range(len(places))) if names is None else _titles(names)
         _check_names(titles, len(places))
         _check_rows("reference places must be finite", titles, np.isfinite(places).all(axis=1), places)
         _check_rows("measured places must be finite, or NaN where not seen", titles, ~np.isinf(seen).any(axis=1), seen)
@@ -88,21 +89,46 @@ class Markers:
         Markers
             In their order.
         """
-        rows = np.arange(len(self))[keep]
+        rows = _kept(keep, len(self))
         return Markers(self.reference[rows], self.measured[rows], self.axis_std[rows], [self.names[i] for i in rows])
+
+
+def _kept(keep: Any, n_markers: int) -> IntArray:
+    """Return the rows that a mask or indices choose."""
+    try:
+        rows = np.arange(n_markers)[keep]
+        reason = ""
+    except (IndexError, TypeError, ValueError) as error:
+        rows, reason = np.empty((0, 0), np.int64), f": {error}"
+    if np.ndim(rows) != 1:
+        message = f"`keep` must be a mask of {n_markers} markers or a list of indices, got {found(keep)}{reason}"
+        raise MarkerError(message, where="keep")
+    return np.asarray(rows, np.int64)
 
 
 def _spread(std: Any, n_markers: int) -> FloatArray:
     """Return standard deviations (n_markers, 3) of one for all, one a marker, or one an axis."""
-    if np.ndim(std) == 2:
+    if depth("std", std) == 2:
         return float_array("std", std, (n_markers, 3))
-    by_marker = float_array("std", np.broadcast_to(std, n_markers) if np.ndim(std) == 0 else std, (n_markers,))
+    by_marker = (
+        np.full(n_markers, float_array("std", std, ()))
+        if depth("std", std) == 0
+        else float_array("std", std, (n_markers,))
+    )
     return np.repeat(by_marker[:, None], 3, axis=1)
 
 
 def _as_given(spread: FloatArray) -> FloatArray:
     """Return one number a marker where its axes agree, as it was given."""
     return spread[:, 0] if len(spread) and np.array_equal(spread, spread[:, [0, 0, 0]], equal_nan=True) else spread
+
+
+def _titles(names: Any) -> tuple[str, ...]:
+    """Return names as texts."""
+    if isinstance(names, str | bytes) or not isinstance(names, Iterable):
+        message = f"`names` must be a list of texts, one a marker, got {found(names)}"
+        raise MarkerError(message, where="names")
+    return tuple(str(name) for name in names)
 
 
 def _check_names(names: tuple[str, ...], n_markers: int) -> None:

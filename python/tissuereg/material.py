@@ -1,6 +1,7 @@
 """What the body is made of: law, small-strain moduli, fibres and density."""
 
 import hashlib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -8,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arrays import FloatArray, float_array
-from tissuereg.errors import MaterialError
+from tissuereg._arguments import flag, found, maybe, named, of_kind, text
+from tissuereg._arrays import FloatArray, depth, float_array
+from tissuereg.errors import MaterialError, UnitWarning
 
 #: Laws that the solver owns, and the names of their shape parameters.
 SHAPE_KEYS: Mapping[str, tuple[str, ...]] = {
@@ -36,6 +38,12 @@ MN_PER_MM3 = 1e-6
 #: Standard gravity of this project, mm/s^2.
 GRAVITY_MM_PER_S2 = 9810.0
 
+#: Young's moduli of soft tissues and silicones, kPa: a body's median outside is taken, with a `UnitWarning`.
+SOFT_YOUNG_KPA = (0.01, 1e5)
+
+#: Young's moduli of solids, kPa: foams of a millionth of a kPa to ten times diamond. What lies outside is refused.
+SOLID_YOUNG_KPA = (1e-6, 1e10)
+
 
 @dataclass(frozen=True, eq=False)
 class Fibre:
@@ -60,6 +68,13 @@ class Fibre:
     k2: float = 1.0
     direction: Any = (0.0, 0.0, 1.0)
     tension_only: bool = True
+
+    def __post_init__(self) -> None:
+        # The ranges are the solver's.
+        of_kind("k1_over_mu", self.k1_over_mu, (int, float, np.number), error=MaterialError)
+        of_kind("k2", self.k2, (int, float, np.number), error=MaterialError)
+        float_array("direction", self.direction, (None,) * max(depth("direction", self.direction), 1))
+        flag("tension_only", self.tension_only, error=MaterialError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +127,12 @@ class Material:
     MaterialError
         If a value is outside its range, or the law or one of its parameters is unknown.
 
+    Warns
+    -----
+    UnitWarning
+        If the median of Young's modulus is outside 0.01 to 1e5 kPa, between which soft tissues and silicones lie: it
+        may be in Pa or MPa. Outside 1e-6 to 1e10 kPa, where no solid lies, it is refused.
+
     Examples
     --------
     >>> import tissuereg as tr
@@ -129,12 +150,15 @@ class Material:
     fibre: Fibre | None = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.density) and self.density > 0):
-            message = f"`density` must be positive, in g/cm^3, got {self.density}"
-            raise MaterialError(message, where="density")
+        _positive("density", self.density, "g/cm^3")
+        text("law", self.law, error=MaterialError)
+        text("volumetric", self.volumetric, error=MaterialError)
+        named("shape", self.shape, error=MaterialError)
+        maybe("fibre", self.fibre, Fibre, error=MaterialError)
         young, poisson = self.young_array, self.poisson_array
         _within("young", young, np.isfinite(young) & (young > 0), "positive, in kPa")
         _within("poisson", poisson, (poisson > -1) & (poisson < 0.5), "in (-1, 0.5)")
+        _check_unit(young)
         self.core_law()
 
     @property
@@ -240,11 +264,12 @@ class Material:
 
 
 def _field(name: str, value: Any) -> FloatArray:
-    array = np.atleast_1d(value)
-    return float_array(name, array, (None,) * min(array.ndim, 2))
+    n_axes = min(depth(name, value), 2)
+    return np.atleast_1d(float_array(name, value, (None,) * n_axes))
 
 
 def _numbers(key: str, value: Any) -> list[float]:
+    depth(key, value)
     array = np.atleast_1d(value)
     if array.dtype.kind not in "iuf" or array.ndim != 1:
         message = f"`{key}` must be a number or a list of numbers, got {value!r}"
@@ -259,3 +284,25 @@ def _within(name: str, values: FloatArray, good: Any, wanted: str) -> None:
         place = f" at tet {tet}" if values.size > 1 else ""
         message = f"`{name}` must be {wanted}, got {values.flat[entry]:g}{place}"
         raise MaterialError(message, where=name, tet=tet)
+
+
+def _positive(name: str, value: Any, unit: str) -> None:
+    good = isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value)
+    if not (good and value > 0):
+        message = f"`{name}` must be positive, in {unit}, got {found(value)}"
+        raise MaterialError(message, where=name)
+
+
+def _check_unit(young: FloatArray) -> None:
+    """Refuse moduli that no solid has, and warn of those that no soft one has; name the unit that they may be in."""
+    lowest, highest = SOLID_YOUNG_KPA
+    _within("young", young, (young >= lowest) & (young <= highest), f"in kPa, from {lowest:g} to {highest:g} kPa")
+    typical = float(np.median(young)) if young.size else 1.0
+    softest, stiffest = SOFT_YOUNG_KPA
+    if not softest <= typical <= stiffest:
+        unit = "Pa: divide by 1000" if typical > stiffest else "MPa: multiply by 1000"
+        message = (
+            f"`young` is taken in kPa, got {typical:g}; soft tissues and silicones lie between {softest:g} and "
+            f"{stiffest:g} kPa, so it may be in {unit}"
+        )
+        warnings.warn(message, UnitWarning, stacklevel=4)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import named, real, text
 from tissuereg._arrays import FloatArray, IntArray, float_array, frozen, index_array
 from tissuereg._choice import check_choice
 from tissuereg._core import check_mesh, surface_triangles
@@ -63,7 +64,8 @@ class Mesh:
         self.nodes: FloatArray = frozen(points.copy() if points is nodes else points)
         self.tets: IntArray = frozen(cells.copy() if cells is tets else cells)
         self.node_sets: dict[str, IntArray] = {
-            name: _node_set(name, indices, len(points)) for name, indices in (node_sets or {}).items()
+            name: _node_set(name, indices, len(points))
+            for name, indices in named("node_sets", node_sets, error=MeshError).items()
         }
         self.frame = frame
 
@@ -110,7 +112,7 @@ class Mesh:
         MeshError
             If there is no such set, or if it is empty.
         """
-        if name not in self.node_sets:
+        if text("name", name, error=MeshError) not in self.node_sets:
             known = ", ".join(sorted(self.node_sets)) or "none"
             message = f"the mesh must have a node set named '{name}'; it has: {known}"
             raise MeshError(message, where=name)
@@ -181,8 +183,8 @@ class Mesh:
         ndarray of int64, shape (n,)
             Sorted; may be empty.
         """
-        distance = np.linalg.norm(self.nodes[self.surface_nodes] - np.asarray(centre), axis=1)
-        return np.asarray(self.surface_nodes[distance <= radius])
+        distance = np.linalg.norm(self.nodes[self.surface_nodes] - float_array("centre", centre, (3,)), axis=1)
+        return np.asarray(self.surface_nodes[distance <= real("radius", radius, error=MeshError)])
 
     @cached_property
     def edges(self) -> IntArray:

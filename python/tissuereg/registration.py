@@ -12,9 +12,11 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from tissuereg._arguments import MOST_COUNTED, called, check_running, flag, maybe, whole
+from tissuereg._choice import check_choice
 from tissuereg._clock import Clock
 from tissuereg.contact_registration import ContactInput, fitting_element, register_by_contacts
-from tissuereg.errors import ModelError
+from tissuereg.errors import ArgumentError, ModelError
 from tissuereg.inputs import RegisterInput, RegisterSettings, finite_field
 from tissuereg.latent.model import LatentModel
 from tissuereg.latent_registration import register_by_model
@@ -23,7 +25,7 @@ from tissuereg.markers import Markers
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
 from tissuereg.result import Registration
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulate.solve import ELEMENTS, Simulator
 from tissuereg.surface import SurfacePoints
 
 __all__ = ["RegisterSettings", "register"]
@@ -126,6 +128,8 @@ def register(
         If the model was trained for another mesh, or a file of it is spoilt, or points of a surface are given with it.
     ShapeError, SupportError
         If an array does not fit the mesh, or `held` or `frame` is none of these.
+    ArgumentError
+        If another argument is of another kind than said, or out of its range; the message names it.
     MaterialError
         If `stiffness` is none of these, or graded beside a `simulation`.
     ConvergenceError, EnsembleError
@@ -153,6 +157,13 @@ def register(
     >>> len(result.contacts)
     2
     """
+    check_running(seed=seed, threads=threads)
+    maybe("load", load, Load)
+    maybe("material", material, Material)
+    check_choice("element", element, ("auto", *ELEMENTS), ArgumentError)
+    flag("polish", polish)
+    whole("ensemble", ensemble, most=MOST_COUNTED)
+    called("progress", progress)
     clock = Clock()
     with threadpool_limits(limits=1, user_api="blas"), clock.stage("total"):
         with clock.stage("attach"):
@@ -162,7 +173,7 @@ def register(
             points = None if surface is None else SurfacePoints(surface, surface_std)
             given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held, points)
         said = None if simulation is None else finite_field(simulation, given.mesh)
-        stuff = material or Material()
+        stuff = Material() if material is None else material
         own = fitting_element(given.mesh, stuff) if element == "auto" else element
         if model is None:
             believed = ContactInput(load, said, stuff, own, held, held_nodes, frame, stiffness, progress, ensemble)

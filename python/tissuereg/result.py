@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._arguments import MOST_COUNTED, place, real, text, whole
+from tissuereg._arrays import FloatArray, float_array
 from tissuereg.contacts.found import FoundContact
 from tissuereg.contacts.surface_fit import SurfaceFit
 from tissuereg.errors import MarkerError, ModelError
@@ -41,7 +42,7 @@ class Region:
 
     def contains(self, point: Any) -> bool:
         """Return whether a point (3,) in mm lies inside or on the border."""
-        along = self.axes @ (np.asarray(point, np.float64) - self.centre)
+        along = self.axes @ (float_array("point", point, (3,)) - self.centre)
         return bool(np.sum((along / np.maximum(self.radii, 1e-300)) ** 2) <= 1.0)
 
 
@@ -87,7 +88,7 @@ class Target:
         """
         from scipy.stats import chi2
 
-        if not 0.0 < share < 1.0:
+        if not 0.0 < real("share", share, error=MarkerError) < 1.0:
             message = f"`share` must lie in (0, 1), got {share}"
             raise MarkerError(message, where="share")
         values, vectors = np.linalg.eigh(self.covariance)
@@ -230,7 +231,7 @@ class Registration:
         if self.draw is None:
             message = "draws need a registration by contacts; this one used a trained model"
             raise ModelError(message, where="draws")
-        if count < 1:
+        if whole("count", count, least=-MOST_COUNTED, error=ModelError) < 1:
             message = f"`count` must be at least 1, got {count}"
             raise ModelError(message, where="count")
         return self.draw(count)
@@ -243,7 +244,7 @@ class Registration:
         MarkerError
             If there is none of that name.
         """
-        if name not in self.targets:
+        if text("name", name, error=MarkerError) not in self.targets:
             message = f"no target named '{name}' was registered; there are: {', '.join(self.targets) or 'none'}"
             raise MarkerError(message, where=name)
         return self.targets[name]
@@ -316,7 +317,7 @@ class Registration:
         """
         from tissuereg.report.files import save_registration
 
-        return save_registration(self, Path(folder), extra or {}, deformed=deformed)
+        return save_registration(self, place("folder", folder), extra or {}, deformed=deformed)
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the body before and after, with the markers and the spread."""
@@ -339,7 +340,7 @@ class Registration:
         """
         from tissuereg.report.page import write_page
 
-        return write_page(self, Path(path))
+        return write_page(self, place("path", path))
 
 
 def _row_json(row: FloatArray) -> list[float | None]:

@@ -73,7 +73,7 @@ def test_torch_and_the_training_package_are_reached_by_the_train_command_alone()
 
 def test_layers_point_downwards():
     layers = [
-        {"errors", "_arrays", "_choice", "_core", "_clock", "_locking", "_machine", "_version"},
+        {"errors", "_arguments", "_arrays", "_choice", "_core", "_clock", "_locking", "_machine", "_version"},
         {
             "mesh",
             "material",

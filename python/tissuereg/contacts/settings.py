@@ -1,6 +1,10 @@
 """What is believed about contacts before any marker is seen, and how the posterior is sampled."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
+
+from tissuereg._arguments import each, real, whole
+from tissuereg.errors import ArgumentError
 
 
 @dataclass(frozen=True)
@@ -107,3 +111,23 @@ class ContactSettings:
     fit_limit: float = 1.3
     promise_margin: float = 0.4
     n_draws: int = 64
+
+    def __post_init__(self) -> None:
+        # What a field must be is what its default is: a count, a number, a pair, or a list of numbers.
+        for one in fields(self):
+            value, usual = getattr(self, one.name), one.default
+            if isinstance(usual, int):
+                whole(one.name, value)
+            elif isinstance(usual, float):
+                real(one.name, value, least=0.0)
+            else:
+                _numbers(one.name, value, n_numbers=2 if "tuple[float, float]" in str(one.type) else None)
+
+
+def _numbers(name: str, value: Any, n_numbers: int | None) -> None:
+    numbers = each(name, value, (int, float))
+    if not numbers or len(numbers) != (n_numbers or len(numbers)):
+        message = f"`{name}` must be a list of {n_numbers or 'one or more'} numbers, got {len(numbers)}"
+        raise ArgumentError(message, where=name)
+    for number in numbers:
+        real(name, number, least=0.0)

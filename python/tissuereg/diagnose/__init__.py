@@ -7,8 +7,12 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, overload
 
+from tissuereg._arguments import called, check_running, flag, of_kind
+from tissuereg._choice import check_choice
+from tissuereg.errors import ArgumentError
 from tissuereg.experiment import Experiment
 from tissuereg.material_experiment import MaterialExperiment
+from tissuereg.simulate.solve import ELEMENTS
 
 if TYPE_CHECKING:
     from tissuereg.diagnose.answer import Diagnosis
@@ -73,6 +77,8 @@ def diagnose(
 
     Raises
     ------
+    ArgumentError
+        If an argument is of another kind than said, or out of its range.
     ExperimentError
         If nothing was measured.
     NoiseError
@@ -86,6 +92,12 @@ def diagnose(
     -----
     Bodies of 4,000 nodes with three load cases take some minutes the first time, most of them for the bank of causes.
     """
+    of_kind("experiment", experiment, (Experiment, MaterialExperiment))
+    check_running(seed=seed, threads=threads)
+    flag("keep", keep)
+    called("progress", progress)
+    if element is not None:
+        check_choice("element", element, ELEMENTS, ArgumentError)
     if isinstance(experiment, MaterialExperiment):
         from tissuereg.diagnose.material import diagnose_material
 

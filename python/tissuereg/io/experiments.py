@@ -10,12 +10,12 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.effects import Effect, check_effects, effect_from_table
-from tissuereg.errors import ExperimentError, FormatError, MaterialError, MeshError
+from tissuereg.errors import ExperimentError, MaterialError, MeshError
 from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import nodes_near_plane, surface_nodes_in_ball
-from tissuereg.io.toml import Table, read_toml
+from tissuereg.io.toml import Table, experiment_file, read_toml
 from tissuereg.material import GRAVITY_MM_PER_S2, SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.mesh import Mesh
 
@@ -48,12 +48,8 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     MeshError
         If the mesh cannot carry a simulation.
     """
-    file = Path(path)
-    file = file / "experiment.toml" if file.is_dir() else file
-    if not file.exists():
-        message = f"an experiment must be a folder with an experiment.toml; no such file: {file}"
-        raise FormatError(message, where=str(file))
-    top = read_toml(file)
+    top = read_toml(experiment_file(path))
+    file = top.file
     _refuse_other_kinds(top)
     tables = (file.parent / top.text("tables")) if "tables" in top else file.parent
     name = top.text("name", file.absolute().parent.name)

@@ -11,9 +11,9 @@ import numpy as np
 from tissuereg.effects import Effect, effect_from_table
 from tissuereg.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
 from tissuereg.effects.history import Rate, Relaxation, Set, Softening
-from tissuereg.errors import ExperimentError, FormatError, MaterialError
+from tissuereg.errors import ExperimentError, MaterialError
 from tissuereg.io.csv import Row, read_table, write_table
-from tissuereg.io.toml import Table, read_toml
+from tissuereg.io.toml import Table, experiment_file, read_toml
 from tissuereg.io.toml_text import toml_text, write_toml
 from tissuereg.material import SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.material_experiment import HELD_OUT, TEST_MODES, Curve, MaterialExperiment
@@ -50,12 +50,8 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
     FormatError
         If a file is missing or cannot be read.
     """
-    file = Path(path)
-    file = file / "experiment.toml" if file.is_dir() else file
-    if not file.exists():
-        message = f"an experiment must be a folder with an experiment.toml; no such file: {file}"
-        raise FormatError(message, where=str(file))
-    top = read_toml(file)
+    top = read_toml(experiment_file(path))
+    file = top.file
     kind = top.text("kind", "rig")
     if kind != "material-test":
         top.refuse('`kind` must be "material-test"', kind)

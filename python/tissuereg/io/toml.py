@@ -9,8 +9,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from tissuereg._arguments import place
 from tissuereg._arrays import FloatArray
-from tissuereg.errors import ExperimentError
+from tissuereg.errors import ExperimentError, FormatError
 from tissuereg.io.npz import existing_file
 
 if sys.version_info >= (3, 11):
@@ -310,6 +311,32 @@ class Table:
         if unknown:
             known = ", ".join(sorted(self._taken))
             self.refuse(f"only the keys {known} are known", ", ".join(unknown))
+
+
+def experiment_file(path: str | os.PathLike[str]) -> Path:
+    """Return the file of an experiment: the path itself, or ``experiment.toml`` in that folder.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder or file.
+
+    Returns
+    -------
+    Path
+        A file that exists.
+
+    Raises
+    ------
+    FormatError
+        If there is none.
+    """
+    given = place("path", path, error=FormatError)
+    file = given / "experiment.toml" if os.path.isdir(given) else given  # noqa: PTH112
+    if not os.path.exists(file):  # noqa: PTH110  (a name that is too long for a file does not exist, and is no error)
+        message = f"an experiment must be a folder with an experiment.toml; no such file: {file}"
+        raise FormatError(message, where=str(file))
+    return file
 
 
 def read_toml(path: str | os.PathLike[str]) -> Table:

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 
-from tissuereg.errors import ExperimentError
+from tissuereg._arguments import called, check_running, found, of_kind
+from tissuereg._choice import check_choice
+from tissuereg.errors import ArgumentError, ExperimentError
 from tissuereg.experiment import Experiment
 from tissuereg.simulate.experiment import CaseSimulation, simulate_plain
+from tissuereg.simulate.solve import ELEMENTS
 
 
 def simulate_experiment(
@@ -52,10 +55,14 @@ def simulate_experiment(
     >>> tr.simulate_experiment(rig)["push_x"].markers.shape  # doctest: +SKIP
     (24, 25, 3)
     """
-    if model == "plain":
+    of_kind("experiment", experiment, Experiment)
+    check_choice("element", element, ELEMENTS, ArgumentError)
+    check_running(threads=threads)
+    called("progress", progress)
+    if isinstance(model, str) and model == "plain":
         return simulate_plain(experiment, element=element, threads=threads, progress=progress)
-    if model != "fine":
-        message = f"`model` must be 'fine' or 'plain', got '{model}'"
+    if not isinstance(model, str) or model != "fine":
+        message = f"`model` must be 'fine' or 'plain', got {found(model)}"
         raise ExperimentError(message, where="model")
     from tissuereg.simulate.fine import FineModel
 

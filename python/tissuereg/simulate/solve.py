@@ -7,12 +7,17 @@ from typing import Any, TypedDict
 import numpy as np
 
 from tissuereg import _core
+from tissuereg._arguments import MOST_COUNTED, called, check_running, each, flag, of_kind, real, text, whole
 from tissuereg._arrays import FloatArray, IntArray, float_array, index_array, optional_array, stacked
-from tissuereg.errors import LoadError, MaterialError
+from tissuereg._choice import check_choice
+from tissuereg.errors import ArgumentError, LoadError, MaterialError
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.bed import core_springs, stiffness_array
+
+#: Elements that the solver knows.
+ELEMENTS = ("tet4", "tet4-averaged", "tet10")
 
 
 class LoadParts(TypedDict):
@@ -118,11 +123,14 @@ class Simulator:
         springs: Sequence[tuple[Any, Any]] = (),
         rests: bool = True,
     ) -> None:
+        of_kind("mesh", mesh, Mesh)
+        check_choice("element", element, ELEMENTS, ArgumentError)
         held = mesh.fixed_nodes if held_nodes is None else index_array("held_nodes", held_nodes, (None,))
         self.mesh = mesh
         self.element = element
         self.held_nodes: IntArray = held
         sets = core_springs(springs)
+        flag("rests", rests)
         self.n_springs = len(sets)
         self.body = _core.Body(mesh.nodes, mesh.tets, held, element=element, springs=sets, rests=rests and bool(sets))
 
@@ -133,6 +141,7 @@ class Simulator:
 
     def forces(self, load: Load) -> FloatArray | None:
         """Return all nodal forces of a load, tractions included, in mN; None where there are none."""
+        of_kind("load", load, Load)
         total = None
         if load.forces is not None:
             n_rows = self.body.n_nodes if len(load.forces) == self.body.n_nodes else self.mesh.n_nodes
@@ -221,6 +230,7 @@ class Simulator:
 
     def _arrays(self, settings: dict[str, Any], members: tuple[int, ...]) -> dict[str, Any]:
         """Return settings with their arrays checked; of many, the member axis may be absent."""
+        _check_settings(settings, many=bool(members))
         checked = dict(settings)
         if settings.get("springs") is not None:
             checked["springs"] = stiffness_array(settings["springs"], (*members, self.n_springs, 2))
@@ -319,6 +329,8 @@ class Simulator:
         LockingWarning
             As `solve`, once for all members.
         """
+        loads, materials = each("loads", loads, Load), each("materials", materials, Material)
+        called("progress", progress)
         if len(loads) != len(materials):
             message = f"there must be one material a load, got {len(materials)} for {len(loads)}"
             raise LoadError(message, where="materials")
@@ -352,6 +364,7 @@ class Simulator:
         MaterialError
             If the number of values is neither one nor that of the tets.
         """
+        of_kind("material", material, Material)
         young, poisson = material.young_array, material.poisson_array
         n_points = self.n_points
         for name, values in (("young", young), ("poisson", poisson)):
@@ -363,6 +376,21 @@ class Simulator:
         young, poisson = (v[:, 0] if v.ndim == 2 and v.shape[1] == 1 else v for v in (young, poisson))
         young, poisson = _broadcast([young, poisson])
         return young, poisson
+
+
+def _check_settings(settings: dict[str, Any], *, many: bool) -> None:
+    """Refuse settings of a solve that are unknown or out of their range."""
+    known = ("tolerance", "threads", "method", "start", "springs", "max_iterations", "load_steps")
+    for name in settings:
+        check_choice("setting", name, known, ArgumentError)
+    check_running(threads=settings.get("threads", 0))
+    if "tolerance" in settings:
+        real("tolerance", settings["tolerance"], above=0.0, below=1.0)
+    for name, least in (("max_iterations", 1), ("load_steps", 0)):
+        if name in settings:
+            whole(name, settings[name], least=least, most=MOST_COUNTED)
+    if "method" in settings:
+        text("method", settings["method"])
 
 
 def _broadcast(fields: Sequence[FloatArray]) -> list[FloatArray]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import flag, real
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.experiment import Actuator, Experiment
 from tissuereg.mesh import Mesh
@@ -33,6 +34,13 @@ class FineMeshing:
     growth: float = 1.0
     edge_share: float = np.inf
     cut: bool = True
+
+    def __post_init__(self) -> None:
+        real("rim_edge", self.rim_edge, above=0.0)
+        real("growth", self.growth, above=0.0)
+        if self.edge_share != np.inf:
+            real("edge_share", self.edge_share, above=0.0)
+        flag("cut", self.cut)
 
 
 def fine_experiment(

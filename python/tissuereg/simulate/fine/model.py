@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import called, check_running, each, flag, maybe, of_kind
 from tissuereg._arrays import FloatArray
+from tissuereg._choice import check_choice
 from tissuereg.effects import (
     ActuatorOffset,
     Detachment,
@@ -23,6 +25,7 @@ from tissuereg.effects import (
 )
 from tissuereg.effects.base import Vector
 from tissuereg.effects.history import Memory
+from tissuereg.errors import ArgumentError
 from tissuereg.experiment import Actuator, Case, Experiment
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.experiment import CaseSimulation
@@ -75,8 +78,8 @@ class FineModel:
     """
 
     def __init__(self, experiment: Experiment, meshing: FineMeshing | None = None) -> None:
-        self.experiment = experiment
-        self.meshing = meshing or FineMeshing()
+        self.experiment = of_kind("experiment", experiment, Experiment)
+        self.meshing = maybe("meshing", meshing, FineMeshing) or FineMeshing()
         self.fine = fine_experiment(experiment, self.meshing)
         self._own: tuple[tuple[Rim | None, ...], Experiment] | None = None
         # Elastic answers that corrections are drawn from, newest last.
@@ -140,7 +143,13 @@ class FineModel:
         -----
         Elastic frames of equal load are solved once. Cases run in parallel, each on one thread.
         """
-        fine = self._with_effects(self.experiment.effects if effects is None else tuple(effects))
+        check_choice("through_time", through_time, ("corrected", "solved"), ArgumentError)
+        flag("warm", warm)
+        check_running(threads=threads)
+        called("progress", progress)
+        own = self.experiment.effects if effects is None else each("effects", effects, Effect)
+        cases = None if cases is None else each("cases", cases, str)
+        fine = self._with_effects(own)
         wanted = [case for name, case in fine.cases.items() if cases is None or name in cases]
         for name in cases or ():
             fine.case(name)

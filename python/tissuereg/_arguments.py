@@ -1,0 +1,157 @@
+"""The one place where arguments that are no arrays are checked: numbers, flags, texts, kinds, paths.
+
+Every check takes the argument's name and value, returns the value as it is used from there on, and raises an error of
+ours that names the argument, what must hold and what was found. Arrays: `_arrays`; words of which one is chosen:
+`_choice`.
+"""
+
+import math
+import operator
+import os
+import reprlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from tissuereg.errors import ArgumentError, TissueRegError
+
+_T = TypeVar("_T")
+_Error = type[TissueRegError]
+
+#: More threads than this are a slip of the hand.
+MOST_THREADS = 1024
+
+#: More draws, members or steps than this are one as well.
+MOST_COUNTED = 1_000_000
+
+#: Texts of found values are cut at about this many characters.
+_SHOWN = 80
+
+
+def found(value: object) -> str:
+    """Return a value in a few words, for messages: itself where it is short, its type where it is not plain."""
+    if value is None or isinstance(value, bool | int | float | str | bytes):
+        return reprlib.repr(value)[:_SHOWN]
+    return type(value).__name__
+
+
+def whole(name: str, value: Any, *, least: int = 0, most: int = MOST_COUNTED, error: _Error = ArgumentError) -> int:
+    """Return a whole number in a range; numpy's count, booleans and floats do not."""
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or not least <= number <= most:
+        bounds = f"of at least {least}" if number is None or number < least else f"of at most {most}"
+        message = f"`{name}` must be a whole number {bounds}, got {found(value)}"
+        raise error(message, where=name)
+    return number
+
+
+def real(
+    name: str,
+    value: Any,
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+    unit: str = "",
+    error: _Error = ArgumentError,
+) -> float:
+    """Return a finite number in a range; texts and booleans are none, arrays of one number are."""
+    try:
+        number = math.nan if isinstance(value, bool | str | bytes) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not (math.isfinite(number) and above < number < below and number >= least):
+        bounds = [
+            f" greater than {above:g}" if above > -math.inf else "",
+            f" of at least {least:g}" if least > -math.inf else "",
+            f" less than {below:g}" if below < math.inf else "",
+        ]
+        wanted = " and".join(bound for bound in bounds if bound)
+        message = f"`{name}` must be a finite number{wanted}{f', in {unit}' if unit else ''}, got {found(value)}"
+        raise error(message, where=name)
+    return number
+
+
+def flag(name: str, value: Any, *, error: _Error = ArgumentError) -> bool:
+    """Return true or false; nothing else is taken for either."""
+    if type(value).__name__ not in ("bool", "bool_"):
+        message = f"`{name}` must be True or False, got {found(value)}"
+        raise error(message, where=name)
+    return bool(value)
+
+
+def text(name: str, value: Any, *, error: _Error = ArgumentError) -> str:
+    """Return a text that is not empty."""
+    if not isinstance(value, str) or not value.strip():
+        message = f"`{name}` must be a text, got {found(value)}"
+        raise error(message, where=name)
+    return value
+
+
+def _kinds(kind: type[Any] | tuple[type[Any], ...]) -> str:
+    return " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
+
+
+def of_kind(name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, error: _Error = ArgumentError) -> _T:
+    """Return an object of a kind, or of one of several."""
+    if not isinstance(value, kind):
+        message = f"`{name}` must be of the kind {_kinds(kind)}, got {found(value)}"
+        raise error(message, where=name)
+    return value
+
+
+def maybe(name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, error: _Error = ArgumentError) -> _T | None:
+    """Return an object of a kind, or None."""
+    return None if value is None else of_kind(name, value, kind, error=error)
+
+
+def each(
+    name: str, value: Any, kind: type[_T] | tuple[type[_T], ...], *, error: _Error = ArgumentError
+) -> tuple[_T, ...]:
+    """Return a list of objects of one kind as a tuple; a text is no list."""
+    listed = isinstance(value, Iterable) and not isinstance(value, str | bytes)
+    items = tuple(value) if listed else ()
+    wrong = [item for item in items if not isinstance(item, kind)]
+    if not listed or wrong:
+        got = f"{found(wrong[0])} in it" if wrong else found(value)
+        message = f"`{name}` must be a list of the kind {_kinds(kind)}, got {got}"
+        raise error(message, where=name)
+    return items
+
+
+def called(name: str, value: Any) -> None:
+    """Refuse what cannot be called; None may be given in its place."""
+    if value is not None and not callable(value):
+        message = f"`{name}` must be a function or None, got {found(value)}"
+        raise ArgumentError(message, where=name)
+
+
+def named(name: str, value: Any, *, error: _Error = ArgumentError) -> Mapping[str, Any]:
+    """Return a mapping whose keys are texts; None stands for an empty one."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        wrong = (key for key in value if not isinstance(key, str)) if isinstance(value, Mapping) else iter(())
+        key = next(wrong, None)
+        got = found(value) if key is None else f"the name {found(key)}"
+        message = f"`{name}` must be a mapping with texts for names, got {got}"
+        raise error(message, where=name)
+    return value
+
+
+def place(name: str, value: Any, *, error: _Error = ArgumentError) -> Path:
+    """Return a path to a file or folder, which need not exist."""
+    given = os.fspath(value) if isinstance(value, os.PathLike) else value
+    if not isinstance(given, str) or not given or "\0" in given:
+        message = f"`{name}` must be a path to a file or folder, got {found(given)}"
+        raise error(message, where=name)
+    return Path(given)
+
+
+def check_running(*, seed: Any = 0, threads: Any = 0) -> None:
+    """Refuse a seed or a number of threads that cannot be one."""
+    whole("seed", seed, most=2**64 - 1)
+    whole("threads", threads, most=MOST_THREADS)
