@@ -24,14 +24,22 @@ MOST_THREADS = 1024
 #: More draws, members or steps than this are one as well.
 MOST_COUNTED = 1_000_000
 
+#: Names longer than this are none.
+LONGEST_NAME = 200
+
+#: No file system takes a longer name of a file or folder.
+_LONGEST_PART, _LONGEST_PATH = 255, 4000
+
 #: Texts of found values are cut at about this many characters.
 _SHOWN = 80
+_short = reprlib.Repr()
+_short.maxstring = _short.maxother = _short.maxlong = _SHOWN
 
 
 def found(value: object) -> str:
     """Return a value in a few words, for messages: itself where it is short, its type where it is not plain."""
     if value is None or isinstance(value, bool | int | float | str | bytes):
-        return reprlib.repr(value)[:_SHOWN]
+        return _short.repr(value)[:_SHOWN]
     return type(value).__name__
 
 
@@ -58,9 +66,10 @@ def real(
     unit: str = "",
     error: _Error = ArgumentError,
 ) -> float:
-    """Return a finite number in a range; texts and booleans are none, arrays of one number are."""
+    """Return a finite number in a range; texts, booleans and arrays are none."""
+    is_other = isinstance(value, bool | str | bytes) or bool(getattr(value, "shape", ()))
     try:
-        number = math.nan if isinstance(value, bool | str | bytes) else float(value)
+        number = math.nan if is_other else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not (math.isfinite(number) and above < number < below and number >= least):
@@ -84,9 +93,9 @@ def flag(name: str, value: Any, *, error: _Error = ArgumentError) -> bool:
 
 
 def text(name: str, value: Any, *, error: _Error = ArgumentError) -> str:
-    """Return a text that is not empty."""
-    if not isinstance(value, str) or not value.strip():
-        message = f"`{name}` must be a text, got {found(value)}"
+    """Return a text that is neither empty nor endless."""
+    if not isinstance(value, str) or not value.strip() or len(value) > LONGEST_NAME:
+        message = f"`{name}` must be a text of at most {LONGEST_NAME} characters, got {found(value)}"
         raise error(message, where=name)
     return value
 
@@ -145,7 +154,8 @@ def named(name: str, value: Any, *, error: _Error = ArgumentError) -> Mapping[st
 def place(name: str, value: Any, *, error: _Error = ArgumentError) -> Path:
     """Return a path to a file or folder, which need not exist."""
     given = os.fspath(value) if isinstance(value, os.PathLike) else value
-    if not isinstance(given, str) or not given or "\0" in given:
+    too_long = isinstance(given, str) and any(len(part) > _LONGEST_PART for part in Path(given).parts)
+    if not isinstance(given, str) or not given or "\0" in given or too_long or len(given) > _LONGEST_PATH:
         message = f"`{name}` must be a path to a file or folder, got {found(given)}"
         raise error(message, where=name)
     return Path(given)

@@ -12,6 +12,9 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
+#: Reasons are cut at so many characters.
+_REASON = 200
+
 _Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
 
@@ -56,7 +59,8 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatAr
             _refuse_kind(value)
         array = np.ascontiguousarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        message = f"`{name}` must be an array of numbers of shape {_shown(shape)}, got {type(value).__name__}: {error}"
+        got = f"{type(value).__name__}: {str(error)[:_REASON]}"
+        message = f"`{name}` must be an array of numbers of shape {_shown(shape)}, got {got}"
         raise ShapeError(message, where=name) from error
     array = array if np.ndim(value) else array.reshape(())
     if not _fits(array.shape, shape):
@@ -99,7 +103,9 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError) as error:
-        message = f"`{name}` must hold integers of shape {_shown(shape)}, got {type(value).__name__}: {error}"
+        message = (
+            f"`{name}` must hold integers of shape {_shown(shape)}, got {type(value).__name__}: {str(error)[:_REASON]}"
+        )
         raise ShapeError(message, where=name) from error
     if array.size == 0:
         array = array.astype(np.int64)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._arguments import real, text
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._arguments import each, maybe, named, of_kind, real, text
+from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import ExperimentError
 from tissuereg.markers import Markers
 from tissuereg.material import GRAVITY_MM_PER_S2, Material
@@ -164,7 +164,7 @@ class Case:
         ExperimentError
             If no frame lies within half a frame step.
         """
-        time = real("time", time, unit="s", error=ExperimentError)
+        of_kind("time", time, (int, float, np.number), error=ExperimentError)
         nearest = int(np.argmin(np.abs(self.times - time)))
         if not abs(self.times[nearest] - time) <= 0.5 * self.frame_step + 1e-6:
             message = (
@@ -281,6 +281,31 @@ class Experiment:
     surface_std: float = 0.0
     surface_length: float | None = None
     simulated: Simulated | None = None
+
+    def __post_init__(self) -> None:
+        text("name", self.name, error=ExperimentError)
+        of_kind("mesh", self.mesh, Mesh, error=ExperimentError)
+        of_kind("material", self.material, Material, error=ExperimentError)
+        maybe("gravity", self.gravity, Gravity, error=ExperimentError)
+        maybe("simulated", self.simulated, Simulated, error=ExperimentError)
+        for name, kind in (
+            ("boundaries", Boundary),
+            ("actuators", Actuator),
+            ("marker_names", str),
+            ("effects", object),
+        ):
+            each(name, getattr(self, name), kind, error=ExperimentError)
+        float_array("marker_reference", self.marker_reference, (len(self.marker_names), 3))
+        real("marker_std", self.marker_std, above=0.0, unit="mm", error=ExperimentError)
+        for name in ("young_std", "poisson_std", "force_std", "surface_length"):
+            if getattr(self, name) is not None:
+                real(name, getattr(self, name), above=0.0, error=ExperimentError)
+        for name in ("trial_share", "surface_std"):
+            real(name, getattr(self, name), least=0.0, error=ExperimentError)
+        named("targets", self.targets, error=ExperimentError)
+        each("cases", named("cases", self.cases, error=ExperimentError).values(), Case, error=ExperimentError)
+        if self.rest_case is not None:
+            text("rest_case", self.rest_case, error=ExperimentError)
 
     def __repr__(self) -> str:
         frames = sum(len(case.times) for case in self.cases.values())

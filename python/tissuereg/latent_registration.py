@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import found
+from tissuereg._arguments import found, place
 from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg.assimilate import Assimilation, assimilate
@@ -187,7 +187,7 @@ def _as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
             from tissuereg.phantom import shipped_model_folder
 
             return NetworkModel(shipped_model_folder(), mesh, threads=threads, source="shipped")
-        return NetworkModel(model, mesh, threads=threads)
+        return NetworkModel(place("model", model, error=ModelError), mesh, threads=threads)
     if not isinstance(getattr(model, "n_nodes", None), int):
         message = f"`model` must be a folder, 'phantom' or a model that knows a mesh, got {found(model)}"
         raise ModelError(message, where="model")

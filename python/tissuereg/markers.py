@@ -9,6 +9,9 @@ from tissuereg._arguments import found
 from tissuereg._arrays import FloatArray, IntArray, depth, float_array, frozen
 from tissuereg.errors import MarkerError
 
+#: A finite standard deviation of so many mm says nothing: it overflows when it is squared.
+_MOST_STD = 1e9
+
 
 class Markers:
     """Markers of one moment.
@@ -52,6 +55,9 @@ class Markers:
         known = np.isfinite(spread)
         good = (spread > 0).all(axis=1) & known.any(axis=1)
         _check_rows("std must be positive, in mm, and finite along one axis or more", titles, good, _as_given(spread))
+        _check_rows(
+            f"std must be less than {_MOST_STD:g} mm", titles, ~(known & (spread >= _MOST_STD)).any(axis=1), spread
+        )
         squared = np.where(known, spread, 0.0) ** 2
         overall = np.sqrt(squared.sum(axis=1) / known.sum(axis=1))
         self.names = titles

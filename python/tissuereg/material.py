@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arguments import flag, found, maybe, named, of_kind, text
+from tissuereg._arguments import flag, found, maybe, named, of_kind, real, text
 from tissuereg._arrays import FloatArray, depth, float_array
 from tissuereg.errors import MaterialError, UnitWarning
 
@@ -153,7 +153,7 @@ class Material:
         _positive("density", self.density, "g/cm^3")
         text("law", self.law, error=MaterialError)
         text("volumetric", self.volumetric, error=MaterialError)
-        named("shape", self.shape, error=MaterialError)
+        named("shape", of_kind("shape", self.shape, Mapping, error=MaterialError), error=MaterialError)
         maybe("fibre", self.fibre, Fibre, error=MaterialError)
         young, poisson = self.young_array, self.poisson_array
         _within("young", young, np.isfinite(young) & (young > 0), "positive, in kPa")
@@ -211,7 +211,8 @@ class Material:
         Material
             All else as it is.
         """
-        young, factor = self.young_array, np.asarray(factor, dtype=np.float64)
+        young, factor = self.young_array, float_array("factor", factor, (None,) * min(depth("factor", factor), 2))
+        _within("factor", factor, np.isfinite(factor) & (factor > 0), "positive")
         deepest = max(young.ndim, factor.ndim)
         young, factor = (v[:, None] if v.ndim == 1 and deepest == 2 else v for v in (young, factor))
         return replace(self, young=young * factor)
@@ -255,6 +256,7 @@ class Material:
         MaterialError
             If `direction` has no length.
         """
+        g = real("g", g, unit="mm/s^2", error=MaterialError)
         towards = float_array("direction", direction, (3,))
         length = float(np.linalg.norm(towards))
         if not (np.isfinite(length) and length > 0):
@@ -287,10 +289,11 @@ def _within(name: str, values: FloatArray, good: Any, wanted: str) -> None:
 
 
 def _positive(name: str, value: Any, unit: str) -> None:
-    good = isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value)
-    if not (good and value > 0):
+    try:
+        real(name, value, above=0.0, error=MaterialError)
+    except MaterialError:
         message = f"`{name}` must be positive, in {unit}, got {found(value)}"
-        raise MaterialError(message, where=name)
+        raise MaterialError(message, where=name) from None
 
 
 def _check_unit(young: FloatArray) -> None:

@@ -136,6 +136,7 @@ class Mesh:
         Mesh
             Shares nodes and tets with this one.
         """
+        text("name", name, error=MeshError)
         return Mesh(self.nodes, self.tets, {**self.node_sets, name: indices}, self.frame)
 
     def in_frame(self, frame: str | None) -> "Mesh":

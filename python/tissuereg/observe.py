@@ -224,7 +224,9 @@ class TargetObservation:
 
     def __init__(self, mesh: Mesh, targets: Mapping[str, Any], *, quadratic: bool = False) -> None:
         self.names = tuple(targets)
-        self.reference: FloatArray = np.array([float_array(n, p, (3,)) for n, p in targets.items()]).reshape(-1, 3)
+        self.reference: FloatArray = np.array(
+            [float_array(f"targets[{n!r}]", p, (3,)) for n, p in targets.items()]
+        ).reshape(-1, 3)
         locator = _locator(mesh)
         located = [locator.locate(name, point) for name, point in zip(self.names, self.reference, strict=True)]
         corners = np.array([mesh.tets[tet] for tet, _ in located], dtype=np.int64).reshape(-1, 4)

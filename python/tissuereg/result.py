@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import MOST_COUNTED, place, real, text, whole
+from tissuereg._arguments import MOST_COUNTED, flag, named, place, real, text, whole
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg.contacts.found import FoundContact
 from tissuereg.contacts.surface_fit import SurfaceFit
@@ -315,9 +315,11 @@ class Registration:
         OutputError
             If the folder cannot be written; nothing is changed then.
         """
+        from tissuereg.io.atomic import OutputError
         from tissuereg.report.files import save_registration
 
-        return save_registration(self, place("folder", folder), extra or {}, deformed=deformed)
+        target, added = place("folder", folder, error=OutputError), dict(named("extra", extra))
+        return save_registration(self, target, added, deformed=flag("deformed", deformed))
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the body before and after, with the markers and the spread."""
@@ -338,9 +340,10 @@ class Registration:
         Path
             The file.
         """
+        from tissuereg.io.atomic import OutputError
         from tissuereg.report.page import write_page
 
-        return write_page(self, place("path", path))
+        return write_page(self, place("path", path, error=OutputError))
 
 
 def _row_json(row: FloatArray) -> list[float | None]:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import found, real
 from tissuereg._arrays import FloatArray, IntArray, float_array, frozen
 from tissuereg.errors import SurfaceError
 
@@ -59,20 +60,27 @@ class SurfacePoints:
         if len(places) < 3:
             message = f"a surface must be given by at least 3 points, got {len(places)}"
             raise SurfaceError(message, where="surface")
-        if not (np.isfinite(std) and std > 0):
-            message = f"`surface_std` must be positive, in mm, got {std}"
-            raise SurfaceError(message, where="surface_std")
+        std = _positive(std)
         self.given = len(places)
         kept = evenly(places, MOST_POINTS)
         self.places: FloatArray = frozen(np.ascontiguousarray(places[kept]))
         self.rows: IntArray = frozen(whole[kept])
-        self.std = float(std)
+        self.std = std
 
     def __len__(self) -> int:
         return len(self.places)
 
     def __repr__(self) -> str:
         return f"SurfacePoints({len(self)} points, std {self.std:g} mm)"
+
+
+def _positive(std: Any) -> float:
+    """Return a standard deviation in mm; so large a one that its square overflows is none."""
+    try:
+        return real("surface_std", std, above=0.0, below=1e9, error=SurfaceError)
+    except SurfaceError:
+        message = f"`surface_std` must be positive, in mm, and below 1e9 mm, got {found(std)}"
+        raise SurfaceError(message, where="surface_std") from None
 
 
 def evenly(places: FloatArray, count: int) -> IntArray:

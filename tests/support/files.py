@@ -36,6 +36,16 @@ def write_problem(path: Path, **changes) -> Path:
 MARKERS_HEADER = "marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm\n"
 GOOD_MARKERS = MARKERS_HEADER + "P1,30,10,40,31,10,40\nP2,0,10,40,1,10,40\nP3,15,0,20,,,\n"
 
+#: Points of 3D Slicer where three markers sit.
+FIDUCIALS = """\
+# Markups fiducial file version = 4.11
+# CoordinateSystem = LPS
+# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID
+1,30,10,40,0,0,0,1,1,1,0,P1,,
+2,0,10,40,0,0,0,1,1,1,0,P2,,
+3,15,0,20,0,0,0,1,1,1,0,P3,,
+"""
+
 EXPERIMENT = """\
 name = "leaning block"
 [mesh]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._arrays import FloatArray, IntArray, index_array
 from tissuereg._choice import check_choice
 from tissuereg.errors import SupportError
 from tissuereg.mesh import Mesh
@@ -76,12 +76,22 @@ class Supports:
         """
         check_choice("held", held, HELD, SupportError)
         none = np.empty(0, np.int64)
-        fixed = mesh.node_sets.get("fixed", none) if held_nodes is None else np.unique(np.asarray(held_nodes))
+        fixed = mesh.node_sets.get("fixed", none) if held_nodes is None else _held(mesh, held_nodes)
         perhaps = mesh.node_sets.get(PERHAPS, none)
         if held == "perhaps":
             return cls(none, np.union1d(fixed, perhaps))
         sure = fixed if held == "sure" else none
         return cls(np.asarray(sure, np.int64), np.setdiff1d(perhaps, sure))
+
+
+def _held(mesh: Mesh, nodes: Any) -> IntArray:
+    """Return the nodes that a user names, sorted; refuse those that the mesh has not."""
+    held = np.unique(index_array("held_nodes", nodes, (None,)))
+    if held.size and (held[0] < 0 or held[-1] >= mesh.n_nodes):
+        bad = held[0] if held[0] < 0 else held[-1]
+        message = f"`held_nodes` must name nodes 0 to {mesh.n_nodes - 1}, got {bad}"
+        raise SupportError(message, where="held_nodes")
+    return held
 
 
 def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArray]]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tissuereg._arguments import place
 from tissuereg.diagnose.causes import Values
 from tissuereg.experiment import Experiment
 
@@ -154,8 +155,9 @@ class Diagnosis:
             If the file cannot be written.
         """
         from tissuereg.diagnose.report.page import write_report
+        from tissuereg.io.atomic import OutputError
 
-        return write_report(self, Path(path))
+        return write_report(self, place("path", path, error=OutputError))
 
     def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
         """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``, all or none.
@@ -180,8 +182,9 @@ class Diagnosis:
             If the folder cannot be written.
         """
         from tissuereg.diagnose.files import write_diagnosis
+        from tissuereg.io.atomic import OutputError
 
-        return write_diagnosis(self, Path(folder), extra or {})
+        return write_diagnosis(self, place("folder", folder, error=OutputError), extra or {})
 
 
 def _pairs(values: Values, deviations: Values) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from tissuereg._arguments import place
 from tissuereg.errors import TissueRegError
 
 
@@ -47,7 +48,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     ...     (Path(folder) / "note.txt").read_text()
     'all of it'
     """
-    target = Path(path)
+    target = place("path", path, error=OutputError)
     check_file_target(target)
     with _as_output_error(target):
         handle, name = tempfile.mkstemp(prefix=".tissuereg-", suffix=target.suffix, dir=_standing_folder(target))
@@ -85,7 +86,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     OutputError
         If `path` is a file, or the operating system refuses.
     """
-    target = Path(path)
+    target = place("path", path, error=OutputError)
     check_folder_target(target)
     with _as_output_error(target):
         temporary = Path(tempfile.mkdtemp(prefix=".tissuereg-", dir=_standing_folder(target)))
@@ -112,7 +113,7 @@ def check_file_target(path: str | os.PathLike[str]) -> None:
     OutputError
         If it is a folder, or lies where nothing may be written.
     """
-    target = Path(path)
+    target = place("path", path, error=OutputError)
     if target.is_dir():
         message = f"the output file must not be a folder, got {target}"
         raise OutputError(message, where=str(target))
@@ -120,7 +121,7 @@ def check_file_target(path: str | os.PathLike[str]) -> None:
 
 
 def check_folder_target(path: str | os.PathLike[str]) -> None:
-    """Refuse early a folder name that could not be written at the end of a long run.
+    """Refuse early a folder name that could not be written at the end of a long run; what it holds is no matter.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def check_folder_target(path: str | os.PathLike[str]) -> None:
     OutputError
         If it is a file, or lies where nothing may be written.
     """
-    target = Path(path)
+    target = place("path", path, error=OutputError)
     if target.exists() and not target.is_dir():
         message = f"the output folder must not be a file, got {target}"
         raise OutputError(message, where=str(target))

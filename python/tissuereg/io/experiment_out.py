@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import of_kind, place
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Actuator, Boundary, Experiment
+from tissuereg.io.atomic import OutputError
 from tissuereg.io.toml_text import toml_text, write_toml
 
 
@@ -35,7 +37,9 @@ def write_experiment(
     OutputError
         If the file cannot be written there.
     """
-    write_toml(path, _content(experiment, Path(path).parent if seen_from is None else Path(seen_from)))
+    of_kind("experiment", experiment, Experiment, error=ExperimentError)
+    path = place("path", path, error=OutputError)
+    write_toml(path, _content(experiment, path.parent if seen_from is None else Path(seen_from)))
 
 
 def experiment_text(experiment: Experiment, folder: str | os.PathLike[str]) -> str:

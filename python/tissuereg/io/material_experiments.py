@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import place
 from tissuereg.effects import Effect, effect_from_table
 from tissuereg.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
 from tissuereg.effects.history import Rate, Relaxation, Set, Softening
 from tissuereg.errors import ExperimentError, MaterialError
+from tissuereg.io.atomic import OutputError
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.toml import Table, experiment_file, read_toml
 from tissuereg.io.toml_text import toml_text, write_toml
@@ -87,7 +89,8 @@ def write_material_experiment(
     OutputError
         If the file cannot be written there.
     """
-    write_toml(path, _content(experiment, Path(path).parent if seen_from is None else Path(seen_from)))
+    path = place("path", path, error=OutputError)
+    write_toml(path, _content(experiment, path.parent if seen_from is None else Path(seen_from)))
 
 
 def material_experiment_text(experiment: MaterialExperiment, folder: str | os.PathLike[str]) -> str:

@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from tissuereg._arguments import place as path_of
 from tissuereg.errors import FormatError
+from tissuereg.io.atomic import OutputError
 from tissuereg.io.json import write_json
 from tissuereg.io.npz import existing_file
 from tissuereg.io.points import MM_PER_UNIT, NamedPoints
@@ -68,7 +70,7 @@ def write_mrk_json(
     frame : str, optional
         ``"LPS"`` or ``"RAS"``, the frame of the places; LPS where absent, which is what Slicer takes for granted.
     """
-    name = Path(path).name.removesuffix(".json").removesuffix(".mrk")
+    name = path_of("path", path, error=OutputError).name.removesuffix(".json").removesuffix(".mrk")
     markup = {
         "type": "Fiducial",
         "name": name,

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import found, text
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError, MeshError
 from tissuereg.mesh import Mesh
@@ -67,23 +68,35 @@ def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
     FormatError
         If a plane or a ball is not given by such numbers.
     """
-    words: list[Any] = rule.split() if isinstance(rule, str) else ["plane", *rule]
+    words: list[Any] = _words(rule, name)
     kind = words[0] if words else ""
     if kind not in ("plane", "ball"):
-        return str(rule), []
+        return text(name, rule, error=FormatError), []
     try:
         numbers = [float(word) for word in words[1:]]
     except (TypeError, ValueError):
         numbers = []
-    shown = rule if isinstance(rule, str) else list(rule)
+    shown = found(rule) if isinstance(rule, str) else repr(words[1:7])
     finite = bool(np.isfinite(numbers).all())
     if kind == "plane" and not (finite and len(numbers) == 5 and numbers[4] >= 0 and any(numbers[:3])):
-        message = f"`{name}` must be 'plane nx ny nz d tol', normal not zero and tol at least 0 mm, got {shown!r}"
+        message = f"`{name}` must be 'plane nx ny nz d tol', normal not zero and tol at least 0 mm, got {shown}"
         raise FormatError(message, where=name)
     if kind == "ball" and not (finite and len(numbers) == 4 and numbers[3] > 0):
-        message = f"`{name}` must be 'ball x y z r', the radius r positive, in mm, got {shown!r}"
+        message = f"`{name}` must be 'ball x y z r', the radius r positive, in mm, got {shown}"
         raise FormatError(message, where=name)
     return kind, numbers
+
+
+def _words(rule: Any, name: str) -> list[Any]:
+    """Return a rule's words, or its numbers behind the word for a plane."""
+    if isinstance(rule, str):
+        return rule.split()
+    try:
+        return ["plane", *(float(number) for number in rule)]
+    except (TypeError, ValueError):
+        wanted = "'plane nx ny nz d tol', 'ball x y z r' or the name of a node set"
+        message = f"`{name}` must be {wanted}, got {found(rule)}"
+        raise FormatError(message, where=name) from None
 
 
 def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, tolerance: float) -> IntArray:

@@ -1,7 +1,6 @@
 """Checked reading of numpy archives: no pickles, every fault named by file and array."""
 
 import contextlib
-import errno
 import os
 import zipfile
 import zlib
@@ -12,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._arguments import found, place
+from tissuereg._arguments import place
 from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
 from tissuereg.errors import FormatError, ShapeError
 from tissuereg.io.atomic import atomic_file
@@ -209,12 +208,6 @@ def existing_file(path: str | os.PathLike[str]) -> Path:
         If it does not exist, is a folder or may not be read.
     """
     file = place("path", path, error=FormatError)
-    try:
-        file.stat()
-    except OSError as error:
-        if error.errno not in (errno.ENOENT, errno.ENOTDIR, errno.EACCES):
-            message = f"{found(str(file))} must be the name of a file; it cannot be one: {error.strerror}"
-            raise FormatError(message, where="path") from error
     if file.is_dir():
         message = f"a file is needed, got the folder {file}"
         raise FormatError(message, where=str(file))

@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import place as path_of
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._choice import check_choice
 from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, TissueRegError, UnitError
 from tissuereg.io.npz import existing_file
 from tissuereg.triangles import Triangles
@@ -80,9 +82,8 @@ def read_triangles(surface: SurfaceInput, unit: str | None = None) -> Triangles:
     tissuereg.errors.UnitError: extent 0.1: looks like metres; say --unit m (unit="m" in Python). The largest extent
     of a body must lie between 5 and 2000 mm; `surface`, read in mm, has 0.1 mm
     """
-    if unit is not None and unit not in UNITS_MM:
-        message = f"`unit` must be one of {', '.join(UNITS_MM)}, got {unit!r}"
-        raise FormatError(message, where="unit")
+    if unit is not None:
+        check_choice("unit", unit, UNITS_MM, FormatError)
     if isinstance(surface, Triangles):
         return _in_mm(surface, unit or "mm", "`surface`")
     if isinstance(surface, tuple | list):
@@ -90,7 +91,7 @@ def read_triangles(surface: SurfaceInput, unit: str | None = None) -> Triangles:
             message = f"`surface` must be a file, or vertices (n, 3) and triangles (m, 3), got {len(surface)} things"
             raise ShapeError(message, where="surface")
         return _in_mm(Triangles(*surface), unit or "mm", "`surface`")
-    file = existing_file(surface)
+    file = existing_file(path_of("surface", surface, error=FormatError))
     try:
         found = Triangles(*_content(file))
     except (MeshError, ShapeError) as error:

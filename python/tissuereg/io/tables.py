@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import place
 from tissuereg._arrays import FloatArray
 from tissuereg._choice import check_choice
 from tissuereg.errors import FormatError, MarkerError
@@ -65,6 +66,8 @@ def read_markers(
         If a standard deviation is not positive, a frame none of the two, or `table_frame` given without `frame`.
     """
     _check_frames(frame, table_frame)
+    path = place("path", path, error=FormatError)
+    measured = None if measured is None else place("measured", measured, error=FormatError)
     usual = DEFAULT_STD if std is None else std
     if is_slicer_file(path) or (measured is not None and is_slicer_file(measured)):
         return markers_of(path, measured, usual, frame)

@@ -332,8 +332,8 @@ def experiment_file(path: str | os.PathLike[str]) -> Path:
         If there is none.
     """
     given = place("path", path, error=FormatError)
-    file = given / "experiment.toml" if os.path.isdir(given) else given  # noqa: PTH112
-    if not os.path.exists(file):  # noqa: PTH110  (a name that is too long for a file does not exist, and is no error)
+    file = given / "experiment.toml" if given.is_dir() else given
+    if not file.exists():
         message = f"an experiment must be a folder with an experiment.toml; no such file: {file}"
         raise FormatError(message, where=str(file))
     return file

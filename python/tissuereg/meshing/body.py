@@ -7,9 +7,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from tissuereg._arguments import check_running, found, named, real
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._clock import Clock
-from tissuereg.errors import MeshError, MeshingError
+from tissuereg.errors import FormatError, MeshError, MeshingError
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, parsed_rule
 from tissuereg.io.surfaces import SurfaceInput, read_triangles
 from tissuereg.mesh import Mesh
@@ -110,12 +111,14 @@ def tetrahedralize(
     or a finer deviation, costs several times more.
     """
     clock = Clock()
+    check_running(threads=threads)
+    size_mm = real("size_mm", size_mm, unit="mm", error=MeshError)
+    if deviation_mm is not None:
+        deviation_mm = real("deviation_mm", deviation_mm, unit="mm", error=MeshError)
     with clock.stage("read"):
         given = read_triangles(surface, unit)
-        rules = {**(node_sets or {}), **({} if fixed is None else {"fixed": fixed})}
-        for name, several in rules.items():
-            for rule in _listed(several):
-                parsed_rule(rule, name)
+        rules = {**named("node_sets", node_sets, error=MeshError), **({} if fixed is None else {"fixed": fixed})}
+        _check_rules(rules)
         _check_lengths(given, size_mm, deviation_mm)
         check_mesher()
     with clock.stage("repair"):
@@ -135,11 +138,31 @@ def tetrahedralize(
     return mesh
 
 
-def _listed(rules: NodeRules) -> Sequence[NodeRule]:
-    """Return several rules; one is a string, or five numbers."""
-    if isinstance(rules, str) or not all(isinstance(rule, str | Sequence) for rule in rules):
+def _listed(rules: NodeRules, name: str) -> Sequence[NodeRule]:
+    """Return several rules, at least one; one is a string, or five numbers."""
+    if isinstance(rules, str):
+        return [rules]
+    if not isinstance(rules, Sequence | np.ndarray) or not len(rules):
+        message = f"`{name}` must be a rule for nodes, or a list of them, got {found(rules)}"
+        raise FormatError(message, where=name)
+    if not all(isinstance(rule, str | Sequence | np.ndarray) for rule in rules):
         return [cast(NodeRule, rules)]
     return cast(Sequence[NodeRule], rules)
+
+
+def _check_rules(rules: Mapping[str, NodeRules]) -> None:
+    """Refuse before the mesher's long work what cannot be a rule, or names a set that is not made before it."""
+    made: list[str] = []
+    for name, several in rules.items():
+        for rule in _listed(several, name):
+            kind, _ = parsed_rule(rule, name)
+            if kind not in ("plane", "ball", *made):
+                message = (
+                    f"`{name}` must be a plane, a ball or a set made before it ({', '.join(made) or 'none'}), "
+                    f"got {found(kind)}"
+                )
+                raise MeshError(message, where=name)
+        made.append(name)
 
 
 def _with_sets(nodes: FloatArray, tets: IntArray, rules: Mapping[str, NodeRules]) -> FilledMesh:
@@ -149,7 +172,7 @@ def _with_sets(nodes: FloatArray, tets: IntArray, rules: Mapping[str, NodeRules]
         message = f"the mesher must make a mesh that can be simulated: {error}; try another size"
         raise MeshingError(message, where="surface") from error
     for name, several in rules.items():
-        chosen = [nodes_by_rule(mesh, rule, name) for rule in _listed(several)]
+        chosen = [nodes_by_rule(mesh, rule, name) for rule in _listed(several, name)]
         mesh = FilledMesh(mesh.nodes, mesh.tets, {**mesh.node_sets, name: np.unique(np.concatenate(chosen))})
     return mesh
 

@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg._arguments import each
+from tissuereg._arrays import FloatArray, IntArray, depth, float_array, index_array
+from tissuereg.errors import ArgumentError
 
 
 def core_springs(springs: Sequence[tuple[Any, Any]]) -> list[tuple[IntArray, list[float]]]:
@@ -26,9 +28,13 @@ def core_springs(springs: Sequence[tuple[Any, Any]]) -> list[tuple[IntArray, lis
     ShapeError
         If triangles or stiffness have another shape.
     """
+    pairs = each("springs", springs, (tuple, list))
+    if not all(len(pair) == 2 for pair in pairs):
+        message = "`springs` must be a list of pairs of triangles and stiffness, got others"
+        raise ArgumentError(message, where="springs")
     return [
         (index_array("spring triangles", triangles, (None, 3)), float_array("springs", stiffness, (2,)).tolist())
-        for triangles, stiffness in springs
+        for triangles, stiffness in pairs
     ]
 
 
@@ -54,6 +60,6 @@ def stiffness_array(stiffness: Any, shape: tuple[int | None, ...]) -> FloatArray
     """
     if stiffness is None:
         return None
-    if len(shape) == 3 and np.ndim(stiffness) == 2 and shape[0] is not None:
+    if len(shape) == 3 and depth("springs", stiffness) == 2 and shape[0] is not None:
         stiffness = np.broadcast_to(np.asarray(stiffness), (shape[0], *np.shape(stiffness)))
     return float_array("springs", stiffness, shape)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissuereg import _core
 from tissuereg._arguments import MOST_COUNTED, called, check_running, each, flag, of_kind, real, text, whole
-from tissuereg._arrays import FloatArray, IntArray, float_array, index_array, optional_array, stacked
+from tissuereg._arrays import FloatArray, IntArray, depth, float_array, index_array, optional_array, stacked
 from tissuereg._choice import check_choice
 from tissuereg.errors import ArgumentError, LoadError, MaterialError
 from tissuereg.load import Load
@@ -235,7 +235,7 @@ class Simulator:
         if settings.get("springs") is not None:
             checked["springs"] = stiffness_array(settings["springs"], (*members, self.n_springs, 2))
         if settings.get("start") is not None:
-            own = members if np.ndim(settings["start"]) == 3 else ()
+            own = members if depth("start", settings["start"]) == 3 else ()
             checked["start"] = float_array("start", settings["start"], (*own, self.body.n_nodes, 3))
         return checked
 

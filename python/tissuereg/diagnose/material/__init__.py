@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tissuereg._arguments import place
 from tissuereg.diagnose.material.answer import EXTENDED_FILE, answer_of
 from tissuereg.diagnose.material.extend import extended, predicted_stresses
 from tissuereg.diagnose.material.report import material_page
 from tissuereg.diagnose.material.verdict import Outcome, find_out
-from tissuereg.io.atomic import atomic_folder
+from tissuereg.io.atomic import OutputError, atomic_folder
 from tissuereg.io.json import write_json
 from tissuereg.io.material_experiments import write_material_experiment
 from tissuereg.material_experiment import MaterialExperiment
@@ -74,13 +75,13 @@ class MaterialDiagnosis:
         OutputError
             If it cannot be written there.
         """
-        place = Path(folder)
-        with atomic_folder(place) as draft:
+        out = place("folder", folder, error=OutputError)
+        with atomic_folder(out) as draft:
             write_json(draft / "diagnosis.json", {**self.answer, **(extra or {})})
             # Paths in the model lead from the folder's final place.
-            write_material_experiment(self.extended, draft / EXTENDED_FILE, seen_from=place)
-            (draft / "report.html").write_text(material_page(self, place), encoding="utf-8")
-        return place
+            write_material_experiment(self.extended, draft / EXTENDED_FILE, seen_from=out)
+            (draft / "report.html").write_text(material_page(self, out), encoding="utf-8")
+        return out
 
 
 def diagnose_material(

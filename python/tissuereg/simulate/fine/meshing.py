@@ -38,7 +38,7 @@ class FineMeshing:
     def __post_init__(self) -> None:
         real("rim_edge", self.rim_edge, above=0.0)
         real("growth", self.growth, above=0.0)
-        if self.edge_share != np.inf:
+        if not (isinstance(self.edge_share, float) and self.edge_share == np.inf):
             real("edge_share", self.edge_share, above=0.0)
         flag("cut", self.cut)
 
