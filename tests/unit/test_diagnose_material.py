@@ -101,6 +101,9 @@ def test_an_effect_outside_the_catalogue_gets_no_name(way):
     assert diagnosis.answer["causes"] == []
     assert diagnosis.extended is diagnosis.experiment
     assert diagnosis.answer["p_misfit"] < 0.01
+    told, said = diagnosis.answer["next_experiment"], diagnosis.answer["discrepancy"]
+    assert said["under"].replace("-", " ") in told["action"]
+    assert said["when"] in told["action"]
 
 
 def test_causes_that_tie_are_a_group_and_a_further_test_is_advised():

@@ -253,6 +253,12 @@ def test_no_findings(rig, tmp_path, verdict):
     assert ("consistent with the simulation" in text) == (verdict == "consistent")
 
 
+def test_an_unexplained_answer_says_what_to_check(rig, tmp_path):
+    told = {"action": "check <marker> P7", "separates": [], "separability": None}
+    text = read_page(made_up(rig, verdict="unexplained", next_experiment=told), tmp_path / "report.html")
+    assert "<b>Next:</b> check &lt;marker&gt; P7." in text
+
+
 def test_no_forces_and_one_case(tmp_path):
     toml = EXPERIMENT.replace('rest_case = "rest"\n', "").replace("[forces]\nstd_mN = 5.0\n", "")
     markers = "\n".join(row for row in TABLES["markers.csv"].splitlines() if not row.startswith("rest")) + "\n"

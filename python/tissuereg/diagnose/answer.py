@@ -85,7 +85,7 @@ class Diagnosis:
     extended : Experiment
         The believed experiment with the findings as effects, and the modulus as fitted where the data tell it.
     next_experiment : dict or None
-        What would tell tied causes apart.
+        What would tell tied causes apart; where the verdict is ``unexplained``, what to check (`whereabouts`).
     left : dict or None
         What the findings do not explain, where that is more than effect-free data leave: its probability ``p``,
         ``where`` (markers and pads), ``when``, the cause that it ``looks_like``, and a ``sentence``.

@@ -36,9 +36,9 @@ def left_of(layout: Layout, screen: Screen, found: Search, misfit: Misfit) -> di
     dict
         ``p``, ``where`` (names of markers and pads), ``when``, ``looks_like`` (an id, or ``"unknown"``), ``sentence``.
     """
-    where = _places(layout, found.reduced)
-    case, time = _moment(layout, found.reduced)
-    alike = _alike(screen, found)
+    where = worst_places(layout, found.reduced)
+    case, time = moment(layout, found.reduced)
+    alike = looks_like(screen, found)
     when = f"most at {time:.4g} s, under case {case}"
     said = f"at {', '.join(where)}" if where else "everywhere a little"
     like = "like nothing of the catalogue" if alike == UNKNOWN else f"like '{alike}' more than like anything else"
@@ -46,7 +46,7 @@ def left_of(layout: Layout, screen: Screen, found: Search, misfit: Misfit) -> di
     return {"p": misfit.p, "where": where, "when": when, "looks_like": alike, "sentence": sentence}
 
 
-def _places(layout: Layout, reduced: FloatArray) -> list[str]:
+def worst_places(layout: Layout, reduced: FloatArray) -> list[str]:
     """Return the markers and pads at which most is left, the worst first."""
     power: dict[str, float] = {}
     count: dict[str, float] = {}
@@ -64,7 +64,7 @@ def _places(layout: Layout, reduced: FloatArray) -> list[str]:
     return worst[:MOST_PLACES]
 
 
-def _moment(layout: Layout, reduced: FloatArray) -> tuple[str, float]:
+def moment(layout: Layout, reduced: FloatArray) -> tuple[str, float]:
     """Return the case and the time of the frame in which most is left."""
     worst = ("", 0.0, -np.inf)
     for part in layout.parts:
@@ -75,7 +75,7 @@ def _moment(layout: Layout, reduced: FloatArray) -> tuple[str, float]:
     return worst[:2]
 
 
-def _alike(screen: Screen, found: Search) -> str:
+def looks_like(screen: Screen, found: Search) -> str:
     """Return the id of the cause that what is left looks like most; the generic rival's where none does."""
     gains = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items()}
     named = set(found.final.ids)

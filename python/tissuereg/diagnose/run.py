@@ -18,7 +18,7 @@ from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.findings import candidates_of, findings_of
 from tissuereg.diagnose.fit import Target, fit
 from tissuereg.diagnose.generic import generic_columns
-from tissuereg.diagnose.left import left_of
+from tissuereg.diagnose.left import left_of, looks_like
 from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
@@ -28,6 +28,7 @@ from tissuereg.diagnose.screen import Screen
 from tissuereg.diagnose.search import Search, search
 from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.targets import target_rms
+from tissuereg.diagnose.whereabouts import next_check
 from tissuereg.effects import Effect, Stiffness
 from tissuereg.experiment import Experiment
 
@@ -81,6 +82,9 @@ def diagnose_body(
             effects = (Stiffness(young_kpa=young), *effects)
     extended = replace(experiment, effects=(*experiment.effects, *effects))
     findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
+    following = advise(target, found.steps, findings)
+    if verdict == "unexplained":
+        following = next_check(bench, found.reduced, looks_like(screen, found))
     return Diagnosis(
         verdict=verdict,
         findings=tuple(findings),
@@ -89,7 +93,7 @@ def diagnose_body(
         left=left_of(layout, screen, found, misfit) if findings and misfit.p < MISFIT else None,
         discrepancy=describe(layout, found.base, found.final),
         extended=extended,
-        next_experiment=advise(target, found.steps, findings),
+        next_experiment=following,
         seed=seed,
         versions={"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
         details={

@@ -250,7 +250,24 @@ def _sentences(outcome: Outcome) -> list[str]:
     return said
 
 
+def _again(outcome: Outcome) -> dict[str, Any]:
+    """Return what to measure again, from where and when most is left: what does not repeat is no property."""
+    said = _discrepancy(outcome)
+    mode, curves = said["under"].replace("-", " "), outcome.bench.problem.data.curves
+    others = len({curve.specimen for curve in curves if curve.mode == said["under"]}) > 1
+    with_what = "a further specimen" if others else "another specimen"
+    action = (
+        f"measure {mode} again with {with_what}, with more rows {said['when']}: most is left there, worst in "
+        f"{' and '.join(said['where'])}; what does not come back is no property of the material"
+    )
+    check = {"kind": "mode", "name": said["under"], "where": said["where"], "when": said["when"]}
+    return {"action": action, "separates": [], "separability": None, "check": check}
+
+
 def _next(experiment: MaterialExperiment, outcome: Outcome) -> dict[str, Any] | None:
+    """Return the test that tells tied causes apart; where nothing explains the curves, what to measure again."""
+    if outcome.verdict == "unexplained":
+        return _again(outcome)
     for finding in outcome.findings:
         for rival in finding.group[1:]:
             other = finding.rivals[rival].fit.model

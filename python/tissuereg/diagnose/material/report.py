@@ -175,6 +175,8 @@ def _held_out(held: dict[str, Any]) -> str:
 def _advice(advice: dict[str, Any] | None) -> str:
     if advice is None:
         return "No tie is left that a further test of the usual kinds would resolve."
+    if not advice["separates"]:
+        return f"Next: {advice['action']}."
     return f"{advice['action']}: it separates {separated(advice)} by {advice['separability']:.1f} noise deviations."
 
 

@@ -43,6 +43,8 @@ def summary(found: "Diagnosis") -> str:
         f"<p class='verdict'><b class='{tone}'>{escape(verdict_sentence(found))}</b></p>",
         f"<p>{escape(_discrepancy(found))} {escape(_left(found))}</p>",
     ]
+    if found.verdict == "unexplained" and found.next_experiment is not None:
+        parts.append(f"<p><b>Next:</b> {escape(found.next_experiment['action'])}.</p>")
     if found.provisional:
         parts.append("<p>Provisional: with fewer than three load cases, none was foretold from several others.</p>")
     return "\n".join(parts)

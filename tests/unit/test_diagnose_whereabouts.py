@@ -1,0 +1,84 @@
+"""What to check next where nothing explains the data: the part of the rig beside which most is left."""
+
+import numpy as np
+import pytest
+
+from support.targets import target_of
+from tissuereg.diagnose.screen import UNKNOWN
+from tissuereg.diagnose.whereabouts import next_check, parts_of
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return target_of().bench
+
+
+def noise(bench, seed=0):
+    return np.random.default_rng(seed).standard_normal(bench.layout.size) * bench.layout.seen
+
+
+def spoilt(bench, wanted, seed=0, size=6.0):
+    """Noise, and more of it near one part."""
+    part = next(part for part in parts_of(bench) if (part.kind, part.name) == wanted)
+    return noise(bench, seed) + size * np.sqrt(part.near) * noise(bench, seed + 100)
+
+
+PLACES = [
+    ("marker", "P1"),
+    ("marker", "P4"),
+    ("pad", "top"),
+    ("pad", "side"),
+    ("support", "base"),
+    ("case", "in"),
+    ("body", "tet4"),
+]
+
+
+@pytest.mark.parametrize("wanted", PLACES, ids=" ".join)
+def test_the_part_that_is_wrong_is_the_one_to_check(bench, wanted):
+    hits = 0
+    for seed in range(5):
+        told = next_check(bench, spoilt(bench, wanted, seed))
+        hits += (told["check"]["kind"], told["check"]["name"]) == wanted
+    assert hits >= 4
+
+
+def test_the_action_says_what_where_and_when(bench):
+    told = next_check(bench, spoilt(bench, ("marker", "P4"), size=20.0))
+    check = told["check"]
+    assert "marker P4" in told["action"]
+    assert check["share"] > 0.9
+    assert check["where"][0] == "P4"
+    assert f"{check['share']:.0%}" in told["action"]
+    assert f"{check['time_s']:.4g} s under case {check['case']}" in told["action"]
+    # The moment is that of the part, not the worst of all.
+    part = bench.layout[check["case"]]
+    assert part.times[0] <= check["time_s"] <= part.times[-1]
+
+
+def test_the_moment_is_that_in_which_the_part_stands_out(bench):
+    left, layout = noise(bench), bench.layout
+    layout["down"].markers(left)[2, 3] += 30.0
+    check = next_check(bench, left)["check"]
+    assert (check["kind"], check["name"], check["case"]) == ("marker", layout.marker_names[3], "down")
+    assert check["time_s"] == layout["down"].times[2]
+
+
+def test_the_nearest_cause_is_told_as_no_more_than_that(bench):
+    left = spoilt(bench, ("pad", "top"))
+    assert "'sliding' comes nearest" in next_check(bench, left, "sliding")["action"]
+    assert "comes nearest" not in next_check(bench, left, UNKNOWN)["action"]
+
+
+def test_the_answer_keeps_the_keys_of_advice_and_numbers_that_json_takes(bench):
+    told = next_check(bench, noise(bench))
+    assert told["separates"] == []
+    assert told["separability"] is None
+    assert 0.0 <= told["check"]["share"] <= 1.0
+
+
+def test_names_are_kept_whatever_they_hold(bench):
+    assert {part.kind for part in parts_of(bench)} == {"marker", "pad", "support", "case", "body"}
+    for part in parts_of(bench):
+        assert part.near.shape == (bench.layout.size,)
+        assert 0.0 <= part.near.min() <= part.near.max() <= 1.0
