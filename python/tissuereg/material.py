@@ -303,9 +303,10 @@ def _check_unit(young: FloatArray) -> None:
     typical = float(np.median(young)) if young.size else 1.0
     softest, stiffest = SOFT_YOUNG_KPA
     if not softest <= typical <= stiffest:
+        # One digit of it: moduli that differ a little, those of many members, are told once.
         unit = "Pa: divide by 1000" if typical > stiffest else "MPa: multiply by 1000"
         message = (
-            f"`young` is taken in kPa, got {typical:g}; soft tissues and silicones lie between {softest:g} and "
+            f"`young` is taken in kPa, got about {typical:.0e}; soft tissues and silicones lie between {softest:g} and "
             f"{stiffest:g} kPa, so it may be in {unit}"
         )
         warnings.warn(message, UnitWarning, stacklevel=4)

@@ -20,7 +20,6 @@ def test_the_answer_depends_on_neither_threads_nor_the_call():
     one, again, two = (tr.diagnose(still, threads=threads, keep=False).to_json() for threads in (1, 1, 2))
     assert one["verdict"] == "unexplained"
     assert len(one["candidates"]) > 20
-    assert one["next_experiment"]["check"]["kind"] in ("marker", "pad", "support", "case", "body")
     assert one == again == two
 
 

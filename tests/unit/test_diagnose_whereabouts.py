@@ -1,8 +1,12 @@
 """What to check next where nothing explains the data: the part of the rig beside which most is left."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import tissuereg as tr
+from support.rigs import rig
 from support.targets import target_of
 from tissuereg.diagnose.screen import UNKNOWN
 from tissuereg.diagnose.whereabouts import next_check, parts_of
@@ -82,3 +86,14 @@ def test_names_are_kept_whatever_they_hold(bench):
     for part in parts_of(bench):
         assert part.near.shape == (bench.layout.size,)
         assert 0.0 <= part.near.min() <= part.near.max() <= 1.0
+
+
+def test_an_unexplained_diagnosis_sends_to_the_case_that_is_unlike_the_others():
+    believed = rig()
+    case, rng = believed.cases["in"], np.random.default_rng(5)
+    shaken = replace(case, markers=case.markers + rng.standard_normal(case.markers.shape))
+    found = tr.diagnose(replace(believed, cases={**believed.cases, "in": shaken}), keep=False)
+    assert found.verdict == "unexplained"
+    told = found.to_json()["next_experiment"]
+    assert (told["check"]["kind"], told["check"]["name"]) == ("case", "in")
+    assert "measure case in again" in told["action"]
