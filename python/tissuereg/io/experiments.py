@@ -52,7 +52,7 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     file = top.file
     _refuse_other_kinds(top)
     tables = (file.parent / top.text("tables")) if "tables" in top else file.parent
-    name = top.text("name", file.absolute().parent.name)
+    name = top.text("name", file.absolute().parent.name or "experiment")
     mesh_file, mesh, surface_std, surface_length = _mesh(top)
     material, young_std, poisson_std = _material(top)
     gravity = _gravity(top)

@@ -58,7 +58,7 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
     if kind != "material-test":
         top.refuse('`kind` must be "material-test"', kind)
     folder = (file.parent / top.text("tables")) if "tables" in top else file.parent
-    name = top.text("name", file.absolute().parent.name)
+    name = top.text("name", file.absolute().parent.name or "experiment")
     material, young_std, poisson_std = _material(top)
     hold_out, stress_std = _test(top)
     effects = tuple(_effect(table) for table in top.tables("effect"))

@@ -230,7 +230,7 @@ class Simulator:
 
     def _arrays(self, settings: dict[str, Any], members: tuple[int, ...]) -> dict[str, Any]:
         """Return settings with their arrays checked; of many, the member axis may be absent."""
-        _check_settings(settings, many=bool(members))
+        _check_settings(settings)
         checked = dict(settings)
         if settings.get("springs") is not None:
             checked["springs"] = stiffness_array(settings["springs"], (*members, self.n_springs, 2))
@@ -378,7 +378,7 @@ class Simulator:
         return young, poisson
 
 
-def _check_settings(settings: dict[str, Any], *, many: bool) -> None:
+def _check_settings(settings: dict[str, Any]) -> None:
     """Refuse settings of a solve that are unknown or out of their range."""
     known = ("tolerance", "threads", "method", "start", "springs", "max_iterations", "load_steps")
     for name in settings:
