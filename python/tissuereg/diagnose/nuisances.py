@@ -27,7 +27,7 @@ FORCE_SHARE = 0.2
 
 #: Error of the forces that is expected at least, as a share of them; and one that grows with the square of the force,
 #: at the largest: strains at a pad's rim, where they are singular, grow faster than the load.
-FORCE_LEFT, FORCE_BENT = 0.0015, 0.006
+FORCE_LEFT, FORCE_BENT = 0.0015, 0.007
 
 #: Error of a found cause's form and of its fine mesh, as a share of what it changes.
 EFFECT_ERROR = 0.07
