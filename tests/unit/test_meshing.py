@@ -35,7 +35,7 @@ def beam():
 
 
 def test_the_body_keeps_volume_and_faces_of_the_surface(beam):
-    # Flat faces are kept within the deviation that is asked for, so the volume within deviation times area.
+    # Flat faces are kept within the given deviation, so the volume within deviation times area.
     deviation = beam.settings["deviation_mm"]
     assert deviation == pytest.approx(1e-3 * np.linalg.norm([20, 20, 40]))
     assert beam.volumes.min() > 0

@@ -1,4 +1,4 @@
-"""Points with names, as a file of markups gives them: their own frame is kept until it is asked for another one."""
+"""Points with names, as a file of markups gives them: in the frame of the file, converted to another where one is given."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

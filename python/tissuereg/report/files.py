@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 #: What `save_registration` writes.
 WRITTEN = ("registered.vtu", "targets.csv", "targets.mrk.json", "registration.json", "registered.png")
 
-#: What it writes where it is asked for.
+#: What it writes on request.
 DEFORMED = "registered_deformed.vtu"
 
 
