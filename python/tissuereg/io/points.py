@@ -1,4 +1,4 @@
-"""Points with names, as a file of markups gives them: in the frame of the file, converted to another where one is given."""
+"""Points with names, as a file of markups gives them: in the file's frame, or converted to a given one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
