@@ -30,6 +30,7 @@ from beam import DENSITY_G_PER_CM3, FITTED, HELD_OUT, HOLDER, LOADS_N, POISSON
 import tissuereg as tr
 from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity
 from tissuereg.io.cases import write_histories
+from tissuereg.io.experiment_keys import APPLIED_CSV, MARKERS_CSV
 from tissuereg.io.meshes import write_vtu
 
 MARKERS = (*FITTED, HELD_OUT, *HOLDER)
@@ -141,12 +142,12 @@ def write_rig(
         hangs = {"weight": np.array([[0.0, 0.0, -1000.0 * trial.newton]])} if trial.newton else {}
         cases[trial.name] = Case(trial.name, clock, (level + trial.moved[seen])[None], applied_forces=hangs)
     places = {n: (c.times, {m: c.markers[:, i] for i, m in enumerate(names)}) for n, c in cases.items()}
-    write_histories(folder / "markers.csv", "marker", "mm", places)
+    write_histories(folder / "markers.csv", MARKERS_CSV, places)
     pads = ()
     if any(case.applied_forces for case in cases.values()):
         pads = (Actuator("weight", mesh.node_set("tip"), "force", rule="tip"),)
         given = {name: (case.times, case.applied_forces) for name, case in cases.items() if case.applied_forces}
-        write_histories(folder / "forces_applied.csv", "actuator", "mN", given)
+        write_histories(folder / "forces_applied.csv", APPLIED_CSV, given)
     held = tuple(Boundary(name, mesh.node_set(name), rule=name) for name in ("clamp", "holder"))
     believed = Experiment(
         folder.name,

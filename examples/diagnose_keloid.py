@@ -30,6 +30,7 @@ from scipy.spatial import Delaunay, KDTree
 import tissuereg as tr
 from tissuereg.diagnose.answer import Diagnosis
 from tissuereg.io.cases import write_histories
+from tissuereg.io.experiment_keys import ACTUATORS_CSV, FORCES_CSV, MARKERS_CSV
 from tissuereg.io.toml_text import write_toml
 from tissuereg.simulate.experiment import simulate_plain
 
@@ -262,12 +263,12 @@ def write_folder(folder: Path, recording: Recording, plane: Plane, drive: str, b
     markers = {f"T{t}": np.column_stack([recording.points[frames, t], empty]) for t in tracks}
     # Stroke runs along the pull alone; images also show how the pad gives way across.
     motion = recording.pad[frames] if drive == "images" else np.outer(recording.stroke[frames], [1.0, 0.0])
-    write_histories(folder / "markers.csv", "marker", "mm", {"pull": (times, markers)})
+    write_histories(folder / "markers.csv", MARKERS_CSV, {"pull": (times, markers)})
     write_histories(
-        folder / "actuators.csv", "actuator", "mm", {"pull": (times, {"moving_pad": np.insert(motion, 2, 0.0, axis=1)})}
+        folder / "actuators.csv", ACTUATORS_CSV, {"pull": (times, {"moving_pad": np.insert(motion, 2, 0.0, axis=1)})}
     )
     force = np.column_stack([recording.force[frames], empty, empty])
-    write_histories(folder / "forces.csv", "actuator", "mN", {"pull": (times, {"moving_pad": force})})
+    write_histories(folder / "forces.csv", FORCES_CSV, {"pull": (times, {"moving_pad": force})})
     content: dict[str, Any] = {
         "name": f"{recording.name}, pad moved by {drive}",
         "mesh": {"file": "mesh.npz"},

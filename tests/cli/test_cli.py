@@ -15,6 +15,7 @@ from support.files import EXPERIMENT, GOOD_MARKERS, run, run_json, write_experim
 from support.meshes import block
 from tissuereg.cli import build_parser, solve
 from tissuereg.io.cases import read_histories
+from tissuereg.io.experiment_keys import FORCES_CSV
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_problem, read_simulation
 
@@ -288,7 +289,7 @@ def test_simulate_writes_an_experiment_in_its_own_format(tmp_path, capsys):
     assert (said["model"], said["element"]) == ("fine", "tet10")
     files = ["actuators.csv", "case_lean.npz", "case_rest.npz", "experiment.toml", "forces.csv", "markers.csv"]
     assert sorted(file.name for file in (tmp_path / "sim").iterdir()) == [*files, "targets.csv"]
-    pushed = read_histories(tmp_path / "sim" / "forces.csv", "actuator", "mN", ["push"])["lean"]["push"]
+    pushed = read_histories(tmp_path / "sim" / "forces.csv", FORCES_CSV, ["push"])["lean"]["push"]
     assert pushed.values[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert pushed.values[2][0] > 1.5 * pushed.values[1][0] > 0
     with np.load(tmp_path / "sim" / "case_lean.npz") as kept:
@@ -544,3 +545,16 @@ def test_bad_words_about_a_surface_exit_with_two(inputs, capsys, words, message)
     code, said, _ = run_json(capsys, "register", inputs / "mesh.vtu", *words, "--out", inputs / "out")
     assert code == 2
     assert message in said["message"]
+
+
+@pytest.mark.parametrize("forces", [True, False], ids=["forces stated", "no forces"])
+def test_simulate_needs_nothing_measured(tmp_path, capsys, forces):
+    toml = EXPERIMENT if forces else EXPERIMENT.replace("[forces]\nstd_mN = 5.0\n", "")
+    rig = write_experiment(tmp_path / "rig", toml=toml, markers=None, forces=None, targets=None)
+    out = tmp_path / "out"
+    code, report, err = run_json(capsys, "simulate", rig, "--plain", "--out", out)
+    assert code == 0, err
+    assert report["cases"] == {"lean": 2}
+    made = tr.read_experiment(out)
+    assert np.isfinite(made.case("lean").markers).all()
+    assert made.force_std == (5.0 if forces else None)

@@ -11,6 +11,7 @@ from support.files import run, run_json, write_experiment
 from support.material_curves import believed, in_modes
 from tissuereg.effects import ActuatorGain, ActuatorOffset, MarkerSwap, Relaxation, Sliding
 from tissuereg.io.cases import read_histories
+from tissuereg.io.experiment_keys import MARKERS_CSV
 from tissuereg.io.material_experiments import write_material_experiment, write_test_table
 
 
@@ -30,7 +31,7 @@ def extended(folder, *effects):
 def simulated(capsys, path, out, *words):
     code, said, err = run_json(capsys, "simulate", path, *words, "--out", out, "--quiet")
     assert (code, err, said["failed"], said["members"]) == (0, "", [], 5)
-    return read_histories(out / "markers.csv", "marker", "mm", None)["lean"]
+    return read_histories(out / "markers.csv", MARKERS_CSV, None)["lean"]
 
 
 def test_simulate_writes_what_the_tracker_sees_of_the_extended_model(folder, tmp_path, capsys):

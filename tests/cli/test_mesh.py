@@ -81,7 +81,7 @@ def test_without_json_mesh_prints_a_summary(tmp_path, capsys):
     [
         (["--size", 8], "UnitError", "extent 4: looks like centimetres; say --unit cm"),
         (["--size", 30, "--unit", "cm"], "MeshError", "at most half of the largest extent, 20 mm"),
-        (["--size", 8, "--unit", "cm", "--fixed", "plane 0 0 1"], "FormatError", "plane nx ny nz d tol"),
+        (["--size", 8, "--unit", "cm", "--fixed", "plane 0 0 1"], "FormatError", "plane nx ny nz d [tol]"),
         (["--size", 8, "--unit", "cm", "--set", "lid", "ball 1"], "FormatError", "`lid` must be 'ball x y z r'"),
     ],
 )

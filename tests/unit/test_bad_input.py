@@ -222,7 +222,7 @@ REGISTRATIONS = {
         arrays={"free.npz": {"nodes_mm": block().nodes, "tets": block().tets}},
     ),
     "the plane holds nothing": Registration(MeshError, r"nearest is 50 mm", options={"fixed": "plane 0 0 1 -50 1"}),
-    "the plane is half said": Registration(FormatError, r"plane nx ny nz d tol", options={"fixed": "plane 0 0 1"}),
+    "the plane is half said": Registration(FormatError, r"plane nx ny nz d \[tol\]", options={"fixed": "plane 0 0 1"}),
     "the node set is unknown": Registration(MeshError, r"'chest wall'; it has: fixed", options={"fixed": "chest wall"}),
     "the model is no folder": Registration(ModelError, r"model\.json", options={"model": "{folder}/gone"}),
     "the model is another mesh's": Registration(ModelError, r"mesh", options={"model": "phantom"}),

@@ -147,14 +147,18 @@ BAD = {
     "plane catches nothing": (changed("1.0, 0.0], tol", "1.0, -9.0], tol"), "nearest is 9 mm away"),
     "sphere catches nothing": (
         changed("[30.0, 10.0, 40.0]", "[90.0, 10.0, 40.0]"),
-        r"nearest is 60.09 mm away in `nodes` of \[\[actuator\]\] number 1",
+        r"nearest is 60.09 mm away in \[\[actuator\]\] number 1",
     ),
     "no such patch": (
         changed("centre_mm = [30.0, 10.0, 40.0], radius_mm = 8.0", "box = 1"),
-        "`nodes` must be a node set",
+        "`nodes` must be a node set, { plane",
     ),
     "unknown kind of boundary": (changed('kind = "fixed"', 'kind = "sliding"'), "`kind` must be one of fixed"),
     "unknown kind of actuator": (changed('kind = "displacement"', 'kind = "heat"'), "one of displacement, force"),
+    "plane in words, half given": (
+        changed("{ centre_mm = [30.0, 10.0, 40.0], radius_mm = 8.0 }", '"plane 0 0 1"'),
+        r"`nodes` must be 'plane nx ny nz d \[tol\]'.*in \[\[actuator\]\] number 1",
+    ),
     "two patches of one name": (changed('name = "push"', 'name = "base"'), "a name of its own"),
     "nothing held": (
         {"toml": EXPERIMENT.replace(EXPERIMENT[EXPERIMENT.index("[[b") : EXPERIMENT.index("[[a")], "")},
@@ -202,3 +206,30 @@ def test_a_faulty_experiment_is_refused_by_place(tmp_path, changes, words):
 def test_a_folder_without_experiment_is_refused(tmp_path):
     with pytest.raises(FormatError, match=r"no such file: .*experiment\.toml"):
         tr.read_experiment(tmp_path)
+
+
+def test_a_rig_that_nothing_measured_has_the_cases_of_its_actuators(tmp_path):
+    folder = write_experiment(tmp_path / "rig", markers=None, forces=None, targets=None)
+    rig = tr.read_experiment(folder, measured=False)
+    assert list(rig.cases) == ["lean"]
+    assert rig.case("lean").times.tolist() == [10.0, 11.0]
+    assert np.isnan(rig.case("lean").markers).all()
+    assert (rig.rest_case, rig.force_std, rig.case("lean").forces) == (None, 5.0, {})
+    (folder / "actuators.csv").write_text("case,time_s,actuator,x_mm,y_mm,z_mm\n", encoding="utf-8")
+    with pytest.raises((ExperimentError, FormatError), match=r"must be a case: rows in|at least one row"):
+        tr.read_experiment(folder, measured=False)
+
+
+@pytest.mark.parametrize(
+    ("rule", "stored"),
+    [
+        ('"plane 0 0 2 40 0.5"', {"plane": [0.0, 0.0, 2.0, 40.0], "tolerance_mm": 0.5}),
+        ("{ plane = [0, 0, 1, 40] }", {"plane": [0.0, 0.0, 1.0, 40.0], "tolerance_mm": 0.1}),
+        ('"ball 30 10 40 8"', {"centre_mm": [30.0, 10.0, 40.0], "radius_mm": 8.0}),
+    ],
+)
+def test_a_patch_is_said_as_on_the_command_line(tmp_path, rule, stored):
+    toml = EXPERIMENT.replace("{ centre_mm = [30.0, 10.0, 40.0], radius_mm = 8.0 }", rule)
+    pad = tr.read_experiment(write_experiment(tmp_path / "rig", toml=toml)).actuator("push")
+    assert pad.rule == stored
+    assert pad.nodes.size > 0

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _DETAILS = (
     "SURFACE is a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh of triangles. Its vertices are merged, holes closed "
     "and normals turned outwards; whatever was done is listed. BODY.vtu gets tetrahedra in mm and the node sets, and "
-    "'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz d tol' (nodes within tol "
+    "'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz d [tol]' (nodes within tol "
     "mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm) or the name of another set; all in mm. The "
     "mesher (pytetwild: pip install 'tissuereg[mesh]') draws by chance and takes no seed: its answer differs from run "
     "to run."

@@ -106,7 +106,7 @@ def _add_files(more: Any) -> None:
     text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
     more.add_argument("--targets", metavar="FILE", help=text)
     text = (
-        "held nodes: 'plane nx ny nz d tol' (within tol mm of n . x = d mm), 'ball x y z r' (of the surface, "
+        "held nodes: 'plane nx ny nz d [tol]' (within tol mm of n . x = d mm), 'ball x y z r' (of the surface, "
         "within r mm), or the name of a node set"
     )
     more.add_argument("--fixed", metavar="RULE", help=text)

@@ -17,7 +17,8 @@ _DETAILS = (
     "model says of every frame as its markers.csv, forces.csv and targets.csv, without noise unless it is asked for, "
     "and case_NAME.npz with displacement_mm (frames, n, 3) at the nodes of the mesh. The model is the fine one that "
     "diagnose believes in (pads cut out along their rims, ten-node elements), or the mesh as it is with --plain; "
-    "[simulated] in OUT's experiment.toml says which. Or PATH is a data-set recipe (.toml): OUT gets the data set; "
+    "[simulated] in OUT's experiment.toml says which. Nothing need be measured: markers.csv and forces.csv may be "
+    "missing. Or PATH is a data-set recipe (.toml): OUT gets the data set; "
     "run again, it goes on where it was stopped."
 )
 
@@ -88,7 +89,7 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
         message = "--element must come with --plain: the fine model has elements of its own"
         raise UsageError(message, where="--element")
     clock = Stopwatch()
-    experiment = read_experiment(args.path)
+    experiment = read_experiment(args.path, measured=False)
     refuse_overwriting([Path(args.out) / name for name in TABLES], _inputs(args.path, experiment))
     clock.lap("read")
     said = Simulated("plain", args.element or "tet4") if args.plain else Simulated("fine", "tet10")

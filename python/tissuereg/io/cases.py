@@ -14,6 +14,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Actuator, Case
 from tissuereg.io.csv import Row, read_table, write_table
+from tissuereg.io.experiment_keys import CsvTable
 
 #: A row belongs to a frame if it is this close, as a share of the frame step.
 _SAME_MOMENT = 0.01
@@ -42,17 +43,15 @@ class History:
 Histories = dict[str, dict[str, History]]
 
 
-def read_histories(path: Path, who: str, unit: str, known: Iterable[str] | None) -> Histories:
-    """Read a table ``case,time_s,<who>,x_<unit>,y_<unit>,z_<unit>``.
+def read_histories(path: Path, table: CsvTable, known: Iterable[str] | None) -> Histories:
+    """Read a table of an experiment folder.
 
     Parameters
     ----------
     path : Path
-        The table.
-    who : str
-        Third column: ``marker``, ``actuator`` or ``target``.
-    unit : str
-        ``mm`` or ``mN``.
+        The file.
+    table : CsvTable
+        Its columns.
     known : iterable of str or None
         Names that may stand in the third column; None allows any.
 
@@ -68,10 +67,10 @@ def read_histories(path: Path, who: str, unit: str, known: Iterable[str] | None)
     FormatError
         If the table cannot be read.
     """
-    components = tuple(f"{axis}_{unit}" for axis in "xyz")
+    who, components = table.who, table.columns[3:]
     names = None if known is None else tuple(known)
     histories: Histories = {}
-    for row in read_table(path, ("case", "time_s", who, *components)):
+    for row in read_table(path, table.columns):
         name = row.text(who)
         if names is not None and name not in names:
             message = (
@@ -207,18 +206,16 @@ def _interpolated(history: History, frames: FloatArray, who: str, case: str) -> 
 
 
 def write_histories(
-    path: Path, who: str, unit: str, histories: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]]
+    path: Path, table: CsvTable, histories: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]]
 ) -> None:
-    """Write a table ``case,time_s,<who>,x_<unit>,y_<unit>,z_<unit>``, whole or not at all.
+    """Write a table of an experiment folder, whole or not at all.
 
     Parameters
     ----------
     path : Path
         Where to.
-    who : str
-        Third column: ``marker``, ``actuator`` or ``target``.
-    unit : str
-        ``mm`` or ``mN``.
+    table : CsvTable
+        Its columns.
     histories : mapping of str to tuple of (ndarray of float64 (n_frames,), mapping of str to ndarray (n_frames, 3))
         By case: times in s, then values by name; NaN becomes an empty cell.
     """
@@ -228,4 +225,4 @@ def write_histories(
         for frame, time in enumerate(times)
         for name, values in named.items()
     )
-    write_table(path, ("case", "time_s", who, *(f"{axis}_{unit}" for axis in "xyz")), rows)
+    write_table(path, table.columns, rows)

@@ -1,37 +1,37 @@
 """Experiment folders: ``experiment.toml``, a mesh and the tables of what was measured."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tissuereg._arguments import flag
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.effects import Effect, check_effects, effect_from_table
-from tissuereg.errors import ExperimentError, MaterialError, MeshError
+from tissuereg.errors import ExperimentError, MeshError
 from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
+from tissuereg.io import experiment_keys as keys
+from tissuereg.io.beliefs import folder_and_name, read_material
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
 from tissuereg.io.meshes import read_mesh
-from tissuereg.io.node_rules import nodes_near_plane, surface_nodes_in_ball
+from tissuereg.io.node_rules import nodes_by_rule
 from tissuereg.io.toml import Table, experiment_file, read_toml
-from tissuereg.material import GRAVITY_MM_PER_S2, SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.mesh import Mesh
 
-#: Words of ``[simulated]``.
-MODELS, ELEMENTS = ("fine", "plain"), ("tet4", "tet4-averaged", "tet10")
 
-_CONTROL_TABLES = {"displacement": ("actuators.csv", "mm"), "force": ("forces_applied.csv", "mN")}
-
-
-def read_experiment(path: str | os.PathLike[str]) -> Experiment:
+def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> Experiment:
     """Read an experiment folder.
 
     Parameters
     ----------
     path : path-like
         The folder, or the experiment file in it (``experiment.toml`` unless named).
+    measured : bool
+        Whether the rig has been measured. If not, ``markers.csv`` and ``forces.csv`` may be missing: the cases are then
+        those in which an actuator has rows.
 
     Returns
     -------
@@ -51,16 +51,15 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
     top = read_toml(experiment_file(path))
     file = top.file
     _refuse_other_kinds(top)
-    tables = (file.parent / top.text("tables")) if "tables" in top else file.parent
-    name = top.text("name", file.absolute().parent.name or "experiment")
+    tables, name = folder_and_name(top)
     mesh_file, mesh, surface_std, surface_length = _mesh(top)
-    material, young_std, poisson_std = _material(top)
+    material, young_std, poisson_std = read_material(top)
     gravity = _gravity(top)
     boundaries = tuple(_boundary(table, mesh) for table in top.tables("boundary"))
     actuators = tuple(_actuator(table, mesh) for table in top.tables("actuator"))
     mesh = _with_patches(top, mesh, boundaries, actuators)
     targets = _targets(top)
-    measured = _measured(top, tables, actuators, targets)
+    tabled = _tabled(top, tables, actuators, targets, flag("measured", measured, error=ExperimentError))
     effects = top.tables("effect")
     simulated = _simulated(top)
     top.finish()
@@ -75,14 +74,14 @@ def read_experiment(path: str | os.PathLike[str]) -> Experiment:
         gravity=gravity,
         boundaries=boundaries,
         actuators=actuators,
-        marker_names=measured.marker_names,
-        marker_reference=measured.marker_reference,
-        marker_std=measured.marker_std,
+        marker_names=tabled.marker_names,
+        marker_reference=tabled.marker_reference,
+        marker_std=tabled.marker_std,
         targets=targets,
-        cases=measured.cases,
-        force_std=measured.force_std,
-        rest_case=measured.rest_case,
-        trial_share=measured.trial_share,
+        cases=tabled.cases,
+        force_std=tabled.force_std,
+        rest_case=tabled.rest_case,
+        trial_share=tabled.trial_share,
         surface_std=surface_std,
         surface_length=surface_length,
         simulated=simulated,
@@ -135,7 +134,7 @@ def is_material_test(path: str | os.PathLike[str]) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Measured:
+class _Tabled:
     marker_names: tuple[str, ...]
     marker_reference: FloatArray
     marker_std: float
@@ -146,7 +145,7 @@ class _Measured:
 
 
 def _refuse_other_kinds(top: Table) -> None:
-    kind = top.text("kind", "rig")
+    kind = top.get("kind", "rig")
     if kind != "rig":
         top.refuse(
             "an experiment must be a rig with mesh and markers; `read_material_experiment` reads material tests", kind
@@ -161,123 +160,54 @@ def _effect(table: Table) -> Effect:
 
 
 def _mesh(top: Table) -> tuple[Path, Mesh, float, float | None]:
-    """Return file and mesh, and how far its surface is off, over which length."""
-    table = _needed_table(top, "mesh")
-    file = table.file.parent / table.text("file")
-    std = _positive(table, "surface_std_mm")
-    length = _positive(table, "surface_length_mm")
-    table.finish()
-    return file, read_mesh(file), std or 0.0, length
-
-
-def _positive(table: Table, key: str) -> float | None:
-    return table.number(key, positive=True) if key in table else None
-
-
-def _material(top: Table) -> tuple[Material, float | None, float | None]:
-    table = _needed_table(top, "material")
-    law = table.text("law", "neo-hookean")
-    young, young_std = table.belief("young_kpa")
-    poisson, poisson_std = table.belief("poisson")
-    density = table.number("density_g_per_cm3", 1.0, positive=True)
-    volumetric = table.text("volumetric", "log", among=VOLUMETRIC)
-    shape = {key: table.need(key) for key in SHAPE_KEYS.get(law, ())}
-    try:
-        material = Material(young, poisson, law, density, shape, volumetric)
-    except MaterialError as error:
-        table.refuse(str(error))
-    table.finish()
-    return material, young_std, poisson_std
+    """Return file and mesh, and how far its surface may be off, over which length."""
+    given = keys.MESH.of(top)
+    assert given is not None  # it is needed
+    file = top.file.parent / given["file"]
+    return file, read_mesh(file), given["surface_std_mm"] or 0.0, given["surface_length_mm"]
 
 
 def _gravity(top: Table) -> Gravity | None:
-    table = top.table("gravity")
-    if table is None:
-        return None
-    direction = table.numbers("direction", 3)
-    if not np.any(direction):
-        table.refuse("`direction` must have a length", direction.tolist())
-    strength = table.number("g_mm_per_s2", GRAVITY_MM_PER_S2, positive=True)
-    gravity = Gravity(direction, table.flag("in_reference"), strength)
-    table.finish()
-    return gravity
+    given = keys.GRAVITY.of(top)
+    return None if given is None else Gravity(given["direction"], given["in_reference"], given["g_mm_per_s2"])
 
 
 def _simulated(top: Table) -> Simulated | None:
-    table = top.table("simulated")
-    if table is None:
-        return None
-    said = Simulated(table.text("model", among=MODELS), table.text("element", among=ELEMENTS))
-    table.finish()
-    return said
+    given = keys.SIMULATED.of(top)
+    return None if given is None else Simulated(**given)
 
 
 def _boundary(table: Table, mesh: Mesh) -> Boundary:
-    name = table.text("name")
-    kind = table.text("kind", "fixed", among=("fixed",))
-    nodes = _selected_nodes(table, mesh)
-    edge_std = _positive(table, "edge_std_mm")
+    given = keys.BOUNDARY.values(table)
+    nodes = _selected_nodes(table, given["nodes"], mesh)
     table.finish()
-    return Boundary(name, nodes, kind, table.get("nodes"), edge_std)
+    return Boundary(given["name"], nodes, given["kind"], given["nodes"], given["edge_std_mm"])
 
 
 def _actuator(table: Table, mesh: Mesh) -> Actuator:
-    name = table.text("name")
-    if name == "fixed":
+    given = keys.ACTUATOR.values(table)
+    if given["name"] == "fixed":
         table.refuse("`name` must not be 'fixed', which means the held nodes")
-    kind = table.text("kind", among=tuple(_CONTROL_TABLES))
-    contact = table.text("contact", "bonded", among=("bonded",))
-    nodes = _selected_nodes(table, mesh)
-    edge_std = _positive(table, "edge_std_mm")
+    nodes = _selected_nodes(table, given["nodes"], mesh)
     table.finish()
-    return Actuator(name, nodes, kind, contact, table.get("nodes"), edge_std)
+    return Actuator(given["name"], nodes, given["kind"], given["contact"], given["nodes"], given["edge_std_mm"])
 
 
-def _selected_nodes(table: Table, mesh: Mesh) -> IntArray:
-    """Return the nodes of a set, near a plane, or of the surface within a sphere."""
-    if isinstance(table.need("nodes"), str):
-        try:
-            return mesh.node_set(table.text("nodes"))
-        except MeshError as error:
-            table.refuse(str(error))
-    rule = table.table("nodes")
-    assert rule is not None  # `need` has seen it
-    if "plane" in rule:
-        nodes = _near_plane(rule, mesh)
-    elif "centre_mm" in rule:
-        nodes = _within_sphere(rule, mesh)
-    else:
-        table.refuse("`nodes` must be a node set, { plane, tolerance_mm } or { centre_mm, radius_mm }", rule.rest())
-    rule.finish()
-    return nodes
-
-
-def _near_plane(rule: Table, mesh: Mesh) -> IntArray:
-    plane = rule.numbers("plane", 4)
-    tolerance = rule.number("tolerance_mm", 0.1)
-    if not np.any(plane[:3]):
-        rule.refuse("the normal of `plane` must have a length", plane.tolist())
+def _selected_nodes(table: Table, rule: Any, mesh: Mesh) -> IntArray:
+    """Return the nodes of a set, near a plane, or of the surface within a ball."""
     try:
-        return nodes_near_plane(mesh, plane[:3].tolist(), float(plane[3]), tolerance)
+        return nodes_by_rule(mesh, rule, "nodes")
     except MeshError as error:
-        rule.refuse(str(error))
-
-
-def _within_sphere(rule: Table, mesh: Mesh) -> IntArray:
-    centre, radius = rule.numbers("centre_mm", 3), rule.number("radius_mm", positive=True)
-    try:
-        return surface_nodes_in_ball(mesh, centre, radius)
-    except MeshError as error:
-        rule.refuse(str(error))
+        table.refuse(str(error))
 
 
 def _targets(top: Table) -> dict[str, FloatArray]:
     targets: dict[str, FloatArray] = {}
     for table in top.tables("target"):
-        name = table.text("name")
-        if name in targets:
-            table.refuse("`name` must be given to one target only", name)
-        targets[name] = table.numbers("reference", 3)
+        given = keys.TARGET.values(table)
+        if given["name"] in targets:
+            table.refuse("`name` must be given to one target only", given["name"])
+        targets[given["name"]] = given["reference"]
         table.finish()
     return targets
 
@@ -297,30 +227,39 @@ def _with_patches(top: Table, mesh: Mesh, boundaries: Sequence[Boundary], actuat
     return Mesh(mesh.nodes, mesh.tets, sets)
 
 
-def _measured(top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray]) -> _Measured:
-    table = _needed_table(top, "markers")
-    std = table.number("std_mm", positive=True)
-    rest_case = table.text("rest_case") if "rest_case" in table else None
-    trial_share = _positive(table, "trial_share") or 0.0
-    reference, reference_time = _marker_reference(table)
+def _tabled(
+    top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray], measured: bool
+) -> _Tabled:
+    """Return what the tables of a folder hold; of a rig that is not `measured` those of markers and forces may miss."""
+    table = keys.MARKERS.table(top)
+    assert table is not None  # it is needed
+    given = keys.MARKERS.values(table)
+    reference, reference_time = _marker_reference(table, given)
     table.finish()
-    markers = read_histories(folder / "markers.csv", "marker", "mm", None if reference is None else reference)
+    path = folder / keys.MARKERS_CSV.file
+    markers: Histories = {}
+    seen = measured or reference is None or path.exists()
+    if seen:
+        markers = read_histories(path, keys.MARKERS_CSV, None if reference is None else reference)
     if reference is None:
         reference = _first_places(table, markers, reference_time)
-    force_std, forces = _measured_forces(top, folder, actuators)
+    force_std, forces = _measured_forces(top, folder, actuators, measured)
     inner: Histories = {}
-    if (folder / "targets.csv").exists():
-        inner = read_histories(folder / "targets.csv", "target", "mm", targets)
+    if (folder / keys.TARGETS_CSV.file).exists():
+        inner = read_histories(folder / keys.TARGETS_CSV.file, keys.TARGETS_CSV, targets)
     cases = assemble_cases(markers, tuple(reference), actuators, _controls(folder, actuators), forces, inner)
+    if not cases:
+        top.refuse(f"there must be a case: rows in markers.csv, actuators.csv or forces_applied.csv of {folder}")
+    rest_case = given["rest_case"] if seen else None
     if rest_case is not None and rest_case not in cases:
         table.refuse(f"`rest_case` must be one of the cases {', '.join(cases)}", rest_case)
     places = np.array(list(reference.values()))
-    return _Measured(tuple(reference), places, std, rest_case, trial_share, force_std, cases)
+    return _Tabled(tuple(reference), places, given["std_mm"], rest_case, given["trial_share"] or 0.0, force_std, cases)
 
 
-def _marker_reference(table: Table) -> tuple[dict[str, FloatArray] | None, float]:
+def _marker_reference(table: Table, given: Mapping[str, Any]) -> tuple[dict[str, FloatArray] | None, float]:
     """Return the markers' places by name, or None and the time of the frame that has them."""
-    places = table.table("reference")
+    places: Table | None = given["reference"]
     if places is not None and "reference_time_s" not in places:
         names = list(places.rest())
         if not names:
@@ -347,30 +286,23 @@ def _first_places(table: Table, markers: Histories, time: float) -> dict[str, Fl
     return places
 
 
-def _measured_forces(top: Table, folder: Path, actuators: Sequence[Actuator]) -> tuple[float | None, Histories]:
-    table, path = top.table("forces"), folder / "forces.csv"
-    if table is None:
+def _measured_forces(
+    top: Table, folder: Path, actuators: Sequence[Actuator], measured: bool
+) -> tuple[float | None, Histories]:
+    given, path = keys.FORCES.of(top), folder / keys.FORCES_CSV.file
+    if given is None:
         if path.exists():
-            top.refuse("[forces] with std_mN must be given, since there is a forces.csv")
+            top.refuse(f"[forces] with std_mN must be given, since there is a {path.name}")
         return None, {}
-    std = table.number("std_mN", positive=True)
-    table.finish()
-    return std, read_histories(path, "actuator", "mN", [actuator.name for actuator in actuators])
+    names = [actuator.name for actuator in actuators]
+    return given["std_mN"], read_histories(path, keys.FORCES_CSV, names) if measured or path.exists() else {}
 
 
 def _controls(folder: Path, actuators: Sequence[Actuator]) -> dict[str, Histories]:
     found: dict[str, Histories] = {}
-    for kind, (file, unit) in _CONTROL_TABLES.items():
+    for kind, table in keys.CONTROL_TABLES.items():
         names = [actuator.name for actuator in actuators if actuator.kind == kind]
-        path = folder / file
+        path = folder / table.file
         if names or path.exists():
-            found[kind] = read_histories(path, "actuator", unit, names)
+            found[kind] = read_histories(path, table, names)
     return found
-
-
-def _needed_table(top: Table, key: str) -> Table:
-    table = top.table(key)
-    if table is None:
-        message = f"a table [{key}] must be given in {top.file}"
-        raise ExperimentError(message, where=f"{top.file}:[{key}]")
-    return table

@@ -12,18 +12,19 @@ from tissuereg._arguments import place
 from tissuereg.effects import Effect, effect_from_table
 from tissuereg.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
 from tissuereg.effects.history import Rate, Relaxation, Set, Softening
-from tissuereg.errors import ExperimentError, MaterialError
+from tissuereg.errors import ExperimentError
 from tissuereg.io.atomic import OutputError
+from tissuereg.io.beliefs import folder_and_name, read_material
 from tissuereg.io.csv import Row, read_table, write_table
+from tissuereg.io.experiment_keys import TEST, TEST_COLUMNS
 from tissuereg.io.toml import Table, experiment_file, read_toml
 from tissuereg.io.toml_text import toml_text, write_toml
-from tissuereg.material import SHAPE_KEYS, VOLUMETRIC, Material
-from tissuereg.material_experiment import HELD_OUT, TEST_MODES, Curve, MaterialExperiment
+from tissuereg.material_experiment import TEST_MODES, Curve, MaterialExperiment
 
 #: Effects that a material test can show.
 TEST_EFFECTS: tuple[type[Effect], ...] = (Stiffness, Poisson, OtherLaw, Fibre, Relaxation, Rate, Softening, Set)
 
-_COLUMNS = ("specimen", "mode", "rate_per_s", "time_s", "stretch_or_shear", "stress_kPa")
+_COLUMNS = tuple(TEST_COLUMNS)
 
 
 def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment:
@@ -53,13 +54,11 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
         If a file is missing or cannot be read.
     """
     top = read_toml(experiment_file(path))
-    file = top.file
     kind = top.text("kind", "rig")
     if kind != "material-test":
         top.refuse('`kind` must be "material-test"', kind)
-    folder = (file.parent / top.text("tables")) if "tables" in top else file.parent
-    name = top.text("name", file.absolute().parent.name or "experiment")
-    material, young_std, poisson_std = _material(top)
+    folder, name = folder_and_name(top)
+    material, young_std, poisson_std = read_material(top)
     hold_out, stress_std = _test(top)
     effects = tuple(_effect(table) for table in top.tables("effect"))
     _check_together(top, effects)
@@ -164,31 +163,9 @@ def _belief(mean: float, std: float | None) -> float | list[float]:
     return mean if std is None else [mean, std]
 
 
-def _material(top: Table) -> tuple[Material, float | None, float | None]:
-    table = top.table("material")
-    if table is None:
-        top.refuse("a table [material] must be given")
-    law = table.text("law", "neo-hookean")
-    young, young_std = table.belief("young_kpa")
-    poisson, poisson_std = table.belief("poisson")
-    density = table.number("density_g_per_cm3", 1.0, positive=True)
-    volumetric = table.text("volumetric", "log", among=VOLUMETRIC)
-    shape = {key: table.need(key) for key in SHAPE_KEYS.get(law, ())}
-    table.finish()
-    try:
-        return Material(young, poisson, law, density, shape, volumetric), young_std, poisson_std
-    except MaterialError as error:
-        table.refuse(str(error))
-
-
 def _test(top: Table) -> tuple[str | None, float | None]:
-    table = top.table("test")
-    if table is None:
-        return None, None
-    hold_out = table.text("hold_out", among=HELD_OUT) if "hold_out" in table else None
-    stress_std = table.number("std_kpa", positive=True) if "std_kpa" in table else None
-    table.finish()
-    return hold_out, stress_std
+    given = TEST.of(top)
+    return (None, None) if given is None else (given["hold_out"], given["std_kpa"])
 
 
 def _effect(table: Table) -> Effect:

@@ -37,7 +37,7 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
         A .vtu, .vtk or .msh file, or an .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)`` and integer arrays
         ``fixed_nodes``, ``<name>_nodes``. Lengths in mm.
     fixed : str or sequence of float, optional
-        What is held: ``"plane nx ny nz d tol"`` or those five numbers (the nodes within `tol` mm of the plane
+        What is held: ``"plane nx ny nz d [tol]"`` or those numbers (the nodes within `tol` mm of the plane
         ``n . x = d``, n normalised, d in mm), ``"ball x y z r"`` (the surface nodes within r mm of the point), or the
         name of another node set of the file. Where absent, the file's set ``fixed``.
     frame : {"LPS", "RAS"}, optional

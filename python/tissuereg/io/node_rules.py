@@ -1,7 +1,8 @@
-"""Which nodes are meant: words that choose nodes by a plane, a ball or a name, the same wherever a user says them."""
+"""Which nodes are meant: a plane, a ball or the name of a node set, in one notation for files, commands and Python."""
 
-from collections.abc import Sequence
-from typing import Any
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -10,8 +11,20 @@ from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError, MeshError
 from tissuereg.mesh import Mesh
 
-#: A plane ``(nx, ny, nz, d, tolerance)`` in words or numbers, a ball in words, or the name of a node set.
-NodeRule = str | Sequence[float]
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
+
+#: The name of a node set; ``"plane nx ny nz d [tol]"`` or those numbers; ``"ball x y z r"``; a table with the keys
+#: ``plane`` and ``tolerance_mm``, or ``centre_mm`` and ``radius_mm``, or the text of such a table.
+NodeRule = str | Sequence[float] | Mapping[str, Any]
+
+#: How far a node may lie from a plane where nothing is stated, mm.
+TOLERANCE = 0.1
+
+_FORMS = "the name of a node set, 'plane nx ny nz d [tol]' or 'ball x y z r'"
+_PLANE_KEYS, _BALL_KEYS = ("plane", "tolerance_mm"), ("centre_mm", "radius_mm")
 
 
 def nodes_by_rule(mesh: Mesh, rule: NodeRule, name: str = "fixed") -> IntArray:
@@ -21,8 +34,10 @@ def nodes_by_rule(mesh: Mesh, rule: NodeRule, name: str = "fixed") -> IntArray:
     ----------
     mesh : Mesh
         The body, mm.
-    rule : str or sequence of float
-        ``"plane nx ny nz d tol"`` or those five numbers, ``"ball x y z r"``, or the name of a node set.
+    rule : str, sequence of float or mapping
+        The name of a node set. Or all nodes near a plane: ``"plane nx ny nz d [tol]"``, those four or five numbers, or
+        ``{"plane": [nx, ny, nz, d], "tolerance_mm": tol}``; `tol` is 0.1 mm where it is absent. Or the surface nodes in
+        a ball: ``"ball x y z r"`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``. A table may be given as TOML text.
     name : str
         What the nodes are for, for the message.
 
@@ -47,11 +62,11 @@ def nodes_by_rule(mesh: Mesh, rule: NodeRule, name: str = "fixed") -> IntArray:
 
 
 def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
-    """Return the kind and the numbers of a rule, so that a wrong one is told before long work.
+    """Return the kind and the numbers of a rule, so that a wrong one is refused before long work.
 
     Parameters
     ----------
-    rule : str or sequence of float
+    rule : str, sequence of float or mapping
         As `nodes_by_rule` takes it.
     name : str
         What the nodes are for, for the message.
@@ -68,35 +83,97 @@ def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
     FormatError
         If a plane or a ball is not given by such numbers.
     """
-    words: list[Any] = _words(rule, name)
-    kind = words[0] if words else ""
+    kind, given = _kind_and_words(rule, name)
     if kind not in ("plane", "ball"):
         return text(name, rule, error=FormatError), []
     try:
-        numbers = [float(word) for word in words[1:]]
-    except (TypeError, ValueError):
+        numbers = [float(word) for word in given if not isinstance(word, bool)]
+    except (TypeError, ValueError, OverflowError):
         numbers = []
-    shown = found(rule) if isinstance(rule, str) else repr(words[1:7])
     finite = bool(np.isfinite(numbers).all())
-    if kind == "plane" and not (finite and len(numbers) == 5 and numbers[4] >= 0 and any(numbers[:3])):
-        message = f"`{name}` must be 'plane nx ny nz d tol', normal not zero and tol at least 0 mm, got {shown}"
-        raise FormatError(message, where=name)
-    if kind == "ball" and not (finite and len(numbers) == 4 and numbers[3] > 0):
-        message = f"`{name}` must be 'ball x y z r', the radius r positive, in mm, got {shown}"
-        raise FormatError(message, where=name)
+    if kind == "plane":
+        if len(numbers) == 4:
+            numbers.append(TOLERANCE)
+        if not (finite and len(numbers) == 5 and numbers[4] >= 0 and any(numbers[:3])):
+            rules = "'plane nx ny nz d [tol]', normal not zero and tol at least 0 mm"
+            _refuse(name, rules, rule)
+    elif not (finite and len(numbers) == 4 and numbers[3] > 0):
+        _refuse(name, "'ball x y z r', the radius r positive, in mm", rule)
     return kind, numbers
 
 
-def _words(rule: Any, name: str) -> list[Any]:
-    """Return a rule's words, or its numbers behind the word for a plane."""
+def rule_for_file(rule: NodeRule, name: str = "nodes") -> str | dict[str, Any]:
+    """Return a rule as experiment files hold it: the name of a node set, or a table.
+
+    Parameters
+    ----------
+    rule : str, sequence of float or mapping
+        As `nodes_by_rule` takes it.
+    name : str
+        What the nodes are for, for the message.
+
+    Returns
+    -------
+    str or dict
+        ``{"plane": [nx, ny, nz, d], "tolerance_mm": tol}`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``.
+
+    Raises
+    ------
+    FormatError
+        If the rule cannot be read.
+    """
+    kind, numbers = parsed_rule(rule, name)
+    if kind == "plane":
+        return dict(zip(_PLANE_KEYS, (numbers[:4], numbers[4]), strict=True))
+    if kind == "ball":
+        return dict(zip(_BALL_KEYS, (numbers[:3], numbers[3]), strict=True))
+    return kind
+
+
+def _kind_and_words(rule: Any, name: str) -> tuple[str, list[Any]]:
+    """Return ``plane`` or ``ball`` with what was given for its numbers; of a node set the name alone."""
     if isinstance(rule, str):
-        return rule.split()
+        if rule.lstrip().startswith("{"):
+            return _of_table(_table_from_text(rule, name), name)
+        words = rule.split()
+        return (words[0], list(words[1:])) if words else ("", [])
+    if isinstance(rule, Mapping):
+        return _of_table(rule, name)
     try:
-        return ["plane", *(float(number) for number in rule)]
+        return "plane", [float(number) for number in rule]
     except (TypeError, ValueError):
-        wanted = "'plane nx ny nz d tol', 'ball x y z r' or the name of a node set"
-        message = f"`{name}` must be {wanted}, got {found(rule)}"
-        raise FormatError(message, where=name) from None
+        _refuse(name, _FORMS, rule)
+
+
+def _table_from_text(rule: str, name: str) -> Mapping[str, Any]:
+    try:
+        content = tomllib.loads(f"nodes = {rule}")
+    except tomllib.TOMLDecodeError:
+        content = {}
+    table = content.get("nodes")
+    if len(content) != 1 or not isinstance(table, dict):
+        _refuse(name, "one table, { plane = [nx, ny, nz, d] } or { centre_mm = [x, y, z], radius_mm = r }", rule)
+    return table
+
+
+def _of_table(rule: Mapping[str, Any], name: str) -> tuple[str, list[Any]]:
+    if "plane" in rule and set(rule) <= set(_PLANE_KEYS):
+        plane = rule["plane"]
+        if not (isinstance(plane, Sequence) and len(plane) == 4 and not isinstance(plane, str)):
+            _refuse(name, "a table whose `plane` is a list of 4 numbers, [nx, ny, nz, d]", dict(rule))
+        return "plane", [*plane, rule.get("tolerance_mm", TOLERANCE)]
+    if set(rule) != set(_BALL_KEYS):
+        _refuse(name, "a node set, { plane, tolerance_mm } or { centre_mm, radius_mm }", dict(rule))
+    centre = rule["centre_mm"]
+    if not (isinstance(centre, Sequence) and len(centre) == 3 and not isinstance(centre, str)):
+        _refuse(name, "a table whose `centre_mm` is a list of 3 numbers", dict(rule))
+    return "ball", [*centre, rule["radius_mm"]]
+
+
+def _refuse(name: str, rules: str, rule: Any) -> NoReturn:
+    shown = repr(rule)[:120] if isinstance(rule, Mapping | Sequence) and not isinstance(rule, str) else found(rule)
+    message = f"`{name}` must be {rules}, got {shown}"
+    raise FormatError(message, where=name)
 
 
 def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, tolerance: float) -> IntArray:

@@ -9,6 +9,15 @@ from tissuereg._arrays import FloatArray
 from tissuereg.experiment import Experiment, Simulated
 from tissuereg.io.atomic import atomic_folder
 from tissuereg.io.cases import write_histories
+from tissuereg.io.experiment_keys import (
+    ACTUATORS_CSV,
+    APPLIED_CSV,
+    CSV_TABLES,
+    FORCES_CSV,
+    MARKERS_CSV,
+    TARGETS_CSV,
+    CsvTable,
+)
 from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.npz import write_npz
 
@@ -16,7 +25,7 @@ if TYPE_CHECKING:
     from tissuereg.simulate.experiment import CaseSimulation
 
 #: Files that are written beside the fields; those without content are not.
-TABLES = ("experiment.toml", "markers.csv", "forces.csv", "targets.csv", "actuators.csv", "forces_applied.csv")
+TABLES = ("experiment.toml", *(table.file for table in CSV_TABLES))
 
 #: Values by name in the frames of every case, with their times.
 _Histories = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
@@ -47,29 +56,22 @@ def write_simulated(
     """
     names = experiment.marker_names
     cases = experiment.cases
-    tables: dict[str, tuple[str, str, _Histories]] = {
-        "markers": (
-            "marker",
-            "mm",
-            {c: (a.times, {n: a.markers[:, i] for i, n in enumerate(names)}) for c, a in answers.items()},
-        ),
-        "forces": ("actuator", "mN", {c: (a.times, a.forces) for c, a in answers.items()}),
-        "targets": ("target", "mm", {c: (a.times, a.targets) for c, a in answers.items()}),
-        "actuators": ("actuator", "mm", {name: (case.times, dict(case.displacements)) for name, case in cases.items()}),
-        "forces_applied": (
-            "actuator",
-            "mN",
-            {name: (case.times, dict(case.applied_forces)) for name, case in cases.items()},
-        ),
-    }
+    tables: list[tuple[CsvTable, _Histories]] = [
+        (MARKERS_CSV, {c: (a.times, {n: a.markers[:, i] for i, n in enumerate(names)}) for c, a in answers.items()}),
+        # Forces without a stated noise would make a folder that no reader takes.
+        (FORCES_CSV, {c: (a.times, a.forces) for c, a in answers.items() if experiment.force_std is not None}),
+        (TARGETS_CSV, {c: (a.times, a.targets) for c, a in answers.items()}),
+        (ACTUATORS_CSV, {name: (case.times, dict(case.displacements)) for name, case in cases.items()}),
+        (APPLIED_CSV, {name: (case.times, dict(case.applied_forces)) for name, case in cases.items()}),
+    ]
     with atomic_folder(out) as folder:
         # Paths are those seen from where the folder will be.
         described = replace(experiment, folder=out, simulated=said)
         write_experiment(described, folder / "experiment.toml", seen_from=out)
-        for table, (who, unit, histories) in tables.items():
+        for table, histories in tables:
             filled = {case: told for case, told in histories.items() if told[1]}
             if filled:
-                write_histories(folder / f"{table}.csv", who, unit, filled)
+                write_histories(folder / table.file, table, filled)
         for number, (case, answer) in enumerate(answers.items()):
             arrays = {"time_s": answer.times, "displacement_mm": answer.displacement}
             write_npz(folder / f"case_{_file_word(case, number)}.npz", arrays)

@@ -77,7 +77,7 @@ def tetrahedralize(
     unit : {"mm", "cm", "m"}, optional
         Of the surface's coordinates. Where absent, what the file's head says, or else mm.
     fixed : str, sequence of float, or list of them, optional
-        What is held: ``"plane nx ny nz d tol"``, ``"ball x y z r"`` or the name of one of `node_sets`, in mm; of
+        What is held: ``"plane nx ny nz d [tol]"``, ``"ball x y z r"`` or the name of one of `node_sets`, in mm; of
         several, all. `tol` should be at least `deviation_mm`.
     node_sets : mapping of str to the same, optional
         More named sets of nodes; a name may be used by those behind it.
@@ -139,13 +139,13 @@ def tetrahedralize(
 
 
 def _listed(rules: NodeRules, name: str) -> Sequence[NodeRule]:
-    """Return several rules, at least one; one is a string, or five numbers."""
-    if isinstance(rules, str):
+    """Return several rules, at least one; a single one is a text, a table or numbers."""
+    if isinstance(rules, str | Mapping):
         return [rules]
     if not isinstance(rules, Sequence | np.ndarray) or not len(rules):
         message = f"`{name}` must be a rule for nodes, or a list of them, got {found(rules)}"
         raise FormatError(message, where=name)
-    if not all(isinstance(rule, str | Sequence | np.ndarray) for rule in rules):
+    if not all(isinstance(rule, str | Mapping | Sequence | np.ndarray) for rule in rules):
         return [cast(NodeRule, rules)]
     return cast(Sequence[NodeRule], rules)
 

@@ -162,7 +162,7 @@ def read_recipe(path: str | os.PathLike[str]) -> Recipe:
     mesh = raw.get("mesh", {})
     if not isinstance(mesh, dict) or not isinstance(mesh.get("file"), str) or set(mesh) - {"file", "fixed"}:
         message = (
-            f'{path}: [mesh] must hold file = "phantom" or a mesh file, and may hold fixed = "plane nx ny nz d tol"'
+            f'{path}: [mesh] must hold file = "phantom" or a mesh file, and may hold fixed = "plane nx ny nz d [tol]"'
         )
         raise ExperimentError(message, where=f"{path}: [mesh]")
     seed = raw.get("seed", 0)
