@@ -17,7 +17,7 @@ class _OfActuator(Effect):
     """An effect on one actuator, in all cases in which it is present."""
 
     repeatable: ClassVar[bool] = True
-    actuator: str = text()
+    actuator: str = text("name of the actuator")
 
     def fits(self, experiment: Experiment) -> None:
         """Refuse an unknown actuator."""
@@ -31,7 +31,7 @@ class ActuatorGain(_OfActuator):
     """The actuator gives `gain` times the motion or force that it is told to."""
 
     id: ClassVar[str] = "actuator_gain"
-    gain: float = number()
+    gain: float = number("factor on what is given to it")
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the actuator's scaled motion."""
@@ -43,7 +43,7 @@ class ActuatorDirection(_OfActuator):
     """The actuator's motion or force is turned by a rotation vector."""
 
     id: ClassVar[str] = "actuator_direction"
-    rotation_deg: Vector = numbers(3)
+    rotation_deg: Vector = numbers("rotation vector: axis times angle, right-handed", 3)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the actuator's turned motion."""
@@ -56,8 +56,8 @@ class ActuatorOffset(_OfActuator):
     """The actuator's motion is off by `offset_mm` in every frame; or its patch sits `shift_mm` from its place."""
 
     id: ClassVar[str] = "actuator_offset"
-    offset_mm: Vector | None = numbers(3, default=None)
-    shift_mm: Vector | None = numbers(3, default=None)
+    offset_mm: Vector | None = numbers("added to its motion in every frame", 3, default=None)
+    shift_mm: Vector | None = numbers("or: how far its patch lies from where it is believed", 3, default=None)
 
     def check(self) -> None:
         """Refuse none or both."""

@@ -129,9 +129,12 @@ def refuse(rule: str, found: object = None) -> NoReturn:
 
 
 def number(
-    *, above: float = -math.inf, least: float = -math.inf, below: float = math.inf, default: Any = MISSING
+    meaning: str, *, above: float = -math.inf, least: float = -math.inf, below: float = math.inf, default: Any = MISSING
 ) -> Any:
-    """Declare a key that holds a finite number, greater than `above`, at least `least`, less than `below`."""
+    """Declare a key that holds a finite number, greater than `above`, at least `least`, less than `below`.
+
+    `meaning` is one sentence for the page of the format, as in all that follow.
+    """
     within, wanted = _range(above, least, below)
 
     def check(name: str, value: Any) -> float:
@@ -139,10 +142,11 @@ def number(
             refuse(f"`{name}` must be a finite number{wanted}", value)
         return float(value)
 
-    return field(default=default, metadata={"check": check})
+    return _declared(check, f"number{wanted}", meaning, default)
 
 
 def numbers(
+    meaning: str,
     length: int | None = None,
     *,
     above: float = -math.inf,
@@ -164,10 +168,11 @@ def numbers(
             refuse(f"`{name}` must have a length", values)
         return tuple(float(x) for x in values)
 
-    return field(default=default, metadata={"check": check})
+    words = "[x, y, z]" if length == 3 else f"list of {size} numbers"
+    return _declared(check, f"{words}, each{wanted}" if wanted else words, meaning, default)
 
 
-def text(*, among: Sequence[str] = (), default: Any = MISSING) -> Any:
+def text(meaning: str, *, among: Sequence[str] = (), default: Any = MISSING) -> Any:
     """Declare a key that holds a text, one of `among` where that is given."""
 
     def check(name: str, value: Any) -> str:
@@ -177,10 +182,11 @@ def text(*, among: Sequence[str] = (), default: Any = MISSING) -> Any:
             refuse(f"`{name}` must be one of {', '.join(among)}", value)
         return str(value)
 
-    return field(default=default, metadata={"check": check})
+    words = " or ".join(f"`{word}`" for word in among) if len(among) < 5 else "one of the laws above"
+    return _declared(check, words or "text", meaning, default)
 
 
-def texts(length: int) -> Any:
+def texts(meaning: str, length: int) -> Any:
     """Declare a key that holds a list of different texts."""
 
     def check(name: str, value: Any) -> tuple[str, ...]:
@@ -189,10 +195,10 @@ def texts(length: int) -> Any:
             refuse(f"`{name}` must be a list of {length} different texts", value)
         return tuple(value)
 
-    return field(metadata={"check": check})
+    return _declared(check, f"list of {length} texts", meaning, MISSING)
 
 
-def flag(*, default: Any = MISSING) -> Any:
+def flag(meaning: str, *, default: Any = MISSING) -> Any:
     """Declare a key that holds true or false."""
 
     def check(name: str, value: Any) -> bool:
@@ -200,7 +206,11 @@ def flag(*, default: Any = MISSING) -> Any:
             refuse(f"`{name}` must be true or false", value)
         return bool(value)
 
-    return field(default=default, metadata={"check": check})
+    return _declared(check, "`true` or `false`", meaning, default)
+
+
+def _declared(check: Callable[[str, Any], Any], words: str, meaning: str, default: Any) -> Any:
+    return field(default=default, metadata={"check": check, "words": words, "meaning": meaning})
 
 
 def exactly_one(effect: Effect, *groups: tuple[str, ...]) -> None:

@@ -16,8 +16,8 @@ class Frame(ChainEffect):
     """The tracker's frame is another one: seen = R place + shift, R about the origin."""
 
     id: ClassVar[str] = "frame"
-    rotation_deg: Vector = numbers(3, default=(0.0, 0.0, 0.0))
-    shift_mm: Vector = numbers(3, default=(0.0, 0.0, 0.0))
+    rotation_deg: Vector = numbers("rotation vector of R, about the origin", 3, default=(0.0, 0.0, 0.0))
+    shift_mm: Vector = numbers("shift", 3, default=(0.0, 0.0, 0.0))
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
         """Return turned and shifted places."""
@@ -33,8 +33,8 @@ class Scale(ChainEffect):
     """The tracker's lengths are off: seen = origin + scale (place - origin)."""
 
     id: ClassVar[str] = "scale"
-    scale: float = number(above=0.0)
-    origin_mm: Vector = numbers(3, default=(0.0, 0.0, 0.0))
+    scale: float = number("factor", above=0.0)
+    origin_mm: Vector = numbers("point that stays", 3, default=(0.0, 0.0, 0.0))
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
         """Return stretched places."""
@@ -52,7 +52,7 @@ class Latency(ChainEffect):
     """The tracker is late: at time t it sees what was at t - latency; before the first frame all is at rest there."""
 
     id: ClassVar[str] = "latency"
-    latency_s: float = number()
+    latency_s: float = number("delay; negative: early")
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
         """Return places of an earlier time, linear between frames."""
@@ -69,9 +69,9 @@ class MarkerSlip(ChainEffect):
 
     id: ClassVar[str] = "marker_slip"
     repeatable: ClassVar[bool] = True
-    marker: str = text()
-    offset_mm: Vector = numbers(3)
-    from_time_s: float = number()
+    marker: str = text("name of the marker")
+    offset_mm: Vector = numbers("from its place to where it sits", 3)
+    from_time_s: float = number("from this moment on")
 
     def fits(self, experiment: Experiment) -> None:
         """Refuse an unknown marker."""
@@ -97,8 +97,8 @@ class MarkerSwap(ChainEffect):
 
     id: ClassVar[str] = "marker_swap"
     repeatable: ClassVar[bool] = True
-    markers: tuple[str, ...] = texts(2)
-    from_time_s: float = number()
+    markers: tuple[str, ...] = texts("names of the two", 2)
+    from_time_s: float = number("from this moment on")
 
     def fits(self, experiment: Experiment) -> None:
         """Refuse unknown markers."""

@@ -9,6 +9,9 @@ from tissuereg.experiment import Experiment
 from tissuereg.material import SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.material import Fibre as Fibres
 
+#: Meaning of the shape parameters, which the table of laws explains.
+_OF_LAW = "shape parameter of the law"
+
 _SHAPES = tuple(dict.fromkeys(key for keys in SHAPE_KEYS.values() for key in keys))
 
 
@@ -17,7 +20,7 @@ class Stiffness(Effect):
     """Young's modulus at small strain in kPa, in place of the believed one; inclusions and layers multiply it."""
 
     id: ClassVar[str] = "stiffness"
-    young_kpa: float = number(above=0.0)
+    young_kpa: float = number("Young's modulus at small strain", above=0.0)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with this modulus."""
@@ -29,7 +32,7 @@ class Poisson(Effect):
     """Poisson's ratio at small strain, in place of the believed one."""
 
     id: ClassVar[str] = "poisson"
-    poisson: float = number(above=-1.0, below=0.5)
+    poisson: float = number("Poisson's ratio at small strain", above=-1.0, below=0.5)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with this ratio."""
@@ -40,16 +43,16 @@ class Poisson(Effect):
 class OtherLaw(Effect):
     """Another law of the same small-strain moduli, with its shape parameters."""
 
-    law: str = text(among=tuple(SHAPE_KEYS))
-    excess: float | None = number(above=-1.0, default=None)
-    share: float | None = number(least=0.0, default=None)
-    c2_over_c1: float | None = number(default=None)
-    c3_over_c1: float | None = number(default=None)
-    alpha: tuple[float, ...] | None = numbers(default=None)
-    weight: tuple[float, ...] | None = numbers(default=None)
-    b: float | None = number(least=0.0, default=None)
+    law: str = text("strain energy", among=tuple(SHAPE_KEYS))
+    excess: float | None = number(_OF_LAW, above=-1.0, default=None)
+    share: float | None = number(_OF_LAW, least=0.0, default=None)
+    c2_over_c1: float | None = number(_OF_LAW, default=None)
+    c3_over_c1: float | None = number(_OF_LAW, default=None)
+    alpha: tuple[float, ...] | None = numbers(_OF_LAW, default=None)
+    weight: tuple[float, ...] | None = numbers(_OF_LAW, default=None)
+    b: float | None = number(_OF_LAW, least=0.0, default=None)
     #: As `Material.volumetric`; as believed where left out.
-    volumetric: str | None = text(among=VOLUMETRIC, default=None)
+    volumetric: str | None = text("energy of volume change, as believed where left out", among=VOLUMETRIC, default=None)
 
     def check(self) -> None:
         """Refuse missing shape parameters, and those of another law."""
@@ -105,10 +108,10 @@ class Fibre(Effect):
     """One family of fibres, of stiffness ``k1_over_mu`` shear moduli and exponent ``k2``, along a direction."""
 
     id: ClassVar[str] = "fibre"
-    k1_over_mu: float = number(least=0.0)
-    k2: float = number(least=0.0)
-    direction: Vector = numbers(3, directed=True)
-    tension_only: bool = flag(default=True)
+    k1_over_mu: float = number("stiffness k1 over the shear modulus", least=0.0)
+    k2: float = number("rate of stiffening", least=0.0)
+    direction: Vector = numbers("of the fibres; only the direction counts", 3, directed=True)
+    tension_only: bool = flag("whether shortened fibres are slack", default=True)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with these fibres beside its law."""

@@ -24,9 +24,9 @@ class Relaxation(Memory):
     """Prony series: shares `g` of the stress relax with the times `tau_s`; the modulus is the instantaneous one."""
 
     id: ClassVar[str] = "relaxation"
-    g: tuple[float, ...] = numbers(above=0.0, below=1.0)
-    tau_s: tuple[float, ...] = numbers(above=0.0)
-    part: str = text(among=("whole", "isochoric"), default="whole")
+    g: tuple[float, ...] = numbers("shares of the stress that relax; their sum is less than 1", above=0.0, below=1.0)
+    tau_s: tuple[float, ...] = numbers("their times", above=0.0)
+    part: str = text("of which stress", among=("whole", "isochoric"), default="whole")
 
     def check(self) -> None:
         """Refuse lists of two lengths, and shares that leave nothing."""
@@ -41,7 +41,7 @@ class Rate(Memory):
     """A stress that grows with the rate of strain."""
 
     id: ClassVar[str] = "rate"
-    viscosity_kpa_s: float = number(least=0.0)
+    viscosity_kpa_s: float = number("viscosity", least=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,10 +49,14 @@ class Softening(Memory):
     """Softening by the largest energy so far, as `simulate.behaviour.Softening`."""
 
     id: ClassVar[str] = "softening"
-    r: float = number(least=1.0)
-    m_kpa: float = number(above=0.0)
-    beta: float = number(least=0.0, default=0.0)
-    form: str = text(among=("ogden-roxburgh", "damage"), default="ogden-roxburgh")
+    r: float = number("Ogden and Roxburgh's r: 1/r of the stress is lost at most", least=1.0)
+    m_kpa: float = number("energy over which it is lost", above=0.0)
+    beta: float = number("dependence of that energy on the largest one so far", least=0.0, default=0.0)
+    form: str = text(
+        "loss on unloading (Mullins effect), or damage under a first load too",
+        among=("ogden-roxburgh", "damage"),
+        default="ogden-roxburgh",
+    )
 
     def check(self) -> None:
         """Refuse a `beta` of damage."""
@@ -65,7 +69,7 @@ class Set(Memory):
     """A share of the largest strain so far that stays."""
 
     id: ClassVar[str] = "set"
-    fraction: float = number(above=0.0, below=1.0)
+    fraction: float = number("share of the largest strain so far that stays", above=0.0, below=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +80,14 @@ class Swelling(Memory):
     """
 
     id: ClassVar[str] = "swelling"
-    linear_strain: float = number(above=-1.0)
-    from_time_s: float = number()
-    to_time_s: float = number()
-    pads: str = text(among=("hold", "follow"), default="hold")
+    linear_strain: float = number("growth of all lengths; negative: drying", above=-1.0)
+    from_time_s: float = number("when it begins")
+    to_time_s: float = number("when it ends")
+    pads: str = text(
+        "whether bonded pads hold their patches against it or follow the growth",
+        among=("hold", "follow"),
+        default="hold",
+    )
 
     def check(self) -> None:
         """Refuse an end before the beginning."""
@@ -96,5 +104,5 @@ class Drainage(Memory):
     """Relaxation of a share of the volumetric stress, in place of a fluid that leaves."""
 
     id: ClassVar[str] = "drainage"
-    share: float = number(above=0.0, below=1.0)
-    tau_s: float = number(above=0.0)
+    share: float = number("share of the volumetric stress", above=0.0, below=1.0)
+    tau_s: float = number("its time", above=0.0)

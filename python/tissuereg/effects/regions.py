@@ -181,9 +181,9 @@ class Inclusion(Effect):
 
     id: ClassVar[str] = "inclusion"
     repeatable: ClassVar[bool] = True
-    centre_mm: Vector = numbers(3)
-    semi_axes_mm: Vector = numbers(3, above=0.0)
-    contrast: float = number(above=0.0)
+    centre_mm: Vector = numbers("centre", 3)
+    semi_axes_mm: Vector = numbers("half-axes along x, y and z", 3, above=0.0)
+    contrast: float = number("modulus inside over outside", above=0.0)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the inclusion's factor on the modulus."""
@@ -195,8 +195,8 @@ class Layer(Effect):
     """An outer layer below the free surface whose modulus is `contrast` times that of the core."""
 
     id: ClassVar[str] = "layer"
-    thickness_mm: float = number(above=0.0)
-    contrast: float = number(above=0.0)
+    thickness_mm: float = number("depth below the free surface; held faces are none", above=0.0)
+    contrast: float = number("modulus inside over outside", above=0.0)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the layer's factor on the modulus."""

@@ -16,7 +16,7 @@ class _Support(Effect):
     """An effect on one boundary."""
 
     repeatable: ClassVar[bool] = True
-    boundary: str = text()
+    boundary: str = text("name of the boundary")
 
     def fits(self, experiment: Experiment) -> None:
         """Refuse an unknown boundary."""
@@ -38,9 +38,11 @@ class Sliding(_Support):
     """
 
     id: ClassVar[str] = "sliding"
-    spring_kpa_per_mm: float | None = number(least=0.0, default=None)
-    friction: float | None = number(least=0.0, default=None)
-    cohesion_kpa: float | None = number(least=0.0, default=None)
+    spring_kpa_per_mm: float | None = number("stiffness of springs along its tangent plane", least=0.0, default=None)
+    friction: float | None = number("or: coefficient of friction", least=0.0, default=None)
+    cohesion_kpa: float | None = number(
+        "shear stress that holds without pressure, with `friction`; 0 where left out", least=0.0, default=None
+    )
 
     def check(self) -> None:
         """Refuse none or both, and a cohesion of springs."""
@@ -76,10 +78,10 @@ class Detachment(_Support):
     """
 
     id: ClassVar[str] = "detachment"
-    centre_mm: Vector | None = numbers(3, default=None)
-    radius_mm: float | None = number(above=0.0, default=None)
-    azimuth_deg: float | None = number(default=None)
-    share: float | None = number(above=0.0, below=1.0, default=None)
+    centre_mm: Vector | None = numbers("centre of a ball that has come off", 3, default=None)
+    radius_mm: float | None = number("its radius", above=0.0, default=None)
+    azimuth_deg: float | None = number("or: direction of the rim that has come off, from x to y about z", default=None)
+    share: float | None = number("share of the boundary's area that it makes up", above=0.0, below=1.0, default=None)
 
     def check(self) -> None:
         """Refuse half a ball, half a rim, or both."""

@@ -14,9 +14,9 @@ from tissuereg.experiment import Gravity as Weight
 class _Weight(Effect):
     """Changes of ``[gravity]``; a key that is left out keeps what is believed."""
 
-    direction: Vector | None = numbers(3, directed=True, default=None)
-    g_mm_per_s2: float | None = number(above=0.0, default=None)
-    in_reference: bool | None = flag(default=None)
+    direction: Vector | None = numbers("where the weight points", 3, directed=True, default=None)
+    g_mm_per_s2: float | None = number("acceleration", above=0.0, default=None)
+    in_reference: bool | None = flag("whether the mesh already hangs in it", default=None)
 
     def check(self) -> None:
         """Refuse a table that says nothing."""
@@ -52,4 +52,4 @@ class Reference(_Weight):
     """Another reference shape: whether the mesh already hangs in gravity."""
 
     id: ClassVar[str] = "reference"
-    in_reference: bool | None = flag()
+    in_reference: bool | None = flag("whether the mesh already hangs in it")
