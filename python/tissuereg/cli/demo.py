@@ -4,12 +4,14 @@ import argparse
 from typing import Any
 
 from tissuereg.cli.common import Outcome, seconds_line
-from tissuereg.cli.options import add_common, command_parser
+from tissuereg.cli.options import UsageError, add_common, command_parser
 
 _DETAILS = (
     "An embedded breast phantom, its physics simulation and a shipped network: simulation, encoder, ES-MDA over the "
     "ONNX decoder, registered mesh. The measurement was made with another model (other stiffness, a stiff lesion, "
-    "ten-node elements, finer mesh), so the errors told are errors against a truth that the model does not know."
+    "ten-node elements, finer mesh), so errors are those against a truth that the model does not know. With --files "
+    "nothing is computed: DIR gets surface/ (organ.stl, markers and targets, for 'mesh' and 'register') and rig/ (an "
+    "experiment for 'simulate' and 'diagnose')."
 )
 
 
@@ -24,7 +26,8 @@ def add_parser(commands: Any) -> None:
     purpose = "register the embedded phantom, end to end"
     parser = command_parser(commands, "demo", purpose, _DETAILS, "tissuereg demo --out demo")
     text = "folder for the files that 'register' writes, and for its input (default: demo)"
-    parser.add_argument("--out", default="demo", metavar="DIR", help=text)
+    parser.add_argument("--out", metavar="DIR", help=text)
+    parser.add_argument("--files", metavar="DIR", help="write sample files to try the other commands on, and stop")
     add_common(parser, seed="seed of markers, noise and ensemble (default: 0)")
     parser.set_defaults(run=run)
 
@@ -40,14 +43,41 @@ def run(args: argparse.Namespace) -> Outcome:
     Returns
     -------
     Outcome
-        Schema ``tissuereg.registration/1`` with ``truth``.
+        Schema ``tissuereg.registration/1`` with ``truth``; with ``--files`` ``tissuereg.samples/1``.
+
+    Raises
+    ------
+    UsageError
+        If ``--files`` is given with ``--out`` or ``--seed``.
     """
+    if args.files is not None:
+        return _write_files(args)
     from tissuereg.demo import run_demo
     from tissuereg.io.atomic import check_folder_target
 
-    check_folder_target(args.out)
-    content = run_demo(args.out, seed=args.seed or 0, threads=args.threads)
-    return Outcome(content, _table(content, args.out), args.threads)
+    out = args.out or "demo"
+    check_folder_target(out)
+    content = run_demo(out, seed=args.seed or 0, threads=args.threads)
+    return Outcome(content, _table(content, out), args.threads)
+
+
+def _write_files(args: argparse.Namespace) -> Outcome:
+    from tissuereg.samples import write_samples
+
+    if args.out is not None or args.seed is not None:
+        message = "--files must be given without --out and --seed: it only writes files"
+        raise UsageError(message, where="--files")
+    files = write_samples(args.files)
+    where = args.files
+    given = f"{where}/surface/markers.csv --targets {where}/surface/targets.csv"
+    lines = [
+        f"written: {', '.join(files)} in {where}",
+        "to try them:",
+        f'  tissuereg mesh {where}/surface/organ.stl --size 7 --out body.vtu --fixed "plane 0 0 1 -18 2.5"',
+        f"  tissuereg register body.vtu {given} --out registered",
+        f"  tissuereg diagnose {where}/rig --out diagnosed",
+    ]
+    return Outcome({"schema": "tissuereg.samples/1", "files": files}, "\n".join(lines), args.threads)
 
 
 def _table(content: dict[str, Any], out: str) -> str:

@@ -182,7 +182,11 @@ def text(meaning: str, *, among: Sequence[str] = (), default: Any = MISSING) -> 
             refuse(f"`{name}` must be one of {', '.join(among)}", value)
         return str(value)
 
-    words = " or ".join(f"`{word}`" for word in among) if len(among) < 5 else "one of the laws above"
+    words = (
+        " or ".join(f"`{word}`" for word in among)
+        if len(among) < 5
+        else f"one of {', '.join(f'`{word}`' for word in among)}"
+    )
     return _declared(check, words or "text", meaning, default)
 
 

@@ -175,7 +175,7 @@ def a_text(
     def take(table: Table) -> Any:
         return table.text(name, _usual(default), among=allowed)
 
-    words = words or (" or ".join(f"`{word}`" for word in allowed) if allowed else "text")
+    words = words or _one_of(allowed)
     return Key(name, words, meaning, default, _may_miss(name, default, take), "", otherwise)
 
 
@@ -231,11 +231,18 @@ def a_node_rule(name: str, meaning: str) -> Key:
         except FormatError as error:
             _refuse(table, error)
 
-    return Key(name, "a rule for nodes, below", meaning, NEEDED, take, "mm")
+    return Key(name, "node set, plane or ball", meaning, NEEDED, take, "mm")
 
 
 def _refuse(table: Table, error: FormatError) -> NoReturn:
     table.refuse(str(error))
+
+
+def _one_of(allowed: tuple[str, ...]) -> str:
+    listed = [f"`{word}`" for word in allowed]
+    if not listed:
+        return "text"
+    return " or ".join(listed) if len(listed) < 4 else f"one of {', '.join(listed)}"
 
 
 def _usual(default: Any) -> Any:

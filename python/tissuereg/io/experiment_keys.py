@@ -53,8 +53,8 @@ MESH = Declaration(
         a_text("file", "mesh of tetrahedra in mm (.vtu, .vtk, .msh, .npz), seen from this file", words="path"),
         a_number(
             "surface_std_mm",
-            "standard deviation of the distance between the body's surface and the mesh's, along the normal "
-            "(segmentation: 0.5 to 1)",
+            "standard deviation of the distance between the body's surface and the mesh's, along the normal; "
+            "0.5 to 1 after segmentation",
             None,
             positive=True,
             otherwise="0",
@@ -74,7 +74,7 @@ MATERIAL = Declaration(
     "[material]",
     "What the body is believed to be made of. Moduli are those of small strain, whatever the law.",
     (
-        a_text("law", "strain energy", "neo-hookean", words="one of the laws below", among=LAWS),
+        a_text("law", "strain energy", "neo-hookean", among=LAWS),
         a_belief("young_kpa", "Young's modulus; with a standard deviation it is a prior of `diagnose`"),
         a_belief("poisson", "Poisson's ratio, more than -1 and less than 0.5; likewise"),
         a_number("density_g_per_cm3", "mass density; counts under gravity", 1.0, positive=True),

@@ -264,6 +264,8 @@ def _marker_reference(table: Table, given: Mapping[str, Any]) -> tuple[dict[str,
         names = list(places.rest())
         if not names:
             places.refuse("at least one marker must have a place")
+        if given["reference_time_s"] is not None:
+            table.refuse("`reference_time_s` must be left out where `reference` lists the places")
         return {name: places.numbers(name, 3) for name in names}, 0.0
     holder = table if places is None else places
     time = holder.number("reference_time_s")

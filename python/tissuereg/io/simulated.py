@@ -54,6 +54,34 @@ def write_simulated(
     OutputError
         If the folder cannot be written.
     """
+    with atomic_folder(out) as folder:
+        # Paths are those seen from where the folder will be.
+        described = replace(experiment, folder=out, simulated=said)
+        write_experiment(described, folder / "experiment.toml", seen_from=out)
+        for table, histories in simulated_tables(experiment, answers):
+            write_histories(folder / table.file, table, histories)
+        for number, (case, answer) in enumerate(answers.items()):
+            arrays = {"time_s": answer.times, "displacement_mm": answer.displacement}
+            write_npz(folder / f"case_{_file_word(case, number)}.npz", arrays)
+
+
+def simulated_tables(
+    experiment: Experiment, answers: "Mapping[str, CaseSimulation]"
+) -> list[tuple[CsvTable, _Histories]]:
+    """Return the tables of an experiment folder, filled with what was simulated; those without a row are left out.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What was simulated.
+    answers : mapping of str to CaseSimulation
+        All cases.
+
+    Returns
+    -------
+    list of (CsvTable, mapping)
+        As `write_histories` takes them.
+    """
     names = experiment.marker_names
     cases = experiment.cases
     tables: list[tuple[CsvTable, _Histories]] = [
@@ -64,17 +92,8 @@ def write_simulated(
         (ACTUATORS_CSV, {name: (case.times, dict(case.displacements)) for name, case in cases.items()}),
         (APPLIED_CSV, {name: (case.times, dict(case.applied_forces)) for name, case in cases.items()}),
     ]
-    with atomic_folder(out) as folder:
-        # Paths are those seen from where the folder will be.
-        described = replace(experiment, folder=out, simulated=said)
-        write_experiment(described, folder / "experiment.toml", seen_from=out)
-        for table, histories in tables:
-            filled = {case: told for case, told in histories.items() if told[1]}
-            if filled:
-                write_histories(folder / table.file, table, filled)
-        for number, (case, answer) in enumerate(answers.items()):
-            arrays = {"time_s": answer.times, "displacement_mm": answer.displacement}
-            write_npz(folder / f"case_{_file_word(case, number)}.npz", arrays)
+    filled = [(table, {case: rows for case, rows in histories.items() if rows[1]}) for table, histories in tables]
+    return [(table, histories) for table, histories in filled if histories]
 
 
 def _file_word(case: str, number: int) -> str:

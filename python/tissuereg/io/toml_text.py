@@ -75,26 +75,44 @@ def _add_table(lines: list[str], place: tuple[str, ...], content: Mapping[str, A
     lists = {key: value for key, value in content.items() if _is_list_of_tables(value)}
     lines.extend(_line(key, value) for key, value in content.items() if key not in tables and key not in lists)
     for key, value in tables.items():
-        lines.extend(["", f"[{'.'.join(map(_key, (*place, key)))}]"])
+        lines.extend(["", f"[{'.'.join(map(toml_key, (*place, key)))}]"])
         _add_table(lines, (*place, key), value)
     for key, items in lists.items():
         for item in items:
-            lines.extend(["", f"[[{'.'.join(map(_key, (*place, key)))}]]", *map(_line, item, item.values())])
+            lines.extend(["", f"[[{'.'.join(map(toml_key, (*place, key)))}]]", *map(_line, item, item.values())])
 
 
 def _line(key: str, value: Any) -> str:
-    return f"{_key(key)} = {_value(value)}"
+    return f"{toml_key(key)} = {toml_value(value)}"
 
 
 def _is_list_of_tables(value: Any) -> bool:
     return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(item, Mapping) for item in value)
 
 
-def _key(key: str) -> str:
+def toml_key(key: str) -> str:
+    """Return a key as TOML, in quotes where it must have them."""
     return key if _BARE.fullmatch(key) else _text(key)
 
 
-def _value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """Return one value as TOML; a mapping becomes an inline table.
+
+    Parameters
+    ----------
+    value : object
+        As `toml_text` takes them.
+
+    Returns
+    -------
+    str
+        On one line.
+
+    Raises
+    ------
+    ExperimentError
+        If it is of no TOML type.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -102,7 +120,7 @@ def _value(value: Any) -> str:
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
+        return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, Mapping):
         return f"{{ {', '.join(map(_line, value, value.values()))} }}"
     message = f"a value of a TOML file must be a text, number, truth value, list or table, got {type(value).__name__}"

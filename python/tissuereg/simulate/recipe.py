@@ -58,12 +58,18 @@ class PairsRecipe:
         Pairs.
     element : str
         Elements of the truth.
-    young_log_std, load_log_std, load_tilt_deg : float
-        Spread of the truth about what is believed, see `Variation`.
+    young_log_std : float
+        Standard deviation of the logarithm of Young's modulus, truth over believed.
+    load_log_std : float
+        Standard deviation of the logarithm of every load's size.
+    load_tilt_deg : float
+        Standard deviation of a load's rotation about each axis.
     inclusion_share : float
         Chance that the truth holds a stiff ball.
-    inclusion_radius_mm, inclusion_contrast : tuple of float
-        Its ranges; contrast is modulus inside over outside.
+    inclusion_radius_mm : tuple of float
+        Range of its radius.
+    inclusion_contrast : tuple of float
+        Range of its modulus over that around it.
     """
 
     members: int = 100
@@ -83,7 +89,15 @@ class PairsRecipe:
 
 @dataclass(frozen=True)
 class MaterialRecipe:
-    """``[material]``: range of Young's modulus in kPa, Poisson's ratio."""
+    """``[material]``: stiffness, one for the whole body.
+
+    Parameters
+    ----------
+    young_kpa : tuple of float
+        Range of Young's modulus.
+    poisson : float
+        Poisson's ratio.
+    """
 
     young_kpa: tuple[float, float] = (10.0, 60.0)
     poisson: float = 0.45

@@ -1,0 +1,40 @@
+"""Files to try tissuereg on: a surface with markers, and an experiment (``tools/samples.py`` made them)."""
+
+import os
+import shutil
+from pathlib import Path
+
+from tissuereg.io.atomic import atomic_folder
+
+_DATA = Path(__file__).resolve().parent / "data"
+
+#: Folders that `write_samples` writes.
+SAMPLES = ("surface", "rig")
+
+
+def write_samples(out: str | os.PathLike[str]) -> list[str]:
+    """Write the sample files, all or nothing.
+
+    Parameters
+    ----------
+    out : path-like
+        Folder: ``surface`` gets ``organ.stl``, ``markers.csv``, ``targets.csv`` and ``truth.csv`` (where the targets
+        truly are), ``rig`` an experiment and ``truth.json`` (the effect that its file does not mention). Files of other
+        names stay.
+
+    Returns
+    -------
+    list of str
+        Paths of all files, below `out`, with forward slashes.
+
+    Raises
+    ------
+    OutputError
+        If `out` is a file, or the operating system refuses.
+    """
+    files = sorted(path.relative_to(_DATA) for name in SAMPLES for path in (_DATA / name).rglob("*") if path.is_file())
+    with atomic_folder(out) as draft:
+        for file in files:
+            (draft / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(_DATA / file, draft / file)
+    return [file.as_posix() for file in files]
