@@ -12,10 +12,23 @@ from tissuereg._arguments import place
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError, MeshError
 from tissuereg.experiment import Simulated
-from tissuereg.io import experiment_keys as keys
 from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
 from tissuereg.io.cases import write_histories
 from tissuereg.io.commented import commented_toml
+from tissuereg.io.experiment_keys import (
+    ACTUATOR,
+    ACTUATORS_CSV,
+    BOUNDARY,
+    FORCES,
+    GRAVITY,
+    MARKERS,
+    MARKERS_CSV,
+    MATERIAL,
+    MESH,
+    SIMULATED,
+    TARGET,
+    TOP,
+)
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, rule_for_file
@@ -215,15 +228,15 @@ def _tables(name: str, rule: Any, rig: _Rig) -> list[tuple[Any, Mapping[str, Any
     ]
     markers = {f"M{i + 1}": spot.tolist() for i, spot in enumerate(rig.markers)}
     return [
-        (keys.TOP, {"name": name}),
-        (keys.MESH, {}),
-        (keys.MATERIAL, {"law": "neo-hookean", "young_kpa": [10.0, 3.0], "poisson": 0.45}),
-        (keys.GRAVITY, None),
-        (keys.BOUNDARY, {"name": "support", "nodes": rule, "kind": "fixed"}),
-        *((keys.ACTUATOR, pad) for pad in pads),
-        (keys.MARKERS, {"std_mm": 0.1, "rest_case": "rest", "reference": markers}),
-        (keys.FORCES, {"std_mN": 5.0}),
-        (keys.TARGET, {"name": "target", "reference": rig.target.tolist()}),
+        (TOP, {"name": name}),
+        (MESH, {}),
+        (MATERIAL, {"law": "neo-hookean", "young_kpa": [10.0, 3.0], "poisson": 0.45}),
+        (GRAVITY, None),
+        (BOUNDARY, {"name": "support", "nodes": rule, "kind": "fixed"}),
+        *((ACTUATOR, pad) for pad in pads),
+        (MARKERS, {"std_mm": 0.1, "rest_case": "rest", "reference": markers}),
+        (FORCES, {"std_mN": 5.0}),
+        (TARGET, {"name": "target", "reference": rig.target.tolist()}),
     ]
 
 
@@ -234,9 +247,9 @@ def _text(tables: list[tuple[Any, Mapping[str, Any] | None]], mesh: str, *, simu
         "The tables hold what the model below says of two made-up pushes, with noise. Once they hold what you",
         "measured, delete [simulated] at the end.",
     ]
-    filled = [(each, {"file": mesh} if each is keys.MESH else values) for each, values in tables]
+    filled = [(each, {"file": mesh} if each is MESH else values) for each, values in tables]
     said = Simulated("plain", "tet4")
-    last = [(keys.SIMULATED, {"model": said.model, "element": said.element})] if simulated else []
+    last = [(SIMULATED, {"model": said.model, "element": said.element})] if simulated else []
     return commented_toml(head, [*filled, *last])
 
 
@@ -247,10 +260,10 @@ def _write_frames(folder: Path, rig: _Rig) -> None:
         f"push_{i + 1}": (10.0 * (i + 1) + times, {f"pad_{i + 1}": _STROKE[:, None] * push + 0.0})
         for i, push in enumerate(rig.pushes)
     }
-    write_histories(folder / keys.ACTUATORS_CSV.file, keys.ACTUATORS_CSV, pushes)
+    write_histories(folder / ACTUATORS_CSV.file, ACTUATORS_CSV, pushes)
     frames = {"rest": np.arange(float(_REST_FRAMES)), **{case: given for case, (given, _) in pushes.items()}}
     names = [f"M{i + 1}" for i in range(len(rig.markers))]
     unseen: dict[str, tuple[FloatArray, dict[str, FloatArray]]] = {
         case: (given, {name: np.full((len(given), 3), np.nan) for name in names}) for case, given in frames.items()
     }
-    write_histories(folder / keys.MARKERS_CSV.file, keys.MARKERS_CSV, unseen)
+    write_histories(folder / MARKERS_CSV.file, MARKERS_CSV, unseen)

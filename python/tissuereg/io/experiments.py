@@ -13,9 +13,22 @@ from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.effects import Effect, check_effects, effect_from_table
 from tissuereg.errors import ExperimentError, MeshError
 from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
-from tissuereg.io import experiment_keys as keys
 from tissuereg.io.beliefs import folder_and_name, read_material
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
+from tissuereg.io.experiment_keys import (
+    ACTUATOR,
+    BOUNDARY,
+    CONTROL_TABLES,
+    FORCES,
+    FORCES_CSV,
+    GRAVITY,
+    MARKERS,
+    MARKERS_CSV,
+    MESH,
+    SIMULATED,
+    TARGET,
+    TARGETS_CSV,
+)
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import nodes_by_rule
 from tissuereg.io.toml import Table, experiment_file, read_toml
@@ -161,31 +174,31 @@ def _effect(table: Table) -> Effect:
 
 def _mesh(top: Table) -> tuple[Path, Mesh, float, float | None]:
     """Return file and mesh, and how far its surface may be off, over which length."""
-    given = keys.MESH.of(top)
+    given = MESH.of(top)
     assert given is not None  # it is needed
     file = top.file.parent / given["file"]
     return file, read_mesh(file), given["surface_std_mm"] or 0.0, given["surface_length_mm"]
 
 
 def _gravity(top: Table) -> Gravity | None:
-    given = keys.GRAVITY.of(top)
+    given = GRAVITY.of(top)
     return None if given is None else Gravity(given["direction"], given["in_reference"], given["g_mm_per_s2"])
 
 
 def _simulated(top: Table) -> Simulated | None:
-    given = keys.SIMULATED.of(top)
+    given = SIMULATED.of(top)
     return None if given is None else Simulated(**given)
 
 
 def _boundary(table: Table, mesh: Mesh) -> Boundary:
-    given = keys.BOUNDARY.values(table)
+    given = BOUNDARY.values(table)
     nodes = _selected_nodes(table, given["nodes"], mesh)
     table.finish()
     return Boundary(given["name"], nodes, given["kind"], given["nodes"], given["edge_std_mm"])
 
 
 def _actuator(table: Table, mesh: Mesh) -> Actuator:
-    given = keys.ACTUATOR.values(table)
+    given = ACTUATOR.values(table)
     if given["name"] == "fixed":
         table.refuse("`name` must not be 'fixed', which means the held nodes")
     nodes = _selected_nodes(table, given["nodes"], mesh)
@@ -204,7 +217,7 @@ def _selected_nodes(table: Table, rule: Any, mesh: Mesh) -> IntArray:
 def _targets(top: Table) -> dict[str, FloatArray]:
     targets: dict[str, FloatArray] = {}
     for table in top.tables("target"):
-        given = keys.TARGET.values(table)
+        given = TARGET.values(table)
         if given["name"] in targets:
             table.refuse("`name` must be given to one target only", given["name"])
         targets[given["name"]] = given["reference"]
@@ -231,22 +244,22 @@ def _tabled(
     top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray], measured: bool
 ) -> _Tabled:
     """Return what the tables of a folder hold; of a rig that is not `measured` those of markers and forces may miss."""
-    table = keys.MARKERS.table(top)
+    table = MARKERS.table(top)
     assert table is not None  # it is needed
-    given = keys.MARKERS.values(table)
+    given = MARKERS.values(table)
     reference, reference_time = _marker_reference(table, given)
     table.finish()
-    path = folder / keys.MARKERS_CSV.file
+    path = folder / MARKERS_CSV.file
     markers: Histories = {}
     seen = measured or reference is None or path.exists()
     if seen:
-        markers = read_histories(path, keys.MARKERS_CSV, None if reference is None else reference)
+        markers = read_histories(path, MARKERS_CSV, None if reference is None else reference)
     if reference is None:
         reference = _first_places(table, markers, reference_time)
     force_std, forces = _measured_forces(top, folder, actuators, measured)
     inner: Histories = {}
-    if (folder / keys.TARGETS_CSV.file).exists():
-        inner = read_histories(folder / keys.TARGETS_CSV.file, keys.TARGETS_CSV, targets)
+    if (folder / TARGETS_CSV.file).exists():
+        inner = read_histories(folder / TARGETS_CSV.file, TARGETS_CSV, targets)
     cases = assemble_cases(markers, tuple(reference), actuators, _controls(folder, actuators), forces, inner)
     if not cases:
         top.refuse(f"there must be a case: rows in markers.csv, actuators.csv or forces_applied.csv of {folder}")
@@ -291,18 +304,18 @@ def _first_places(table: Table, markers: Histories, time: float) -> dict[str, Fl
 def _measured_forces(
     top: Table, folder: Path, actuators: Sequence[Actuator], measured: bool
 ) -> tuple[float | None, Histories]:
-    given, path = keys.FORCES.of(top), folder / keys.FORCES_CSV.file
+    given, path = FORCES.of(top), folder / FORCES_CSV.file
     if given is None:
         if path.exists():
             top.refuse(f"[forces] with std_mN must be given, since there is a {path.name}")
         return None, {}
     names = [actuator.name for actuator in actuators]
-    return given["std_mN"], read_histories(path, keys.FORCES_CSV, names) if measured or path.exists() else {}
+    return given["std_mN"], read_histories(path, FORCES_CSV, names) if measured or path.exists() else {}
 
 
 def _controls(folder: Path, actuators: Sequence[Actuator]) -> dict[str, Histories]:
     found: dict[str, Histories] = {}
-    for kind, table in keys.CONTROL_TABLES.items():
+    for kind, table in CONTROL_TABLES.items():
         names = [actuator.name for actuator in actuators if actuator.kind == kind]
         path = folder / table.file
         if names or path.exists():
