@@ -1,20 +1,17 @@
 """Do the tables of benchmarks/README.md hold the figures of the JSON beside them?"""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+from support.scripts import REPOSITORY, script
+
+BENCHMARKS = REPOSITORY / "benchmarks"
 
 
 def loaded(name):
     """Return a script of the benchmarks as a module."""
-    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("benchmarks", name)
 
 
 @pytest.mark.parametrize(("name", "archive"), [("febio", "febio"), ("simulated_here", "simulated-here")])
@@ -46,9 +43,7 @@ def test_an_answer_is_right_with_every_true_cause_and_none_beside():
 
 
 def test_the_solver_tables_are_those_of_the_json():
-    spec = importlib.util.spec_from_file_location("solver_table", BENCHMARKS / "solver_table.py")
-    tables = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tables)
+    tables = loaded("solver_table")
     answer = json.loads((BENCHMARKS / "results" / "solver.json").read_text(encoding="utf-8"))
     text = (BENCHMARKS / "README.md").read_text(encoding="utf-8")
     assert text.split(tables.BEGIN + "\n")[1].split(tables.END)[0] == tables.tables(answer)

@@ -1,11 +1,17 @@
 """Who may import whom, read from the syntax trees; what `import tissuereg` may load."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import tissuereg
+from support.scripts import REPOSITORY, script
+
+layers = script("tools", "layers")
 
 PACKAGE = Path(tissuereg.__file__).parent
 HEAVY = ("torch", "onnxruntime", "meshio", "scipy", "trimesh", "pyvista", "matplotlib", "pytetwild", "tqdm")
@@ -28,12 +34,74 @@ def imports_of(path: Path) -> set[str]:
     return found
 
 
-def module_of(path: Path) -> str:
-    parts = ("tissuereg", *path.relative_to(PACKAGE).with_suffix("").parts)
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+def modules_of(package: Path) -> dict[str, Path]:
+    """Modules of a package folder by dotted name, each with its file."""
+    found = {}
+    for path in sorted(package.rglob("*.py")):
+        parts = ("tissuereg", *path.relative_to(package).with_suffix("").parts)
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
 
 
-MODULES = {module_of(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+def upward_imports(package: Path) -> list[str]:
+    """Imports of a package folder that point to a higher layer, or to no layer, as sentences."""
+    rank, wrong = layers.ranks(), []
+    highest = max(rank.values()) + 1
+    for name, path in modules_of(package).items():
+        if name == "tissuereg":
+            continue
+        own = name.split(".")[1]
+        for needed in sorted(imports_of(path)):
+            parts = needed.split(".")
+            if parts[0] == "tissuereg" and len(parts) > 1 and rank.get(parts[1], highest) > rank[own]:
+                wrong.append(f"{name} imports {needed}")
+    return wrong
+
+
+def top_level_of(package: Path) -> set[str]:
+    """Names directly below a package folder: modules, packages, compiled modules (by their stubs)."""
+    stubs = {path.stem for path in package.glob("*.pyi")}
+    return stubs | {name.split(".")[1] for name in modules_of(package) if name != "tissuereg"}
+
+
+def circle_of(package: Path) -> list[str]:
+    """Modules of a package folder that import one another in a circle; empty where there is none."""
+    modules = modules_of(package)
+    needs = {
+        name: {i for i in imports_of(path) if i in modules} - {"tissuereg", name} for name, path in modules.items()
+    }
+    done, open_ = set(), []
+
+    def visit(name: str) -> list[str]:
+        if name in open_:
+            return [*open_[open_.index(name) :], name]
+        if name in done:
+            return []
+        open_.append(name)
+        for needed in sorted(needs[name]):
+            if circle := visit(needed):
+                return circle
+        open_.pop()
+        done.add(name)
+        return []
+
+    return next((circle for name in modules if (circle := visit(name))), [])
+
+
+def crate_needs(crate: str) -> set[str]:
+    """Crates of this repository that a crate depends on, its tests and benches left out."""
+    manifest = (REPOSITORY / "crates" / crate / "Cargo.toml").read_text(encoding="utf-8")
+    dependencies = re.split(r"^\[", manifest.split("[dependencies]")[1], flags=re.MULTILINE)[0]
+    return set(re.findall(r"^tissuereg-(\w+)", dependencies, flags=re.MULTILINE))
+
+
+def tree(folder: Path, files: dict[str, str]) -> Path:
+    """Write a package folder of some files."""
+    for name, text in {"__init__.py": "", **files}.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return folder
 
 
 def test_importing_the_package_loads_nothing_heavy():
@@ -43,82 +111,72 @@ def test_importing_the_package_loads_nothing_heavy():
 
 
 def test_no_module_imports_itself_in_a_circle():
-    needs = {name: {i for i in imports_of(path) if i in MODULES and i != "tissuereg"} for name, path in MODULES.items()}
-    done, open_ = set(), []
-
-    def visit(name: str) -> None:
-        assert name not in open_, f"circle: {' > '.join([*open_[open_.index(name) :], name])}"
-        if name in done:
-            return
-        open_.append(name)
-        for needed in sorted(needs[name]):
-            # A package's own __init__ re-exports its parts; its parts do not import it.
-            if needed != name:
-                visit(needed)
-        open_.pop()
-        done.add(name)
-
-    for name in MODULES:
-        visit(name)
+    assert circle_of(PACKAGE) == []
 
 
 def test_torch_and_the_training_package_are_reached_by_the_train_command_alone():
-    for name, path in MODULES.items():
+    for name, path in modules_of(PACKAGE).items():
         roots = {i.split(".")[0] for i in imports_of(path)}
         assert "torch" not in roots, name
         text = path.read_text(encoding="utf-8")
-        if name != "tissuereg.cli.train":
+        if name != layers.TRAINING_MODULE:
             assert "tissuereg_training" not in text, name
 
 
+def test_every_module_stands_in_one_layer():
+    assert set(layers.ranks()) == top_level_of(PACKAGE)
+
+
+def test_a_module_in_two_layers_is_refused(monkeypatch):
+    monkeypatch.setattr(layers, "LAYERS", (("upper", "io cli"), ("lower", "mesh io")))
+    with pytest.raises(ValueError, match="`io` must be in one layer, found in two, the upper one being `upper`"):
+        layers.ranks()
+
+
 def test_layers_point_downwards():
-    layers = [
-        {"errors", "_arguments", "_arrays", "_choice", "_core", "_clock", "_locking", "_machine", "_version"},
-        {
-            "mesh",
-            "material",
-            "material_tests",
-            "markers",
-            "load",
-            "surface",
-            "triangles",
-            "experiment",
-            "material_experiment",
-            "trust",
-        },
-        {"effects", "_per_mesh"},
-        {"observe", "simulate", "latent", "assimilate", "io", "posterior", "widen", "phantom", "baselines", "readings"},
-        {"contacts", "inputs", "meshing"},
-        {
-            "registration",
-            "contact_registration",
-            "contact_answer",
-            "latent_registration",
-            "result",
-            "report",
-            "diagnose",
-        },
-        {"demo", "bench", "frames"},
-        {"cli", "__main__"},
-    ]
-    rank = {part: level for level, parts in enumerate(layers) for part in parts}
-    for name, path in MODULES.items():
-        if name == "tissuereg":
-            continue
-        own = name.split(".")[1]
-        for needed in imports_of(path):
-            parts = needed.split(".")
-            if parts[0] == "tissuereg" and len(parts) > 1 and parts[1] in rank:
-                assert rank[parts[1]] <= rank[own], f"{name} imports {needed}"
+    assert upward_imports(PACKAGE) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "wrong"),
+    [
+        ("mesh.py", "from tissuereg.io.meshes import read_mesh", "tissuereg.mesh imports tissuereg.io"),
+        ("io/points.py", "def f():\n    from tissuereg import cli", "tissuereg.io.points imports tissuereg.cli"),
+        ("io/__init__.py", "import tissuereg.report.page", "tissuereg.io imports tissuereg.report.page"),
+        ("io/points.py", "from tissuereg import register", "tissuereg.io.points imports tissuereg.register"),
+        ("simulate/a.py", "if True:\n    import tissuereg.contacts", "tissuereg.simulate.a imports tissuereg.contacts"),
+    ],
+)
+def test_an_import_from_a_higher_layer_is_caught(file, text, wrong, tmp_path):
+    right = {"cli/__init__.py": "from tissuereg.io import points", "io/points.py": "import tissuereg.errors"}
+    assert upward_imports(tree(tmp_path / "right", right)) == []
+    found = upward_imports(tree(tmp_path / "wrong", {**right, file: text}))
+    assert any(sentence.startswith(wrong) for sentence in found)
+    assert (
+        upward_imports(tree(tmp_path / "types", {file: f"if TYPE_CHECKING:\n    {text.splitlines()[-1].strip()}"}))
+        == []
+    )
+
+
+def test_a_circle_and_an_undeclared_module_are_caught(tmp_path):
+    package = tree(
+        tmp_path, {"io/a.py": "import tissuereg.io.b", "io/b.py": "from tissuereg.io import a", "new.py": ""}
+    )
+    assert circle_of(package) == ["tissuereg.io.a", "tissuereg.io.b", "tissuereg.io.a"]
+    assert top_level_of(package) - set(layers.ranks()) == {"new"}
 
 
 def test_the_cores_know_nothing_of_each_other_nor_of_python():
-    root = Path(__file__).resolve().parents[2] / "crates"
-    contacts = (root / "contacts" / "Cargo.toml").read_text(encoding="utf-8")
-    assert "fem" not in contacts.split("[dependencies]")[1]
-    assert "esmda" not in contacts.split("[dependencies]")[1]
-    fem = (root / "fem" / "Cargo.toml").read_text(encoding="utf-8")
-    esmda = (root / "esmda" / "Cargo.toml").read_text(encoding="utf-8")
-    assert "esmda" not in fem.split("[dependencies]")[1]
-    assert "fem" not in esmda.split("[dependencies]")[1]
-    assert "pyo3" not in fem + esmda + contacts
+    for crate, allowed in layers.CRATES.items():
+        assert crate_needs(crate) == set(allowed), crate
+        manifest = (REPOSITORY / "crates" / crate / "Cargo.toml").read_text(encoding="utf-8")
+        assert ("pyo3" in manifest) == bool(allowed), crate
+    assert {path.parent.name for path in REPOSITORY.glob("crates/*/Cargo.toml")} == set(layers.CRATES)
+
+
+def test_the_page_shows_the_layers_that_are_held():
+    page = layers.PAGE.read_text(encoding="utf-8")
+    assert layers.written(page) == page, "python tools/layers.py --write"
+    assert layers.written(page.replace("| errors", "| mirrors")) == page
+    with pytest.raises(ValueError, match="once each"):
+        layers.written(page.replace(layers.END, ""))

@@ -1,0 +1,128 @@
+"""Declare the layers of the package and of the crates, and draw them into ARCHITECTURE.md.
+
+    python tools/layers.py            # print the diagram
+    python tools/layers.py --write    # write it into ARCHITECTURE.md, between its two markers
+
+`tests/layout` holds the code to this declaration and the page to the diagram.
+"""
+
+import argparse
+import textwrap
+from pathlib import Path
+
+#: Layers of `python/tissuereg`, from the top: a title, and the modules and packages that stand there. A module may
+#: import what stands in its own layer (without a circle) and what stands in a lower one.
+LAYERS: tuple[tuple[str, str], ...] = (
+    ("commands", "__main__ cli"),
+    ("ready-made runs", "bench demo frames"),
+    ("public calls", "contact_answer contact_registration diagnose latent_registration registration"),
+    ("answers", "report result"),
+    ("parts of the calls", "contacts inputs meshing"),
+    (
+        "simulation, observation, networks",
+        "assimilate baselines latent observe phantom posterior readings simulate widen",
+    ),
+    ("files, the only place of other units", "io"),
+    ("physical effects, values kept with a mesh", "_per_mesh effects"),
+    (
+        "plain data",
+        "experiment load markers material material_experiment material_tests mesh surface triangles trust",
+    ),
+    ("checks of arguments, compiled core", "_arguments _arrays _choice _clock _core _locking _machine _version"),
+    ("exceptions", "errors"),
+)
+
+#: Crates, and the crates of this repository that each may depend on.
+CRATES: dict[str, tuple[str, ...]] = {
+    "bindings": ("contacts", "esmda", "fem"),
+    "contacts": (),
+    "esmda": (),
+    "fem": (),
+}
+
+#: The module that alone may name the training package, which it imports when it is run.
+TRAINING_MODULE = "tissuereg.cli.train"
+
+BEGIN, END = "<!-- layers: written by tools/layers.py -->", "<!-- end of layers -->"
+PAGE = Path(__file__).resolve().parent.parent / "ARCHITECTURE.md"
+WIDTH = 100
+
+
+def ranks() -> dict[str, int]:
+    """Return the height of every module's layer, 0 for the lowest.
+
+    Raises
+    ------
+    ValueError
+        If a module is declared in two layers.
+    """
+    found: dict[str, int] = {}
+    for height, (title, modules) in enumerate(reversed(LAYERS)):
+        for module in modules.split():
+            if module in found:
+                message = f"`{module}` must be in one layer, found in two, the upper one being `{title}`"
+                raise ValueError(message)
+            found[module] = height
+    return found
+
+
+def diagram() -> str:
+    """Return the diagram as plain text, one box a layer, the crates below."""
+    lines = []
+    for title, modules in LAYERS:
+        lines += [_rim(title), *(_row(line) for line in textwrap.wrap("  ".join(modules.split()), WIDTH - 4))]
+    for name in (name for name, needs in CRATES.items() if needs):
+        lines += [_rim(f"crates/{name}, compiled into _core"), _row(f"uses {', '.join(CRATES[name])}")]
+    cores = [f" crates/{name}" for name, needs in CRATES.items() if not needs]
+    cell = (WIDTH - 1) // len(cores) - 1
+    widths = [cell] * (len(cores) - 1) + [WIDTH - 1 - len(cores) - cell * (len(cores) - 1)]
+    rim = "+" + "+".join("-" * width for width in widths) + "+"
+    row = "|" + "|".join(text.ljust(width) for text, width in zip(cores, widths, strict=True)) + "|"
+    return "\n".join([*lines, rim, row, rim]) + "\n"
+
+
+def written(page: str) -> str:
+    """Return a page with the diagram of today between its markers.
+
+    Parameters
+    ----------
+    page : str
+        Text with both markers, once each.
+
+    Returns
+    -------
+    str
+        All else as it is.
+
+    Raises
+    ------
+    ValueError
+        If the page lacks a marker or has it twice.
+    """
+    if page.count(BEGIN) != 1 or page.count(END) != 1:
+        message = f"the page must hold `{BEGIN}` and `{END}` once each"
+        raise ValueError(message)
+    before, rest = page.split(BEGIN)
+    return f"{before}{BEGIN}\n```text\n{diagram()}```\n{END}{rest.split(END)[1]}"
+
+
+def _rim(title: str) -> str:
+    return f"+-- {title} ".ljust(WIDTH - 1, "-") + "+"
+
+
+def _row(text: str) -> str:
+    return f"| {text}".ljust(WIDTH - 1) + "|"
+
+
+def main() -> None:
+    """Print the diagram, or write it."""
+    parser = argparse.ArgumentParser(description="The layers of the package, drawn.")
+    parser.add_argument("--write", action="store_true", help="write the diagram into ARCHITECTURE.md")
+    if parser.parse_args().write:
+        PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    else:
+        print(diagram(), end="")
+
+
+if __name__ == "__main__":
+    main()
