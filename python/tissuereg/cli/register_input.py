@@ -150,7 +150,7 @@ def _acceleration(text: str) -> tuple[float, ...]:
 
 def _frames(args: argparse.Namespace) -> dict[str, str | None]:
     """Return the frame of the answer and that of tables; say the first where a file of 3D Slicer chose it."""
-    from tissuereg.io.slicer import frame_of_files
+    from tissuereg.io.point_files import frame_of_files
 
     if args.tables_frame is not None and args.frame is None:
         _refuse("--tables-frame must come with --frame", "--tables-frame")

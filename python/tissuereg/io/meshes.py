@@ -4,11 +4,9 @@ Node sets come from 0/1 point data of any name, from named sets or physical grou
 from integer arrays ``<name>_nodes``.
 """
 
-import contextlib
-import io
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +16,12 @@ import numpy.typing as npt
 from tissuereg._arrays import IntArray, float_array
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
+from tissuereg.io.foreign import MESHIO_MODULES, hushed, meshio_content
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule
 from tissuereg.io.npz import Archive, existing_file, open_npz
+from tissuereg.io.surfaces import SURFACE_READERS
 from tissuereg.mesh import Mesh
 
-_MESHIO_READERS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
-_SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".vtp")
 _SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9", "polygon"}
 _TET_CELLS = {"tetra": 4, "tetra10": 10}
 
@@ -56,14 +54,10 @@ def read_mesh(path: str | os.PathLike[str], fixed: NodeRule | None = None, *, fr
         If the mesh itself cannot carry a simulation, the plane or ball catches no node, or `frame` is none of the two.
     """
     file = existing_file(path)
-    suffix = file.suffix.lower()
-    if suffix == ".npz":
-        with open_npz(file) as archive:
-            mesh = mesh_from_archive(archive)
-    elif suffix in _MESHIO_READERS:
-        mesh = _from_meshio(file, _meshio_content(file, _MESHIO_READERS[suffix]))
-    else:
+    reader = MESH_READERS.get(file.suffix.lower())
+    if reader is None:
         raise _unknown_format(file)
+    mesh = reader(file)
     if frame is not None:
         mesh = mesh.in_frame(frame)
     return mesh if fixed is None else mesh.with_node_set("fixed", nodes_by_rule(mesh, fixed))
@@ -136,7 +130,7 @@ def write_vtu(
             raise ShapeError(message, where=name)
         values[name] = numbers if numbers.dtype.kind in "iu" else float_array(name, numbers, numbers.shape)
     content = meshio.Mesh(points.copy(), [("tetra", mesh.tets.copy())], point_data=values)
-    with atomic_file(path) as temporary, _meshio_hushed():
+    with atomic_file(path) as temporary, hushed():
         meshio.vtu.write(temporary, content)
         if says:
             _add_field_data(temporary, says)
@@ -155,28 +149,13 @@ def _holds_indices(array: npt.NDArray[Any]) -> bool:
     return array.ndim == 1 and array.dtype.kind in "iu"
 
 
-def _meshio_content(file: Path, reader: str) -> Any:
-    import meshio
-
-    try:
-        with _meshio_hushed():
-            return getattr(meshio, reader).read(str(file))
-    except (Exception, SystemExit) as error:  # meshio raises whatever its parser stumbles over
-        reason = str(error).strip() or type(error).__name__
-        message = f"{file} must be a mesh of the kind that its name says ({file.suffix}); it cannot be read: {reason}"
-        raise FormatError(message, where=str(file)) from error
+def _from_npz(file: Path) -> Mesh:
+    with open_npz(file) as archive:
+        return mesh_from_archive(archive)
 
 
-@contextlib.contextmanager
-def _meshio_hushed() -> Iterator[None]:
-    """Keep meshio's prints and deprecation notes to itself."""
-    silence = io.StringIO()
-    with warnings.catch_warnings(), contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
-        warnings.simplefilter("ignore")
-        yield
-
-
-def _from_meshio(file: Path, content: Any) -> Mesh:
+def _from_meshio(file: Path) -> Mesh:
+    content = meshio_content(file, "a mesh")
     _refuse_other_cells(file, [block.type for block in content.cells], np.asarray(content.points))
     corners = [_corners(block) for block in content.cells if block.type in _TET_CELLS]
     tets = np.concatenate(corners).astype(np.int64)
@@ -260,10 +239,10 @@ def _placed(file: Path, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:
 
 
 def _unknown_format(file: Path) -> FormatError:
-    if file.suffix.lower() in _SURFACE_SUFFIXES:
+    if file.suffix.lower() in SURFACE_READERS:
         message = f"a mesh must be made of tetrahedra; {file} holds a surface only. {_how_to_fill(file)}"
     else:
-        known = ", ".join([*_MESHIO_READERS, ".npz"])
+        known = ", ".join(MESH_READERS)
         message = f"a mesh file must be one of {known}, got '{file.name}'"
     return FormatError(message, where=str(file))
 
@@ -273,3 +252,7 @@ def _how_to_fill(file: Path) -> str:
         f"Fill the surface with tetrahedra first: tissuereg mesh {file} --size MM --out BODY.vtu "
         "(by pytetwild: pip install 'tissuereg[mesh]')"
     )
+
+
+#: Reader by the ending of a file's name, in lower case: a mesh in mm with its node sets.
+MESH_READERS: dict[str, Callable[[Path], Mesh]] = {**dict.fromkeys(MESHIO_MODULES, _from_meshio), ".npz": _from_npz}

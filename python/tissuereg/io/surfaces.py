@@ -5,11 +5,10 @@ in a comment of a .ply, .obj or .off), or else mm. A body's largest extent must 
 else is refused, with the unit that would make it a body.
 """
 
-import contextlib
-import io
 import os
 import re
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,8 @@ import numpy as np
 from tissuereg._arguments import place as path_of
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._choice import check_choice
-from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, TissueRegError, UnitError
+from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, UnitError
+from tissuereg.io.foreign import MESHIO_MODULES, meshio_content, reading
 from tissuereg.io.npz import existing_file
 from tissuereg.triangles import Triangles
 
@@ -34,9 +34,9 @@ ORGAN_EXTENT_MM = (5.0, 2000.0)
 #: Of cm and m, where both would do, the one is likelier whose extent is nearer to this many mm, as a ratio.
 _TYPICAL_EXTENT_MM = 150.0
 
+_WHAT = "a surface"
 _UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres"}
 _TRIMESH_SUFFIXES = (".stl", ".ply", ".obj", ".off")
-_MESHIO_READERS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
 _FLAT_CELLS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 _IGNORED_CELLS = {"vertex", "line", "line3"}
 _HEAD_BYTES = 4096
@@ -101,41 +101,21 @@ def read_triangles(surface: SurfaceInput, unit: str | None = None) -> Triangles:
 
 
 def _content(file: Path) -> tuple[FloatArray, IntArray]:
-    suffix = file.suffix.lower()
-    if suffix in _TRIMESH_SUFFIXES:
-        vertices, triangles = _by_trimesh(file)
-        return _joined(vertices, triangles) if suffix == ".stl" else (vertices, triangles)
-    if suffix == ".vtp":
-        return _by_pyvista(file)
-    if suffix in _MESHIO_READERS:
-        return _by_meshio(file, _MESHIO_READERS[suffix])
-    known = ", ".join([*_TRIMESH_SUFFIXES, ".vtp", *_MESHIO_READERS])
-    message = f"a surface file must be one of {known}, got '{file.name}'"
-    raise FormatError(message, where=str(file))
+    reader = SURFACE_READERS.get(file.suffix.lower())
+    if reader is None:
+        message = f"a surface file must be one of {', '.join(SURFACE_READERS)}, got '{file.name}'"
+        raise FormatError(message, where=str(file))
+    return reader(file)
 
 
-@contextlib.contextmanager
-def _reading(file: Path) -> Any:
-    """Keep readers' prints and notes to themselves; whatever they stumble over is a spoilt file."""
-    silence = io.StringIO()
-    try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
-            warnings.simplefilter("ignore")
-            yield
-    except (TissueRegError, MemoryError):
-        raise
-    except (Exception, SystemExit) as error:
-        reason = str(error).strip() or type(error).__name__
-        message = (
-            f"{file} must be a surface of the kind that its name says ({file.suffix}); it cannot be read: {reason}"
-        )
-        raise FormatError(message, where=str(file)) from error
+def _of_stl(file: Path) -> tuple[FloatArray, IntArray]:
+    return _joined(*_by_trimesh(file))
 
 
 def _by_trimesh(file: Path) -> tuple[FloatArray, IntArray]:
     import trimesh
 
-    with _reading(file):
+    with reading(file, _WHAT):
         read: Any = trimesh.load_mesh(str(file), process=False)
         vertices, triangles = np.asarray(read.vertices, np.float64), np.asarray(getattr(read, "faces", ()), np.int64)
     if not triangles.size:
@@ -150,7 +130,7 @@ def _by_pyvista(file: Path) -> tuple[FloatArray, IntArray]:
     except ImportError as error:
         message = f"a .vtp is read by pyvista, which is not installed; pip install 'tissuereg[mesh]' brings it; {file}"
         raise MissingPackageError(message, where=str(file)) from error
-    with _reading(file):
+    with reading(file, _WHAT):
         read: Any = pyvista.read(str(file)).triangulate()
         vertices, faces = np.asarray(read.points, np.float64), np.asarray(read.faces, np.int64)
     if not faces.size:
@@ -159,11 +139,9 @@ def _by_pyvista(file: Path) -> tuple[FloatArray, IntArray]:
     return vertices, faces.reshape(-1, 4)[:, 1:]
 
 
-def _by_meshio(file: Path, reader: str) -> tuple[FloatArray, IntArray]:
-    import meshio
-
-    with _reading(file):
-        content: Any = getattr(meshio, reader).read(str(file))
+def _by_meshio(file: Path) -> tuple[FloatArray, IntArray]:
+    content = meshio_content(file, _WHAT)
+    with reading(file, _WHAT):
         vertices = np.asarray(content.points, np.float64)
     kinds = sorted({str(block.type) for block in content.cells} - _IGNORED_CELLS)
     if not kinds or any(kind not in _FLAT_CELLS for kind in kinds):
@@ -237,3 +215,14 @@ def _advice(extent: float) -> str:
     # mm are the commonest; of the others the one whose body is nearer to a usual one.
     best = min(likely, key=lambda unit: (unit != "mm", abs(np.log(extent * UNITS_MM[unit] / _TYPICAL_EXTENT_MM))))
     return f'looks like {_UNIT_NAMES[best]}; say --unit {best} (unit="{best}" in Python)'
+
+
+#: Reader by the ending of a file's name, in lower case: vertices (n, 3) as they stand and triangles (m, 3).
+SURFACE_READERS: dict[str, Callable[[Path], tuple[FloatArray, IntArray]]] = {
+    ".stl": _of_stl,
+    ".ply": _by_trimesh,
+    ".obj": _by_trimesh,
+    ".off": _by_trimesh,
+    ".vtp": _by_pyvista,
+    **dict.fromkeys(MESHIO_MODULES, _by_meshio),
+}

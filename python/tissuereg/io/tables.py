@@ -11,8 +11,8 @@ from tissuereg._arrays import FloatArray
 from tissuereg._choice import check_choice
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.csv import Row, read_table, write_table
+from tissuereg.io.point_files import is_point_file, markers_of, targets_of
 from tissuereg.io.points import turned
-from tissuereg.io.slicer import is_slicer_file, markers_of, targets_of
 from tissuereg.markers import Markers
 from tissuereg.mesh import PATIENT_FRAMES
 
@@ -69,7 +69,7 @@ def read_markers(
     path = place("path", path, error=FormatError)
     measured = None if measured is None else place("measured", measured, error=FormatError)
     usual = DEFAULT_STD if std is None else std
-    if is_slicer_file(path) or (measured is not None and is_slicer_file(measured)):
+    if is_point_file(path) or (measured is not None and is_point_file(measured)):
         return markers_of(path, measured, usual, frame)
     if measured is not None:
         message = f"a table of markers holds where they were seen itself; {measured} must be left out beside {path}"
@@ -114,7 +114,7 @@ def read_targets(
         If a frame is none of the two.
     """
     _check_frames(frame, table_frame)
-    if is_slicer_file(path):
+    if is_point_file(path):
         return targets_of(path, frame)
     rows = read_table(path, ("target", *_PLACE))
     names = _unique_names(rows, "target")

@@ -1,7 +1,8 @@
-"""Files of 3D Slicer that hold points with labels: which they are, and markers and targets from them."""
+"""Files of points with labels, such as 3D Slicer's: a reader by the ending of the name; markers and targets."""
 
 import os
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +14,26 @@ from tissuereg.io.mrk_json import read_mrk_json
 from tissuereg.io.points import NamedPoints
 from tissuereg.markers import Markers
 
-_SUFFIXES = (".mrk.json", ".fcsv", ".json")
+#: Reader by the ending of a file's name, in lower case; of two that fit, the first counts.
+POINT_READERS: dict[str, Callable[[str | os.PathLike[str]], NamedPoints]] = {
+    ".mrk.json": read_mrk_json,
+    ".json": read_mrk_json,
+    ".fcsv": read_fcsv,
+}
 
 
-def is_slicer_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is named like one of Slicer's: ``.mrk.json``, ``.json`` or ``.fcsv``."""
-    return str(path).lower().endswith(_SUFFIXES)
+def is_point_file(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file's name ends as `POINT_READERS` has it: ``.mrk.json``, ``.json``, ``.fcsv``."""
+    return _ending(path) is not None
 
 
 def read_points(path: str | os.PathLike[str]) -> NamedPoints:
-    """Read the points of one of Slicer's files.
+    """Read the points of a file.
 
     Parameters
     ----------
     path : path-like
-        A file that `is_slicer_file` takes.
+        A file that `is_point_file` takes.
 
     Returns
     -------
@@ -37,9 +43,17 @@ def read_points(path: str | os.PathLike[str]) -> NamedPoints:
     Raises
     ------
     FormatError
-        If the file is missing or spoilt; the message names the place in it.
+        If the file is missing, spoilt or of another kind; the message names the place in it.
     """
-    return read_fcsv(path) if str(path).lower().endswith(".fcsv") else read_mrk_json(path)
+    ending = _ending(path)
+    if ending is None:
+        message = f"a file of points must be one of {', '.join(POINT_READERS)}, got {path}"
+        raise FormatError(message, where=str(path))
+    return POINT_READERS[ending](path)
+
+
+def _ending(path: str | os.PathLike[str]) -> str | None:
+    return next((ending for ending in POINT_READERS if str(path).lower().endswith(ending)), None)
 
 
 def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, FloatArray]:
@@ -48,7 +62,7 @@ def targets_of(path: str | os.PathLike[str], frame: str | None) -> dict[str, Flo
     Parameters
     ----------
     path : path-like
-        Slicer's file.
+        A file of points.
     frame : str or None
         ``"LPS"`` or ``"RAS"`` that they are wanted in; None: the file's.
 
@@ -78,7 +92,7 @@ def markers_of(
     Parameters
     ----------
     reference, measured : path-like
-        Slicer's files; points of the same label belong together. They may have frames and units of their own.
+        Files of points; those of the same label belong together. They may have frames and units of their own.
     std : float
         Standard deviation of a measured coordinate, mm.
     frame : str or None
@@ -99,10 +113,10 @@ def markers_of(
     """
     files = {"reference": reference, "measured": measured}
     for role, path in files.items():
-        if path is None or not is_slicer_file(path):
-            other = next(file for file in files.values() if file is not None and is_slicer_file(file))
+        if path is None or not is_point_file(path):
+            other = next(file for file in files.values() if file is not None and is_point_file(file))
             message = (
-                f"markers of 3D Slicer must come in two files, where they sit and, as `measured`, where seen; "
+                "markers of a file of points must come in two files, where they sit and, as `measured`, where seen; "
                 f"beside {other} the {role} one is {'missing' if path is None else path}"
             )
             raise FormatError(message, where=str(other if path is None else path))
@@ -123,8 +137,8 @@ def markers_of(
 
 
 def frame_of_files(paths: list[str | Path]) -> tuple[str, str] | None:
-    """Return the frame of the first of Slicer's files among `paths`, and the name of that file; None without one."""
-    first = next((path for path in paths if is_slicer_file(path)), None)
+    """Return the frame of the first file of points among `paths`, and the name of that file; None without one."""
+    first = next((path for path in paths if is_point_file(path)), None)
     return None if first is None else (read_points(first).frame, str(first))
 
 

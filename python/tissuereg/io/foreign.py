@@ -1,0 +1,75 @@
+"""Meshes and surfaces by the readers of other packages: kept quiet, and every failure of theirs a typed error."""
+
+import contextlib
+import io
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tissuereg.errors import FormatError, TissueRegError
+
+#: Endings that meshio reads, of a body's mesh or of a surface, and the module of meshio that does.
+MESHIO_MODULES: dict[str, str] = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
+
+
+@contextlib.contextmanager
+def hushed() -> Iterator[None]:
+    """Keep prints and notes of other packages to themselves."""
+    silence = io.StringIO()
+    with warnings.catch_warnings(), contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+        warnings.simplefilter("ignore")
+        yield
+
+
+@contextlib.contextmanager
+def reading(file: Path, what: str) -> Iterator[None]:
+    """Run a foreign reader, quietly; whatever it stumbles over is a spoilt file.
+
+    Parameters
+    ----------
+    file : Path
+        That is read.
+    what : str
+        What it must be: "a mesh", "a surface".
+
+    Raises
+    ------
+    FormatError
+        If the block raises anything but an error of this package.
+    """
+    try:
+        with hushed():
+            yield
+    except TissueRegError:
+        raise
+    except (Exception, SystemExit) as error:  # a spoilt size ends in a MemoryError, too
+        reason = str(error).strip() or type(error).__name__
+        message = f"{file} must be {what} of the kind that its name says ({file.suffix}); it cannot be read: {reason}"
+        raise FormatError(message, where=str(file)) from error
+
+
+def meshio_content(file: Path, what: str) -> Any:
+    """Return a file as meshio reads it.
+
+    Parameters
+    ----------
+    file : Path
+        With an ending of `MESHIO_MODULES`.
+    what : str
+        As `reading` takes it.
+
+    Returns
+    -------
+    meshio.Mesh
+        As it stands.
+
+    Raises
+    ------
+    FormatError
+        If meshio cannot read it.
+    """
+    import meshio
+
+    with reading(file, what):
+        return getattr(meshio, MESHIO_MODULES[file.suffix.lower()]).read(str(file))
