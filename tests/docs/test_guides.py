@@ -2,7 +2,7 @@
 
 import pytest
 
-from support.guides import GUIDES, copy_of_package, follow, run, steps
+from support.guides import GUIDES, copy_of_package, follow, lint, run, steps
 
 
 @pytest.fixture
@@ -10,10 +10,39 @@ def root(tmp_path):
     return copy_of_package(tmp_path)
 
 
-def test_a_file_format_is_added_as_the_guide_says(root):
-    commands = follow("file-format", root)
+@pytest.mark.parametrize(("guide", "passed"), [("file-format", 6), ("cause", 3)])
+def test_what_a_guide_adds_works(guide, passed, root):
+    commands = follow(guide, root)
+    lint(guide, root)
     assert len(commands) == 1
-    assert "6 passed" in run(root, commands[0])
+    assert f"{passed} passed" in run(root, commands[0])
+
+
+#: Simulates the rig with the guide's effect hidden, adds noise, and diagnoses it with the whole catalogue.
+DIAGNOSED = """
+from dataclasses import replace
+import numpy as np
+import tissuereg as tr
+from support.rigs import rig
+from tissuereg.effects.gradient import Gradient
+
+true = replace(rig(), effects=(Gradient(slope_per_mm=(0.0, 0.0, 0.03)),))
+said, rng, cases = tr.simulate_experiment(true), np.random.default_rng(3), {}
+for name, case in true.cases.items():
+    markers = said[name].markers + 0.02 * rng.standard_normal(said[name].markers.shape)
+    forces = {pad: force + rng.standard_normal(force.shape) for pad, force in said[name].forces.items()}
+    cases[name] = replace(case, markers=markers, forces=forces)
+found = tr.diagnose(replace(true, effects=(), cases=cases, marker_std=0.02), keep=False).to_json()
+(cause,) = found["causes"]
+slope = np.array(cause["parameters"]["slope_per_mm"])
+print(found["verdict"], cause["group"], bool((np.abs(slope[:, 0] - [0.0, 0.0, 0.03]) < 4.0 * slope[:, 1]).all()))
+"""
+
+
+@pytest.mark.slow
+def test_a_whole_diagnosis_names_the_cause_of_the_guide(root):
+    follow("cause", root)
+    assert run(root, ["python", "-c", DIAGNOSED]).split("\n")[0] == "named ['gradient'] True"
 
 
 def test_a_step_whose_line_is_gone_is_noticed(root):

@@ -76,9 +76,17 @@ def copy_of_package(root: Path) -> Path:
     for file in installed.rglob("*"):
         if file.suffix in (".so", ".pyd", ".npz", ".onnx"):
             (ours / file.relative_to(installed)).symlink_to(file)
+    (root / "pyproject.toml").symlink_to(REPOSITORY / "pyproject.toml")
     (root / "tests" / "unit").mkdir(parents=True)
     (root / "tests" / "support").symlink_to(REPOSITORY / "tests" / "support")
     return root
+
+
+def lint(guide: str, root: Path) -> None:
+    """Check the Python files of a guide in a copy as those of the repository are checked."""
+    files = sorted({str(step.path) for step in steps(guide) if str(step.path).endswith(".py")})
+    for check in (["check"], ["format", "--check"]):
+        run(root, ["python", "-m", "ruff", *check, "--no-cache", *files])
 
 
 def run(root: Path, command: list[str]) -> str:

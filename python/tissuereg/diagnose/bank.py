@@ -17,6 +17,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg._version import __version__
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES, Variant
+from tissuereg.effects import EFFECTS, ChainEffect
 from tissuereg.experiment import Experiment
 from tissuereg.io.cache import cache_folder, keep_in_cache
 from tissuereg.io.json import dumps
@@ -25,7 +26,7 @@ from tissuereg.io.json import dumps
 SCHEMA = 10
 
 #: Causes whose columns are closed forms: made anew each time, never kept.
-CLOSED_FORM = ("frame", "scale", "latency", "marker_slip", "marker_swap")
+CLOSED_FORM = tuple(name for name in CAUSES if issubclass(EFFECTS[name], ChainEffect))
 
 #: Oldest banks go when there are more than this.
 MOST_FILES = 24

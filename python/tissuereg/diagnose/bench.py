@@ -13,7 +13,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.predictor import NO_ANSWER, Predictor
 from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.tangents import State, Tangents
-from tissuereg.effects import Effect, extended
+from tissuereg.effects import EFFECTS, Effect, extended
 from tissuereg.experiment import Experiment
 from tissuereg.simulate.fine import FineModel
 from tissuereg.simulate.memory import goes_through_time
@@ -23,7 +23,7 @@ from tissuereg.simulate.sensitivity import Cause, Field
 YOUNG_SPREAD = 0.3
 
 #: Effects with stresses in their tables, which do not grow with the modulus.
-_ABSOLUTE = ("stiffness", "rate", "softening", "sliding", "gravity", "reference")
+_ABSOLUTE = tuple(effect.id for effect in EFFECTS.values() if effect.absolute)
 
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")

@@ -38,7 +38,7 @@ SHARES = (1.0, 0.4, 0.15, 0.05)
 LONGEST = 1.5
 
 #: Effects whose answer is no multiple of the modulus.
-ABSOLUTE = ("gravity", "reference", "stiffness")
+ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
 
 
 @dataclass(frozen=True, eq=False)

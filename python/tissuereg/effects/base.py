@@ -33,6 +33,8 @@ class Effect:
     id: ClassVar[str]
     #: Whether an experiment may have several.
     repeatable: ClassVar[bool] = False
+    #: Whether its table holds a stress, which does not grow with Young's modulus.
+    absolute: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for key in fields(self):

@@ -20,6 +20,7 @@ class Stiffness(Effect):
     """Young's modulus at small strain in kPa, in place of the believed one; inclusions and layers multiply it."""
 
     id: ClassVar[str] = "stiffness"
+    absolute: ClassVar[bool] = True
     young_kpa: float = number("Young's modulus at small strain", above=0.0)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:

@@ -41,6 +41,7 @@ class Rate(Memory):
     """A stress that grows with the rate of strain."""
 
     id: ClassVar[str] = "rate"
+    absolute: ClassVar[bool] = True
     viscosity_kpa_s: float = number("viscosity", least=0.0)
 
 
@@ -49,6 +50,7 @@ class Softening(Memory):
     """Softening by the largest energy so far, as `simulate.behaviour.Softening`."""
 
     id: ClassVar[str] = "softening"
+    absolute: ClassVar[bool] = True
     r: float = number("Ogden and Roxburgh's r: 1/r of the stress is lost at most", least=1.0)
     m_kpa: float = number("energy over which it is lost", above=0.0)
     beta: float = number("dependence of that energy on the largest one so far", least=0.0, default=0.0)

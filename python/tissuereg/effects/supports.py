@@ -38,6 +38,7 @@ class Sliding(_Support):
     """
 
     id: ClassVar[str] = "sliding"
+    absolute: ClassVar[bool] = True
     spring_kpa_per_mm: float | None = number("stiffness of springs along its tangent plane", least=0.0, default=None)
     friction: float | None = number("or: coefficient of friction", least=0.0, default=None)
     cohesion_kpa: float | None = number(

@@ -14,6 +14,7 @@ from tissuereg.experiment import Gravity as Weight
 class _Weight(Effect):
     """Changes of ``[gravity]``; a key that is left out keeps what is believed."""
 
+    absolute: ClassVar[bool] = True
     direction: Vector | None = numbers("where the weight points", 3, directed=True, default=None)
     g_mm_per_s2: float | None = number("acceleration", above=0.0, default=None)
     in_reference: bool | None = flag("whether the mesh already hangs in it", default=None)

@@ -94,6 +94,9 @@ class Cause(ABC):
     #: Whether the nuisances hold it too, as small as it always is: what is held out then tells no difference.
     always_fitted: ClassVar[bool] = False
 
+    #: Whether what it changes is no multiple of Young's modulus, as its knobs have it.
+    absolute: ClassVar[bool] = False
+
     @abstractmethod
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return the hypotheses that fit an experiment; none where the cause makes no sense.

@@ -24,6 +24,7 @@ class GravityCause(Cause):
     """Three components of the body's weight."""
 
     id: ClassVar[str] = "gravity"
+    absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one, with three amplitudes."""

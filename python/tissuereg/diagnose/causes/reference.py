@@ -15,6 +15,7 @@ class ReferenceCause(Cause):
     """Whether the mesh hangs in the believed gravity already."""
 
     id: ClassVar[str] = "reference"
+    absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return the other answer; none without gravity."""

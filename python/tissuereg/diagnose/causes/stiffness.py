@@ -18,6 +18,7 @@ class StiffnessCause(Cause):
     """Young's modulus; a nuisance within its prior, a finding beyond it (`tissuereg.diagnose.nuisances`)."""
 
     id: ClassVar[str] = "stiffness"
+    absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
         """Return one: the modulus everywhere."""
