@@ -29,7 +29,7 @@ def by_block(base: Linear, final: Linear, layout: Layout) -> dict[str, list[floa
     frames = {name: mask for part in layout.parts for name, mask in frame_blocks(layout, part).items()}
     table = {}
     for blocks in (cases, frames):
-        left = held_out([base, final], blocks).left
+        left = held_out([base, final], blocks).residuals
         for name, mask in blocks.items():
             seen = mask & layout.seen
             if seen.any():

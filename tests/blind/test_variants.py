@@ -101,7 +101,7 @@ def test_without_a_judge_every_cause_passes_and_figures_stay():
     assert cause == density[1].sum()
     assert cause > before + search.PROVED
     assert cause > rival
-    assert passed.left is left
+    assert passed.residuals is left
 
 
 def test_draws_of_noise_alone_hold_no_nuisances_and_no_meshes():

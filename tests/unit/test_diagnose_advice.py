@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.targets import part, target_of
-from tissuereg.diagnose.advice import _actions, _apart, _said, advise
+from tissuereg.diagnose.advice import _actions, _prediction, _separability, advise
 from tissuereg.diagnose.answer import Finding
 from tissuereg.diagnose.candidates import Candidate
 from tissuereg.diagnose.fit import fit
@@ -25,7 +25,7 @@ def fits(target):
 
 
 def apart(target, action, one, other):
-    return _apart(target, action, one, *(_said(target, fitted, action) for fitted in (one, other)))
+    return _separability(target, action, one, *(_prediction(target, fitted, action) for fitted in (one, other)))
 
 
 def tied(*names):
@@ -45,7 +45,7 @@ def test_the_action_that_tells_the_tied_causes_best_apart_is_advised(target, fit
         each.append((apart(target, action, fits["poisson"], fits["scale"]), action.words))
     assert (advice["separability"], advice["action"]) == max(each)
     # Frame, modulus and forces take some of it.
-    one, other = (_said(target, fits[name], action) for name in ("poisson", "scale"))
+    one, other = (_prediction(target, fits[name], action) for name in ("poisson", "scale"))
     plain = np.linalg.norm((one - other) / np.where(np.arange(len(one)) < 9 * 18, 0.01, 2.0))
     assert 0.0 < each[-1][0] < plain
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from tissuereg.diagnose.chances import TEMPER, probabilities
 from tissuereg.diagnose.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
 from tissuereg.diagnose.nulls import LEAST_THRESHOLD, LEVEL, _thresholds
+from tissuereg.diagnose.probability import TEMPER, probabilities
 from tissuereg.diagnose.proof import Linear, held_out
 
 SIZE = 30
@@ -85,8 +85,8 @@ def test_a_held_out_block_is_predicted_by_the_conditional_gaussian(rng):
     mean = gain @ x[~mask]
     inner = covariance[np.ix_(mask, mask)] - gain @ covariance[np.ix_(~mask, mask)]
     found = held_out([Linear(x, columns)], {"block": mask})
-    assert np.allclose(found.left[0, mask], x[mask] - mean)
-    assert np.isnan(found.left[0, ~mask]).all()
+    assert np.allclose(found.residuals[0, mask], x[mask] - mean)
+    assert np.isnan(found.residuals[0, ~mask]).all()
     constant = 0.5 * mask.sum() * np.log(2.0 * np.pi)
     assert found.log_density[0, 0] == pytest.approx(density(x[mask] - mean, inner) + constant, rel=1e-9)
 

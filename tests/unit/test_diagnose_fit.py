@@ -10,22 +10,22 @@ import pytest
 from support.targets import YOUNG, part, target_of
 from tissuereg.diagnose import candidates
 from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.candidates import FURTHER, LEAST_FURTHER, Candidate, _fit_forms, asked_of
+from tissuereg.diagnose.candidates import FURTHER, LEAST_FURTHER, Candidate, _fit_forms, required_thresholds
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.causes.base import knobs
-from tissuereg.diagnose.chances import LOOK_ALIKE
 from tissuereg.diagnose.correction import make_correction
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.findings import _chances, group_of
 from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, best_start, fit
 from tissuereg.diagnose.modulus import _pinned, modulus_finding
 from tissuereg.diagnose.nuisances import FORM_ERROR, other_forms
+from tissuereg.diagnose.probability import LOOK_ALIKE
 from tissuereg.diagnose.proof import figure_blocks, proof_blocks
-from tissuereg.diagnose.recorrect import LEFT, recorrected, settled
+from tissuereg.diagnose.recorrect import UNCORRECTED, corrected_fit, recorrected
 from tissuereg.diagnose.refined import refined_effects
-from tissuereg.diagnose.revise import exchanged, needed, without
+from tissuereg.diagnose.revise import exchanged, without, without_redundant
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
-from tissuereg.diagnose.search import Search, Step, _beyond
+from tissuereg.diagnose.search import Search, Step, _with_finding
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import ActuatorOffset, Detachment, Latency, MarkerSlip, Mooney, Poisson, Relaxation, Sliding
 
@@ -50,10 +50,10 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
     assert effect.volumetric == form
 
 
-def refitted(monkeypatch, cause, seen, fits, settled):
+def refitted(monkeypatch, cause, seen, fits, corrected_fit):
     """Return what becomes of a cause's fits, beside a believed model of -100 nats, of which six are asked."""
     monkeypatch.setattr(candidates, "_fit_forms", lambda *_: fits)
-    monkeypatch.setattr(candidates, "settled", lambda target, fitted, progress: settled(target, fitted))
+    monkeypatch.setattr(candidates, "corrected_fit", lambda target, fitted, progress: corrected_fit(target, fitted))
     believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
     (found,) = candidates.refitted(None, None, {cause: Screened(seen, None, np.empty(0))}, believed, {cause: 6.0}, None)
     return found
@@ -139,7 +139,7 @@ def test_a_fit_to_data_of_a_finer_mesh_is_right_once_its_own_mesh_is_put_right(o
     target = of_finer_mesh(of_two, Poisson(poisson=0.3))
     layout = target.bench.layout
     found = fit(target, [part(target, "poisson")])
-    better, again = settled(target, found)
+    better, again = corrected_fit(target, found)
     errors = [abs(f.values(0, 1.0)[0]["poisson"] - 0.3) for f in (found, again)]
     assert errors[1] < 0.2 * errors[0]
     assert again.log_evidence > found.log_evidence + 10.0
@@ -159,19 +159,19 @@ def test_an_effect_that_becomes_another_one_is_put_right_again():
     found = fit(target, [part(target, "sliding", amplitude=1.0, kind="friction")])
     once = recorrected(target, found)
     first = fit(once, found.parts, start=found.x)
-    better, again = settled(target, found)
+    better, again = corrected_fit(target, found)
 
     def left(corrected, fitted):
         effects, coarse = at_believed_modulus(target, fitted)
         missed = corrected.correction.corrected(coarse) - refined_effects(target.bench, effects)
         return float(np.linalg.norm(target.white(missed)))
 
-    assert left(once, first) > 2.0 * LEFT
-    assert left(better, again) < LEFT
+    assert left(once, first) > 2.0 * UNCORRECTED
+    assert left(better, again) < UNCORRECTED
     # Effects that stay what they are need one fine solve.
     asked = []
     fitted = fit(target, [part(target, "poisson")])
-    settled(target, fitted, progress=asked.append)
+    corrected_fit(target, fitted, progress=asked.append)
     assert len(asked) == 1
 
 
@@ -245,14 +245,16 @@ def test_what_differs_in_the_tracker_alone_is_solved_once(of_two, monkeypatch):
 def of_the_same_mesh(monkeypatch):
     """Data of the user's own mesh have no error of a mesh to be put right."""
     # The package's attribute of this name is a function.
-    monkeypatch.setattr(import_module("tissuereg.diagnose.revise"), "settled", lambda target, found: (target, found))
+    monkeypatch.setattr(
+        import_module("tissuereg.diagnose.revise"), "corrected_fit", lambda target, found: (target, found)
+    )
 
 
 @pytest.mark.usefixtures("of_the_same_mesh")
 def test_a_cause_that_is_not_needed_goes(of_two):
     spare = part(of_two, "scale")
     found = fit(of_two, [part(of_two, "poisson"), spare, part(of_two, "latency")])
-    target, kept, left = needed(of_two, found, dict.fromkeys(found.ids, 8.0))
+    target, kept, left = without_redundant(of_two, found, dict.fromkeys(found.ids, 8.0))
     assert kept.ids == ("poisson", "latency")
     assert left == [0, 2]
     assert without(target, kept, 0).log_evidence < kept.log_evidence - 8.0
@@ -330,7 +332,7 @@ def test_findings_that_are_taken_back_leave_the_believed_model(of_two):
     base = fit(of_two, [])
     found = fit(of_two, [part(of_two, "poisson")])
     step = Step({}, [], Candidate("poisson", found, 9.0, of_two), None)
-    search = Search(base, found, [step, replace(step, found=None)], found.residual).taken_back(of_two)
+    search = Search(base, found, [step, replace(step, found=None)], found.residual).withdrawn(of_two)
     assert search.final is base
     assert [s.found for s in search.steps] == [None, None]
     assert np.allclose(search.reduced, base.residual)
@@ -443,9 +445,12 @@ def test_a_fit_begins_where_least_is_left():
 
 def test_beside_an_error_of_the_tracker_a_cause_must_pass_its_own_threshold_and_beside_a_body_more():
     thresholds = {"layer": 6.0, "inclusion": 30.0}
-    assert asked_of(thresholds) == thresholds
-    assert asked_of(thresholds, ("latency", "marker_slip")) == thresholds
-    assert asked_of(thresholds, ("latency", "poisson")) == {"layer": LEAST_FURTHER, "inclusion": 30.0 * FURTHER}
+    assert required_thresholds(thresholds) == thresholds
+    assert required_thresholds(thresholds, ("latency", "marker_slip")) == thresholds
+    assert required_thresholds(thresholds, ("latency", "poisson")) == {
+        "layer": LEAST_FURTHER,
+        "inclusion": 30.0 * FURTHER,
+    }
 
 
 def test_a_slip_is_found_to_begin_in_its_own_frame():
@@ -490,7 +495,7 @@ def test_the_forms_of_what_was_found_stand_beside_further_causes(of_two):
     screen = Screen(bank, np.zeros((1, 1, layout.size)), noise, layout, of_two.correction, of_two.null)
     base = fit(of_two, [])
     found = fit(of_two, [part(of_two, "swelling", 1.0)])
-    plain, beyond, _ = _beyond(of_two, screen, base, base, Candidate("swelling", found, 10.0, of_two))
+    plain, beyond, _ = _with_finding(of_two, screen, base, base, Candidate("swelling", found, 10.0, of_two))
     change = of_two.white(found.prediction - base.prediction)
     expected = other_forms(screen.white_columns("swelling"), change)
     assert len(expected)
@@ -508,6 +513,6 @@ def test_the_forms_of_what_was_found_stand_beside_further_causes(of_two):
         of_two.correction,
         of_two.null,
     )
-    further, _, _ = _beyond(plain, screen, base, found, Candidate("latency", both, 10.0, of_two))
+    further, _, _ = _with_finding(plain, screen, base, found, Candidate("latency", both, 10.0, of_two))
     own = of_two.white(both.prediction - found.prediction)
     np.testing.assert_allclose(further.null.nuisances[len(plain.null.nuisances) :] @ own, 0.0, atol=1e-6)

@@ -10,7 +10,7 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.proof import HeldOut
-from tissuereg.diagnose.run import _stands, _verdict
+from tissuereg.diagnose.run import _explains_enough, _verdict
 from tissuereg.diagnose.search import CLEAR, Step
 from tissuereg.diagnose.signals import Layout
 
@@ -85,7 +85,7 @@ def searched(gain=50.0, over_generic=10.0, over_others=10.0):
     [(0.02, 0.0, 0.0, True), (0.005, 0.9, 0.8, True), (0.005, 1.0, 0.3, False), (0.005, 0.4, 0.8, False)],
 )
 def test_what_leaves_a_misfit_is_named_where_it_explains_half_of_all_and_of_the_worst(p, of_all, there, named):
-    assert _stands(Misfit(p, of_all, there), searched()) == named
+    assert _explains_enough(Misfit(p, of_all, there), searched()) == named
 
 
 @pytest.mark.parametrize(
@@ -99,10 +99,10 @@ def test_what_leaves_a_misfit_is_named_where_it_explains_half_of_all_and_of_the_
     ],
 )
 def test_what_gains_far_more_than_its_rivals_is_named_though_something_is_left(search, of_all, named):
-    assert _stands(Misfit(1e-9, of_all, 0.1), search) == named
+    assert _explains_enough(Misfit(1e-9, of_all, 0.1), search) == named
 
 
 def test_what_was_taken_back_is_not_consistent_whatever_is_left_without_it():
-    assert _verdict([], 0.3, taken_back=False) == "consistent"
-    assert _verdict([], 0.3, taken_back=True) == "unexplained"
-    assert _verdict([], 0.003, taken_back=False) == "unexplained"
+    assert _verdict([], 0.3, withdrawn=False) == "consistent"
+    assert _verdict([], 0.3, withdrawn=True) == "unexplained"
+    assert _verdict([], 0.003, withdrawn=False) == "unexplained"

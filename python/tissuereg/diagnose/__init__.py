@@ -1,7 +1,8 @@
-"""What a simulation gets wrong: shown, named, extended, and the gain measured.
+"""Find the physical causes of the difference between a simulation and its measurements.
 
-`diagnose` takes an experiment and answers. How it goes, step by step, is told in `run`; each cause is a module of
-`causes`.
+`diagnose` takes an experiment (the believed model and what was measured) and returns a verdict, the causes found with
+their evidence, and the believed model extended by them. `run` holds the sequence of steps for a body, `material` the
+one for material tests, and each cause of the catalogue is a module of `causes`. The method: ``docs/diagnose.md``.
 """
 
 from collections.abc import Callable
@@ -50,47 +51,48 @@ def diagnose(
     element: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> "Diagnosis | MaterialDiagnosis":
-    """Return what the simulation of an experiment gets wrong, and why.
+    """Compare an experiment's measurements with its simulation and name the causes of the difference.
 
     Parameters
     ----------
     experiment : Experiment or MaterialExperiment
-        What is believed and what was measured (`tissuereg.read_experiment`, `tissuereg.read_material_experiment`).
+        The believed model and the measurements (`tissuereg.read_experiment`, `tissuereg.read_material_experiment`).
     seed : int
-        Of all chance.
+        Seed of all random draws.
     threads : int
-        Threads to use; 0 takes all cores. The answer does not depend on it.
+        Threads to use; 0 takes all cores. The result does not depend on it.
     keep : bool
-        Whether the bank of causes and the fine meshes' answers are kept for the next experiment of this mesh and rig.
+        Whether the bank of hypotheses and the predictions on fine meshes are cached for further experiments with this
+        mesh and rig.
     element : {"tet4", "tet4-averaged", "tet10"}, optional
-        Elements of the believed model of a body; ``"tet4"`` where absent, and those that the data were simulated with
-        where they are a plain simulation's (``[simulated]`` in the experiment's file). Four-node ones are stiff in
-        bending; a fine mesh corrects what the believed model says, but not what moves only with a cause: a slender body
-        under its own weight wants others.
+        Elements of the believed model of a body. Default: the elements that the data were simulated with where they
+        come from a plain simulation (``[simulated]`` in the experiment's file), ``"tet4"`` otherwise. Four-node
+        elements are too stiff in bending. A fine mesh corrects the believed model's predictions, but not deformations
+        that occur only under a cause: use other elements for a slender body under its own weight.
     progress : callable of str, optional
-        Called with what is at work.
+        Called with the name of the step that begins.
 
     Returns
     -------
     Diagnosis or MaterialDiagnosis
-        Verdict, findings with the extended model, what else was tried. Both have `verdict` and `to_json`.
+        Verdict, findings, extended model, and the evidence of all causes tried. Both have `verdict` and `to_json`.
 
     Raises
     ------
     ArgumentError
-        If an argument is of another kind than said, or out of its range.
+        If an argument has the wrong type or is out of range.
     ExperimentError
         If nothing was measured.
     NoiseError
         If forces were measured and their noise is not stated.
     MeshError
-        If the body cannot be meshed anew, finer.
+        If no finer mesh of the body can be made.
     ConvergenceError
-        If the believed model itself finds no equilibrium.
+        If the believed model itself has no equilibrium.
 
     Notes
     -----
-    Bodies of 4,000 nodes with three load cases take some minutes the first time, most of them for the bank of causes.
+    A body of 4,000 nodes with three load cases takes some minutes the first time, most of them for the bank.
     """
     of_kind("experiment", experiment, (Experiment, MaterialExperiment))
     check_running(seed=seed, threads=threads)

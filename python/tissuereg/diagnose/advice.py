@@ -1,4 +1,8 @@
-"""What to measure next: the action that would tell tied causes apart."""
+"""What to measure next: the stock action whose predicted outcomes best separate causes that the data cannot.
+
+For every pair of tied causes the two fitted models are simulated under the action; the separability is the norm of the
+difference of their predictions, whitened by noise, tracker frame, modulus and force error.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,10 +23,10 @@ from tissuereg.diagnose.signals import Layout
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment import Actuator, Case, Experiment
 
-#: Noise of a force that is not measured yet, mN.
+#: Assumed noise of a force where none has been measured yet, mN.
 MEASURED_TO = 5.0
 
-#: Seconds of a stock case: up, hold, down; and of a long hold.
+#: Durations in s of the ramp, the hold, and the long hold of a stock case.
 UP, HOLD, LONG = 2.0, 6.0, 30.0
 
 
@@ -40,23 +44,24 @@ def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -
     Parameters
     ----------
     target : Target
-        The experiment as it was fitted.
+        Data, believed model, noise and nuisances.
     steps : sequence of Step
-        Of the search.
+        Rounds of the search.
     findings : sequence of Finding
         Accepted causes with their groups.
 
     Returns
     -------
     dict or None
-        ``action`` in words, ``separates`` pairs of ids, ``separability`` the least one of them: the length of what the
-        two fitted explanations differ by there, in units of noise, beside the tracker's frame, the modulus as it is
-        known by now, and the error of forces. None where nothing is tied, and where no pad is moved.
+        ``action`` in words, ``separates`` pairs of ids, ``separability`` the least over the pairs: norm of the
+        difference between the two fitted models' predictions under the action, in noise deviations, given the
+        uncertainty of the tracker's frame, of the modulus as fitted, and of forces. None where nothing is tied, and
+        where no pad is moved.
 
     Notes
     -----
-    An upper bound: explanations are taken as they are fitted, and the mesh's error in the markers of an action that was
-    never simulated on another mesh is not known.
+    The separability is an upper bound: the models' parameters are not fitted again to the outcome, and the
+    discretisation error of the markers under the action is not known.
     """
     pairs: list[tuple[Candidate, Candidate]] = []
     for finding in findings:
@@ -70,8 +75,8 @@ def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -
     best: dict[str, Any] | None = None
     for action in _actions(target.bench.experiment):
         try:
-            told = {candidate: _said(target, candidate.fit, action) for candidate in tied}
-            least = min(_apart(target, action, one.fit, told[one], told[other]) for one, other in pairs)
+            outcomes = {candidate: _prediction(target, candidate.fit, action) for candidate in tied}
+            least = min(_separability(target, action, one.fit, outcomes[one], outcomes[other]) for one, other in pairs)
         except TissueRegError:  # an action without equilibrium is no advice
             continue
         if best is None or least > best["separability"]:
@@ -119,15 +124,15 @@ def _measured(target: Target, action: _Action) -> Experiment:
     return replace(target.bench.experiment, cases={"next": action.case}, rest_case=None)
 
 
-def _said(target: Target, fit: Fit, action: _Action) -> FloatArray:
-    """Return what a fitted explanation says of an action, mm and mN."""
+def _prediction(target: Target, fit: Fit, action: _Action) -> FloatArray:
+    """Return the prediction of a fitted model under an action, mm and mN."""
     experiment = _measured(target, action)
     predictor = Predictor(experiment, Layout(experiment), element=target.bench.predictor.element)
     return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
 
 
-def _apart(target: Target, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
-    """Return the length of what two explanations, a fit's and another, differ by beside what is uncertain anyway."""
+def _separability(target: Target, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
+    """Return the norm of the difference between a fit's prediction and another's, whitened by noise and nuisances."""
     layout = Layout(_measured(target, action))
     markers = layout.of_markers()
     force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO
@@ -138,7 +143,7 @@ def _apart(target: Target, action: _Action, fit: Fit, one: FloatArray, other: Fl
         columns.append(np.where(markers, 0.0, deviation * one))
     else:
         stiffer = replace(fit, x=fit.x + deviation * np.eye(len(fit.x))[0])
-        columns.append(_said(target, stiffer, action) - one)
+        columns.append(_prediction(target, stiffer, action) - one)
     for part in layout.parts:
         for pad in range(len(part.pads)):
             strength = np.linalg.norm(part.forces(one)[:, pad], axis=1)

@@ -1,4 +1,4 @@
-"""What a diagnosis answers: verdict, findings, discrepancy, extended model; as a record and as JSON."""
+"""The result of a diagnosis: verdict, findings, discrepancy and extended model, as a record and as JSON."""
 
 import os
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from tissuereg.experiment import Experiment
 
 SCHEMA = "tissuereg.diagnosis/1"
 
-#: With fewer load cases a verdict is provisional: no case can be left out and foretold by two others.
+#: With fewer load cases a verdict is provisional: a case that is held out is not predicted from at least two others.
 LEAST_CASES = 3
 
 
@@ -23,23 +23,23 @@ class Finding:
     Attributes
     ----------
     id : str
-        The likeliest.
+        Id of the likeliest cause.
     group : tuple of str
-        All ids that the data cannot tell from it, itself first; three at most.
+        Ids that the data cannot distinguish from it, itself first; three at most.
     probability : float
-        Of the id, among all that were tried, none and the generic rival.
+        Posterior probability of the id among all causes tried, no cause, and the generic rival.
     log_bayes_factor : float
-        Against the model without it.
+        Of the model with the cause against the model without it, nats.
     threshold : float
-        That it had to pass.
+        Log Bayes factor that was required.
     parameters : dict
-        Keys of its ``[[effect]]`` table.
+        Fitted parameters by key of the ``[[effect]]`` table.
     deviations : dict
         Their standard deviations, where they are numbers.
     held_out : dict
-        What was proved on data that were not fitted.
+        Errors of the predictions of held-out data.
     sentence : str
-        In plain words.
+        The finding in words.
     """
 
     id: str
@@ -68,7 +68,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The answer to "what does the simulation get wrong?".
+    """The result of a diagnosis.
 
     Attributes
     ----------
@@ -79,22 +79,23 @@ class Diagnosis:
     candidates : tuple of dict
         Every id that was tried: ``id``, ``probability``, ``log_bayes_factor``, ``detectability``.
     p_misfit : float
-        Probability that data without further effects misfit as much, after the findings.
+        p-value of the residual after the findings: probability that data without further effects misfit as much.
     discrepancy : dict
-        Where, when and under which load the believed model is wrong.
+        Where, when and under which load the believed model differs from the data.
     extended : Experiment
-        The believed experiment with the findings as effects, and the modulus as fitted where the data tell it.
+        The believed experiment with the findings as effects, and the fitted modulus where the data determine it.
     next_experiment : dict or None
-        What would tell tied causes apart; where the verdict is ``unexplained``, what to check (`whereabouts`).
+        Action that would distinguish tied causes; where the verdict is ``unexplained``, what to check
+        (`localisation`).
     left : dict or None
-        What the findings do not explain, where that is more than effect-free data leave: its probability ``p``,
-        ``where`` (markers and pads), ``when``, the cause that it ``looks_like``, and a ``sentence``.
+        Residual misfit after the findings, None where there is none: its p-value ``p``, ``where`` (markers and pads),
+        ``when``, the cause that it ``looks_like``, and a ``sentence``.
     seed : int
-        Of all chance.
+        Seed of all random draws.
     versions : dict of str to str
-        Of the package and what it computes with.
+        Versions of the package, numpy and Python.
     details : dict
-        What the report draws from: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
+        Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
     """
 
     verdict: str
@@ -110,12 +111,12 @@ class Diagnosis:
     details: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        said = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
-        return f"Diagnosis({self.verdict}: {said}; p_misfit {self.p_misfit:.2g})"
+        names = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
+        return f"Diagnosis({self.verdict}: {names}; p_misfit {self.p_misfit:.2g})"
 
     @property
     def provisional(self) -> bool:
-        """Whether so few load cases were measured that findings are proved on frames of cases that were fitted."""
+        """Whether fewer than `LEAST_CASES` load cases were measured, too few to hold out a case and fit several."""
         acts = [case for case in self.extended.cases.values() if case.displacements or case.applied_forces]
         return len(acts) < LEAST_CASES
 
@@ -137,7 +138,7 @@ class Diagnosis:
         }
 
     def report(self, path: str | os.PathLike[str]) -> Path:
-        """Write one self-contained HTML page: verdict, body with residuals, ranking, proof, what was assumed.
+        """Write one self-contained HTML page: verdict, body with residuals, ranking, proof, assumptions.
 
         Parameters
         ----------
@@ -167,7 +168,7 @@ class Diagnosis:
         folder : path-like
             Files of these names in it are replaced, others stay.
         extra : mapping, optional
-            Entries added to the JSON, or put over its own.
+            Entries added to the JSON, or replacing its own.
 
         Returns
         -------
@@ -177,7 +178,7 @@ class Diagnosis:
         Raises
         ------
         ExperimentError
-            If the extended model cannot stand in a file.
+            If the extended model cannot be written as a file.
         OutputError
             If the folder cannot be written.
         """
@@ -189,20 +190,20 @@ class Diagnosis:
 
 def _pairs(values: Values, deviations: Values) -> dict[str, Any]:
     """Return numbers with their deviations as [value, deviation]; lists of numbers as lists of such pairs."""
-    said: dict[str, Any] = {}
+    pairs: dict[str, Any] = {}
     for key, value in values.items():
         spread = deviations.get(key)
         if spread is None:
-            said[key] = value
+            pairs[key] = value
         elif isinstance(value, list) and isinstance(spread, list):
-            said[key] = [list(pair) for pair in zip(value, spread, strict=True)]
+            pairs[key] = [list(pair) for pair in zip(value, spread, strict=True)]
             if key in ("centre_mm", "direction") and len(value) == 3:
-                # Also by component, as the format's example has it.
+                # Also by component, as in the example of the format.
                 stem, _, unit = key.partition("_")
-                for axis, pair in zip("xyz", said[key], strict=True):
-                    said[f"{axis}_{unit}" if unit else f"{stem}_{axis}"] = pair
+                for axis, pair in zip("xyz", pairs[key], strict=True):
+                    pairs[f"{axis}_{unit}" if unit else f"{stem}_{axis}"] = pair
         else:
-            said[key] = [value, spread]
+            pairs[key] = [value, spread]
     if "semi_axes_mm" in values:
-        said["radius_mm"] = said["semi_axes_mm"][0]
-    return said
+        pairs["radius_mm"] = pairs["semi_axes_mm"][0]
+    return pairs

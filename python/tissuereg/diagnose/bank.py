@@ -1,7 +1,8 @@
-"""The bank: all hypotheses of all causes with their columns, kept between calls by content.
+"""The bank: all hypotheses of all causes with their sensitivity columns, cached between calls.
 
-What a bank depends on is what is believed and what the rig does, not what was measured: the next experiment on the same
-mesh and rig finds it made. Banks lie in the cache folder of the package (`tissuereg.io.cache`).
+A bank depends on the believed model and on what the rig does, not on what was measured, so that further experiments
+with the same mesh and rig reuse it. Files lie in the cache folder of the package (`tissuereg.io.cache`), named by a
+hash of all that they depend on.
 """
 
 import hashlib
@@ -22,31 +23,31 @@ from tissuereg.experiment import Experiment
 from tissuereg.io.cache import cache_folder, keep_in_cache
 from tissuereg.io.json import dumps
 
-#: Raised when columns change their meaning: banks of other releases are not read.
+#: To be increased when columns change their meaning, so that older files are not read.
 SCHEMA = 10
 
-#: Causes whose columns are closed forms: made anew each time, never kept.
+#: Causes whose columns are closed forms: computed at each call, never cached.
 CLOSED_FORM = tuple(name for name in CAUSES if issubclass(EFFECTS[name], ChainEffect))
 
-#: Oldest banks go when there are more than this.
+#: Number of cached banks; the oldest are deleted.
 MOST_FILES = 24
 
 
-#: Hypotheses by id of the cause; causes that an experiment has no place for are left out.
+#: Hypotheses by id of the cause; causes without a hypothesis in an experiment are left out.
 Bank = dict[str, list[Variant]]
 
 
 def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None] | None = None) -> Bank:
-    """Return the bank of a believed model, from the cache where it was made before.
+    """Return the bank of a believed model, from the cache where possible.
 
     Parameters
     ----------
     bench : Bench
-        The believed model; what it says is taken from the cache too.
+        The believed model; its prediction is taken from the cache too.
     keep : bool
         Whether to read and write the cache.
     progress : callable of str, optional
-        Called with the id of the cause that is at work.
+        Called with the id of the cause whose columns are computed.
 
     Returns
     -------
@@ -56,7 +57,7 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
     Raises
     ------
     ConvergenceError
-        If the believed model itself finds no equilibrium.
+        If the believed model itself has no equilibrium.
     """
     path = cache_folder() / f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA}')}.npz"
     base, bank = _read(path) if keep else (None, {})
@@ -75,7 +76,7 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
 
 
 def fingerprint(experiment: Experiment, of: str) -> str:
-    """Return a hash of all that a believed model says depends on, and of what it is taken of, hexadecimal."""
+    """Return a hash of everything that a believed model's prediction depends on, and of a label `of`, hexadecimal."""
     digest = hashlib.sha256(f"{__version__} {of}".encode())
     mesh = experiment.mesh
     parts = [mesh.nodes, mesh.tets, experiment.marker_reference]
@@ -92,12 +93,14 @@ def fingerprint(experiment: Experiment, of: str) -> str:
         array = np.ascontiguousarray(part)
         digest.update(f"{array.shape} {array.dtype}".encode() + array.tobytes())
     weight = experiment.gravity
-    said = "none" if weight is None else f"{list(weight.direction)} {weight.g_mm_per_s2} {weight.in_reference}"
+    gravity = "none" if weight is None else f"{list(weight.direction)} {weight.g_mm_per_s2} {weight.in_reference}"
     patches = [f"{pad.name} {pad.kind} {pad.rule}" for pad in experiment.actuators]
     patches += [boundary.name for boundary in experiment.boundaries]
     effects = [dumps(effect.table()) for effect in experiment.effects]
     digest.update(
-        "\n".join([experiment.material.digest(), f"{experiment.material.density}", said, *patches, *effects]).encode()
+        "\n".join(
+            [experiment.material.digest(), f"{experiment.material.density}", gravity, *patches, *effects]
+        ).encode()
     )
     return digest.hexdigest()[:32]
 
@@ -128,7 +131,7 @@ def _write(path: Path, base: FloatArray, bank: Bank) -> None:
 
 
 def _read(path: Path) -> tuple[FloatArray | None, Bank]:
-    """Return what the believed model says and the hypotheses that are kept; none where the file is damaged."""
+    """Return the cached prediction of the believed model and the hypotheses; nothing where the file is damaged."""
     try:
         with np.load(path, allow_pickle=False) as kept:
             card = json.loads(str(kept["card"]))

@@ -1,4 +1,8 @@
-"""The believed model on the bench: its prediction, its derivatives, and what any effect changes."""
+"""The believed model with everything that hypotheses are computed from.
+
+A `Bench` gives the model's prediction on the user's mesh, its sensitivities (`tangents`), and the change that any
+effect makes, all as flat vectors in the order of a `Layout`.
+"""
 
 import os
 from collections.abc import Callable, Sequence
@@ -19,10 +23,10 @@ from tissuereg.simulate.fine import FineModel
 from tissuereg.simulate.memory import goes_through_time
 from tissuereg.simulate.sensitivity import Cause, Field
 
-#: Deviation of the modulus over its mean, where the file states none.
+#: Default prior deviation of the modulus, over its mean.
 YOUNG_SPREAD = 0.3
 
-#: Effects with stresses in their tables, which do not grow with the modulus.
+#: Effects with stresses among their parameters, which are not proportional to the modulus.
 _ABSOLUTE = tuple(effect.id for effect in EFFECTS.values() if effect.absolute)
 
 _In = TypeVar("_In")
@@ -30,12 +34,12 @@ _Out = TypeVar("_Out")
 
 
 class Bench:
-    """A believed model that can be asked how what was measured follows anything.
+    """The believed model: prediction, sensitivities, and changes by effects.
 
     Parameters
     ----------
     experiment : Experiment
-        What is believed.
+        The believed model, with loads and marker places.
     layout : Layout
         Order of all columns.
     element : {"tet4", "tet4-averaged", "tet10"}
@@ -54,7 +58,7 @@ class Bench:
 
     @cached_property
     def base(self) -> FloatArray:
-        """What the believed model says, shape (size,)."""
+        """Prediction of the believed model on the user's mesh, shape (size,), mm and mN."""
         return self.predictor.predict()
 
     @cached_property
@@ -64,38 +68,38 @@ class Bench:
 
     @property
     def is_exact(self) -> bool:
-        """Whether the data were simulated with this model, on this mesh as it is: nothing of it is uncertain."""
-        said = self.experiment.simulated
-        return said is not None and said.model == "plain" and said.element == self.predictor.element
+        """Whether the data were simulated on this mesh with these elements: there is no discretisation error."""
+        simulated = self.experiment.simulated
+        return simulated is not None and simulated.model == "plain" and simulated.element == self.predictor.element
 
     @cached_property
     def is_elastic(self) -> bool:
-        """Whether the believed model's frames depend on their own load alone."""
+        """Whether every frame of the believed model depends on its own load alone."""
         return not goes_through_time(extended(self.experiment, self.predictor.element))
 
     @cached_property
     def scales_forces(self) -> bool:
-        """Whether the modulus scales forces and does nothing else: all that acts is displacement."""
+        """Whether the modulus does nothing but scale forces, because displacements alone drive the body."""
         driven = any(case.applied_forces for case in self.experiment.cases.values())
         absolute = any(effect.id in _ABSOLUTE for effect in self.experiment.effects)
         return self.experiment.gravity is None and not driven and not absolute
 
     @cached_property
     def tangents(self) -> Tangents:
-        """Derivatives of the believed model, where it is elastic."""
+        """Sensitivities of the believed model, where it is elastic."""
         return Tangents(self.predictor)
 
     def by(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return how everything measured follows directions; see `Tangents.columns`."""
+        """Return the sensitivity columns of parameters; see `Tangents.columns`."""
         return self.tangents.columns(direction, count)
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
-        """Return how everything measured follows relative changes of the modulus; see `Tangents.by_fields`."""
+        """Return the sensitivity columns of relative changes of the modulus; see `Tangents.by_fields`."""
         return self.tangents.by_fields(shares)
 
     @cached_property
     def by_young(self) -> FloatArray:
-        """How everything measured follows the modulus, over a relative change, shape (1, size)."""
+        """Sensitivity column of a relative change of the modulus, shape (1, size)."""
         if not self.is_elastic:
             forces = np.where(self.layout.of_markers(), 0.0, self.base)
             if self.scales_forces:
@@ -107,13 +111,13 @@ class Bench:
         return self.by(lambda state: [Field("young", rates)], 1)
 
     def change(self, *effects: Effect) -> FloatArray | None:
-        """Return what effects change, shape (size,); None where they fit nothing or leave no equilibrium."""
+        """Return the change that effects make, shape (size,); None where they do not apply or have no equilibrium."""
         return self.changes([effects])[0]
 
     def changes(self, tried: Sequence[Sequence[Effect]]) -> list[FloatArray | None]:
-        """Return what each of many sets of effects changes, as `change`; several are simulated at a time.
+        """Return the change that each of many sets of effects makes, as `change`; several are simulated in parallel.
 
-        Frames that follow each other keep one thread busy, so that many histories take as many threads.
+        The frames of a history are solved one after another on one thread, so that histories run in parallel.
         """
         base = self.base
 
@@ -126,7 +130,7 @@ class Bench:
         return self.side_by_side(one, tried)
 
     def side_by_side(self, work: Callable[[_In], _Out], tried: Sequence[_In]) -> list[_Out]:
-        """Return what pieces of work, each for one thread, give, in their order."""
+        """Return the results of pieces of work, each run on one thread, in their order."""
         workers = self.predictor.threads or os.cpu_count() or 1
         if workers == 1 or len(tried) == 1:
             return [work(one) for one in tried]

@@ -1,4 +1,8 @@
-"""Causes that may be it: chosen by their linear evidence, fitted, the mesh's error in them put right."""
+"""Candidates of one round of the search: causes with enough linear evidence, fitted nonlinearly and corrected.
+
+Input is the screening of all causes given the current model; output, for each candidate, its best fit over the forms it
+may take, with the discretisation error of the cause corrected (`recorrect`), and its log Bayes factor.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -8,36 +12,36 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.fit import Fit, Part, Target, best_start, choices_of, fit
-from tissuereg.diagnose.recorrect import PUT_RIGHT, settled
+from tissuereg.diagnose.recorrect import CORRECTION_GAIN, corrected_fit
 from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
 from tissuereg.effects import EFFECTS, ChainEffect
 
-#: Candidates that are fitted: this many, and all within so many nats of the best.
+#: Causes that are fitted: this many, and all within so many nats of the best.
 REFITTED = 4
 WITHIN = 10.0
 
-#: Shares of what a cause must pass that its linear evidence must reach to be fitted: alone, and beside others.
+#: Linear evidence that a cause needs to be fitted, as a share of its threshold: as first and as a further cause.
 LIKELY, LIKELY_FURTHER = 0.4, 0.5
 
-#: Beside a cause that acts on the body a further one must pass this many times its threshold, and so many nats: what
-#: was found before has an error of a form unknown. What the tracker does is known exactly.
+#: Once a cause that acts on the body was found, a further one must exceed this many times its threshold, and at least
+#: so many nats, because the form of the found cause has an unknown error. Effects of the tracker are known exactly.
 FURTHER, LEAST_FURTHER = 1.5, 18.0
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A cause that was fitted beside those found before.
+    """A cause that was fitted together with those found before.
 
     Attributes
     ----------
     id : str
         Of the cause.
     fit : Fit
-        With the causes found before.
+        Of this cause and those found before.
     gain : float
-        Log Bayes factor against the model before.
+        Log Bayes factor against the model without it, nats.
     target : Target
-        What was fitted; of likely ones with the mesh's error in the causes put right.
+        Target of the fit; for likely candidates with the discretisation error of the causes corrected.
     """
 
     id: str
@@ -46,7 +50,7 @@ class Candidate:
     target: Target
 
     def as_mate(self) -> tuple[Part, FloatArray]:
-        """Return the cause, fitted last, with its knobs."""
+        """Return the cause, the last one of the fit, with its fitted parameters."""
         return self.fit.parts[-1], self.fit.x[self.fit.slices()[-1]]
 
 
@@ -55,25 +59,25 @@ def refitted(
     screen: Screen,
     screened: Mapping[str, Screened],
     current: Fit,
-    asked: Mapping[str, float],
+    required: Mapping[str, float],
     progress: Callable[[str], None] | None,
 ) -> list[Candidate]:
-    """Return the likeliest causes beside those of a fit, fitted; those that may be it with the mesh's error put right.
+    """Return the fitted candidates; those near enough to acceptance have their discretisation error corrected.
 
     Parameters
     ----------
     target : Target
-        What is fitted.
+        Data, believed model, noise and nuisances.
     screen : Screen
         All hypotheses of the bank.
     screened : mapping of str to Screened
-        Linear evidence of all causes beside the fit.
+        Linear evidence of all causes given the current fit.
     current : Fit
         With the causes found before.
-    asked : mapping of str to float
-        Nats that every cause must pass.
+    required : mapping of str to float
+        Log Bayes factor that each cause must exceed, nats.
     progress : callable of str, optional
-        Called with what is at work.
+        Called with the name of the step that begins.
 
     Returns
     -------
@@ -86,12 +90,12 @@ def refitted(
         key=lambda name: -screened[name].log_bayes_factor,
     )
     best = screened[order[0]].log_bayes_factor if order else -np.inf
-    # Beside a fitted model the linear evidence is nearly that of a fit.
+    # Given a fitted cause, residuals are small and the linear evidence is close to that of a fit.
     likely = LIKELY_FURTHER if current.parts else LIKELY
     chosen = [
         name
         for rank, name in enumerate(order)
-        if screened[name].log_bayes_factor > likely * asked[name]
+        if screened[name].log_bayes_factor > likely * required[name]
         and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
     ]
     fits: dict[str, list[Fit]] = {}
@@ -99,38 +103,39 @@ def refitted(
         if progress is not None:
             progress(f"fit {' + '.join([*current.ids, name])}")
         best_fit = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
-        least = max(best_fit - PUT_RIGHT, current.log_evidence + asked[name])
+        least = max(best_fit - CORRECTION_GAIN, current.log_evidence + required[name])
         forms = _fit_forms(target, screen, screened[name], current, name, least)
         if forms:
             fits[name] = forms
     top = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
     found = []
     for name, forms in fits.items():
-        # A fit may lose on the user's mesh what screening saw: friction there lets too much slip in other places.
-        seen = screened[name].log_bayes_factor >= asked[name]
-        least = top - PUT_RIGHT if seen else max(top - PUT_RIGHT, current.log_evidence + likely * asked[name])
-        put_right = (settled(target, form, progress=progress) for form in forms if form.log_evidence > least)
-        own, fitted = max(put_right, key=lambda pair: pair[1].log_evidence, default=(target, forms[0]))
+        # Uncorrected, a fit may lose the evidence seen in screening: friction on a coarse mesh slips too far elsewhere.
+        least = top - CORRECTION_GAIN
+        if screened[name].log_bayes_factor < required[name]:
+            least = max(least, current.log_evidence + likely * required[name])
+        corrected = (corrected_fit(target, form, progress=progress) for form in forms if form.log_evidence > least)
+        own, fitted = max(corrected, key=lambda pair: pair[1].log_evidence, default=(target, forms[0]))
         found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, own))
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
-def asked_of(thresholds: Mapping[str, float], beside: Iterable[str] = ()) -> dict[str, float]:
-    """Return the log Bayes factor that every cause must pass, alone or beside others found before.
+def required_thresholds(thresholds: Mapping[str, float], found: Iterable[str] = ()) -> dict[str, float]:
+    """Return the log Bayes factor that each cause must exceed, given the causes found before.
 
     Parameters
     ----------
     thresholds : mapping of str to float
-        Alone.
-    beside : iterable of str
-        Ids of those found before.
+        Thresholds of first causes, by id.
+    found : iterable of str
+        Ids of the causes found before.
 
     Returns
     -------
     dict of str to float
         Nats.
     """
-    if all(issubclass(EFFECTS[name], ChainEffect) for name in beside):
+    if all(issubclass(EFFECTS[name], ChainEffect) for name in found):
         return dict(thresholds)
     return {name: max(FURTHER * least, LEAST_FURTHER) for name, least in thresholds.items()}
 
@@ -138,8 +143,8 @@ def asked_of(thresholds: Mapping[str, float], beside: Iterable[str] = ()) -> dic
 def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit, name: str, least: float) -> list[Fit]:
     """Return the fits of a cause's likeliest hypothesis and of the alternatives to it, likeliest first.
 
-    Fits end early that will not reach `least`, a log evidence, or that the mesh's error, put right, makes no likelier
-    than the best one.
+    A fit ends early where it will not reach the log evidence `least`, or where the correction of its discretisation
+    error could not make it likelier than the best one.
     """
     variant = screened.best
     assert variant is not None  # only the generic rival has none
@@ -151,7 +156,7 @@ def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit,
         knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
         parts = [*current.parts, Part(name, knobs)]
         start = best_start(target, parts, current.x)
-        fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - PUT_RIGHT))
+        fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - CORRECTION_GAIN))
         if fitted is not None:
             fits.append(fitted)
             best = max(best, fitted.log_evidence)

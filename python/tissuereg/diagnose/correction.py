@@ -1,4 +1,8 @@
-"""The error of the user's mesh, taken from a finer one and put right in every prediction."""
+"""Correction of the discretisation error: predictions on the user's mesh, carried to a finer mesh.
+
+Markers get an additive difference. Forces get a linear map per frame and pad plus a difference, because a coarse mesh
+is too stiff by a factor. A fitted effect may have a term of its own (`OfEffect`), proportional to the effect.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -12,18 +16,18 @@ from tissuereg.simulate.fine.forces import force_maps, mapped
 
 @dataclass(frozen=True, eq=False)
 class OfEffect:
-    """What a finer mesh changes of an effect, for predictions that have more or less of it.
+    """The discretisation error of one effect, for predictions that have more or less of the effect.
 
     Attributes
     ----------
     base : ndarray of float64, shape (size,)
-        The believed model on the user's mesh, mm and mN.
+        Prediction of the believed model on the user's mesh, mm and mN.
     change : ndarray of float64, shape (size,)
-        What the effect changes there.
+        Change that the effect makes there.
     along : ndarray of float64, shape (size,)
-        Times a change it gives how much of the effect that is: 0 for the believed model, 1 for the effect itself.
+        Its scalar product with a change is the amount of the effect in it: 0 for the believed model, 1 for the effect.
     difference : ndarray of float64, shape (size,)
-        Fine less corrected for the effect itself, at the believed modulus, mm and mN.
+        Fine minus corrected prediction with the effect, at the believed modulus, mm and mN.
     """
 
     base: FloatArray
@@ -32,36 +36,37 @@ class OfEffect:
     difference: FloatArray
 
     def share(self, coarse: FloatArray) -> FloatArray:
-        """Return how much of the effect predictions (..., size) of the user's mesh have, at the believed modulus."""
+        """Return the amount of the effect in predictions (..., size) on the user's mesh, at the believed modulus."""
         return np.asarray((coarse - self.base) @ self.along)
 
     def at(self, coarse: FloatArray) -> FloatArray:
-        """Return what is missing in such predictions (..., size)."""
+        """Return the correction of such predictions (..., size)."""
         return np.asarray(self.share(coarse)[..., None] * self.difference)
 
     def other(self, coarse: FloatArray) -> FloatArray:
-        """Return what such predictions (..., size) change that is no multiple of the effect."""
+        """Return the part of the change in such predictions (..., size) that is no multiple of the effect."""
         return np.asarray(coarse - self.base - self.share(coarse)[..., None] * self.change)
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What a finer mesh changes: markers by a difference, forces by a map a frame.
+    """The correction from the user's mesh to a finer one: a difference for markers, a linear map per frame for forces.
 
-    A map, because forces follow modulus and memory as a whole; the error of the markers hangs on motion alone.
+    Forces need a map because their error is proportional to modulus and memory; the error of the markers depends on the
+    motion alone.
 
     Attributes
     ----------
     layout : Layout
-        Order of all that is corrected.
+        Order of the data.
     maps : mapping of str to ndarray of float64, shape (n_frames, n_pads, 3, 3)
-        Of the forces of every case; those of other cases stay.
+        Maps of forces by case; forces of other cases are unchanged.
     difference : ndarray of float64, shape (size,), or 0
-        Fine less mapped, mm and mN.
+        Fine minus mapped prediction, mm and mN.
     modulus : float
-        Over the believed one, where derivatives are taken: forces grow with it.
+        Modulus over the believed one at which derivatives are taken; forces are proportional to it.
     of_effect : OfEffect, optional
-        What was found has an error of its own on the user's mesh.
+        Correction of a fitted effect.
     """
 
     layout: Layout
@@ -85,7 +90,7 @@ class Correction:
         return np.asarray(columns * self._scale(self.modulus))
 
     def with_effect(self, base: FloatArray, coarse: FloatArray, fine: FloatArray, std: FloatArray) -> "Correction":
-        """Return the correction that is right for the believed model and for one with an effect.
+        """Return a correction that is exact for the believed model and for the model with an effect.
 
         Parameters
         ----------
@@ -94,7 +99,7 @@ class Correction:
         fine : ndarray of float64, shape (size,)
             The fine mesh with it.
         std : ndarray of float64, shape (size,)
-            Of the noise: how much of the effect a prediction has is measured in it.
+            Noise, by which the amount of the effect in a prediction is weighted.
 
         Returns
         -------
@@ -121,19 +126,19 @@ class Correction:
 
 
 def make_correction(layout: Layout, coarse: FloatArray, fine: FloatArray) -> Correction:
-    """Return the correction that carries one prediction into another.
+    """Return the correction that maps one prediction exactly to another.
 
     Parameters
     ----------
     layout : Layout
         Order of both.
     coarse, fine : ndarray of float64, shape (size,)
-        What the believed model says on two meshes.
+        Predictions of the believed model on two meshes.
 
     Returns
     -------
     Correction
-        One map a frame and pad.
+        With one map for each frame and pad.
     """
     maps = {}
     for part in layout.parts:

@@ -1,4 +1,4 @@
-"""Where, when and under which load the believed model is wrong, without naming a cause."""
+"""The discrepancy: at which markers, when and under which load the believed model differs from the measurements."""
 
 from typing import Any
 
@@ -8,13 +8,13 @@ from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.fit import Fit
 from tissuereg.diagnose.signals import Layout
 
-#: Markers that are named, and how far above the others in noise deviations they lie.
+#: Number of markers that are listed at most, and their least root mean square in noise deviations.
 MOST_MARKERS = 5
 ABOVE = 1.3
 
 
 def describe(layout: Layout, base: Fit, final: Fit) -> dict[str, Any]:
-    """Return the discrepancy of the believed model, modulus fitted.
+    """Return the discrepancy of the believed model with fitted modulus.
 
     Parameters
     ----------
@@ -27,7 +27,8 @@ def describe(layout: Layout, base: Fit, final: Fit) -> dict[str, Any]:
     -------
     dict
         ``rms_mm`` and ``in_sigma`` over all markers, ``where`` the worst markers, ``when`` in words, ``under`` the
-        worst case; per case, marker and frame as lists of chi; the same after the findings under ``after``.
+        worst case; chi (root mean square residual in noise deviations) by case and marker; ``rms_mm`` and ``in_sigma``
+        of the final model under ``after``.
     """
     seen = layout.seen
     error = np.where(seen, layout.measured - base.prediction, np.nan)

@@ -1,11 +1,12 @@
-"""Exact evidence where everything is linear and Gaussian: what is expected without a cause, and with one.
+"""Exact log Bayes factors of linear-Gaussian hypotheses against the null hypothesis.
 
-With whitened residual r, nuisances N and a cause's columns A (all scaled by their prior deviations),
+With whitened residual r, nuisance columns N and a cause's columns A (all times their prior standard deviations),
 
-    r ~ N(0, C0),  C0 = I + N N^T          without the cause,
+    r ~ N(0, C0),  C0 = I + N N^T          without the cause (null hypothesis),
     r ~ N(0, C0 + A A^T)                   with it,
 
-and the log Bayes factor is 1/2 b^T M^-1 b - 1/2 log det M with b = A^T C0^-1 r and M = I + A^T C0^-1 A.
+and the log Bayes factor is 1/2 b^T M^-1 b - 1/2 log det M with b = A^T C0^-1 r and M = I + A^T C0^-1 A. Residuals and
+columns are first multiplied by C0^-1/2 ("reduced"), which integrates the nuisances out; C0 is then the identity.
 """
 
 from dataclasses import dataclass
@@ -18,12 +19,12 @@ from tissuereg._arrays import FloatArray
 
 
 class Null:
-    """What whitened data are expected to be without a cause.
+    """The null covariance ``C0 = I + N N^T`` of whitened data without a cause.
 
     Parameters
     ----------
     nuisances : ndarray of float64, shape (n_nuisances, size)
-        Whitened columns times their prior deviations.
+        Whitened columns times their prior standard deviations, ``N^T``.
     """
 
     def __init__(self, nuisances: FloatArray) -> None:
@@ -41,14 +42,14 @@ class Null:
 
 @dataclass(frozen=True, eq=False)
 class Amplitudes:
-    """A cause fitted by its linear amplitudes.
+    """Linear fit of a hypothesis.
 
     Attributes
     ----------
     log_bayes_factor : float
-        Against the null.
+        Against the null hypothesis, nats.
     mean : ndarray of float64, shape (p,)
-        In prior deviations.
+        Posterior mean of the amplitudes, in prior standard deviations.
     """
 
     log_bayes_factor: float
@@ -56,14 +57,14 @@ class Amplitudes:
 
 
 def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
-    """Return a cause's evidence and amplitudes.
+    """Return the evidence and the amplitudes of one hypothesis.
 
     Parameters
     ----------
     residual : ndarray of float64, shape (size,)
         Reduced (`Null.reduced`).
     columns : ndarray of float64, shape (p, size)
-        Reduced, times prior deviations.
+        Reduced, times prior standard deviations.
 
     Returns
     -------
@@ -78,14 +79,14 @@ def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
 
 
 class Blocks:
-    """Many hypotheses of one shape, prepared for any number of residuals.
+    """Many hypotheses with the same number of columns, factored once for any number of residuals.
 
     Parameters
     ----------
     columns : ndarray of float32, shape (n_blocks, p, size)
-        Reduced, times prior deviations.
+        Reduced, times prior standard deviations.
     positive : bool
-        Whether the one amplitude (p = 1) cannot be negative: its prior is a half of the normal one.
+        Whether the one amplitude (p = 1) cannot be negative: its prior is then half-normal.
     """
 
     def __init__(self, columns: FloatArray, *, positive: bool = False) -> None:
@@ -98,7 +99,7 @@ class Blocks:
         self._inverse = np.linalg.inv(lower)
 
     def log_bayes_factors(self, residuals: FloatArray) -> FloatArray:
-        """Return log Bayes factors against the null, (n, n_blocks), for reduced residuals (n, size)."""
+        """Return log Bayes factors against the null hypothesis, (n, n_blocks), for reduced residuals (n, size)."""
         n_blocks, p, size = self.columns.shape
         along = residuals.astype(np.float32) @ self.columns.reshape(-1, size).T
         along = along.astype(np.float64).reshape(-1, n_blocks, p)

@@ -1,4 +1,4 @@
-"""The folder of a diagnosis: answer, extended model, report; whole or not at all."""
+"""The folder of a diagnosis: answer, extended model and report, written whole or not at all."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,11 +19,11 @@ def write_diagnosis(found: "Diagnosis", out: Path, extra: Mapping[str, Any]) -> 
     Parameters
     ----------
     found : Diagnosis
-        The answer.
+        The diagnosis.
     out : Path
         Folder; files of these names in it are replaced, others stay.
     extra : mapping
-        Entries added to the JSON, or put over its own.
+        Entries added to the JSON, or replacing its own.
 
     Returns
     -------
@@ -33,13 +33,13 @@ def write_diagnosis(found: "Diagnosis", out: Path, extra: Mapping[str, Any]) -> 
     Raises
     ------
     ExperimentError
-        If the extended model cannot stand in a file (`tissuereg.io.experiment_out.write_experiment`).
+        If the extended model cannot be written as a file (`tissuereg.io.experiment_out.write_experiment`).
     OutputError
         If the folder cannot be written.
     """
     with atomic_folder(out) as folder:
         write_json(folder / "diagnosis.json", {**found.to_json(), **extra})
-        # Paths in the model lead from the folder's final place.
+        # Paths in the model are relative to the final folder.
         write_experiment(found.extended, folder / "experiment.extended.toml", seen_from=out)
         write_report(found, folder / "report.html", seen_from=out)
     return out

@@ -1,4 +1,4 @@
-"""What is said of a search: findings with their groups, probabilities and proofs, and all candidates."""
+"""The findings of a search with groups, probabilities and held-out errors, and the table of all candidates."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -6,40 +6,41 @@ from typing import Any
 import numpy as np
 
 from tissuereg.diagnose.answer import Finding
-from tissuereg.diagnose.candidates import asked_of
+from tissuereg.diagnose.candidates import required_thresholds
 from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.chances import LOOK_ALIKE, TEMPER, probabilities
 from tissuereg.diagnose.fit import Target
 from tissuereg.diagnose.modulus import modulus_finding
+from tissuereg.diagnose.probability import LOOK_ALIKE, TEMPER, probabilities
 from tissuereg.diagnose.proof import GENERIC, NAMED, held_out_figures
 from tissuereg.diagnose.screen import UNKNOWN, Screen
 from tissuereg.diagnose.search import SEPARABLE, Search, Step
 
-#: Ids in one group at most.
+#: Number of ids in a group, at most.
 MOST_IN_GROUP = 3
 
-#: A cause is in the group of the one found if it passes the threshold too, or is this share as likely.
+#: A cause within the separability of the one found is in its group if it passes the threshold too, or if its
+#: probability is at least this share of the other's.
 AS_LIKELY = 0.1
 
 
 def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
-    """Return what a search has found, the modulus among it where it lies beyond its prior.
+    """Return the findings of a search, the modulus among them where it lies beyond its prior.
 
     Parameters
     ----------
     target : Target
-        What was fitted.
+        Target of the first fit.
     screen : Screen
-        All hypotheses, the generic rival among them.
+        All hypotheses and the generic rival.
     found : Search
         All rounds.
     thresholds : mapping of str to float
-        Of every cause, nats.
+        Threshold of every cause, nats.
 
     Returns
     -------
     list of Finding
-        Without what targets say.
+        Without errors at inner targets.
     """
     findings = []
     young = target.bench.young
@@ -51,7 +52,8 @@ def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mappi
         # Parameters are those of the model with all causes found.
         values, deviations = found.final.values(part, young)
         chances = _chances(step)
-        asked = asked_of(thresholds, (before.found.id for before in rounds[:part] if before.found is not None))
+        earlier = (before.found.id for before in rounds[:part] if before.found is not None)
+        required = required_thresholds(thresholds, earlier)
         assert step.proof is not None  # found causes were proved
         assert step.figures is not None
         findings.append(
@@ -60,7 +62,7 @@ def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mappi
                 group=group_of(step, thresholds[top.id], named),
                 probability=chances.get(top.id, 0.0),
                 log_bayes_factor=top.gain,
-                threshold=asked[top.id],
+                threshold=required[top.id],
                 parameters=values,
                 deviations=deviations,
                 held_out=held_out_figures(target.bench.layout, target.noise, step.proof, step.figures),
@@ -72,16 +74,16 @@ def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mappi
 
 
 def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
-    """Return the cause that a step found, and those that cannot be told from it, likeliest first.
+    """Return the cause that a step found, and those that the data cannot distinguish from it, likeliest first.
 
     Parameters
     ----------
     step : Step
         With a cause found.
     threshold : float
-        Of that cause, nats.
+        Threshold of that cause, nats.
     named : collection of str
-        Ids that are findings themselves: no mates.
+        Ids that are findings themselves and join no group.
 
     Returns
     -------
@@ -89,7 +91,7 @@ def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple
         `MOST_IN_GROUP` ids at most.
     """
     top = step.found
-    assert top is not None  # as asked
+    assert top is not None  # required above
     as_likely = step.close(-TEMPER * np.log(AS_LIKELY))
     mates = (c for c in step.close(0.5 * SEPARABLE**2) if c.id not in named)
     close = [c.id for c in mates if c.gain > threshold or c in as_likely]
@@ -104,12 +106,12 @@ def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
     screen : Screen
         All hypotheses.
     first : Step
-        Of the search.
+        First round of the search.
 
     Returns
     -------
     tuple of dict
-        One an id.
+        One for each id.
     """
     chances, gains = _chances(first), _gains(first)
     rows: list[dict[str, Any]] = []
@@ -129,7 +131,7 @@ def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
 
 
 def _gains(step: Step) -> dict[str, float]:
-    """Return log Bayes factors of all causes in a step: of the fitted ones by their fits, of others by the screen."""
+    """Return log Bayes factors of all causes in a step: from the fit where there is one, else from screening."""
     screened = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
     return screened | {candidate.id: candidate.gain for candidate in step.candidates}
 
@@ -138,7 +140,7 @@ def _chances(step: Step) -> dict[str, float]:
     """Return the probabilities of all causes in a step."""
     gains = _gains(step)
     if step.found is not None:
-        # A proof on held-out data has told cause and patch apart.
+        # The held-out proof has distinguished the cause from the generic rival.
         gains[UNKNOWN] = min(gains[UNKNOWN], step.found.gain - float(_margin(step)))
     chances = probabilities(gains)
     own = {name: chances[name] for name in CAUSES if name in chances}

@@ -1,9 +1,11 @@
-"""The nonlinear fit of a model with causes: Gauss-Newton on their knobs, evidence by Laplace's approximation.
+"""The nonlinear fit of a model with causes: Gauss-Newton, and evidence by Laplace's approximation.
 
     minimise 1/2 |C0^-1/2 L^-1 (y - f(x))|^2 + 1/2 |(x - mean) / deviation|^2
 
-over the logarithm of the modulus and the knobs of all causes; the other nuisances are integrated out in C0. The
-derivative is carried from step to step by Broyden's update, and taken anew where it leads no further.
+over x, the logarithm of the modulus followed by the free parameters (`Knobs`) of all causes. L^-1 whitens by the noise;
+the other nuisance parameters are integrated out in C0. The Jacobian comes from difference quotients; Broyden's update
+carries it from step to step, and it is evaluated again where steps no longer reduce the objective. With H the Hessian
+in units of the prior deviations, the log evidence is -objective - 1/2 log det H - log(number of discrete choices).
 """
 
 from collections.abc import Sequence
@@ -21,40 +23,40 @@ from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.predictor import NO_ANSWER, Solved
 from tissuereg.effects import Effect
 
-#: Iterations at most, and the decrease of the objective below which the fit stands still.
+#: Iterations at most, and the decrease of the objective (nats) below which a step counts as no progress.
 MOST_ITERATIONS = 12
 LEAST_GAIN = 0.2
 
-#: Decrease below which a step is not tried; what is left then moves no knob by more than a fifth of its deviation.
-LEAST_PROMISE = 0.02
+#: Predicted decrease below which a step is not tried; it would move no parameter by more than a fifth of its deviation.
+LEAST_PREDICTED = 0.02
 
-#: Iterations still to come gain together no more than this many times the last one.
-GAINS_LEFT = 3
+#: The iterations that remain are expected to gain at most this many times the last gain, all together.
+FURTHER_GAINS = 3
 
-#: Shares of a step that are tried.
+#: Shares of a step that the line search tries.
 SHARES = (1.0, 0.4, 0.15, 0.05)
 
-#: A step moves no knob by more than this many prior deviations.
+#: A step moves no parameter by more than this many prior deviations.
 LONGEST = 1.5
 
-#: Effects whose answer is no multiple of the modulus.
+#: Effects under which forces are not proportional to the modulus.
 ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What is fitted.
+    """What fits have in common: the believed model, its correction, noise and nuisances.
 
     Attributes
     ----------
     bench : Bench
         The believed model.
     noise : Noise
-        Of the measurement.
+        Measurement noise.
     correction : Correction
-        Of the mesh's error.
+        Correction of the discretisation error.
     null : Null
-        Nuisances but the modulus.
+        Null covariance of all nuisances but the modulus, which is fitted.
     """
 
     bench: Bench
@@ -84,21 +86,21 @@ class Fit:
     parts : tuple of Part
         Its causes; empty for the believed model.
     x : ndarray of float64, shape (k,)
-        Logarithm of the factor on the modulus, then the knobs of all parts.
+        Logarithm of the factor on the modulus, then the parameters of all parts.
     mean, deviation : ndarray of float64, shape (k,)
-        Their prior.
+        Prior mean and standard deviation.
     prediction : ndarray of float64, shape (size,)
         Corrected, mm and mN.
     jacobian : ndarray of float64, shape (k, size)
-        Of the corrected prediction.
+        Derivative of the corrected prediction by x.
     residual : ndarray of float64, shape (size,)
-        Measured less predicted, whitened.
+        Measured minus predicted, whitened.
     objective : float
-        As minimised.
+        Minimum.
     log_evidence : float
         Up to a constant that is the same for all fits to the same data.
     covariance : ndarray of float64, shape (k, k)
-        Of the coordinates.
+        Posterior covariance of x (Laplace).
     choices : int
         Number of discrete hypotheses among which these were chosen.
     """
@@ -121,7 +123,7 @@ class Fit:
         return tuple(part.id for part in self.parts)
 
     def slices(self) -> list[slice]:
-        """Return where the knobs of every part lie in `x`."""
+        """Return where the parameters of every part lie in `x`."""
         return slices_of(self.parts)
 
     def young(self, believed: float) -> float:
@@ -140,8 +142,8 @@ class Fit:
     def values(self, number: int, believed: float) -> tuple[Values, Values]:
         """Return the parameters of one part and their standard deviations.
 
-        Each principal axis of the knobs' covariance is followed for one deviation to both sides: a parameter that is no
-        straight function of its knob has the larger deviation that the farther side gives it.
+        Physical parameters may be nonlinear functions of the fitted ones. Each principal axis of the fitted covariance
+        is followed by one deviation to both sides; half the sum of the squared changes is the variance.
         """
         part, mine = self.parts[number], self.slices()[number]
         young = self.young(believed)
@@ -173,27 +175,27 @@ def fit(
     Parameters
     ----------
     target : Target
-        What is fitted.
+        Data, believed model, noise and nuisances.
     parts : sequence of Part
-        Causes with their knobs; empty for the believed model.
+        Causes with their parameters; empty for the believed model.
     start : ndarray of float64, shape (k,), optional
-        Where to begin; the knobs' own starts where absent.
+        First guess; that of the parts' own parameters where absent.
     choices : int
-        Number of discrete hypotheses among which these were chosen: the price is its logarithm.
+        Number of discrete hypotheses among which these were chosen; its logarithm is subtracted from the evidence.
     hopeless : float
-        Objective above which a fit is of no use: one that will not come below it ends early, with a derivative that
-        is not exact.
+        Objective above which a fit is of no use. A fit that is not expected to come below it ends early, with an
+        approximate Jacobian.
 
     Returns
     -------
     Fit or None
-        None where the start finds no equilibrium.
+        None where there is no equilibrium at the start.
     """
     solver = _Solver(target, tuple(parts))
     x = solver.start if start is None else start.copy()
     prediction = solver.predict(x)
     if prediction is None and start is None:
-        # Half-way to the prior mean is milder.
+        # Half-way to the prior mean the effects are smaller.
         x = 0.5 * (x + solver.mean)
         prediction = solver.predict(x)
     if prediction is None:
@@ -202,32 +204,32 @@ def fit(
     objective, reduced = solver.objective(x, prediction)
     jacobian, exact = solver.jacobian(x, prediction), True
     slopes = solver.reduced(jacobian)
-    for left in reversed(range(MOST_ITERATIONS)):
+    for remaining in reversed(range(MOST_ITERATIONS)):
         step = solver.step(x, slopes, reduced)
         step *= min(1.0, LONGEST / max(float(np.abs(step / solver.deviation).max()), 1e-12))
         gained, was_exact = 0.0, exact
-        for share in SHARES if solver.promised(step, slopes) > LEAST_PROMISE else ():
+        for share in SHARES if solver.predicted_decrease(step, slopes) > LEAST_PREDICTED else ():
             trial = solver.predict(x + share * step)
             if trial is None:
                 continue
             value, rest = solver.objective(x + share * step, trial)
             if value < objective:
                 gained = objective - value
-                jacobian = solver.carried(jacobian, share * step, trial - prediction)
+                jacobian = solver.updated(jacobian, share * step, trial - prediction)
                 exact = False
                 x, prediction, objective, reduced = x + share * step, trial, value, rest
                 solver.start_from(x)
                 break
             if value < objective + LEAST_GAIN:
-                # A shorter step gains no more.
+                # A shorter step would hardly decrease it further.
                 break
         if gained < LEAST_GAIN:
             if exact or objective > hopeless:
                 break
             jacobian, exact = solver.jacobian(x, prediction), True
-        elif objective - min(left, GAINS_LEFT) * gained > hopeless:
-            # Iterations gain less and less: with a derivative that was exact this one will not arrive.
-            if was_exact or objective - left * gained > hopeless:
+        elif objective - min(remaining, FURTHER_GAINS) * gained > hopeless:
+            # Gains decrease from step to step: after a step with an exact Jacobian the fit will not reach the limit.
+            if was_exact or objective - remaining * gained > hopeless:
                 break
             jacobian, exact = solver.jacobian(x, prediction), True
         slopes = solver.reduced(jacobian)
@@ -252,21 +254,21 @@ def fit(
 
 
 def best_start(target: Target, parts: Sequence[Part], before: FloatArray) -> FloatArray:
-    """Return where the fit of a further cause begins: at the place of its knobs that leaves least.
+    """Return the first guess of the fit of a further cause: of its starts that with the smallest objective.
 
     Parameters
     ----------
     target : Target
-        What is fitted.
+        Data, believed model, noise and nuisances.
     parts : sequence of Part
-        The cause is the last one.
+        All causes, the further one last.
     before : ndarray of float64, shape (k,)
-        The fit without it.
+        Parameters of the fit without it.
 
     Returns
     -------
     ndarray of float64, shape (k + n_knobs,)
-        With the first start where no other one is given or finds equilibrium.
+        With the cause's first start where it has no others or none of them has an equilibrium.
     """
     knobs = parts[-1].knobs
     first = np.concatenate([before, knobs.start])
@@ -274,22 +276,22 @@ def best_start(target: Target, parts: Sequence[Part], before: FloatArray) -> Flo
         return first
     solver = _Solver(target, tuple(parts))
 
-    def left(x: FloatArray) -> float:
+    def objective(x: FloatArray) -> float:
         prediction = solver.predict(x)
         return np.inf if prediction is None else solver.objective(x, prediction)[0]
 
     tried = [first, *(np.concatenate([before, start]) for start in knobs.starts)]
-    return tried[int(np.argmin(target.bench.side_by_side(left, tried)))]
+    return tried[int(np.argmin(target.bench.side_by_side(objective, tried)))]
 
 
 def choices_of(cause: str, variants: Sequence[Variant]) -> int:
-    """Return the number of discrete hypotheses of a cause that its knobs cannot pass between."""
+    """Return the number of discrete hypotheses of a cause between which its free parameters cannot move."""
     keys = CAUSES[cause].discrete
     return max(1, len({tuple(str(v.settings.get(key)) for key in keys) for v in variants}))
 
 
 def slices_of(parts: Sequence[Part]) -> list[slice]:
-    """Return where the knobs of every part lie in the coordinates, behind the modulus."""
+    """Return where the parameters of every part lie in the vector x, after the modulus."""
     found, at = [], 1
     for part in parts:
         found.append(slice(at, at + len(part.knobs.start)))
@@ -298,12 +300,12 @@ def slices_of(parts: Sequence[Part]) -> list[slice]:
 
 
 def at_believed_modulus(target: Target, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
-    """Return the effects of a fit, and what the user's mesh says of them, at the believed modulus.
+    """Return the effects of a fit, and their prediction on the user's mesh, at the believed modulus.
 
     Parameters
     ----------
     target : Target
-        What was fitted.
+        Data, believed model, noise and nuisances.
     found : Fit
         With causes.
 
@@ -315,9 +317,9 @@ def at_believed_modulus(target: Target, found: Fit) -> tuple[tuple[Effect, ...],
     Raises
     ------
     ConvergenceError
-        If a frame finds no equilibrium.
+        If a frame has no equilibrium.
     ExperimentError, MaterialError, SupportError
-        If an effect does not fit.
+        If an effect does not apply to the experiment.
     """
     x = found.x.copy()
     x[0] = 0.0
@@ -326,7 +328,7 @@ def at_believed_modulus(target: Target, found: Fit) -> tuple[tuple[Effect, ...],
 
 
 class _Solver:
-    """Objective, derivative and step of one fit."""
+    """Objective, Jacobian and step of one fit."""
 
     def __init__(self, target: Target, parts: tuple[Part, ...]) -> None:
         self.target = target
@@ -351,7 +353,7 @@ class _Solver:
         return self.target.correction.corrected(found, self.factor(x))
 
     def uncorrected(self, x: FloatArray) -> FloatArray:
-        """Return what the user's mesh says at coordinates (k,)."""
+        """Return the prediction on the user's mesh for parameters (k,)."""
         factor = self.factor(x)
         total = np.zeros(len(self.measured))
         for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
@@ -362,7 +364,7 @@ class _Solver:
         return np.where(self.force, factor * total, total) if self.scales else total
 
     def body(self, effects: Sequence[Effect], factor: float) -> FloatArray:
-        """Return what the user's mesh says of effects."""
+        """Return the prediction on the user's mesh with effects."""
         bench = self.target.bench
         if not effects and (self.scales or factor == 1.0):
             return bench.base
@@ -374,7 +376,7 @@ class _Solver:
         return float(np.exp(np.clip(x[0], -3.0, 3.0)))
 
     def mixture(self, x: FloatArray) -> Mixture:
-        """Return what all parts that are more than columns are between."""
+        """Return weights and sets of effects whose predictions are interpolated, over all parts but linear ones."""
         young = self.target.bench.young * (1.0 if self.scales else self.factor(x))
         mixture: Mixture = [(1.0, ())]
         for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
@@ -384,7 +386,7 @@ class _Solver:
         return mixture
 
     def start_from(self, x: FloatArray) -> None:
-        """Seek what follows near what was just predicted."""
+        """Let the following solutions start from that of parameters that were just predicted."""
         if effects := max(self.mixture(x), key=lambda one: one[0])[1]:
             young = None if self.scales else self.factor(x)
             self.near = self.target.bench.predictor.solved(effects, young=young, threads=1, near=self.near)
@@ -415,19 +417,19 @@ class _Solver:
             rows[first:] = self.target.bench.side_by_side(moved, range(first, len(x)))
         return rows
 
-    def carried(self, jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
-        """Return a derivative that agrees with a step and what it changed: Broyden's, over prior deviations."""
+    def updated(self, jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
+        """Return Broyden's update of a Jacobian by a step and the change it made, in units of the prior deviations."""
         along = step / self.deviation
-        unsaid = change - step @ jacobian
-        update = np.outer(along / (self.deviation * float(along @ along)), unsaid)
+        unpredicted = change - step @ jacobian
+        update = np.outer(along / (self.deviation * float(along @ along)), unpredicted)
         return np.asarray(jacobian + update)
 
     def reduced(self, rows: FloatArray) -> FloatArray:
-        """Return derivatives whitened and reduced."""
+        """Return derivatives, whitened and reduced."""
         return self.target.null.reduced(self.target.white(rows))
 
-    def promised(self, step: FloatArray, slopes: FloatArray) -> float:
-        """Return by how much a step lowers the objective, as far as derivatives tell."""
+    def predicted_decrease(self, step: FloatArray, slopes: FloatArray) -> float:
+        """Return the decrease of the objective that the linearised model predicts for a step."""
         prior = step / self.deviation
         along = step @ slopes
         return float(0.5 * along @ along + 0.5 * prior @ prior)
@@ -439,7 +441,7 @@ class _Solver:
 
 
 def _principal_axes(covariance: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return the axes of a covariance, each one deviation long, rows; principal in units of the prior's deviations."""
+    """Return the principal axes (rows) of a covariance, each one standard deviation long, in units of the prior's."""
     power, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
     return np.asarray((np.sqrt(np.maximum(power, 0.0)) * axes * deviation[:, None]).T)
 

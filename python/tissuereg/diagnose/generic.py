@@ -1,8 +1,9 @@
-"""The generic rival: any smooth change over the body, the load and time, without a physical cause.
+"""The generic rival: a hypothesis for any smooth change over markers, load and time, without a physical cause.
 
-A Gaussian process in a few hundred columns. Over the markers it is smooth; in time it follows what the actuators do,
-its square, its memory, and the clock, in every case on its own; single frames may be off as if a step had jammed; and
-forces have columns of their own. Its size is unknown: a mixture over sizes.
+It is a Gaussian process in a few hundred columns. Over the markers it is smooth (`patterns`). Over the frames of each
+case it is a sum of histories: the load, its square, its fading memory, the clock and a constant. Single frames may be
+displaced as if the actuator had jammed, and forces have columns of their own. Its size is unknown: the evidence is the
+mean over several sizes.
 """
 
 import numpy as np
@@ -12,10 +13,10 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.patterns import force_columns, load_history, marker_columns, smooth_patterns
 from tissuereg.diagnose.signals import CasePart
 
-#: Sizes that are tried: of marker patterns in noise deviations, of forces as a share of the largest.
+#: Sizes: of marker patterns in noise deviations, and of forces as a share of the largest.
 SIZES = ((0.7, 0.003), (2.0, 0.01), (6.0, 0.03), (20.0, 0.15))
 
-#: Prior deviation of a single frame's jam, as a share of the motion since the frame before.
+#: Prior deviation of a jammed frame, as a share of the motion since the frame before.
 JAM = 0.5
 
 
@@ -32,7 +33,7 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n_sizes, p, size)
-        Over one prior deviation, mm and mN.
+        For one prior standard deviation, mm and mN.
     """
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent)
@@ -63,14 +64,14 @@ def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
 
 
 def histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
-    """Return how a generic change may go through a case: with the load, its square, its memory, the clock.
+    """Return the histories of a generic change in a case: load, load squared, fading memory, clock, constant.
 
     Parameters
     ----------
     part : CasePart
         The case.
     base : ndarray of float64, shape (size,)
-        What the believed model says.
+        Prediction of the believed model.
 
     Returns
     -------

@@ -1,7 +1,10 @@
-"""Whether what a model leaves is noise: a battery of statistics, judged together against effect-free data.
+"""Misfit test of a model's residual against those of effect-free data.
 
-Sums of squares over cases, sensors, markers and frames see what is large somewhere. A wrong cause leaves something
-small and smooth that goes with the load: sums over a few smooth patterns, in which noise has little, see that.
+A battery of statistics is computed from the residual, each a sum of squares (over everything, a case, a pad's force,
+a smooth subspace) or a largest one (over markers, over frames). Sums over single cases, markers and frames detect large
+local residuals. A wrong cause leaves small, smooth residuals in phase with the load; sums over subspaces of smooth
+patterns, which hold little of the noise, detect those. The logarithm of each statistic is standardised by its mean and
+standard deviation over null draws, and the p-value is that of the largest of them.
 """
 
 from collections.abc import Sequence
@@ -16,24 +19,24 @@ from tissuereg.diagnose.noise import Noise
 from tissuereg.diagnose.patterns import force_columns, marker_columns, smooth_patterns
 from tissuereg.diagnose.signals import Layout
 
-#: Patterns over the markers of a smooth subspace: the smoothest.
+#: Number of patterns over the markers in a smooth subspace, the smoothest ones.
 SMOOTH = 3
 
-#: Directions of a subspace shorter than this, over its longest, are none.
+#: Singular values below this share of the largest are taken for zero.
 _LEAST = 1e-6
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """How unlike noise a residual is.
+    """Result of the misfit test.
 
     Attributes
     ----------
     p : float
-        Probability that effect-free data misfit as much.
+        p-value: probability that effect-free data misfit as much.
     explained, explained_there : float
-        Share of what the believed model leaves beyond noise that is gone: of all, and in the statistic that stands out
-        most.
+        Share of the believed model's misfit (statistic minus its mean over null draws) that the judged model removes:
+        in the sum of all squares, and in the statistic that is largest for the judged model.
     """
 
     p: float
@@ -42,7 +45,7 @@ class Misfit:
 
 
 class Battery:
-    """Statistics of residuals, each a sum of squares or the largest of some.
+    """The statistics of the misfit test, each a sum of squares of residuals or the largest of several such sums.
 
     Parameters
     ----------
@@ -57,20 +60,20 @@ class Battery:
         self.subspaces = subspaces
 
     def judge(self, before: FloatArray, after: FloatArray, nulls: FloatArray) -> Misfit:
-        """Return how unlike noise the residual of a model is.
+        """Return the misfit test of a model's residual.
 
         Parameters
         ----------
         before, after : ndarray of float64, shape (size,)
-            Whitened and reduced: of the believed model, and of the one that is judged.
+            Reduced residuals (`Null.reduced`) of the believed model and of the model that is judged.
         nulls : ndarray of float64, shape (n, size)
-            Those of effect-free data.
+            Reduced residuals of null draws.
 
         Returns
         -------
         Misfit
-            The probability is that of the largest of all statistics, each standardised on the nulls; Gumbel's tail
-            takes over where nulls end.
+            The p-value of the largest standardised statistic: its rank among the null draws, and the tail of a Gumbel
+            distribution fitted to them by moments where it exceeds all draws.
         """
         sums, drawn = self.sums(np.stack([before, after])), self.sums(nulls)
         logs = np.log(drawn)
@@ -80,17 +83,17 @@ class Battery:
         largest = float(excess[worst])
         of_nulls = ((logs - centre) / spread).max(axis=1)
         share = float((of_nulls >= largest).mean())
-        # Largest values follow Gumbel's law, fitted by its moments where the draws end.
+        # Maxima follow a Gumbel distribution; its tail extends the p-value beyond the number of draws.
         width = float(of_nulls.std()) * np.sqrt(6.0) / np.pi
         tail = float(gumbel_r.sf(largest, of_nulls.mean() - np.euler_gamma * width, width))
         return Misfit(
             p=max(share, tail) if share > 0.0 else min(tail, 1.0 / len(nulls)),
-            explained=_gone(sums[:, 0], drawn[:, 0], nothing=1.0),
-            explained_there=_gone(sums[:, worst], drawn[:, worst], nothing=0.0),
+            explained=_removed(sums[:, 0], drawn[:, 0], without_misfit=1.0),
+            explained_there=_removed(sums[:, worst], drawn[:, worst], without_misfit=0.0),
         )
 
     def sums(self, residuals: FloatArray) -> FloatArray:
-        """Return all statistics, shape (n, n_statistics), positive; that of everything first."""
+        """Return all statistics, shape (n, n_statistics), positive; the sum of all squares first."""
         layout, rows = self.layout, [(residuals**2).sum(axis=1)]
         per_marker = np.zeros((len(residuals), len(layout.marker_names)))
         per_frame = []
@@ -110,18 +113,18 @@ class Battery:
 
 
 def smooth_subspaces(layout: Layout, base: FloatArray, extent: float, noise: Noise) -> list[FloatArray]:
-    """Return what smooth changes of markers and forces span, with every history of a case, and with all of them.
+    """Return the subspaces of smooth changes: per case, one for each time history and one for all of them together.
 
     Parameters
     ----------
     layout : Layout
         Order of the data.
     base : ndarray of float64, shape (size,)
-        What the believed model says, mm and mN.
+        Prediction of the believed model, mm and mN.
     extent : float
-        Of the body, mm.
+        Extent of the body, mm.
     noise : Noise
-        Of the measurement.
+        Measurement noise.
 
     Returns
     -------
@@ -140,14 +143,14 @@ def smooth_subspaces(layout: Layout, base: FloatArray, extent: float, noise: Noi
     return [basis for basis in found if len(basis)]
 
 
-def _gone(sums: FloatArray, drawn: FloatArray, nothing: float) -> float:
-    """Return the share of a statistic, before and after, beyond what is drawn, that is gone; `nothing` of none."""
+def _removed(sums: FloatArray, drawn: FloatArray, without_misfit: float) -> float:
+    """Return the share of a statistic's excess over its null mean that is removed, of (before, after) in `sums`."""
     (before, after), expected = sums.tolist(), float(drawn.mean())
-    return float((before - after) / (before - expected)) if before > expected else nothing
+    return float((before - after) / (before - expected)) if before > expected else without_misfit
 
 
 def _basis(columns: FloatArray) -> FloatArray:
-    """Return orthonormal rows that span some columns (k, size)."""
+    """Return orthonormal rows that span the given vectors (k, size)."""
     lengths = np.linalg.norm(columns, axis=1)
     columns = columns[lengths > 0.0] / lengths[lengths > 0.0, None]
     if not len(columns):

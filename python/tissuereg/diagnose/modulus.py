@@ -1,4 +1,9 @@
-"""The modulus as a finding: it is always fitted, and named where it lies far beyond its prior."""
+"""The modulus as a finding: it is fitted in every model, and named where it lies far from its prior mean.
+
+The log Bayes factor is half the square of its distance from the prior mean in prior standard deviations, in the
+logarithm of the modulus; like any cause, it must predict held-out data better than the believed value and the generic
+rival.
+"""
 
 from copy import copy
 from dataclasses import replace
@@ -8,8 +13,8 @@ import numpy as np
 from tissuereg.diagnose.answer import Finding
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.chances import LOOK_ALIKE, TEMPER
 from tissuereg.diagnose.fit import Target, fit
+from tissuereg.diagnose.probability import LOOK_ALIKE, TEMPER
 from tissuereg.diagnose.proof import (
     BEFORE,
     GENERIC,
@@ -23,37 +28,38 @@ from tissuereg.diagnose.proof import (
 from tissuereg.diagnose.screen import Screen
 from tissuereg.diagnose.search import Search, rival_columns
 
-#: The modulus is a finding beyond this many prior deviations, where the data tell it to this share of one.
-BEYOND, TOLD = 3.0, 0.3
+#: The modulus is a finding beyond this many prior deviations, if its posterior deviation is at most this share of the
+#: prior's.
+BEYOND, DETERMINED = 3.0, 0.3
 
-#: Prior deviation, in the modulus' logarithm, of one that stays as believed; so small that it slows no fit.
+#: Prior deviation, in the modulus' logarithm, that fixes it at the believed value.
 _PINNED = 1e-9
 
 
 def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | None:
-    """Return the modulus as a finding where it lies beyond its prior, the data tell it, and it is proved.
+    """Return the modulus as a finding where it lies beyond its prior, the data determine it, and it is proved.
 
     Parameters
     ----------
     target : Target
-        What was fitted at first.
+        Target of the first fit.
     screen : Screen
-        It has the generic rival.
+        With the generic rival.
     found : Search
-        With the causes found; their fit has the modulus.
+        With the causes found; the modulus is the first parameter of their fit.
 
     Returns
     -------
     Finding or None
-        Its log Bayes factor is that of a modulus which may be anything against its prior, normal in its logarithm: half
-        the square of the prior deviations that it is off, as many for half of the modulus as for twice of it; the proof
-        is against the model whose modulus is as believed. None too where the causes find no equilibrium with that.
+        The log Bayes factor compares a free modulus with its log-normal prior: half the square of the distance in prior
+        deviations, which is the same for half and for twice the believed modulus. The held-out proof compares with the
+        model whose modulus is fixed at the believed value. Also None where that model has no equilibrium.
     """
     target = found.target or target
     final, bench = found.final, target.bench
     excess = float(abs(final.x[0])) / bench.young_spread
     deviation = float(np.sqrt(final.covariance[0, 0]))
-    if excess < BEYOND or deviation > TOLD * bench.young_spread or "stiffness" in final.ids:
+    if excess < BEYOND or deviation > DETERMINED * bench.young_spread or "stiffness" in final.ids:
         return None
     pinned = replace(target, bench=_pinned(bench))
     start = final.x.copy()
@@ -87,7 +93,7 @@ def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | 
 
 
 def _pinned(bench: Bench) -> Bench:
-    """Return the same bench with a modulus that stays as believed; what it has worked out is shared."""
+    """Return the same bench with the modulus fixed at the believed value; computed results are shared."""
     other = copy(bench)
     other.young_spread = _PINNED
     return other

@@ -1,7 +1,8 @@
-"""The noise of the measurement: how large, how alike between markers, how it fades in time; and its whitening.
+"""The noise model of the measurement, its estimation from rest frames and holds, and whitening by it.
 
-A frame of markers is split into its mean (camera motion) and what is left (each marker's own noise). Both are
-autoregressive of first order; forces are white. Whitened numbers are uncorrelated with unit variance.
+A frame of markers is split into its mean (motion of the camera) and the deviations from it (each marker's own noise).
+Both are first-order autoregressive in time; noise of forces is white. The stated standard deviations are kept unless a
+chi-square test on frames without change of load contradicts them. Whitened noise is uncorrelated with unit variance.
 """
 
 from dataclasses import dataclass
@@ -14,13 +15,13 @@ from tissuereg.diagnose.signals import CasePart, Layout
 from tissuereg.errors import NoiseError
 from tissuereg.experiment import Experiment
 
-#: A stated standard deviation is kept unless the rest frames contradict it at this level.
+#: Level of the test of the stated standard deviations against rest frames.
 LEVEL = 1e-3
 
-#: No noise is believed to be less than this share of the stated one: frames may be simulated, without any.
+#: Least estimate of the noise, as a share of the stated one: rest frames may be simulated and without noise.
 LEAST_SHARE = 0.1
 
-#: Frames below this number say nothing about noise; a hold must have so many to count.
+#: Least number of frames for an estimate, and of frames in a hold that is used.
 LEAST_FRAMES, LEAST_HOLD = 6, 4
 
 
@@ -31,17 +32,17 @@ class Noise:
     Attributes
     ----------
     marker_std : ndarray of float64, shape (n_markers,)
-        Of every marker's own noise, mm.
+        Standard deviation of every marker's own noise, mm.
     common_std : float
-        Of the motion that all markers share, mm.
+        Standard deviation of the motion common to all markers, mm.
     memory, common_memory : float
-        Correlation of both from one frame of the rest case to the next.
+        Correlation of both between frames that are `step_s` apart.
     step_s : float
-        Time between those frames.
+        Median time between frames, s.
     force_std : float
-        mN.
+        Standard deviation of a force component, mN.
     from_rest : bool
-        Whether rest frames told.
+        Whether there were enough rest frames for an estimate.
     """
 
     marker_std: FloatArray
@@ -53,12 +54,12 @@ class Noise:
     from_rest: bool
 
     def whitened(self, flat: FloatArray, layout: Layout) -> FloatArray:
-        """Return flat vectors whitened; entries that were not measured become zero.
+        """Return whitened vectors; entries that were not measured become zero.
 
         Parameters
         ----------
         flat : ndarray of float64, shape (..., size)
-            Differences from what is expected, mm and mN.
+            Residuals or columns, mm and mN.
         layout : Layout
             Their order.
 
@@ -81,7 +82,7 @@ class Noise:
 
     def _markers(self, moved: FloatArray, seen: BoolArray, part: CasePart) -> FloatArray:
         moved = np.where(seen, moved, 0.0) / self.marker_std[:, None]
-        # What all markers share lies along one direction, in units of their own noise.
+        # In units of the markers' own noise the common motion lies along one direction.
         shared = np.where(seen, 1.0 / self.marker_std[:, None], 0.0)
         length = np.maximum(np.linalg.norm(shared, axis=1, keepdims=True), 1e-300)
         along = shared / length
@@ -93,7 +94,7 @@ class Noise:
         return np.where(seen, own + along * together, 0.0)
 
     def _faded(self, values: FloatArray, memory: float, step: FloatArray, seen: BoolArray) -> FloatArray:
-        """Return values (..., n_frames, k, 3) less what the frame before says of them, in units of what is left."""
+        """Return the innovations of an autoregressive process (..., n_frames, k, 3), scaled to unit variance."""
         if memory == 0.0:
             return values
         share = memory ** (np.nan_to_num(step[1:], nan=self.step_s) / self.step_s)[:, None, None]
@@ -105,19 +106,19 @@ class Noise:
 
 
 def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
-    """Return the noise that rest frames and holds show, or the stated one where they say nothing against it.
+    """Return the noise estimated from rest frames and holds, or the stated one where they do not contradict it.
 
     Parameters
     ----------
     experiment : Experiment
-        With the stated standard deviations, and perhaps a rest case.
+        With the stated standard deviations, and optionally a rest case.
     layout : Layout
         Its measured numbers.
 
     Returns
     -------
     Noise
-        White where there are no rest frames.
+        The stated standard deviations, white in time, where there are no rest frames.
 
     Raises
     ------
@@ -141,13 +142,13 @@ def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
     own = [values - mean for (values, _), mean in zip(still, means, strict=True)]
     shapes = [(len(values), fitted) for values, fitted in still]
     memory = _memory(own, shapes)
-    # In runs of frames that are alike, taking out a mean takes out a part of the noise.
+    # Subtracting the mean of correlated frames removes a part of the noise.
     freedom = axes * (1.0 - 1.0 / n_markers) * _expected(memory, shapes)[0]
-    # Median deviations: a marker that jumps once is not a noisy one. They are worth 0.37 of the values.
+    # Median absolute deviations: a single jump does not make a marker noisy. Their efficiency is 0.37.
     spread = 1.4826 * np.median(np.abs(np.concatenate(own)), axis=(0, 2))
     whole = axes * sum(frames for frames, _ in shapes)
     variance, freedom = spread**2 * whole / freedom, 0.37 * freedom
-    # The median marker, not the mean: one may be noisier than the others. It lies below the mean of equal ones.
+    # The median over markers, since one may be noisier; it lies below the mean of equally noisy ones.
     pooled, together = float(np.median(variance)) * freedom / float(chi2.median(freedom)), freedom * n_markers
     marker_std = _believed(stated, np.full(n_markers, np.sqrt(pooled)), pooled * together / stated**2, together)
     # A marker that is noisier than the others.
@@ -163,10 +164,10 @@ def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
 
 
 def _still(experiment: Experiment, layout: Layout) -> list[tuple[FloatArray, int]]:
-    """Return runs of frames in which nothing acts anew: the rest case less its mean, holds less their straight lines.
+    """Return runs of frames without change of load: the rest case minus its mean, holds minus a straight line in time.
 
-    Each (n_frames, n_markers, n_axes), with the number of values fitted to every coordinate; axes that no marker was
-    measured along are left out. A slow change in a hold goes with the line.
+    Each (n_frames, n_markers, n_axes), with the number of parameters fitted to every coordinate; axes along which
+    nothing was measured are omitted. The line removes slow changes, such as relaxation, from a hold.
     """
     found = []
     along = np.any([np.isfinite(part.markers(layout.measured)).any(axis=(0, 1)) for part in layout.parts], axis=0)
@@ -184,7 +185,7 @@ def _still(experiment: Experiment, layout: Layout) -> list[tuple[FloatArray, int
         same = np.concatenate([[False], (acts[1:] == acts[:-1]).all(axis=1) & acts[1:].any(axis=1)])
         begins = np.flatnonzero(~same)
         for begin, end in zip(begins, [*begins[1:], len(same)], strict=True):
-            # The first frame of a hold is where fast memory still shows.
+            # The first frame of a hold may still show fast relaxation.
             rows = np.arange(begin + 1, end)
             rows = rows[whole[rows]]
             if len(rows) >= LEAST_HOLD:
@@ -196,7 +197,7 @@ def _still(experiment: Experiment, layout: Layout) -> list[tuple[FloatArray, int
 
 
 def _believed(stated: FloatArray, found: FloatArray, statistic: FloatArray, freedom: float) -> FloatArray:
-    """Return the stated deviations where a chi-square statistic does not contradict them, the found ones elsewhere."""
+    """Return the stated deviations where a chi-square test does not contradict them, the estimated ones elsewhere."""
     tail = 2.0 * np.minimum(chi2.sf(statistic, freedom), chi2.cdf(statistic, freedom))
     return np.where(tail < LEVEL, np.maximum(found, LEAST_SHARE * stated), stated)
 
@@ -208,19 +209,19 @@ def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]]) -> float:
         return 0.0
     found = float(sum((values[1:] * values[:-1]).sum() for values in runs)) / power
     tried = np.linspace(0.0, 0.95, 96)
-    said = np.array([pairs / left for left, pairs in (_expected(memory, shapes) for memory in tried)])
+    expected = np.array([pairs / squares for squares, pairs in (_expected(memory, shapes) for memory in tried)])
     error = 1.0 / np.sqrt(sum(values[1:].size for values in runs))
-    return float(tried[np.argmin(np.abs(said - found))]) if found > said[0] + 4.0 * error else 0.0
+    return float(tried[np.argmin(np.abs(expected - found))]) if found > expected[0] + 4.0 * error else 0.0
 
 
 def _expected(memory: float, shapes: list[tuple[int, int]]) -> tuple[float, float]:
-    """Return expected sums of squares and of products of neighbours: unit noise in runs, mean or line taken out."""
+    """Return expected sums of squares and of products of neighbours for unit noise in runs minus their mean or line."""
     power = pairs = 0.0
     for n_frames, fitted in shapes:
         frames = np.arange(n_frames)
         line = np.linalg.qr(np.stack([np.ones(n_frames), frames - frames.mean()], axis=1)[:, :fitted])[0]
-        left = np.eye(n_frames) - line @ line.T
-        covariance = left @ memory ** np.abs(frames[:, None] - frames).astype(np.float64) @ left
+        projector = np.eye(n_frames) - line @ line.T
+        covariance = projector @ memory ** np.abs(frames[:, None] - frames).astype(np.float64) @ projector
         power += float(np.trace(covariance))
         pairs += float(np.trace(covariance, offset=1))
     return power, pairs

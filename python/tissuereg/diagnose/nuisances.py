@@ -1,4 +1,8 @@
-"""What is always fitted beside the causes: modulus, frame, drift, shape, error of the mesh; small, and not named."""
+"""Nuisance parameters: modulus, tracker frame, drift, shape, remaining discretisation error; never findings.
+
+Each is a sensitivity column times a prior standard deviation. Together with the noise they form the null covariance
+``C0 = I + N N^T`` (`evidence`), so that they are integrated out of every comparison.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,37 +23,37 @@ FRAME_SHIFT, FRAME_TURN = 0.02, 0.02
 #: Prior deviation of the drift of the camera over the whole session, mm.
 DRIFT = 0.02
 
-#: Share of the difference between two fine meshes that is taken for what is left of the mesh's error.
+#: Remaining discretisation error of the corrected markers, as a share of the difference between fine meshes.
 MESH_SHARE = 0.4
 
-#: The same of forces: much of what two meshes differ by there is the shape of their pads.
+#: The same for forces, whose difference between meshes is in large part due to the shape of the pads.
 FORCE_SHARE = 0.2
 
-#: Error of the forces that is expected at least, as a share of them; and one that grows with the square of the force,
-#: at the largest: strains at a pad's rim, where they are singular, grow faster than the load.
+#: Least relative error of forces; and one that is quadratic in the force, as a share of the largest force: strains at
+#: the rim of a pad, where they are singular, grow faster than the load.
 FORCE_LEFT, FORCE_BENT = 0.0015, 0.007
 
-#: Error of a found cause's form and of its fine mesh, as a share of what it changes.
+#: Error of a found cause's form and of its correction, as a share of the change it makes.
 EFFECT_ERROR = 0.07
 
-#: How much of what a found cause changes may be what its other hypotheses change, which do so much of the same, in
-#: squares; and the number of directions that this is kept in.
+#: Error of a found cause's form along its other hypotheses, as a share of its change; which hypotheses count: those
+#: that reproduce this share of the change, in squares; and the number of directions kept.
 FORM_ERROR, ALIKE, MOST_FORMS = 0.3, 0.5, 12
 
-#: A direction shorter than this, over the change, is none.
+#: Directions shorter than this share of the change are dropped.
 _LEAST_FORM = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Nuisances:
-    """Columns of what is fitted beside the causes.
+    """Nuisance parameters with their columns.
 
     Attributes
     ----------
     names : tuple of str
-        One a column.
+        One for each column.
     columns : ndarray of float64, shape (n, size)
-        Over one prior deviation, mm and mN, as a fine mesh gives them at the believed modulus.
+        Change by one prior standard deviation, mm and mN, on the fine mesh at the believed modulus.
     """
 
     names: tuple[str, ...]
@@ -68,16 +72,17 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
     bench : Bench
         The believed model.
     mesh_errors : ndarray of float64, shape (n_meshes, size)
-        Other fine meshes less the one that corrects, mm and mN.
+        Predictions on further fine meshes minus those on the correcting one, mm and mN.
     correction : Correction
-        Of the mesh's error, at the believed modulus.
+        Correction of the discretisation error, at the believed modulus.
 
     Returns
     -------
     Nuisances
-        Modulus, six of the frame, three of the drift, the shape of the body and of its patches (`shape`). Of the mesh's
-        error, which grows with the load, smooth patterns over the markers and the three components of every force, in
-        each case, as large as meshes differ (a force in any component). Where stated, how trials of one case differ.
+        Modulus, six of the tracker's frame, three of its drift, the shape of the body and of its patches (`shape`); for
+        the remaining discretisation error, which is proportional to the load, smooth patterns over the markers and the
+        three components of every force in each case, of the size by which fine meshes differ; where ``trial_share`` is
+        stated, the difference between trials of one case.
     """
     layout = bench.layout
     names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
@@ -102,8 +107,8 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
         for i, pad in enumerate(() if bench.is_exact else part.pads):
             strength = np.linalg.norm(part.forces(bench.base)[:, i], axis=1)
             errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
-            # A pad on a curved body is tilted otherwise on every mesh: what they differ by in one component of its
-            # force they may be off in another.
+            # A pad on a curved body has a different tilt on every mesh, so that a difference in one component of its
+            # force may as well occur in another.
             size = max(FORCE_SHARE * _rms(errors), FORCE_LEFT)
             largest = max(float(strength.max()), 1e-9)
             for word, history, share in (("mesh", strength, size), ("bent", strength**2 / largest, FORCE_BENT)):
@@ -122,14 +127,14 @@ def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction
 
 
 def frame_columns(layout: Layout, base: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield, axis by axis, what a shift of the tracker's frame and a turn of it change, each (size,), in mm.
+    """Yield, axis by axis, the columns of a shift and of a rotation of the tracker's frame, each (size,), in mm.
 
     Parameters
     ----------
     layout : Layout
         Order of the columns.
     base : ndarray of float64, shape (size,)
-        Where the markers are: displacements, mm.
+        Displacements of the markers, mm.
     """
     middle = layout.reference.mean(axis=0)
     for axis in range(3):
@@ -147,7 +152,7 @@ def _rms(errors: FloatArray) -> float:
 
 
 def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what trials of one case differ by: smooth over the markers, a share of how far each was seen to move."""
+    """Yield the difference between trials of one case: smooth over the markers, a share of each measured motion."""
     layout, share = bench.layout, bench.experiment.trial_share
     for part in layout.parts if share else ():
         moved = np.nan_to_num(np.linalg.norm(part.markers(layout.measured), axis=-1))
@@ -157,27 +162,27 @@ def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArra
 
 
 def _shapes(bench: Bench, correction: Correction) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what another shape of the body and of its patches changes."""
+    """Yield the columns of the shape of the body and of its patches."""
     if not bench.is_exact:
         for direction, column in shape_columns(bench, correction.corrected(bench.base)):
             yield direction.name, direction.std_mm * column
 
 
 def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
-    """Return nuisances for the error of what a found cause changes: its law is hardly the body's own.
+    """Return nuisances for the model error of the causes found, whose laws are only approximately the body's own.
 
     Parameters
     ----------
     bench : Bench
         The believed model.
     change : ndarray of float64, shape (size,)
-        What the causes found so far change, mm and mN.
+        Change that the causes found so far make, mm and mN.
 
     Returns
     -------
     ndarray of float64, shape (n, size)
-        In every case, the change itself, smooth patterns over the markers and the components of every force, over one
-        prior deviation.
+        In every case the change itself, smooth patterns over the markers and the components of every force, by one
+        prior standard deviation.
     """
     layout = bench.layout
     patterns = smooth_patterns(layout.reference, bench.extent)
@@ -195,22 +200,23 @@ def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
 
 
 def other_forms(hypotheses: FloatArray, change: FloatArray) -> FloatArray:
-    """Return nuisances for a found cause that acts at another place, from another time on or by another exponent.
+    """Return nuisances for the form of a found cause: another place, onset, history or exponent than fitted.
 
-    What its own form leaves of it would else be taken for a further cause.
+    Without them the difference between the fitted and the true form would be taken for a further cause.
 
     Parameters
     ----------
     hypotheses : ndarray of float64, shape (n_variants, p, size)
         Whitened columns of all hypotheses of the cause.
     change : ndarray of float64, shape (size,)
-        What it was found to change, whitened.
+        Fitted change, whitened.
 
     Returns
     -------
     ndarray of float64, shape (n, size)
-        Over one prior deviation: of what hypotheses do that do about the same, `FORM_ERROR` together, the part that is
-        no multiple of the change itself.
+        Orthogonal to the change, by one prior standard deviation: each hypothesis that reproduces the share `ALIKE` of
+        the change is fitted to it and scaled to its norm, and its part orthogonal to the change is kept; all together
+        have the size `FORM_ERROR`.
     """
     power, found = float(change @ change), []
     for columns in hypotheses:

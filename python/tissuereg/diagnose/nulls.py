@@ -1,7 +1,9 @@
-"""Effect-free data of the same rig: what the evidence of causes, and the misfit, look like where nothing is wrong.
+"""Null draws: residuals of effect-free data of the same rig, and the thresholds that follow from them.
 
-A draw has the noise of the measurement, nuisances from their priors, and the error of a mesh that is neither the user's
-nor the one that corrects it: noise alone would set every threshold far too low.
+A draw is the sum of measurement noise of uncertain size, nuisance parameters from their priors, and the discretisation
+error of a mesh that is neither the user's nor the correcting one; noise alone would give much lower thresholds. The log
+Bayes factors of all causes are computed for every draw, and each cause gets a quantile of its own as threshold, the
+same for all and such that any cause passes in a share `LEVEL` of the draws.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,20 +18,20 @@ from tissuereg.diagnose.nuisances import MESH_SHARE
 from tissuereg.diagnose.screen import UNKNOWN, Screen
 from tissuereg.diagnose.signals import Layout
 
-#: Draws, and the share of them in which any cause may pass its threshold.
+#: Number of draws, and the share of them in which any cause may pass its threshold (false-alarm rate).
 DRAWS = 500
 LEVEL = 0.02
 
-#: Shares that are tried for one cause.
+#: Number of false-alarm rates of a single cause that are tried.
 SHARES = 40
 
-#: No threshold lies below this many nats.
+#: Least threshold, nats.
 LEAST_THRESHOLD = 6.0
 
-#: The noise is not known exactly: deviations of its size as a whole, and marker by marker.
+#: Relative uncertainty of the noise's size, as a whole and marker by marker.
 NOISE_SPREAD, MARKER_SPREAD = 0.03, 0.05
 
-#: Errors of other meshes are drawn larger and smaller than what was found for them, by this factor at most.
+#: Discretisation errors are drawn larger or smaller than computed, by this factor at most.
 MESH_SPREAD = 1.3
 
 
@@ -42,8 +44,7 @@ class Nulls:
     residuals : ndarray of float64, shape (n, size)
         Whitened and reduced.
     thresholds : mapping of str to float
-        Log Bayes factor of every cause that any of them passes in `LEVEL` of the draws: what looks like an error of the
-        mesh must pass more than what looks like none.
+        Log Bayes factor that each cause must exceed, nats. Higher for causes that resemble a discretisation error.
     """
 
     residuals: FloatArray
@@ -53,7 +54,7 @@ class Nulls:
 def draw_nulls(
     screen: Screen, null: Null, noise: Noise, layout: Layout, mesh_errors: Sequence[FloatArray], seed: int
 ) -> Nulls:
-    """Return effect-free residuals and the thresholds that follow.
+    """Return null draws and the thresholds that follow.
 
     Parameters
     ----------
@@ -62,18 +63,18 @@ def draw_nulls(
     null : Null
         Nuisances.
     noise : Noise
-        Of the measurement.
+        Measurement noise.
     layout : Layout
         Order of the data.
     mesh_errors : sequence of ndarray of float64, shape (size,)
-        Other meshes less the correcting one, mm and mN.
+        Predictions on further fine meshes minus those on the correcting one, mm and mN.
     seed : int
-        Of all chance.
+        Seed of the draws.
 
     Returns
     -------
     Nulls
-        `DRAWS` of them.
+        `DRAWS` residuals, and thresholds.
     """
     generator = np.random.default_rng([seed, 5])
     white = [noise.whitened(error, layout) for error in mesh_errors]
@@ -95,9 +96,9 @@ def draw_nulls(
 
 
 def _thresholds(found: Mapping[str, FloatArray]) -> dict[str, float]:
-    """Return what the log Bayes factors (n,) of every cause pass in one share of the draws, in `LEVEL` of them any."""
+    """Return a quantile of every cause's log Bayes factors (n,), such that any exceeds its own in `LEVEL` of draws."""
     values = np.array(list(found.values()))
-    # At the last share all causes together pass in no more draws, whatever they have in common.
+    # The last share is Bonferroni's bound, which holds however the causes are correlated.
     for share in LEVEL * np.geomspace(1.0, 1.0 / len(values), SHARES):
         least = np.maximum(np.quantile(values, 1.0 - share, axis=1), LEAST_THRESHOLD)
         if (values > least[:, None]).any(axis=0).mean() <= LEVEL:

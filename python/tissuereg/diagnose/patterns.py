@@ -1,31 +1,31 @@
-"""Smooth patterns over the markers, and how a case goes through its load."""
+"""Columns of smooth changes: Gaussian-process patterns over the markers times a history over the frames of a case."""
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.signals import CasePart, Layout
 
-#: How many patterns.
+#: Number of patterns.
 MODES = 10
 
-#: Length over which markers move alike, over the extent of the body.
+#: Correlation length of the Gaussian process over the extent of the body.
 LENGTH = 0.35
 
 
 def smooth_patterns(places: FloatArray, extent: float) -> FloatArray:
-    """Return the first patterns of a Gaussian process over places.
+    """Return the leading eigenvectors of a Gaussian process of unit variance over places.
 
     Parameters
     ----------
     places : ndarray of float64, shape (n, 3)
         mm.
     extent : float
-        Of the body, mm.
+        Extent of the body, mm.
 
     Returns
     -------
     ndarray of float64, shape (n_patterns, n)
-        With unit variance together, nearly.
+        Scaled by the roots of their eigenvalues, so that their squares sum to nearly 1 at every place.
     """
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (LENGTH * extent)) ** 2))
@@ -34,22 +34,22 @@ def smooth_patterns(places: FloatArray, extent: float) -> FloatArray:
 
 
 def load_history(part: CasePart, base: FloatArray) -> FloatArray:
-    """Return how far the believed model moves the markers in every frame of a case, from 0 to 1; 0 in a rest case."""
+    """Return the predicted size of the marker motion in every frame over its largest, 0 to 1; 0 in a rest case."""
     moved = np.sqrt((part.markers(base) ** 2).sum(axis=(1, 2)))
     return np.asarray(moved / moved.max()) if moved.max() > 1e-6 else np.zeros(part.n_frames)
 
 
 def marker_columns(layout: Layout, part: CasePart, history: FloatArray, patterns: FloatArray) -> FloatArray:
-    """Return columns in which markers move along one axis, in one pattern and through one history.
+    """Return columns in which the markers of one case move along one axis, by a pattern times a history.
 
     Parameters
     ----------
     layout : Layout
         Order of the columns.
     part : CasePart
-        The case that moves.
+        The case; all others are zero.
     history : ndarray of float64, shape (n_frames,) or (n_frames, n_markers)
-        Of all markers, or of each, mm.
+        For all markers, or for each, mm.
     patterns : ndarray of float64, shape (n_patterns, n_markers)
         Over the markers.
 
@@ -65,14 +65,14 @@ def marker_columns(layout: Layout, part: CasePart, history: FloatArray, patterns
 
 
 def force_columns(layout: Layout, part: CasePart, pad: int, history: FloatArray) -> FloatArray:
-    """Return columns in which one component of a pad's force goes through a history.
+    """Return columns in which one component of a pad's force follows a history.
 
     Parameters
     ----------
     layout : Layout
         Order of the columns.
     part : CasePart
-        The case that has the force.
+        The case; all others are zero.
     pad : int
         Its number in `CasePart.pads`.
     history : ndarray of float64, shape (n_frames,)
@@ -81,7 +81,7 @@ def force_columns(layout: Layout, part: CasePart, pad: int, history: FloatArray)
     Returns
     -------
     ndarray of float64, shape (3, size)
-        One a component.
+        One for each component.
     """
     columns = np.zeros((3, layout.size))
     for axis in range(3):

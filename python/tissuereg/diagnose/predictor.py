@@ -1,4 +1,4 @@
-"""What a model with any effects says of all that was measured."""
+"""Predictions of all measured numbers by the believed model with any further effects, on the user's mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,19 +14,19 @@ from tissuereg.simulate.experiment import Simulators, solve_cases
 from tissuereg.simulate.frames import Rigs
 from tissuereg.simulate.memory import goes_through_time
 
-#: Residual over load. It leaves some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
+#: Residual over load. The error is some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
 TOLERANCE = 1e-5
 
-#: What a model without an answer on the user's mesh raises.
+#: Errors of a model without equilibrium, or whose effects do not apply, on the user's mesh.
 NO_ANSWER = (ConvergenceError, ExperimentError, MaterialError, SupportError)
 
-#: Solved models that are kept for others that differ in the tracker alone.
+#: Number of solutions that are kept for models that differ in the tracker alone.
 MOST_SOLVED = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """What a model says of its body, before the tracker sees it."""
+    """The solution of a model, before the tracker's effects."""
 
     effects: tuple[Effect, ...]
     young: float | None
@@ -37,14 +37,14 @@ class Solved:
 
 
 class Predictor:
-    """The believed model of an experiment, asked again and again with other effects.
+    """The believed model of an experiment, solved with varying further effects.
 
     Parameters
     ----------
     experiment : Experiment
-        What is believed, its own effects included.
+        The believed model, with its own effects.
     layout : Layout
-        Order of the answer.
+        Order of the predictions.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
     threads : int
@@ -69,12 +69,12 @@ class Predictor:
         threads: int | None = None,
         near: Solved | None = None,
     ) -> FloatArray:
-        """Return what is predicted with further effects.
+        """Return the prediction with further effects.
 
         Parameters
         ----------
         effects : sequence of Effect
-            Beside those of the experiment.
+            In addition to those of the experiment.
         young : float, optional
             Factor on the believed modulus.
         threads : int, optional
@@ -90,9 +90,9 @@ class Predictor:
         Raises
         ------
         ConvergenceError
-            If a frame finds no equilibrium.
+            If a frame has no equilibrium.
         ExperimentError
-            If an effect does not fit.
+            If an effect does not apply to the experiment.
         """
         believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
         solved = self.solved(effects, young=young, threads=threads, near=near)
@@ -107,8 +107,8 @@ class Predictor:
         threads: int | None = None,
         near: Solved | None = None,
     ) -> Solved:
-        """Return the body's answer, as `predict` takes it; the last few are kept."""
-        # The body does not feel its tracker: what differs in that alone is solved once.
+        """Return the solution for the arguments of `predict`; the last few are kept."""
+        # The tracker does not act on the body: models that differ in it alone have one solution.
         bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
         for solved in reversed(self._solved):
             if solved.young == young and solved.effects == bodily:
@@ -119,7 +119,7 @@ class Predictor:
 
     @cached_property
     def _believed(self) -> Solved:
-        """The believed model's own answer."""
+        """The solution of the believed model."""
         return self._solve((), None, self.threads, None)
 
     def _solve(self, effects: tuple[Effect, ...], young: float | None, threads: int, near: Solved | None) -> Solved:
@@ -153,7 +153,7 @@ class Predictor:
 
 
 def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
-    """Refuse a case with a frame that found no equilibrium.
+    """Raise for a case with a frame that has no equilibrium.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
     Raises
     ------
     ConvergenceError
-        It names the first one.
+        If there is one; it names the first.
     """
     if failed:
         frame, why = failed[0]

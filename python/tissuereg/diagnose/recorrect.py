@@ -1,14 +1,15 @@
-"""The mesh's error in a cause: the correction of the believed model made right for a fitted one too.
+"""Correction of the discretisation error in a fitted cause, in addition to that of the believed model.
 
-Four-node elements lock, and more or less so with another Poisson's ratio: on a body of 600 nodes a change of it moves
-markers by two to three times too much, and a law that is stiffer in tension twice too much. Until that is put right,
-the one cannot be told from the other. A ball that cuts across the user's elements has an error of its own: of one of
-8 mm in elements of 5 mm a quarter of what it changes. In data without noise that moved its place by 1.9 mm and the fit
-with its mesh put right by 0.6 mm; the fine mesh's own error in the ball is 6 %.
+The effect of a cause has a discretisation error of its own. Four-node elements lock by an amount that depends on
+Poisson's ratio: on a body of 600 nodes a change of the ratio moves markers two to three times too far, and a law that
+is stiffer in tension twice too far; without a correction the two cannot be distinguished. The boundary of an inclusion
+cuts across elements: with a radius of 8 mm in elements of 5 mm a quarter of its effect is error. In data without noise
+that displaced the fitted place by 1.9 mm, and by 0.6 mm after the correction; the fine mesh's own error is 6 %.
 
-The error in a fitted effect is taken to grow with it. Where the fit then moves to another effect, not more or less of
-the same, it is put right again there: on 600 nodes friction lets ten times too much slip, and where it slips hangs on
-how much it holds.
+A fit is simulated on the fine mesh, the difference becomes part of the correction, and the model is fitted again. The
+error is assumed proportional to the effect. Where the new fit is another effect rather than more or less of the same,
+the correction is computed again: on 600 nodes friction slips ten times too far, and the slipping region depends on the
+friction.
 """
 
 from collections.abc import Callable
@@ -22,29 +23,29 @@ from tissuereg.diagnose.refined import refined_effects
 from tissuereg.effects import EFFECTS, ChainEffect
 from tissuereg.errors import MeshError
 
-#: Nats by which the mesh's error in its causes, once put right, may make a fit better.
-PUT_RIGHT = 30.0
+#: Nats that the correction of a fit's discretisation error may add to its log evidence, at most.
+CORRECTION_GAIN = 30.0
 
-#: Noise deviations of the mesh's error that a fit may have moved away from, and rounds in which it is put right.
-LEFT, MOST_ROUNDS = 1.0, 6
+#: Discretisation error, in noise deviations, that may remain uncorrected in a fit, and number of rounds at most.
+UNCORRECTED, MOST_ROUNDS = 1.0, 6
 
 
-def settled(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> tuple[Target, Fit]:
-    """Return a target whose correction is right for a fitted model too, and the fit to it.
+def corrected_fit(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> tuple[Target, Fit]:
+    """Return a target whose correction covers a fitted model, and the fit to it: correct and refit until they agree.
 
     Parameters
     ----------
     target : Target
-        What was fitted.
+        Target of the fit.
     found : Fit
         With causes.
     progress : callable of str, optional
-        Called before the fine solve.
+        Called before each fine solve.
 
     Returns
     -------
     tuple of Target and Fit
-        Those given where `recorrected` changes nothing.
+        The given ones where `recorrected` changes nothing.
 
     Notes
     -----
@@ -53,46 +54,46 @@ def settled(target: Target, found: Fit, *, progress: Callable[[str], None] | Non
     deviations. Friction needs six: of an open body (d = 21) the fit gains 51 nats on the user's mesh, 35 after one
     round, 108 after six, and 103 with ten-node elements throughout.
     """
-    put_right = target, found
+    corrected = target, found
     for _ in range(MOST_ROUNDS):
-        better = recorrected(target, put_right[1], progress=progress)
-        start, choices = put_right[1].x, found.choices
+        better = recorrected(target, corrected[1], progress=progress)
+        start, choices = corrected[1].x, found.choices
         again = None if better is target else fit(better, found.parts, start=start, choices=choices)
         if again is None:
             break
-        put_right = better, again
-        if _left(better, again) < LEFT:
+        corrected = better, again
+        if _uncorrected(better, again) < UNCORRECTED:
             break
-    return put_right
+    return corrected
 
 
-def _left(target: Target, found: Fit) -> float:
-    """Return how much of the mesh's error a fit has moved away from, in deviations of the noise.
+def _uncorrected(target: Target, found: Fit) -> float:
+    """Return the estimated discretisation error of a fit that its correction does not cover, in noise deviations.
 
-    That is the error in the effect that was put right, times what has become another effect over that effect.
+    The corrected error times the relative size of the part of the new effect that is no multiple of the corrected one.
     """
-    put_right = target.correction.of_effect
-    if put_right is None:
+    of_effect = target.correction.of_effect
+    if of_effect is None:
         return 0.0
     try:
-        other = put_right.other(at_believed_modulus(target, found)[1])
+        other = of_effect.other(at_believed_modulus(target, found)[1])
     except NO_ANSWER:
-        # A fit comes near step by step; what was put right there stands.
+        # The fit reached this model by steps from a neighbour; solved at once it has no equilibrium.
         return 0.0
-    left, error, effect = (
+    remainder, error, effect = (
         float(np.linalg.norm(target.null.reduced(target.white(np.where(target.bench.layout.seen, flat, 0.0)))))
-        for flat in (other, put_right.difference, put_right.change)
+        for flat in (other, of_effect.difference, of_effect.change)
     )
-    return left * error / effect if effect > 0.0 else 0.0
+    return remainder * error / effect if effect > 0.0 else 0.0
 
 
 def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] | None = None) -> Target:
-    """Return a target whose correction is right for the believed model and for a fitted one.
+    """Return a target whose correction covers the believed model and a fitted one.
 
     Parameters
     ----------
     target : Target
-        What was fitted.
+        Target of the fit.
     found : Fit
         With causes.
     progress : callable of str, optional
@@ -101,9 +102,8 @@ def recorrected(target: Target, found: Fit, *, progress: Callable[[str], None] |
     Returns
     -------
     Target
-        The one given where the answer depends on more than displacements and the modulus scales more than forces, where
-        the tracker's errors alone or memory were found, where the fine mesh finds no equilibrium, and of data that were
-        simulated with this very mesh.
+        The given one where the modulus does more than scale forces, where all causes are errors of the tracker or one
+        is memory, where the fine mesh has no equilibrium, and for data that were simulated on the user's mesh.
     """
     bench = target.bench
     if bench.is_exact or not bench.scales_forces or any(part.id in ABSOLUTE for part in found.parts):

@@ -1,4 +1,7 @@
-"""What a model says on finer meshes: one that corrects the user's, and others that tell how good it is."""
+"""Predictions of the believed model on fine meshes: one that corrects, and others that measure what error it leaves.
+
+Meshing and solving take long; predictions of the believed model are cached, named by a hash of all that they depend on.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -18,13 +21,13 @@ from tissuereg.simulate.experiment import CaseSimulation
 from tissuereg.simulate.fine import FineModel, third_meshes
 from tissuereg.simulate.memory import remembers
 
-#: Raised when fine meshes give other answers: those of other releases are not read.
+#: To be increased when fine meshes give other results, so that older files are not read.
 SCHEMA = 2
 
-#: Finer meshes beside the one that corrects.
+#: Number of fine meshes in addition to the one that corrects.
 THIRDS = 3
 
-#: Rigs whose answers are kept: they take long to make and some 0.1 MB each.
+#: Number of cached files, some 0.1 MB each; the oldest are deleted.
 MOST_FILES = 500
 
 
@@ -34,9 +37,9 @@ def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
     Parameters
     ----------
     layout : Layout
-        Its order.
+        Order of the vector.
     answers : dict of str to CaseSimulation
-        All cases.
+        Simulation of every case.
 
     Returns
     -------
@@ -46,7 +49,7 @@ def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
     Raises
     ------
     ConvergenceError
-        If a frame found no equilibrium.
+        If a frame has no equilibrium.
     """
     for name, answer in answers.items():
         refuse_failures(name, answer.failed)
@@ -57,25 +60,25 @@ def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
 
 
 def path_of(experiment: Experiment) -> Path:
-    """Return the file in the cache that keeps what a believed model says on finer meshes."""
+    """Return the cache file of a believed model's predictions on fine meshes."""
     return cache_folder() / f"fine_{fingerprint(experiment, f'tet10 {SCHEMA}')}.npy"
 
 
 def refined_predictions(
     bench: Bench, path: Path | None, *, thirds: int = THIRDS, progress: Callable[[str], None] | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what the believed model says on the fine mesh, and on others of another error.
+    """Return the predictions of the believed model on the correcting fine mesh and on further ones.
 
     Parameters
     ----------
     bench : Bench
         The believed model.
     path : Path, optional
-        File that keeps them between calls; see `path_of`.
+        Cache file; see `path_of`.
     thirds : int
-        Number of other meshes.
+        Number of further meshes.
     progress : callable of str, optional
-        Called with what is at work.
+        Called with the name of the step that begins.
 
     Returns
     -------
@@ -85,7 +88,7 @@ def refined_predictions(
     Raises
     ------
     ConvergenceError
-        If a frame finds no equilibrium.
+        If a frame has no equilibrium.
     """
     kept = None if path is None else _read(path)
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
@@ -102,25 +105,26 @@ def refined_predictions(
 
 
 def refined_effects(bench: Bench, effects: Sequence[Effect]) -> FloatArray | None:
-    """Return what the believed model with further effects says on the fine mesh.
+    """Return the prediction of the believed model with further effects on the fine mesh.
 
     Parameters
     ----------
     bench : Bench
         The believed model.
     effects : sequence of Effect
-        Beside those of the experiment.
+        In addition to those of the experiment.
 
     Returns
     -------
     ndarray of float64, shape (size,), or None
-        mm and mN. None where the material remembers: such frames take minutes on a fine mesh, and what a body remembers
-        of a load has the error of the load's own answer, which the believed model's correction carries.
+        mm and mN. None where the material has memory: such histories take minutes on a fine mesh, and the
+        discretisation error of a memory effect is that of the load's own response, which the correction of the believed
+        model contains.
 
     Raises
     ------
     ConvergenceError
-        If a frame finds no equilibrium.
+        If a frame has no equilibrium.
     """
     every = (*bench.experiment.effects, *effects)
     if remembers(extended(replace(bench.experiment, effects=every), bench.predictor.element)):

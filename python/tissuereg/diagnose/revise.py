@@ -1,7 +1,8 @@
-"""Second thoughts on causes that were found one after another: what is not needed any more goes, mates stand in.
+"""Revision of causes that were found one after another: redundant ones are removed, rivals are tried in their place.
 
-The cause found first was weighed while the later ones were missing. Each is therefore taken out again, and exchanged
-for those that came close to it when it was found.
+The first cause was accepted while the later ones were still missing from the model. Each cause is therefore removed
+again, and stays removed if the evidence falls by less than its threshold; then it is exchanged for the candidates that
+came close to it in its round.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,45 +11,45 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.fit import Fit, Part, Target, fit
-from tissuereg.diagnose.recorrect import PUT_RIGHT, settled
+from tissuereg.diagnose.recorrect import CORRECTION_GAIN, corrected_fit
 
-#: Nats by which a mate must be better.
+#: Gain in log evidence, in nats, that an exchange requires.
 BETTER = 2.0
 
 
 def without(target: Target, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
-    """Return the fit of a model that lacks one of its causes.
+    """Return the fit of a model without one of its causes.
 
     Parameters
     ----------
     target : Target
-        What is fitted.
+        Data, believed model, noise and nuisances.
     current : Fit
         With all causes.
     part : int
-        Number of the one that goes.
+        Number of the cause that is removed.
     hopeless : float
-        As `fit` takes it.
+        As in `fit`.
 
     Returns
     -------
     Fit or None
-        None where it finds no equilibrium.
+        None where there is no equilibrium.
     """
     mine = current.slices()[part]
     others = [*current.parts[:part], *current.parts[part + 1 :]]
     return fit(target, others, start=np.delete(current.x, np.r_[mine]), hopeless=hopeless)
 
 
-def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tuple[Target, Fit, list[int]]:
-    """Return the fit without the causes whose removal costs less than their threshold, and which causes are left.
+def without_redundant(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tuple[Target, Fit, list[int]]:
+    """Return the fit without redundant causes: those whose removal costs less evidence than their threshold.
 
-    Every fit has the mesh's error in its own causes put right.
+    The discretisation error of the causes is corrected in every fit.
 
     Parameters
     ----------
     target : Target
-        What is fitted.
+        Data, believed model, noise and nuisances.
     current : Fit
         With all causes.
     thresholds : mapping of str to float
@@ -57,45 +58,45 @@ def needed(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tup
     Returns
     -------
     tuple of Target, Fit and list of int
-        What is fitted then, and the numbers of the parts that stay, of those of `current`; one at least.
+        Target and fit of the causes that stay, and their numbers among the parts of `current`; one at least.
     """
-    left = list(range(len(current.parts)))
-    while len(left) > 1:
-        spare: list[tuple[int, Target, Fit]] = []
+    kept = list(range(len(current.parts)))
+    while len(kept) > 1:
+        redundant: list[tuple[int, Target, Fit]] = []
         for number, name in enumerate(current.ids):
-            # What a fit must reach to show that its missing cause is not needed.
+            # The log evidence at which a fit shows that the cause it lacks is redundant.
             least = current.log_evidence - thresholds[name]
-            reached = _reaching(least, target, without(target, current, number, hopeless=PUT_RIGHT - least))
+            reached = _reaching(least, target, without(target, current, number, hopeless=CORRECTION_GAIN - least))
             if reached is not None:
-                spare.append((number, *reached))
-        if not spare:
+                redundant.append((number, *reached))
+        if not redundant:
             break
-        # Where one of two will do, the likelier one stays, whatever their thresholds are.
-        number, target, current = max(spare, key=lambda row: row[2].log_evidence)
-        del left[number]
-    return target, current, left
+        # Where either of two causes suffices, the likelier one stays, whatever their thresholds are.
+        number, target, current = max(redundant, key=lambda row: row[2].log_evidence)
+        del kept[number]
+    return target, current, kept
 
 
 def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Part, FloatArray]]) -> tuple[Target, Fit]:
-    """Return the fit with the best of some mates in the place of one cause, where it is better by `BETTER` nats.
+    """Return the fit with the best of some rivals in place of one cause, where that gains `BETTER` nats.
 
-    Every fit has the mesh's error in its own causes put right.
+    The discretisation error of the causes is corrected in every fit.
 
     Parameters
     ----------
     target : Target
-        What is fitted.
+        Data, believed model, noise and nuisances.
     current : Fit
         With all causes.
     part : int
         Number of the cause that may be replaced.
     mates : sequence of (Part, ndarray of float64, shape (k,))
-        With the knobs where they begin.
+        Rivals, with the parameters at which their fits begin.
 
     Returns
     -------
     tuple of Target and Fit
-        Those given where no mate is better.
+        The given ones where no rival is better.
     """
     mine = current.slices()[part]
     best, of_best = current, target
@@ -103,15 +104,15 @@ def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Par
         parts = [*current.parts[:part], mate, *current.parts[part + 1 :]]
         start = np.concatenate([current.x[: mine.start], knobs, current.x[mine.stop :]])
         least = max(best.log_evidence, current.log_evidence + BETTER)
-        reached = _reaching(least, target, fit(target, parts, start=start, hopeless=PUT_RIGHT - least))
+        reached = _reaching(least, target, fit(target, parts, start=start, hopeless=CORRECTION_GAIN - least))
         if reached is not None:
             of_best, best = reached
     return of_best, best
 
 
 def _reaching(least: float, target: Target, fitted: Fit | None) -> tuple[Target, Fit] | None:
-    """Return a fit with the mesh's error in it put right, if its log evidence then passes the least."""
-    if fitted is None or fitted.log_evidence < least - PUT_RIGHT:
+    """Return a fit with its discretisation error corrected, if its log evidence then exceeds the least."""
+    if fitted is None or fitted.log_evidence < least - CORRECTION_GAIN:
         return None
-    better, again = settled(target, fitted)
+    better, again = corrected_fit(target, fitted)
     return (better, again) if again.log_evidence > least else None

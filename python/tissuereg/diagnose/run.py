@@ -1,4 +1,10 @@
-"""What the simulation of a body gets wrong, step by step."""
+"""Diagnosis of a body: the sequence of steps from measurements to verdict.
+
+Input is an `Experiment` (believed model and measurements), output a `Diagnosis`. The steps: noise model, bank of
+hypotheses, correction of the discretisation error, nuisance parameters, linear evidence of all causes, thresholds from
+null draws, search with nonlinear fits and held-out proof, test of the residual, verdict and advice. Each is a module of
+this package; ``docs/diagnose.md`` describes them in this order.
+"""
 
 import platform
 from collections.abc import Callable
@@ -18,25 +24,25 @@ from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.findings import candidates_of, findings_of
 from tissuereg.diagnose.fit import Target, fit
 from tissuereg.diagnose.generic import generic_columns
-from tissuereg.diagnose.left import left_of, looks_like
+from tissuereg.diagnose.localisation import next_check
 from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnose.nulls import draw_nulls
 from tissuereg.diagnose.refined import path_of, refined_predictions
+from tissuereg.diagnose.residual import nearest_cause, residual_summary
 from tissuereg.diagnose.screen import Screen
 from tissuereg.diagnose.search import Search, search
 from tissuereg.diagnose.signals import Layout
 from tissuereg.diagnose.targets import target_rms
-from tissuereg.diagnose.whereabouts import next_check
 from tissuereg.effects import Effect, Stiffness
 from tissuereg.experiment import Experiment
 
-#: Misfit less likely than this is one.
+#: Level of the misfit test: a residual with a smaller p-value is a misfit.
 MISFIT = 0.01
 
-#: Causes that leave a misfit must explain this share of what the believed model leaves, of all of it and where it
-#: stands out most, or nothing is named; of all of it alone where one gains far more than any rival.
+#: Findings with a misfit are named only if they explain this share of the believed model's misfit, both in total and in
+#: the statistic that is still largest; the total alone counts where one finding is far ahead of all rivals.
 EXPLAINED = 0.5
 
 
@@ -49,10 +55,11 @@ def diagnose_body(
     element: str | None,
     progress: Callable[[str], None] | None,
 ) -> Diagnosis:
-    """Return what the simulation of a body gets wrong; see `tissuereg.diagnose.diagnose`."""
+    """Return the diagnosis of a body; see `tissuereg.diagnose.diagnose`."""
     experiment = _own_modulus(experiment)
-    said = experiment.simulated
-    element = element or (said.element if said is not None and said.model == "plain" else "tet4")
+    simulated = experiment.simulated
+    plain = simulated is not None and simulated.model == "plain"
+    element = element or (simulated.element if simulated is not None and plain else "tet4")
     layout = Layout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, element=element, threads=threads)
@@ -69,12 +76,12 @@ def diagnose_body(
     before = target.null.reduced(found.base.residual)
     misfit = battery.judge(before, found.reduced, nulls.residuals)
     findings = findings_of(target, screen, found, nulls.thresholds)
-    taken_back = bool(findings) and not _stands(misfit, found)
-    if taken_back:
-        # What was found is at best the nearest thing to what is there.
-        findings, found = [], found.taken_back(target)
+    withdrawn = bool(findings) and not _explains_enough(misfit, found)
+    if withdrawn:
+        # At best the findings are the causes most similar to the true one.
+        findings, found = [], found.withdrawn(target)
         misfit = battery.judge(before, found.reduced, nulls.residuals)
-    verdict = _verdict(findings, misfit.p, taken_back=taken_back)
+    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn)
     effects: tuple[Effect, ...] = found.final.effects(bench.young)
     if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
         young = found.final.young(bench.young)
@@ -84,13 +91,13 @@ def diagnose_body(
     findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
     following = advise(target, found.steps, findings)
     if verdict == "unexplained":
-        following = next_check(bench, found.reduced, looks_like(screen, found))
+        following = next_check(bench, found.reduced, nearest_cause(screen, found))
     return Diagnosis(
         verdict=verdict,
         findings=tuple(findings),
         candidates=candidates_of(screen, found.steps[0]),
         p_misfit=misfit.p,
-        left=left_of(layout, screen, found, misfit) if findings and misfit.p < MISFIT else None,
+        left=residual_summary(layout, screen, found, misfit) if findings and misfit.p < MISFIT else None,
         discrepancy=describe(layout, found.base, found.final),
         extended=extended,
         next_experiment=following,
@@ -109,18 +116,18 @@ def diagnose_body(
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """The believed model as it is held against the data.
+    """The believed model, corrected for discretisation error, with its nuisance parameters.
 
     Attributes
     ----------
     target : Target
-        What is fitted, the mesh's error corrected.
+        What fits need: corrected model, noise, and the null covariance of all nuisances but the modulus.
     nuisances : Nuisances
-        What is fitted beside.
+        Nuisance parameters with their columns.
     null : Null
-        All of them, the modulus among them.
+        Null covariance of all nuisances, the modulus included.
     mesh_errors : ndarray of float64, shape (n_meshes, size)
-        Other fine meshes less the one that corrects, mm and mN.
+        Predictions on further fine meshes minus those on the mesh that corrects, mm and mN.
     """
 
     target: Target
@@ -132,18 +139,18 @@ class Believed:
 def make_believed(
     bench: Bench, noise: Noise, *, keep: bool = True, progress: Callable[[str], None] | None = None
 ) -> Believed:
-    """Return the believed model with its mesh's error corrected, and what is uncertain about it.
+    """Return the believed model, corrected for discretisation error, with its nuisance parameters.
 
     Parameters
     ----------
     bench : Bench
         The believed model.
     noise : Noise
-        Of the measurement.
+        Measurement noise.
     keep : bool
-        Whether answers of fine meshes are kept in the cache, and read from it.
+        Whether predictions on fine meshes are read from and written to the cache.
     progress : callable of str, optional
-        Called with what is at work.
+        Called with the name of the step that begins.
 
     Returns
     -------
@@ -152,7 +159,7 @@ def make_believed(
     Raises
     ------
     ConvergenceError
-        If a frame finds no equilibrium on a fine mesh.
+        If a frame has no equilibrium on a fine mesh.
     """
     layout = bench.layout
     if bench.is_exact:
@@ -168,7 +175,7 @@ def make_believed(
 
 
 def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: Nuisances) -> Correction:
-    """Return a correction with the modulus that forces ask for, if it scales them alone."""
+    """Return a correction at the modulus fitted to the data, if the modulus does nothing but scale forces."""
     if not bench.scales_forces:
         return correction
     others = noise.whitened(correction.at_modulus(nuisances.columns[nuisances.but("stiffness")]), bench.layout)
@@ -179,7 +186,7 @@ def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: N
 def _with_targets(
     findings: list[Finding], experiment: Experiment, extended: Experiment, *, element: str, threads: int
 ) -> list[Finding]:
-    """Return findings with what they gain, all together, at inner targets; as they are where there are none."""
+    """Return findings with the errors at inner targets without and with all findings; unchanged without targets."""
     if not findings or not experiment.targets:
         return findings
     gains = {
@@ -190,7 +197,7 @@ def _with_targets(
 
 
 def _own_modulus(experiment: Experiment) -> Experiment:
-    """Return an experiment whose material has the modulus that its effects state: fits and forces scale that one."""
+    """Return the experiment with the modulus of a `stiffness` effect moved into its material, which fits scale."""
     stated = [effect for effect in experiment.effects if isinstance(effect, Stiffness)]
     if not stated:
         return experiment
@@ -200,14 +207,14 @@ def _own_modulus(experiment: Experiment) -> Experiment:
     return replace(experiment, material=replace(experiment.material, young=young), young_std=spread, effects=others)
 
 
-def _stands(misfit: Misfit, found: Search) -> bool:
-    """Say whether findings may be named: they leave no misfit, explain enough of one, or beat all else by far."""
+def _explains_enough(misfit: Misfit, found: Search) -> bool:
+    """Return whether findings may be named: no misfit is left, or enough of it is explained (`EXPLAINED`)."""
     if misfit.p >= MISFIT or min(misfit.explained, misfit.explained_there) >= EXPLAINED:
         return True
     return misfit.explained >= EXPLAINED and any(step.is_clear for step in found.steps)
 
 
-def _verdict(findings: list[Finding], misfit: float, *, taken_back: bool) -> str:
+def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool) -> str:
     if not findings:
-        return "consistent" if misfit >= MISFIT and not taken_back else "unexplained"
+        return "consistent" if misfit >= MISFIT and not withdrawn else "unexplained"
     return "group" if any(len(finding.group) > 1 for finding in findings) else "named"

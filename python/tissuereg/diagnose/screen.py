@@ -1,4 +1,8 @@
-"""Screening: the exact linear evidence of every hypothesis in the bank, and of the generic rival."""
+"""Screening: the exact linear-Gaussian evidence of every hypothesis in the bank, and of the generic rival.
+
+Input is a reduced residual, output the log Bayes factor of every cause against no cause: that of each hypothesis
+(`evidence`), averaged over the hypotheses of the cause. The average is the penalty for having searched in many places.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,16 +26,16 @@ _AT_A_TIME = 400
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """What the linear evidence says of one cause.
+    """Linear evidence of one cause.
 
     Attributes
     ----------
     log_bayes_factor : float
-        Of the cause against none, averaged over its hypotheses: that is the price of looking in many places.
+        Of the cause against no cause: logarithm of the mean Bayes factor of its hypotheses.
     best : Variant or None
         The likeliest hypothesis; None for the generic rival.
     amplitudes : ndarray of float64, shape (p,)
-        Of its columns, in prior deviations.
+        Posterior mean of its amplitudes, in prior standard deviations.
     """
 
     log_bayes_factor: float
@@ -40,7 +44,7 @@ class Screened:
 
 
 class Screen:
-    """All hypotheses, whitened and reduced once for any number of residuals.
+    """All hypotheses, corrected, whitened and reduced once for any number of residuals.
 
     Parameters
     ----------
@@ -49,13 +53,13 @@ class Screen:
     generic : ndarray of float64, shape (n_sizes, p, size)
         Columns of the generic rival.
     noise : Noise
-        Of the measurement.
+        Measurement noise.
     layout : Layout
         Order of all columns.
     correction : Correction
-        Of the mesh's error.
+        Correction of the discretisation error.
     null : Null
-        What is expected without a cause.
+        Null covariance: noise and nuisances.
 
     Attributes
     ----------
@@ -110,7 +114,7 @@ class Screen:
         return np.stack([self._white(variant.columns.astype(np.float64)) for variant in self.bank[name]])
 
     def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
-        """Return the length of what a hypothesis of a cause changes, in noise deviations, nuisances taken out."""
+        """Return the norm of the change that a hypothesis makes, whitened by the null covariance (noise deviations)."""
         number = next(i for i, other in enumerate(self.bank[name]) if other is variant)
         return float(np.linalg.norm(amplitudes @ self.blocks[name].columns[number].astype(np.float64)))
 

@@ -1,15 +1,15 @@
-"""What may be off in the shape of a body and of its patches: motions of its mesh, and how far each may go.
+"""Uncertainty of the shape of a body and of its patches: motions of the mesh's nodes with prior deviations.
 
-Two solvers that read the same words make two bodies. A pad in a ball is a disc, the nodes in the ball, or a patch that
-conforms to it; flat facets lie beside the smooth surface; a segmented surface is off by a share of a voxel. None of it
-is a finding. Each is a direction here, a motion of the mesh's nodes over one mm:
+The same description gives different bodies in different solvers. A pad "in a ball" may be a disc, the nodes in the
+ball, or a patch that conforms to it; flat facets differ from the smooth surface; a segmented surface is off by a
+fraction of a voxel. These are nuisances, never findings. Each is a direction, a motion of the mesh's nodes per mm:
 
-* a patch slides along the surface, in two directions, or grows;
-* its rim, a closed curve, is no circle: it goes out and in twice or three times around the patch;
+* a patch is shifted along the surface, in two directions, or is larger;
+* its rim is no circle, but a wave with two or three periods around the patch;
 * the surface under a pad lies higher, or is tilted;
-* the edge of a support lies elsewhere;
-* the surface as a whole is off along its normal, by a smooth random field, and out to the smooth surface behind the
-  facets.
+* the edge of a support is displaced;
+* the whole surface is displaced along its normal, by a smooth random field and by the gap between the facets and the
+  smooth surface through their nodes.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,44 +26,43 @@ from tissuereg.simulate.fine.meshing import rim_of
 from tissuereg.simulate.fine.rims import sharp_nodes
 from tissuereg.simulate.fine.third import gaps
 
-#: Deviations of a patch's place along the surface and of its rim's waves, of its radius, and of its height at its edge,
-#: where none is stated: shares of its radius.
+#: Default prior deviations, as shares of a patch's radius: of its place and its rim's waves, its radius, its height.
 PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE = 0.03, 0.01, 0.02
 
-#: How far the edge of a tilted patch lies off, over the deviation of its height.
+#: Deviation of the height of a tilted patch's edge, over the deviation of the patch's height.
 TILT_SHARE = 0.5
 
-#: How often a rim goes out and in around its patch. Once is another place.
+#: Numbers of periods of a rim's wave around its patch. One period would be a shift.
 WAVES = (2, 3)
 
-#: Length over which the surface is off alike where none is stated, over the extent of the body.
+#: Default correlation length of the surface's offset, over the extent of the body.
 LENGTH_SHARE = 0.2
 
-#: Share of the variance of the surface's offset that its patterns hold, and their number at most.
+#: Share of the variance of the surface's offset that the patterns kept represent, and their number at most.
 HELD_VARIANCE, MOST_PATTERNS = 0.9, 40
 
-#: Places that a surface's patterns are made from at most.
+#: Number of places from which the patterns are computed, at most.
 MOST_PLACES = 1500
 
-#: How far around a patch the mesh moves with it, over the patch's radius.
+#: Distance over which the mesh around a patch moves with it, over the patch's radius.
 REACH = 0.6
 
-#: Mean of the unit normals of a patch below which it goes round the body, and has no side to slide along.
+#: A patch whose unit normals have a mean below this surrounds the body, and has no plane to be shifted in.
 _ROUND = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """One way in which the body may have another shape.
+    """One deviation of the body's shape.
 
     Attributes
     ----------
     name : str
-        What it is.
+        Name of the nuisance parameter.
     motion : ndarray of float64, shape (n_nodes, 3)
-        Of the mesh's nodes, over one mm.
+        Motion of the mesh's nodes per mm.
     std_mm : float
-        How far it may go: prior standard deviation.
+        Prior standard deviation.
     """
 
     name: str
@@ -72,19 +71,19 @@ class Direction:
 
 
 def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[Direction]:
-    """Return the ways in which the body of an experiment may have another shape.
+    """Return the deviations of the shape of an experiment's body.
 
     Parameters
     ----------
     experiment : Experiment
-        With its mesh and patches, and their deviations where stated.
+        Mesh and patches, with their deviations where stated.
     given : Mesh, optional
         The mesh whose facets the experiment's own mesh divides; facets lie beside the smooth surface as those of it do.
 
     Returns
     -------
     list of Direction
-        Ten a pad, one a support whose edge is no edge of the body, and those of the surface as a whole.
+        Ten for each pad, one for each support whose edge is no edge of the body, and those of the whole surface.
     """
     surface = _Surface(experiment, given or experiment.mesh)
     found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
@@ -93,7 +92,7 @@ def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[
 
 
 class _Surface:
-    """The surface of a body: normals, gaps to a smooth one, sharp edges, whose nodes are whose."""
+    """The surface of a body: normals, gaps to the smooth surface, sharp edges, nodes of each patch."""
 
     def __init__(self, experiment: Experiment, given: Mesh) -> None:
         self.mesh: Mesh = experiment.mesh
@@ -115,12 +114,12 @@ class _Surface:
         return float(np.sqrt((share * self.folds.areas).sum() / np.pi))
 
     def stays(self, patch: Actuator | Boundary) -> np.ndarray:
-        """Return which nodes do not move when a patch does: edges of the body, other patches. Shape (n_nodes,)."""
+        """Return which nodes stay when a patch moves (edges of the body, other patches), shape (n_nodes,)."""
         others = [other.nodes for other in self.patches if other is not patch]
         return np.isin(np.arange(self.mesh.n_nodes), np.concatenate([self.sharp, *others]))
 
     def along(self, motion: FloatArray) -> FloatArray:
-        """Return a motion whose surface nodes stay in the surface."""
+        """Return the tangential part of a motion at the surface's nodes."""
         return np.asarray(motion - (motion * self.normals).sum(axis=1, keepdims=True) * self.normals)
 
 
@@ -158,7 +157,7 @@ def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
 
 
 def _of_grip(surface: _Surface, pad: Actuator, radius: float) -> Iterator[Direction]:
-    """Yield those of a pad that goes round the body: it slides along its surface, and its edge lies elsewhere."""
+    """Yield the directions of a pad that surrounds the body: shifts along its surface, and a displaced edge."""
     near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), REACH * radius))[:, None]
     for axis, side in enumerate(np.eye(3)):
         motion = surface.along(near * side)
@@ -202,9 +201,9 @@ def _of_surface(surface: _Surface, experiment: Experiment) -> Iterator[Direction
 
 
 def _patterns(places: FloatArray, length: float) -> FloatArray:
-    """Return the largest patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3).
+    """Return the leading patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3).
 
-    Of many places it is known by an even share of them (Nystrom).
+    Where there are many places, from an even share of them (Nystrom approximation).
     """
     known = places[:: -(-len(places) // MOST_PLACES)]
 
@@ -227,7 +226,7 @@ def _node_normals(mesh: Mesh, folds: Folds) -> FloatArray:
 
 
 def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
-    """Return a motion (n_nodes, 3) of a surface on a mesh that divides its facets; zero inside."""
+    """Return a surface motion interpolated to a mesh that subdivides the surface, (n_nodes, 3); zero inside."""
     places = mesh.nodes[mesh.surface_nodes]
     between = MarkerObservation(given, places, tuple(f"node {node}" for node in mesh.surface_nodes))
     carried = np.zeros_like(mesh.nodes)
@@ -236,7 +235,7 @@ def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
 
 
 def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
-    """Return 1 at some nodes, and less at others the farther they lie from them, shape (n_nodes,)."""
+    """Return a Gaussian of the distance to the given nodes, 1 on them, shape (n_nodes,)."""
     from scipy.spatial import KDTree
 
     away = KDTree(mesh.nodes[nodes]).query(mesh.nodes)[0]

@@ -1,8 +1,8 @@
-"""How everything measured follows another shape of the body, by derivatives on the fine mesh.
+"""Sensitivity columns of the body's shape (`shape`), from derivatives on the fine mesh.
 
-Strains are singular at the rim of a pad. On the user's elements, which are hardly smaller than a pad, a derivative by
-the pad's place or height is wrong by as much as it is large. The fine mesh has the rim as a line of its edges and small
-elements round it; there elements of first order are good enough.
+Strains are singular at the rim of a pad. On the user's elements, which are hardly smaller than a pad, the error of a
+derivative by the pad's place or height is as large as the derivative itself. The fine mesh has the rim among its edges
+and small elements around it, where four-node elements suffice.
 """
 
 from collections.abc import Iterator
@@ -17,29 +17,29 @@ from tissuereg.simulate.fine import rough_element, without_time
 
 
 def shape_columns(bench: Bench, fine: FloatArray) -> Iterator[tuple[Direction, FloatArray]]:
-    """Yield what every direction of the shape changes.
+    """Yield the directions of the shape with their sensitivity columns.
 
     Parameters
     ----------
     bench : Bench
-        The believed model. One that goes through time follows its shape as the body does that depends on its load
-        alone.
+        The believed model. A model with memory is replaced by its elastic counterpart.
     fine : ndarray of float64, shape (size,)
-        What the believed model says on the fine mesh in ten-node elements, mm and mN.
+        Prediction of the believed model on the fine mesh with ten-node elements, mm and mN.
 
     Yields
     ------
     tuple of Direction and ndarray of float64, shape (size,)
-        Over one mm, mm and mN: forces as ten-node elements would give them (`Correction`).
+        Change per mm, in mm and mN; forces are mapped to those of ten-node elements (`Correction`).
 
     Raises
     ------
     ConvergenceError
-        If a frame finds no equilibrium.
+        If a frame has no equilibrium.
 
     Notes
     -----
-    One tangent of the fine mesh a state, one evaluation of the internal forces and one solution a direction and state.
+    Costs one factored tangent of the fine mesh for each state, and for each direction and state one evaluation of the
+    internal forces and one solution.
     """
     experiment, element = bench.fine.fine, rough_element(bench.fine.fine)
     if not bench.is_elastic:

@@ -1,4 +1,4 @@
-"""What an experiment measured, as one flat vector: markers and forces of all cases in a fixed order."""
+"""All measured numbers of an experiment as one flat vector: markers and forces of all cases in a fixed order."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class CasePart:
-    """Where one case lies in the flat vector.
+    """The entries of one case in the flat vector.
 
     Attributes
     ----------
     name : str
-        Of the case.
+        Name of the case.
     times : ndarray of float64, shape (n_frames,)
         s.
     pads : tuple of str
@@ -90,7 +90,7 @@ class Layout:
         self.reference = experiment.marker_reference
         parts, at = [], 0
         for name, case in experiment.cases.items():
-            # The actuators' order, whatever that of the file of forces is: banks are kept by it.
+            # In the order of the actuators, not of the file of forces: cached banks depend on it.
             known = case.forces.keys() & case.displacements.keys()
             pads = tuple(pad.name for pad in experiment.actuators if pad.name in known)
             part = CasePart(name, case.times, pads, at, len(self.marker_names))
@@ -136,7 +136,7 @@ class Layout:
         return moments
 
     def flatten(self, places: Mapping[str, FloatArray], forces: Mapping[str, Mapping[str, FloatArray]]) -> FloatArray:
-        """Return what was predicted as a flat vector.
+        """Return predictions as a flat vector.
 
         Parameters
         ----------

@@ -1,8 +1,9 @@
-"""Derivatives of everything measured, by the tangents of the equilibria that the believed model finds.
+"""Sensitivities of all measured numbers, from the tangent stiffness of the believed model's equilibria.
 
-Frames under one load are one equilibrium. Its tangent is factored once; causes cost one solution each, and an inclusion
-at any place is a weighted sum of the adjoints of the measured numbers. For elastic models; what remembers is simulated
-(`bank`).
+Frames under the same load are one equilibrium, whose tangent is factored once. The derivative by a parameter costs one
+solution with it (direct differentiation). Derivatives by the modulus of every tetrahedron come from one adjoint
+solution for each measured number, so that an inclusion at any place is a weighted sum of them. For elastic models only;
+the causes of a model with memory are simulated at one size (`Bench.change`).
 """
 
 from collections.abc import Callable, Sequence
@@ -24,10 +25,10 @@ from tissuereg.simulate.loading import distinct_states, pads_of, traction_of
 from tissuereg.simulate.sensitivity import Cause, Linearised, Observation
 from tissuereg.simulate.solve import Simulator
 
-#: Tangents of bodies up to this many nodes are kept; a larger body's are factored anew for each question.
+#: Tangents of bodies up to this many nodes stay in memory; those of larger bodies are factored at each use.
 KEPT_UP_TO_NODES = 8000
 
-#: Step of differences by the shape, over the mesh's shortest edge.
+#: Step of finite differences by the shape, over the mesh's shortest edge.
 STEP = 1e-5
 
 
@@ -38,13 +39,13 @@ class State:
     Attributes
     ----------
     case : Case
-        To which it belongs.
+        The load case.
     frames : ndarray of int64, shape (n,)
-        Frames of the case that are in it.
+        Frames of the case with this equilibrium.
     simulator : Simulator
-        Which holds boundaries and pads.
+        With the boundaries and pads as held nodes.
     load : Load
-        What acts.
+        Prescribed displacements and forces.
     pad_rows : dict of str to ndarray of int64
         Rows of the held nodes that belong to each pad.
     """
@@ -73,7 +74,7 @@ class Tangents:
     Parameters
     ----------
     predictor : Predictor
-        Of a model without memory, sliding supports, or a mesh that hangs in gravity already.
+        Of a model without memory, without sliding supports, and with an unloaded mesh.
 
     Raises
     ------
@@ -89,24 +90,24 @@ class Tangents:
         self._kept: list[tuple[Linearised, FloatArray, FloatArray] | None] = [None] * len(self.states)
 
     def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return how everything measured follows directions.
+        """Return the sensitivity columns of some parameters.
 
         Parameters
         ----------
         direction : callable of State
-            Gives what is moved in a state, `count` causes.
+            Returns the derivatives of the load or the material by the parameters in a state, `count` of them.
         count : int
-            Number of directions.
+            Number of parameters.
 
         Returns
         -------
         ndarray of float64, shape (count, size)
-            Over the unit of each cause, mm and mN.
+            For a unit of each parameter, mm and mN.
         """
         return self._seen(self._columns(lambda _, state: direction(state), count))
 
     def _columns(self, direction: Callable[[int, State], Sequence[Cause]], count: int) -> FloatArray:
-        """Return columns as `columns`, before the tracker sees them; directions are told the number of the state."""
+        """Return columns as `columns`, before the tracker's effects; `direction` also gets the number of the state."""
         flat = np.zeros((count, self.layout.size))
         for number, state in enumerate(self.states):
             tangent, slopes, _ = self._at(number)
@@ -121,7 +122,7 @@ class Tangents:
         return flat
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
-        """Return how everything measured follows relative changes of the modulus in parts of the body.
+        """Return the sensitivity columns of relative changes of the modulus in parts of the body.
 
         Parameters
         ----------
@@ -131,7 +132,7 @@ class Tangents:
         Returns
         -------
         ndarray of float64, shape (n_fields, size)
-            For a modulus raised by its own amount where a share is 1, mm and mN.
+            For a modulus that is doubled where a share is 1 (derivative by the relative change), mm and mN.
         """
         flat = np.zeros((shares.shape[1], self.layout.size))
         young = np.broadcast_to(_per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
@@ -147,22 +148,22 @@ class Tangents:
         return self._seen(flat)
 
     def by_shapes(self, motions: Sequence[FloatArray]) -> FloatArray:
-        """Return how everything measured follows the shape of the body.
+        """Return the sensitivity columns of motions of the mesh's nodes (shape derivatives).
 
         Parameters
         ----------
         motions : sequence of ndarray of float64, shape (n_nodes, 3)
-            Of the mesh's nodes.
+            Motions of the nodes.
 
         Returns
         -------
         ndarray of float64, shape (n_motions, size)
-            Over each motion, mm and mN: patches move with their nodes, markers stay where they are. The weight of what
-            is added to the body is left out.
+            For a unit of each motion, mm and mN. Patches move with their nodes, reference places of markers do not.
+            The weight of material that the motion adds is neglected.
 
         Notes
         -----
-        One evaluation of the internal forces and one solution a motion and state, forward differences.
+        Costs one evaluation of the internal forces (forward difference) and one solution for each motion and state.
         """
         longest = [max(float(np.abs(motion).max()), np.finfo(float).tiny) for motion in motions]
         step = STEP * _shortest_edge(self.worked.mesh)
@@ -179,7 +180,7 @@ class Tangents:
             part = self.layout[state.case.name]
             for i, body in enumerate(moved):
                 part.markers(markers)[i, state.frames] = (body.seen(field) - places) / body.step
-            # What the moved body leaves out of balance is a load that acts on this one.
+            # The imbalance of the moved body is the load of the sensitivity problem.
             return [Load(forces=(body.out_of_balance(field, state) - balance) / body.step) for body in moved]
 
         return self._seen(self._columns(direction, len(motions)) + markers)
@@ -193,7 +194,7 @@ class Tangents:
         return [State(case, mine, believed.simulator, believed.loads[mine[0]], rows) for mine in frames]
 
     def _at(self, number: int) -> tuple[Linearised, FloatArray, FloatArray]:
-        """Return tangent, slopes of the observation and displacement of all nodes in a state."""
+        """Return the tangent, the Jacobian of the observation and the displacement of all nodes in a state."""
         kept = self._kept[number]
         if kept is not None:
             return kept
@@ -209,25 +210,25 @@ class Tangents:
 
     def _observations(self, state: State, part: CasePart, slopes: FloatArray) -> list[Observation]:
         nodes = self.predictor.observation.nodes
-        asked = []
+        observations = []
         for weights in slopes.reshape(-1, len(nodes), 3):
             used = np.flatnonzero(weights.any(axis=1))
-            asked.append(Observation(nodes[used], weights[used]))
+            observations.append(Observation(nodes[used], weights[used]))
         for pad in part.pads:
             held = state.simulator.held_nodes[state.pad_rows[pad]]
-            asked += [
+            observations += [
                 Observation(held_nodes=held, held_weights=np.tile(np.eye(3)[x], (len(held), 1))) for x in range(3)
             ]
-        return asked
+        return observations
 
     def _seen(self, flat: FloatArray) -> FloatArray:
-        """Return columns as the believed tracker sees them: it changes places affinely."""
+        """Return columns with the believed tracker's effects, which change places by an affine map."""
         chain = tuple(effect for effect in self.predictor.experiment.effects if isinstance(effect, ChainEffect))
         if not chain:
             return flat
         tracker = replace(self.predictor.experiment, effects=chain)
         for part in self.layout.parts:
-            # Where markers are does not matter to an affine map's derivative.
+            # The derivative of an affine map does not depend on the place.
             markers = part.markers(flat)
             places = np.broadcast_to(self.layout.reference, markers.shape[1:])
             here = seen_markers(tracker, places, part.times)
@@ -250,13 +251,13 @@ class _Moved:
         )
 
     def out_of_balance(self, field: FloatArray, state: State) -> FloatArray:
-        """Return the nodal forces of pads that pull less those that hold a displacement of all nodes, mN."""
+        """Return the external nodal forces of pads minus the internal ones of a displacement field, mN."""
         held = self._simulator.internal_forces(field, self._experiment.material)
         pulled = self._simulator.forces(Load(traction=traction_of(self._experiment, state.case, state.frame)))
         return -held if pulled is None else pulled - held
 
     def seen(self, field: FloatArray) -> FloatArray:
-        """Return how markers move, (n_markers, 3) in mm."""
+        """Return the displacements of the markers, (n_markers, 3) in mm."""
         return self._observation.predict(field[self._observation.nodes])
 
 

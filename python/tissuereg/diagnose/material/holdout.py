@@ -28,12 +28,12 @@ class Fold:
     ----------
     name : str
         Such as ``compression``.
-    asked : ndarray of bool, shape (n,)
+    held_out : ndarray of bool, shape (n,)
         Rows left out.
     """
 
     name: str
-    asked: BoolArray
+    held_out: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Bench:
 
 
 @dataclass(frozen=True)
-class Foretold:
+class HeldOutErrors:
     """How well a hypothesis foretells what was left out.
 
     Attributes
@@ -139,7 +139,7 @@ def _named(unit: str, values: Sequence[object]) -> str:
     return ", ".join(str(v) for v in values)
 
 
-def foretold(bench: Bench, fit: Fit, *, patch_share: float | None = None) -> Foretold:
+def held_out_errors(bench: Bench, fit: Fit, *, patch_share: float | None = None) -> HeldOutErrors:
     """Fit a hypothesis again without each fold and compare what it foretells.
 
     Parameters
@@ -155,34 +155,34 @@ def foretold(bench: Bench, fit: Fit, *, patch_share: float | None = None) -> For
 
     Returns
     -------
-    Foretold
+    HeldOutErrors
         Errors.
     """
     data = bench.problem.data
     errors, pointwise, rms, misfits = [], [], {}, {}
     for fold in bench.folds:
-        known, asked = np.flatnonzero(~fold.asked), np.flatnonzero(fold.asked)
-        if not len(asked) or len(known) <= len(fit.x):
+        known, left_out = np.flatnonzero(~fold.held_out), np.flatnonzero(fold.held_out)
+        if not len(left_out) or len(known) <= len(fit.x):
             continue
         own = block(bench.noise if bench.fitting is None else bench.fitting, known)
         if not fit.forms and patch_share is None:
             own = np.diag(np.diag(own))
         weights = weights_of(own, block(bench.generic, known))
-        problem = replace(bench.problem, data=data.part(~fold.asked), weights=weights)
+        problem = replace(bench.problem, data=data.part(~fold.held_out), weights=weights)
         again = fitted(problem, fit.forms, [fit.x], fit.share if patch_share is None else patch_share)
-        error = data.stress[asked] - data.part(fold.asked).modelled(again.model)
+        error = data.stress[left_out] - data.part(fold.held_out).modelled(again.model)
         if patch_share is not None:
             left = problem.data.stress - problem.data.modelled(again.model)
-            error = error - patched(bench.noise, bench.generic, patch_share, known, asked, left)
+            error = error - patched(bench.noise, bench.generic, patch_share, known, left_out, left)
         # A law that has no stress there is as wrong as one that says nothing.
-        error = np.where(np.isfinite(error), error, data.stress[asked])
-        own = block(bench.noise, asked)
+        error = np.where(np.isfinite(error), error, data.stress[left_out])
+        own = block(bench.noise, left_out)
         white = np.linalg.solve(np.linalg.cholesky(own), error)
         misfits[fold.name] = 0.5 * float(white @ white)
         pointwise.append(error / np.sqrt(np.diag(own)))
         errors.append(error)
         rms[fold.name] = float(np.sqrt(np.mean(error**2)))
     if not errors:
-        return Foretold({}, math.nan, {}, math.nan)
+        return HeldOutErrors({}, math.nan, {}, math.nan)
     point, every = np.concatenate(pointwise), np.concatenate(errors)
-    return Foretold(rms, float(np.sqrt(np.mean(point**2))), misfits, float(np.sqrt(np.mean(every**2))))
+    return HeldOutErrors(rms, float(np.sqrt(np.mean(point**2))), misfits, float(np.sqrt(np.mean(every**2))))

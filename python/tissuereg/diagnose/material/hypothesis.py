@@ -40,13 +40,13 @@ class Hypothesis:
     forms: tuple[Fit, ...] = ()
 
 
-def nothing(problem: Problem) -> Hypothesis:
+def null_hypothesis(problem: Problem) -> Hypothesis:
     """Return the hypothesis that what is believed holds, the modulus within its belief."""
     fit = fitted(problem, (), [np.array([problem.young_log])])
     return Hypothesis((), fit, fit.evidence)
 
 
-def ordinary(problem: Problem, noise: FloatArray) -> Fit:
+def plain_fit(problem: Problem, noise: FloatArray) -> Fit:
     """Return what is believed fitted as a user would: every row by itself.
 
     Parameters

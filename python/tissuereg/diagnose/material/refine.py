@@ -14,7 +14,7 @@ import numpy as np
 from tissuereg.diagnose.material.causes import CAUSES, Form
 from tissuereg.diagnose.material.deviations import stated
 from tissuereg.diagnose.material.fit import Fit, fitted
-from tissuereg.diagnose.material.holdout import Bench, Foretold, foretold
+from tissuereg.diagnose.material.holdout import Bench, HeldOutErrors, held_out_errors
 from tissuereg.diagnose.material.hypothesis import Hypothesis
 from tissuereg.diagnose.material.noise import Noise
 from tissuereg.diagnose.material.search import Search
@@ -34,7 +34,7 @@ class Refined:
     ----------
     fit : Fit
         Of all rows; its covariance carries the error of its form.
-    foretold : Foretold
+    held_out : HeldOutErrors
         Held-out data by the same form and weights.
     weighting : {"lasting errors", "rows alike"}
         Which noise the rows were given.
@@ -43,7 +43,7 @@ class Refined:
     """
 
     fit: Fit
-    foretold: Foretold
+    held_out: HeldOutErrors
     weighting: str
     form_error: float = math.nan
 
@@ -114,13 +114,13 @@ def _reordered(fit: Fit, order: list[str], wanted: tuple[str, ...]) -> Fit:
 def _of(bench: Bench, fit: Fit, weighting: str) -> Refined:
     if weighting == "rows alike":
         fit = fitted(bench.problem, fit.forms, [fit.x])
-    return Refined(fit, foretold(bench, fit), weighting)
+    return Refined(fit, held_out_errors(bench, fit), weighting)
 
 
 def _error(search: Search, refined: Refined) -> float:
     """Return the error that decides: of held-out data, of the fit itself for a lone curve; kPa."""
     if search.bench.unit != "part":
-        return refined.foretold.rms_all
+        return refined.held_out.rms_all
     data = search.bench.problem.data
     return float(np.sqrt(np.mean((data.stress - data.modelled(refined.fit.model)) ** 2)))
 

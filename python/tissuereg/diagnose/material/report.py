@@ -157,8 +157,8 @@ def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | No
 def _ranking(found: "MaterialDiagnosis") -> str:
     candidates = found.answer["candidates"]
     named = {name for cause in found.answer["causes"] for name in cause["group"]}
-    asked = {row["id"]: found.outcome.threshold for row in candidates if row["id"] != "unknown"}
-    return ranking(candidates, asked, named, "First round")
+    thresholds = {row["id"]: found.outcome.threshold for row in candidates if row["id"] != "unknown"}
+    return ranking(candidates, thresholds, named, "First round")
 
 
 def _held_out(held: dict[str, Any]) -> str:

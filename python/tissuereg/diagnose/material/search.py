@@ -7,7 +7,7 @@ import numpy as np
 
 from tissuereg.diagnose.material.causes import CAUSES, Form
 from tissuereg.diagnose.material.fit import Fit
-from tissuereg.diagnose.material.holdout import Bench, Foretold, foretold
+from tissuereg.diagnose.material.holdout import Bench, HeldOutErrors, held_out_errors
 from tissuereg.diagnose.material.hypothesis import Hypothesis, forms_of, refitted, unknown, with_cause
 
 #: Separability under which two causes are one group (a difference of 8 in log posterior), and its members at most.
@@ -18,9 +18,9 @@ MOST_FINDINGS = 3
 #: Gain in log predictive density on held-out data that a cause must bring.
 LEAST_GAIN = 4.0
 #: Where specimens or rates are left out a patch copies the others: of what it gains a cause must gain this.
-_OF_A_COPY = 0.75
+_SHARE_OF_PATCH = 0.75
 #: A cause that takes this share of the misfit of held-out data may foretell one fold worse.
-_MOST = 0.5
+_MOST_OF_MISFIT = 0.5
 
 #: A modulus is a finding beyond so many standard deviations of its belief.
 FAR_YOUNG = 3.0
@@ -195,16 +195,18 @@ class Search:
             Both must hold.
         """
         self.progress(f"held-out proof of {grown.ids[-1]}")
-        before, after = foretold(self.bench, known.fit), foretold(self.bench, grown.fit)
+        before, after = held_out_errors(self.bench, known.fit), held_out_errors(self.bench, grown.fit)
         if grown.ids == (*known.ids, "stiffness"):
             # Every hypothesis fits the modulus: what counts is how far it lies from its belief.
             return self.far_modulus(grown.fit) and after.total < before.total + LEAST_GAIN
-        patch = foretold(self.bench, known.fit, patch_share=generic.fit.share)
+        patch = held_out_errors(self.bench, known.fit, patch_share=generic.fit.share)
         if self._proved(before, after, patch):
             return True
         # Beyond the strains of a lone curve forms of one cause part widely: one that holds there proves the cause.
         others = grown.forms if self.bench.unit == "part" else ()
-        return any(self._proved(before, foretold(self.bench, fit), patch) for fit in others if fit is not grown.fit)
+        return any(
+            self._proved(before, held_out_errors(self.bench, fit), patch) for fit in others if fit is not grown.fit
+        )
 
     def far_modulus(self, fit: Fit) -> bool:
         """Say whether the belief lies far from the modulus, from the instantaneous to the relaxed one."""
@@ -213,18 +215,18 @@ class Search:
         above, below = fit.x[0] + relaxed - problem.young_log, problem.young_log - fit.x[0]
         return bool(max(above, below) > FAR_YOUNG * problem.young_std)
 
-    def _proved(self, before: Foretold, after: Foretold, patch: Foretold) -> bool:
+    def _proved(self, before: HeldOutErrors, after: HeldOutErrors, patch: HeldOutErrors) -> bool:
         gains = np.array([before.misfits[name] - after.misfits[name] for name in after.misfits])
         if not gains.size or gains.sum() <= LEAST_GAIN:
             return False
         # One fold's luck is no proof: all gain, or their mean is clear of its error, or little is left of the misfit.
         clear = gains.size == 1 or gains.mean() > 2.0 * gains.std(ddof=1) / np.sqrt(gains.size)
-        if not (gains.min() > 0 or clear or gains.sum() > _MOST * before.total):
+        if not (gains.min() > 0 or clear or gains.sum() > _MOST_OF_MISFIT * before.total):
             return False
         if self.bench.unit in ("specimen", "rate"):
             # What a patch copies from other specimens or near rates is close to the best that can be known.
             possible = before.chi - patch.chi
-            if before.chi - after.chi > _OF_A_COPY * possible:
+            if before.chi - after.chi > _SHARE_OF_PATCH * possible:
                 return True
         return bool(after.chi < patch.chi or after.rms_all < patch.rms_all)
 

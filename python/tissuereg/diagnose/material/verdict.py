@@ -10,8 +10,8 @@ from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.material.causes import CAUSES
 from tissuereg.diagnose.material.data import data_of
 from tissuereg.diagnose.material.fit import Fit, Problem
-from tissuereg.diagnose.material.holdout import Bench, Foretold, folds_of, foretold
-from tissuereg.diagnose.material.hypothesis import Hypothesis, nothing, ordinary, unknown
+from tissuereg.diagnose.material.holdout import Bench, HeldOutErrors, folds_of, held_out_errors
+from tissuereg.diagnose.material.hypothesis import Hypothesis, null_hypothesis, plain_fit, unknown
 from tissuereg.diagnose.material.model import model_of
 from tissuereg.diagnose.material.noise import Noise, covariance, noise_of
 from tissuereg.diagnose.material.nulls import misfit_probability, threshold
@@ -53,7 +53,7 @@ class Outcome:
         Global p-value after the findings.
     explained : float
         Share of the misfit (in squared units of noise) that the findings explain; NaN without findings.
-    before, after, patch : Foretold
+    before, after, patch : HeldOutErrors
         Held-out data foretold by what is believed, with the findings, with a generic patch.
     unit : str
         What was held out.
@@ -74,9 +74,9 @@ class Outcome:
     threshold: float
     p_misfit: float
     explained: float
-    before: Foretold
-    after: Foretold
-    patch: Foretold
+    before: HeldOutErrors
+    after: HeldOutErrors
+    patch: HeldOutErrors
     unit: str
     noise: Noise
     bench: Bench
@@ -103,14 +103,14 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
     rng = np.random.default_rng(seed)
     bench, noise = bench_of(experiment)
     problem, scene = bench.problem, scene_of(experiment)
-    none = nothing(problem)
+    none = null_hypothesis(problem)
     forms = visible({id: cause.forms(scene) for id, cause in CAUSES.items()})
     progress("thresholds from simulated nulls")
     limit = threshold(problem, none.fit, forms, rng)
     search = Search(bench, forms, limit, progress)
     known = _without_near_modulus(search, none, search.run(none))
     data = problem.data
-    believed = ordinary(problem, bench.noise)
+    believed = plain_fit(problem, bench.noise)
     left = data.stress - data.modelled(known.fit.model)
     p_misfit = misfit_probability(problem.weights, left, rng)
     explained = _explained(bench, data.stress - data.modelled(believed.model), left) if known.ids else math.nan
@@ -121,15 +121,15 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
         findings = tuple(search.finding(none, known, cause) for cause in known.ids)
         verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
     progress("form and weights that foretell best")
-    handed_on = refined(search, none, known, noise) if findings else None
-    before = foretold(bench, believed)
-    after = before if handed_on is None else handed_on.foretold
-    patch = foretold(bench, none.fit, patch_share=generic.fit.share)
+    reported = refined(search, none, known, noise) if findings else None
+    before = held_out_errors(bench, believed)
+    after = before if reported is None else reported.held_out
+    patch = held_out_errors(bench, none.fit, patch_share=generic.fit.share)
     return Outcome(
         verdict,
         known,
         believed,
-        handed_on,
+        reported,
         findings,
         tuple(search.first_race),
         limit,

@@ -92,7 +92,7 @@ def generic_covariance(data: Data) -> FloatArray:
 
 
 def patched(
-    noise: FloatArray, generic: FloatArray, share: float, known: IntArray, asked: IntArray, residual: FloatArray
+    noise: FloatArray, generic: FloatArray, share: float, known: IntArray, left_out: IntArray, residual: FloatArray
 ) -> FloatArray:
     """Return what a generic misfit, learnt from some rows, says of others.
 
@@ -102,18 +102,18 @@ def patched(
         Covariances, kPa^2.
     share : float
         Size of the misfit over the stress.
-    known, asked : ndarray of int64
+    known, left_out : ndarray of int64
         Rows.
     residual : ndarray of float64, shape (n_known,)
         Measured minus modelled there, kPa.
 
     Returns
     -------
-    ndarray of float64, shape (n_asked,)
+    ndarray of float64, shape (n_left_out,)
         To be added to the model, kPa.
     """
     own = noise[np.ix_(known, known)] + share**2 * generic[np.ix_(known, known)]
-    across = share**2 * generic[np.ix_(asked, known)]
+    across = share**2 * generic[np.ix_(left_out, known)]
     return np.asarray(across @ np.linalg.solve(own, residual))
 
 

@@ -112,10 +112,10 @@ def _overall(finding: "Finding") -> str:
 def _by_case(proof: "HeldOut", layout: "Layout") -> str:
     rows, groups = [], []
     for part in layout.parts:
-        mine = layout.of_case(part.name) & layout.seen & np.isfinite(proof.left).all(axis=0)
+        mine = layout.of_case(part.name) & layout.seen & np.isfinite(proof.residuals).all(axis=0)
         if not mine.any():
             continue
-        chi = np.sqrt((proof.left[[BELIEVED, NAMED, GENERIC]][:, mine] ** 2).mean(axis=1))
+        chi = np.sqrt((proof.residuals[[BELIEVED, NAMED, GENERIC]][:, mine] ** 2).mean(axis=1))
         rows.append((escape(part.name), str(int(mine.sum())), *(f"{x:.2f}" for x in chi)))
         groups.append(
             (part.name, [(name, float(x), colour) for (_, name, colour), x in zip(_MODELS, chi, strict=True)])

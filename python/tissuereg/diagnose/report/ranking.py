@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from tissuereg.diagnose.candidates import asked_of
+from tissuereg.diagnose.candidates import required_thresholds
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.report import svg
 from tissuereg.diagnose.screen import UNKNOWN
@@ -60,7 +60,7 @@ def rankings(found: "Diagnosis") -> str:
         before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
         known = f"{', '.join(map(plain_name, before))} is" if before else "a cause that was dropped again was"
         said = f"Round {number + 1}: what else, once {known} in the model"
-        chart = ranking(_rows(step, before), asked_of(thresholds, before), groups.get(number, set()), said)
+        chart = ranking(_rows(step, before), required_thresholds(thresholds, before), groups.get(number, set()), said)
         parts.append(f"<details><summary>{escape(said)}</summary>{chart}</details>")
     return "\n".join(parts)
 

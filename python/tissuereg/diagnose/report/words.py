@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg.diagnose.chances import LOOK_ALIKE, TEMPER
+from tissuereg.diagnose.probability import LOOK_ALIKE, TEMPER
 from tissuereg.diagnose.report.proved import gain_words
 from tissuereg.diagnose.report.ranking import chance, gloss, plain_name, separated
 from tissuereg.diagnose.search import SEPARABLE

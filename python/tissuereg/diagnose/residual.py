@@ -1,4 +1,8 @@
-"""What findings leave unexplained: where and when it stands out, and what it looks like."""
+"""The residual after the findings: at which markers and pads and at which moment it is largest, and its nearest cause.
+
+Input is the reduced residual of a search (whitened by the null covariance, so that it is white noise of unit variance
+where the model holds); output is the entry ``left`` of the answer.
+"""
 
 from typing import Any
 
@@ -10,44 +14,44 @@ from tissuereg.diagnose.screen import UNKNOWN, Screen
 from tissuereg.diagnose.search import Search
 from tissuereg.diagnose.signals import Layout
 
-#: Markers and pads that are told at most, and how far above the noise they lie.
+#: Number of markers and pads that are listed at most, and their least root mean square in noise deviations.
 MOST_PLACES, ABOVE = 5, 1.3
 
-#: Nats below which what is left looks like nothing of the catalogue.
+#: Least log Bayes factor, in nats, with which the residual resembles a cause of the catalogue.
 LOOKS_LIKE = 6.0
 
 
-def left_of(layout: Layout, screen: Screen, found: Search, misfit: Misfit) -> dict[str, Any]:
-    """Return what the findings of a search do not explain.
+def residual_summary(layout: Layout, screen: Screen, found: Search, misfit: Misfit) -> dict[str, Any]:
+    """Return the description of a residual that is a misfit.
 
     Parameters
     ----------
     layout : Layout
         Order of the data.
     screen : Screen
-        All hypotheses, for what it looks like.
+        All hypotheses, for the nearest cause.
     found : Search
-        With its findings, and what they leave.
+        Findings and reduced residual.
     misfit : Misfit
-        How unlike noise that is.
+        Its misfit test.
 
     Returns
     -------
     dict
         ``p``, ``where`` (names of markers and pads), ``when``, ``looks_like`` (an id, or ``"unknown"``), ``sentence``.
     """
-    where = worst_places(layout, found.reduced)
-    case, time = moment(layout, found.reduced)
-    alike = looks_like(screen, found)
+    where = largest_residuals(layout, found.reduced)
+    case, time = worst_frame(layout, found.reduced)
+    alike = nearest_cause(screen, found)
     when = f"most at {time:.4g} s, under case {case}"
-    said = f"at {', '.join(where)}" if where else "everywhere a little"
-    like = "like nothing of the catalogue" if alike == UNKNOWN else f"like '{alike}' more than like anything else"
-    sentence = f"The findings leave a misfit (p = {misfit.p:.2g}) {said}, {when}; it looks {like}."
+    places = f"at {', '.join(where)}" if where else "spread over all markers and pads"
+    like = "no cause of the catalogue" if alike == UNKNOWN else f"'{alike}' more than any other cause"
+    sentence = f"A misfit remains after the findings (p = {misfit.p:.2g}) {places}, {when}; it resembles {like}."
     return {"p": misfit.p, "where": where, "when": when, "looks_like": alike, "sentence": sentence}
 
 
-def worst_places(layout: Layout, reduced: FloatArray) -> list[str]:
-    """Return the markers and pads at which most is left, the worst first."""
+def largest_residuals(layout: Layout, reduced: FloatArray) -> list[str]:
+    """Return the markers and pads with the largest root mean square residual, the largest first."""
     power: dict[str, float] = {}
     count: dict[str, float] = {}
     seen = layout.seen
@@ -64,8 +68,8 @@ def worst_places(layout: Layout, reduced: FloatArray) -> list[str]:
     return worst[:MOST_PLACES]
 
 
-def moment(layout: Layout, reduced: FloatArray) -> tuple[str, float]:
-    """Return the case and the time of the frame in which most is left."""
+def worst_frame(layout: Layout, reduced: FloatArray) -> tuple[str, float]:
+    """Return the case and the time of the frame with the largest sum of squared residuals."""
     worst = ("", 0.0, -np.inf)
     for part in layout.parts:
         power = (part.markers(reduced) ** 2).sum(axis=(1, 2)) + (part.forces(reduced) ** 2).sum(axis=(1, 2))
@@ -75,8 +79,8 @@ def moment(layout: Layout, reduced: FloatArray) -> tuple[str, float]:
     return worst[:2]
 
 
-def looks_like(screen: Screen, found: Search) -> str:
-    """Return the id of the cause that what is left looks like most; the generic rival's where none does."""
+def nearest_cause(screen: Screen, found: Search) -> str:
+    """Return the id of the cause with the most evidence in the residual; ``"unknown"`` below `LOOKS_LIKE` nats."""
     gains = {name: one.log_bayes_factor for name, one in screen.of(found.reduced).items()}
     named = set(found.final.ids)
     others = {name: gain for name, gain in gains.items() if name not in named and name != UNKNOWN}

@@ -8,8 +8,8 @@ import pytest
 import tissuereg as tr
 from support.rigs import rig
 from support.targets import target_of
+from tissuereg.diagnose.localisation import components_of, next_check
 from tissuereg.diagnose.screen import UNKNOWN
-from tissuereg.diagnose.whereabouts import next_check, parts_of
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +23,8 @@ def noise(bench, seed=0):
 
 def spoilt(bench, wanted, seed=0, size=6.0):
     """Noise, and more of it near one part."""
-    part = next(part for part in parts_of(bench) if (part.kind, part.name) == wanted)
-    return noise(bench, seed) + size * np.sqrt(part.near) * noise(bench, seed + 100)
+    part = next(part for part in components_of(bench) if (part.kind, part.name) == wanted)
+    return noise(bench, seed) + size * np.sqrt(part.proximity) * noise(bench, seed + 100)
 
 
 PLACES = [
@@ -70,7 +70,7 @@ def test_the_moment_is_that_in_which_the_part_stands_out(bench):
 
 def test_the_nearest_cause_is_told_as_no_more_than_that(bench):
     left = spoilt(bench, ("pad", "top"))
-    assert "'sliding' comes nearest" in next_check(bench, left, "sliding")["action"]
+    assert "comes nearest is 'sliding'" in next_check(bench, left, "sliding")["action"]
     assert "comes nearest" not in next_check(bench, left, UNKNOWN)["action"]
 
 
@@ -82,10 +82,10 @@ def test_the_answer_keeps_the_keys_of_advice_and_numbers_that_json_takes(bench):
 
 
 def test_names_are_kept_whatever_they_hold(bench):
-    assert {part.kind for part in parts_of(bench)} == {"marker", "pad", "support", "case", "body"}
-    for part in parts_of(bench):
-        assert part.near.shape == (bench.layout.size,)
-        assert 0.0 <= part.near.min() <= part.near.max() <= 1.0
+    assert {part.kind for part in components_of(bench)} == {"marker", "pad", "support", "case", "body"}
+    for part in components_of(bench):
+        assert part.proximity.shape == (bench.layout.size,)
+        assert 0.0 <= part.proximity.min() <= part.proximity.max() <= 1.0
 
 
 def test_an_unexplained_diagnosis_sends_to_the_case_that_is_unlike_the_others():

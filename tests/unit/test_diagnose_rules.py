@@ -13,13 +13,13 @@ from tissuereg.diagnose import search as search_module
 from tissuereg.diagnose.causes import CAUSES
 from tissuereg.diagnose.evidence import Null
 from tissuereg.diagnose.fit import fit
-from tissuereg.diagnose.left import left_of
 from tissuereg.diagnose.misfit import Misfit
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import EFFECT_ERROR, MESH_SHARE, effect_nuisances
 from tissuereg.diagnose.nulls import MESH_SPREAD, draw_nulls
 from tissuereg.diagnose.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
 from tissuereg.diagnose.report.words import ties
+from tissuereg.diagnose.residual import residual_summary
 from tissuereg.diagnose.screen import UNKNOWN, Screen
 from tissuereg.diagnose.search import Search, search
 from tissuereg.diagnose.signals import Layout
@@ -202,14 +202,16 @@ def test_what_findings_leave_is_told_with_its_place_time_and_likeness():
     screen = screen_of(target, ("latency", "marker_slip"))
     base = fit(target, [])
     found = fit(target, [part(target, "latency")])
-    left = left_of(target.bench.layout, screen, Search(base, found, [], found.residual), Misfit(1e-6, 0.7, 0.2))
+    left = residual_summary(
+        target.bench.layout, screen, Search(base, found, [], found.residual), Misfit(1e-6, 0.7, 0.2)
+    )
     assert left["p"] == 1e-6
     assert left["where"][0] == "P3"
     assert "case in" in left["when"]
     assert left["looks_like"] == "marker_slip"
     assert "P3" in left["sentence"]
     # What looks like nothing is said to.
-    nothing = left_of(
+    nothing = residual_summary(
         target.bench.layout, screen, Search(base, found, [], 0.0 * found.residual), Misfit(0.001, 0.9, 0.2)
     )
     assert nothing["looks_like"] == UNKNOWN
