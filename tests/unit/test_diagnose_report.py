@@ -241,7 +241,7 @@ def test_names_are_text_and_nothing_else(tmp_path):
     assert "move &lt;i&gt;&amp;push&lt;/i&gt;" in text
     assert "tell apart: either inclusion or layer." in text
     assert "5.5 noise deviations beside" in text
-    assert "<li><b>layer</b>: A layer of even thickness below the free surface.</li>" in text
+    assert "<li><b>layer</b>: A layer of constant thickness below the free surface, with another modulus.</li>" in text
     assert scene_of(text)["markers"]["names"][0] == NASTY
 
 

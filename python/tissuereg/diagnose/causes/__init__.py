@@ -1,4 +1,4 @@
-"""The catalogue of causes that a diagnosis can name."""
+"""The catalogue of causes that a diagnosis can name: each has a module with its hypotheses, parameters and sentence."""
 
 from tissuereg.diagnose.causes.actuators import DirectionCause, GainCause, OffsetCause
 from tissuereg.diagnose.causes.asymmetry import AsymmetryCause

@@ -1,4 +1,4 @@
-"""Actuators that give another motion, or sit elsewhere, than is believed."""
+"""Errors of actuators: gain, direction and offset of the motion, position of the patch."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tissuereg.experiment import Actuator
 from tissuereg.load import Load
 from tissuereg.simulate.sensitivity import Cause as Moved
 
-#: Prior deviations: of the gain, of each angle in degrees, of each offset and shift in mm.
+#: Prior deviations of the gain, of each angle in degrees, and of each offset and shift in mm.
 GAIN, ANGLE, OFFSET, SHIFT = 0.08, 3.0, 0.7, 2.0
 
 
@@ -28,7 +28,7 @@ class GainCause(Cause):
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one an actuator."""
+        """Return one hypothesis for each actuator."""
         for pad in _present(bench):
             if bench.is_elastic and pad.kind == "displacement":
                 columns = bench.by(partial(_gains, pad), 1)
@@ -49,18 +49,18 @@ class GainCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
-        return f"Actuator '{values['actuator']}' gives {values['gain']:.3f} times the motion that it is told to."
+        """Return the finding in words."""
+        return f"Actuator '{values['actuator']}' moves by {values['gain']:.3f} times the prescribed motion."
 
 
 class DirectionCause(Cause):
-    """One actuator's motion is turned."""
+    """One actuator's motion has another direction."""
 
     id: ClassVar[str] = "actuator_direction"
     discrete: ClassVar[tuple[str, ...]] = ("actuator",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one an actuator, with two angles across its motion."""
+        """Return one hypothesis for each actuator, with two angles about axes across its motion."""
         for pad in _present(bench):
             across = _across(bench, pad)
             if bench.is_elastic and pad.kind == "displacement":
@@ -84,19 +84,19 @@ class DirectionCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
-        return f"Actuator '{values['actuator']}' moves in a direction {turn:.1f} degrees off the believed one."
+        return f"Actuator '{values['actuator']}' moves in a direction {turn:.1f} degrees from the believed one."
 
 
 class OffsetCause(Cause):
-    """One actuator's motion is off by a constant, or its patch sits elsewhere."""
+    """One actuator's motion has a constant offset, or its patch has another position."""
 
     id: ClassVar[str] = "actuator_offset"
     discrete: ClassVar[tuple[str, ...]] = ("actuator", "kind")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return two an actuator: of its motion (three amplitudes), of its patch (three, one of them void)."""
+        """Return two hypotheses for each actuator: of its motion (three amplitudes), of its patch (two, and a zero)."""
         for pad in _present(bench):
             if pad.kind == "displacement" and bench.is_elastic:
                 columns = bench.by(partial(_offsets, pad), 3)
@@ -125,16 +125,16 @@ class OffsetCause(Cause):
             lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
             lambda x, young: {"actuator": name, "shift_mm": (x @ along).tolist()},
         )
-        # The user's mesh shifts a patch by whole nodes.
+        # On the user's mesh a patch can be shifted by whole nodes only.
         return replace(moved, columns=variant.columns[:2] / SHIFT)
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         if "offset_mm" in values:
             size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
-            return f"The motion of actuator '{values['actuator']}' is off by a constant {size:.2f} mm."
+            return f"The motion of actuator '{values['actuator']}' has a constant offset of {size:.2f} mm."
         size = float(np.linalg.norm(np.asarray(values["shift_mm"])))
-        return f"The patch of actuator '{values['actuator']}' sits {size:.1f} mm from its believed place."
+        return f"The patch of actuator '{values['actuator']}' is {size:.1f} mm from its believed position."
 
 
 def _present(bench: Bench) -> list[Actuator]:

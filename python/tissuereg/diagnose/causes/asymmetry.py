@@ -1,4 +1,4 @@
-"""Pull and push are no mirror images."""
+"""Tension-compression asymmetry: Ogden's law with one term, or a bimodular law."""
 
 from typing import ClassVar
 
@@ -10,18 +10,18 @@ from tissuereg.diagnose.causes.base import Knobs, Values, Variant, knobs
 from tissuereg.diagnose.causes.laws import LawCause
 from tissuereg.effects import Asymmetry, Effect
 
-#: Exponent of Ogden's law that equals a neo-Hookean one, and distances from it at which secants are taken.
+#: Exponent at which Ogden's law is the neo-Hookean one, and distances from it at which changes are simulated.
 EVEN = 2.0
 DISTANCES = (-12.0, 10.0)
 
-#: Excesses of a bimodular law at which secants are taken.
+#: Excesses of a bimodular law at which changes are simulated.
 EXCESSES = (-0.4, 0.7)
 
 
 class AsymmetryCause(LawCause):
-    """Ogden's law of one term, or a bimodular one, which tells pull from push from the smallest strain on.
+    """Ogden's law with one term, or a bimodular law, whose tension and compression differ at the smallest strain.
 
-    Ogden's is stiffer in compression for negative exponents, in tension for large positive ones.
+    Ogden's law is stiffer in compression for negative exponents, in tension for large positive ones.
     """
 
     id: ClassVar[str] = "asymmetry"
@@ -31,7 +31,7 @@ class AsymmetryCause(LawCause):
     )
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return a bimodular law of some excess, or Ogden's at some distance from an even exponent."""
+        """Return a bimodular law of some excess, or Ogden's law at some distance from the neo-Hookean exponent."""
         if law == "bimodular":
             return Asymmetry(law=law, excess=size, volumetric=form)
         exponent = EVEN + size
@@ -40,7 +40,7 @@ class AsymmetryCause(LawCause):
         return Asymmetry(law=law, alpha=(exponent,), weight=(1.0,), volumetric=form)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the exponent's distance from an even one, or the logarithm of the stiffness in tension."""
+        """Return the exponent's distance from the neo-Hookean one, or the logarithm of the stiffness in tension."""
         form, law = str(variant.settings["volumetric"]), str(variant.settings["law"])
         start = float(variant.settings["size"]) * min(max(float(amplitudes[0]), 0.1), 2.0)
         if law == "ogden":
@@ -56,14 +56,14 @@ class AsymmetryCause(LawCause):
         )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same exponent in the other forms; a bimodular law has one."""
+        """Return the same exponent with the other volumetric forms; a bimodular law has one form."""
         return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         if "excess" in values:
             factor = 1.0 + values["excess"]
             return f"Stretched directions of the body have {factor:.3g} times the stiffness of compressed ones."
         exponent = values["alpha"][0]
         side = "compression" if exponent < 0 else "tension"
-        return f"The body is stiffer in {side} than its mirror image (Ogden's exponent {exponent:.3g})."
+        return f"The body is stiffer in {side} than the believed law (Ogden's exponent {exponent:.3g})."

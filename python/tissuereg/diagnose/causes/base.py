@@ -1,4 +1,10 @@
-"""What a cause is: hypotheses with their columns, knobs for the nonlinear fit, a sentence."""
+"""Base class of causes: hypotheses with sensitivity columns, free parameters of the nonlinear fit, and a sentence.
+
+A cause has several hypotheses (`Variant`), one for each discrete choice: an actuator, a place, a direction, an onset.
+Screening uses their columns, the change of all measured numbers by one prior standard deviation of each amplitude. The
+nonlinear fit starts from a hypothesis and varies the cause's free parameters (`Knobs`), real numbers with normal
+priors, from which the effects of a simulation and the parameters of the answer follow.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -11,29 +17,29 @@ from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.bench import Bench
 from tissuereg.effects import Effect
 
-#: Parameters as an answer gives them: numbers, lists of numbers, names.
+#: Physical parameters as in an answer: numbers, lists of numbers, names.
 Values = dict[str, Any]
 
-#: Weights, one in all, and sets of effects whose answers they belong to.
+#: Weights with the sum 1, each with a set of effects whose predictions are to be averaged.
 Mixture = list[tuple[float, tuple[Effect, ...]]]
 
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """One hypothesis of a cause: discrete choices made, amplitudes free.
+    """One hypothesis of a cause: fixed discrete choices, free amplitudes.
 
     Attributes
     ----------
     label : str
-        What tells it from the cause's other hypotheses.
+        Distinguishes it from the cause's other hypotheses.
     columns : ndarray of float64, shape (p, size)
-        What everything measured does over one prior deviation of each amplitude, mm and mN.
+        Change of all measured numbers by one prior standard deviation of each amplitude, mm and mN.
     settings : mapping
         The discrete choices.
     positive : bool
         Whether its one amplitude cannot be negative.
     fixed : bool
-        Whether the one amplitude is 1, as of two markers that are exchanged.
+        Whether its one amplitude is exactly 1, as for two markers that are exchanged.
     """
 
     label: str
@@ -45,26 +51,26 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class Knobs:
-    """A cause's free coordinates, all real numbers with normal priors.
+    """A cause's free parameters: unconstrained real numbers with normal priors.
 
     Attributes
     ----------
     start, mean, deviation : ndarray of float64, shape (k,)
-        Where the fit begins, and the prior.
+        First guess, prior mean and prior standard deviation.
     effects : callable
-        Gives the effects of coordinates (k,) on a body whose modulus is the second argument in kPa.
+        Returns the effects for parameters (k,) and the body's modulus in kPa.
     values : callable
-        Gives the parameters of the answer, in the same way.
+        Returns the physical parameters of the answer for the same arguments.
     step : ndarray of float64, shape (k,)
-        For difference quotients.
+        Steps of difference quotients.
     columns : ndarray of float64, shape (k, size), optional
-        What a unit of every coordinate changes, mm and mN, where the fit takes that for the effects: a mesh may answer
-        them in jumps.
+        Linear change by a unit of every parameter, mm and mN, used in fits instead of simulations where those would
+        change in jumps on the user's mesh.
     between : callable, optional
-        Gives weights and effects, of coordinates and modulus, between whose answers the fit takes that of the effects,
-        where the user's mesh would jump from one to the other.
+        Returns weights and effects for the same arguments, whose predictions are averaged in fits where a simulation
+        would jump from one to the other on the user's mesh.
     starts : ndarray of float64, shape (n, k), optional
-        Other places where the fit may begin.
+        Further first guesses.
     """
 
     start: FloatArray
@@ -78,20 +84,21 @@ class Knobs:
     starts: FloatArray | None = None
 
     def mixture(self, x: FloatArray, young: float) -> Mixture:
-        """Return weights, one in all, and effects whose answers the user's mesh gives for coordinates (k,)."""
+        """Return weights with the sum 1, and effects whose predictions on the user's mesh are averaged for (k,)."""
         return [(1.0, self.effects(x, young))] if self.between is None else self.between(x, young)
 
 
 class Cause(ABC):
     """One physical cause that a diagnosis can name."""
 
-    #: As in the answers.
+    #: Id in answers and in ``[[effect]]`` tables.
     id: ClassVar[str]
 
-    #: Settings of a variant that no knob passes between.
+    #: Keys of `Variant.settings` that the free parameters cannot change.
     discrete: ClassVar[tuple[str, ...]] = ()
 
-    #: Whether the nuisances hold it too, as small as it always is: what is held out then tells no difference.
+    #: Whether a nuisance parameter of small prior deviation describes the same effect. Held-out data then hardly differ
+    #: between the models, and the proof requires no least gain.
     always_fitted: ClassVar[bool] = False
 
     #: Whether what it changes is no multiple of Young's modulus, as its knobs have it.
@@ -99,12 +106,12 @@ class Cause(ABC):
 
     @abstractmethod
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return the hypotheses that fit an experiment; none where the cause makes no sense.
+        """Return the hypotheses of the cause in an experiment; none where it cannot occur or be seen.
 
         Parameters
         ----------
         bench : Bench
-            The believed model and its derivatives.
+            The believed model and its sensitivities.
 
         Returns
         -------
@@ -114,43 +121,43 @@ class Cause(ABC):
 
     @abstractmethod
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the coordinates of the nonlinear fit.
+        """Return the free parameters of the nonlinear fit.
 
         Parameters
         ----------
         bench : Bench
             The believed model.
         variant : Variant
-            Where to begin.
+            Hypothesis from which the fit starts.
         amplitudes : ndarray of float64, shape (p,)
-            Of the variant's columns, in prior deviations.
+            Fitted linear amplitudes of its columns, in prior standard deviations.
 
         Returns
         -------
         Knobs
-            With the same discrete choices.
+            With the discrete choices of the hypothesis.
         """
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return hypotheses too much like one of the bank to be screened, which are fitted beside it.
+        """Return hypotheses that are too similar to one of the bank to be screened; all of them are fitted.
 
         Parameters
         ----------
         bench : Bench
             The believed model.
         variant : Variant
-            Of the bank.
+            Hypothesis of the bank.
 
         Returns
         -------
         tuple of Variant
-            With its columns and other choices.
+            With other discrete choices.
         """
         return ()
 
     @abstractmethod
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
 
 
 def knobs(
@@ -158,13 +165,13 @@ def knobs(
     effects: Callable[[FloatArray, float], tuple[Effect, ...]],
     values: Callable[[FloatArray, float], Values],
 ) -> Knobs:
-    """Return knobs from rows of start, prior mean, prior deviation and step."""
+    """Return free parameters from rows of first guess, prior mean, prior standard deviation and step."""
     start, mean, deviation, step = np.array(list(coordinates), np.float64).T
     return Knobs(start, mean, deviation, effects, values, step)
 
 
 def three(vector: FloatArray | Sequence[float]) -> tuple[float, float, float]:
-    """Return a vector as the tables of effects hold it."""
+    """Return a vector as a tuple of three floats, as effects take it."""
     x, y, z = (float(v) for v in vector)
     return x, y, z
 
@@ -175,6 +182,6 @@ def logistic(x: float) -> float:
 
 
 def logit(p: float, edge: float = 0.02) -> float:
-    """Return the inverse of `logistic`, of a share kept an edge away from 0 and 1."""
+    """Return the inverse of `logistic` for a share that is clipped to [edge, 1 - edge]."""
     p = min(max(p, edge), 1.0 - edge)
     return float(np.log(p / (1.0 - p)))

@@ -1,4 +1,4 @@
-"""A part of a support has come off."""
+"""Partial detachment of a support from the body, from its rim inwards."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -12,31 +12,31 @@ from tissuereg.diagnose.causes.base import Cause, Knobs, Mixture, Values, Varian
 from tissuereg.effects import Detachment
 from tissuereg.effects.supports import freeing_shares, node_areas
 
-#: Directions that are tried for shares of the boundary's area: a small part of a rim is missed between two of them.
+#: Number of directions by share of the boundary's area: small shares need more, to cover the whole rim.
 DIRECTIONS = {0.012: 16, 0.04: 8, 0.15: 8}
 
-#: No share is less than this.
+#: Least share.
 LEAST_SHARE = 0.002
 
-#: Turns in degrees from the likeliest direction, and shares, from the best of which a fit begins.
+#: Rotations in degrees from the likeliest direction, and shares, at which a fit may start.
 TURNS, STARTS = (-22.5, -11.25, 0.0, 11.25, 22.5), (0.006, 0.015, 0.035, 0.08, 0.2)
 
-#: Places at which the edge of a detachment is tabled.
+#: Number of depths at which the detached area is tabulated.
 DEPTHS = 200
 
 
 class DetachmentCause(Cause):
-    """A rim of a boundary that is free."""
+    """A part of a boundary, from its rim in one direction, is free."""
 
     id: ClassVar[str] = "detachment"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one secant a boundary, direction and share."""
+        """Return one hypothesis for each boundary, direction and share, simulated at that share."""
         names = [boundary.name for boundary in bench.experiment.boundaries]
         azimuths = [(share, 360.0 * turn / count) for share, count in DIRECTIONS.items() for turn in range(count)]
         tried = [(name, share, azimuth) for name in names for share, azimuth in azimuths]
-        # A boundary too small to lose a node, or so much, changes nothing.
+        # None for a boundary that is too coarse to lose a node at this share.
         changes = bench.changes([[Detachment(boundary=b, azimuth_deg=a, share=s)] for b, s, a in tried])
         for (name, share, azimuth), changed in zip(tried, changes, strict=True):
             if changed is not None:
@@ -46,14 +46,14 @@ class DetachmentCause(Cause):
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return the direction and the logit of the share.
 
-        A node is free or not: on the user's mesh the answer is taken between those of edges at the nodes next to the
-        detachment's own, by how far it lies from them.
+        A node is either free or held, so that a simulation on the user's mesh changes in jumps. The prediction is
+        therefore interpolated between the two simulations whose edges lie at the nodes next to the detachment's edge.
         """
         name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
         azimuth = float(variant.settings["azimuth"])
         boundary = Detachment(boundary=name, azimuth_deg=azimuth, share=share).held_by(bench.experiment)
         width = float(np.sqrt(node_areas(bench.experiment.mesh, boundary.nodes).mean()))
-        # What gives way grows faster than its area.
+        # The change grows faster than the detached area.
         start = logit(share * float(np.clip(amplitudes[0], 0.1, 4.0)) ** 0.5, LEAST_SHARE)
 
         def effect(x: FloatArray) -> Detachment:
@@ -61,7 +61,7 @@ class DetachmentCause(Cause):
 
         def between(x: FloatArray, young: float) -> Mixture:
             places, areas = effect(x).edges(bench.experiment.mesh, boundary.nodes)
-            # Each node's area is spread over its width, so that the edge goes on evenly as the share grows.
+            # Each node's area is spread over its width, so that the edge moves continuously as the share grows.
             depths = np.linspace(-0.5 * width, places[-1] + 0.5 * width, DEPTHS)
             covered = np.clip((depths[:, None] - places) / width + 0.5, 0.0, 1.0) @ areas
             edge = float(np.interp(logistic(x[1]), covered, depths))
@@ -72,7 +72,7 @@ class DetachmentCause(Cause):
             more = float(np.clip(more, 0.0, 1.0))
             sets: Mixture = []
             for weight, count in ((1.0 - more, n_free), (more, n_free + 1)):
-                # Midway to where the next node would be free.
+                # Midway to the share at which the next node would be free.
                 own = 0.5 * float(shares[count] + shares[count + 1])
                 freed = Detachment(boundary=name, azimuth_deg=float(x[0]), share=own)
                 sets.append((weight, (freed,) if count else ()))
@@ -91,9 +91,9 @@ class DetachmentCause(Cause):
         return replace(found, between=between, starts=np.array([(turn, share) for turn in turns for share in shares]))
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         share = values["share"]
         return (
-            f"About {100 * share:.0f} % of boundary '{values['boundary']}' has come off, "
-            f"towards {values['azimuth_deg']:.0f} degrees."
+            f"About {100 * share:.0f} % of boundary '{values['boundary']}' has detached, "
+            f"on the side at {values['azimuth_deg']:.0f} degrees."
         )

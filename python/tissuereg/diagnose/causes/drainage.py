@@ -1,4 +1,4 @@
-"""Fluid leaves the body under load."""
+"""Drainage: fluid leaves the body under load, so that a share of the volumetric stress relaxes."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -11,17 +11,17 @@ from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs,
 from tissuereg.diagnose.causes.relaxation import times_of
 from tissuereg.effects import Drainage
 
-#: Share of the volumetric stress where secants are taken.
+#: Share of the volumetric stress at which changes are simulated.
 SHARE = 0.5
 
 
 class DrainageCause(Cause):
-    """A share of the volumetric stress that fades with one time."""
+    """A share of the volumetric stress relaxes with one time constant."""
 
     id: ClassVar[str] = "drainage"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return secants for several times."""
+        """Return hypotheses for several time constants."""
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
         times = times_of(bench)[1::2]
@@ -31,7 +31,7 @@ class DrainageCause(Cause):
                 yield Variant(f"{tau:.2g} s", changed[None], {"tau": tau}, positive=True)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the logit of the share and the logarithm of the time."""
+        """Return the logit of the share and the logarithm of the time constant."""
         tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench)).mean())
         return knobs(
             [
@@ -43,8 +43,9 @@ class DrainageCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         share = values["share"]
         return (
-            f"The body loses volume under load: {100 * share:.0f} % of its pressure fades with {values['tau_s']:.2g} s."
+            f"The body loses volume under load: {100 * share:.0f} % of its pressure relaxes with a time constant of "
+            f"{values['tau_s']:.2g} s."
         )

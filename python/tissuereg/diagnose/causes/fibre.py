@@ -1,4 +1,4 @@
-"""Fibres stiffen the body along one direction."""
+"""Fibre reinforcement: one family of fibres that stiffens the body along one direction."""
 
 import itertools
 from collections.abc import Iterable
@@ -11,18 +11,18 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, three
 from tissuereg.effects import Effect, Fibre
 
-#: Stiffness over the shear modulus at which secants are taken.
+#: Stiffness over the shear modulus at which changes are simulated.
 SIZE = 0.5
 
 
 class FibreCause(Cause):
-    """One family of fibres that bear tension alone, of any direction."""
+    """One family of fibres of any direction, which carry tension only."""
 
     id: ClassVar[str] = "fibre"
     discrete: ClassVar[tuple[str, ...]] = ("direction",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return secants along the 13 lines through neighbours in a cubic lattice."""
+        """Return hypotheses along the 13 lines through neighbours in a cubic lattice."""
         if bench.experiment.material.fibre is not None:
             return
         changes = bench.changes([[_effect(SIZE, direction)] for direction in _lines()])
@@ -32,7 +32,7 @@ class FibreCause(Cause):
                 yield Variant(f"along {name}", changed[None], {"direction": direction}, positive=True)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the logarithm of the stiffness and two angles about where the fit begins."""
+        """Return the logarithm of the stiffness and two angles from the hypothesis' direction."""
         along = np.asarray(variant.settings["direction"])
         sides = np.linalg.svd(along[None])[2][1:]
 
@@ -48,7 +48,7 @@ class FibreCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         along = values["direction"]
         said = ", ".join(f"{x:.2f}" for x in along)
         return f"Fibres along ({said}) stiffen the body, with {values['k1_over_mu']:.2g} times its shear modulus."

@@ -1,4 +1,4 @@
-"""Another weight acts than is believed: tilted, stronger, or there at all."""
+"""Gravity: the body's weight has another direction or size than believed, or was left out."""
 
 from collections.abc import Iterable, Sequence
 from typing import ClassVar
@@ -16,7 +16,7 @@ from tissuereg.simulate.sensitivity import Cause as Moved
 from tissuereg.simulate.sensitivity import Linearised
 from tissuereg.simulate.solve import Simulator
 
-#: Prior deviation of each component over standard gravity, without and with a believed weight.
+#: Prior deviation of each component, over standard gravity, without and with a believed weight.
 UNKNOWN, KNOWN = 0.6, 0.2
 
 
@@ -27,7 +27,7 @@ class GravityCause(Cause):
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one, with three amplitudes."""
+        """Return one hypothesis with three amplitudes."""
         spread = UNKNOWN if bench.experiment.gravity is None else KNOWN
         if bench.is_elastic:
             columns = self._by_tangents(bench)
@@ -52,14 +52,14 @@ class GravityCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         along, size = values["direction"], values["g_mm_per_s2"]
         said = ", ".join(f"{x:.2f}" for x in along)
         over = size / GRAVITY_MM_PER_S2
-        return f"Gravity acts along ({said}) with {over:.2g} g, which the simulation leaves out or turns."
+        return f"Gravity acts along ({said}) with {over:.2g} g, unlike in the simulation."
 
     def _by_tangents(self, bench: Bench) -> FloatArray:
-        """Return derivatives by weight: pads are bonded to the sagged shape."""
+        """Return derivatives by the weight; pads are attached to the sagged shape and move with it."""
         worked, tangents = bench.tangents.worked, bench.tangents
         unit = [worked.material.weight(axis) for axis in np.eye(3)]
         free = Simulator(worked.mesh, element=bench.predictor.element)

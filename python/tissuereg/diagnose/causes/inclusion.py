@@ -1,4 +1,4 @@
-"""A ball somewhere in the body is stiffer or softer."""
+"""Inclusion: a ball inside the body is stiffer or softer than its surroundings."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -13,16 +13,16 @@ from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs,
 from tissuereg.effects import Inclusion
 from tissuereg.mesh import Mesh
 
-#: Radii that are tried, over the extent of the body.
+#: Radii of the hypotheses, over the extent of the body.
 RADII = (0.045, 0.075, 0.115)
 
-#: Distance between places, over the radius.
+#: Spacing of the grid of centres, over the radius.
 SPACING = 1.3
 
-#: Prior deviation of contrast - 1 in the linear range; contrast saturates beyond.
+#: Prior deviation of contrast - 1 in the linear range; the effect saturates beyond.
 SPREAD = 1.5
 
-#: A fit begins with this much of contrast - 1 at least.
+#: Least value of contrast - 1 at the start of a fit.
 LEAST_EXCESS = 0.05
 
 
@@ -32,7 +32,7 @@ class InclusionCause(Cause):
     id: ClassVar[str] = "inclusion"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one a place of a grid and a radius."""
+        """Return one hypothesis for each radius and centre on a grid."""
         if not bench.is_elastic:
             return
         balls = _places(bench)
@@ -42,14 +42,14 @@ class InclusionCause(Cause):
             yield Variant(f"at {name} radius {radius:.1f}", SPREAD * column[None], settings)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the place, the logarithm of the radius, and how far the contrast is from 1.
+        """Return the centre, the logarithm of the radius, and the logarithm (softer: logit) of ``abs(contrast - 1)``.
 
-        A small ball of high contrast and a large one of low contrast do about the same. Along that valley logarithms of
-        radius and ``contrast - 1`` go straight, that of the contrast does not.
+        A small ball of high contrast and a large one of low contrast have nearly the same effect. In the logarithms of
+        the radius and of ``contrast - 1`` that valley of the objective is straight, in that of the contrast it is not.
         """
         centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
         middle = bench.experiment.mesh.nodes.mean(axis=0)
-        # Along a slab's depth neither the place nor a step is as large as along the others.
+        # In a thin direction of the body the prior and the step are limited by the thickness.
         lengths, extent = np.ptp(bench.experiment.mesh.nodes, axis=0), bench.extent
         wide, step = np.minimum(0.25 * extent, 0.5 * lengths), np.minimum(0.01 * extent, 0.1 * lengths)
         # A stiff ball in a soft body saturates: its effect is (c - 1) / (1 + 0.4 (c - 1)) for small strain.
@@ -79,18 +79,18 @@ class InclusionCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         centre, axes, contrast = values["centre_mm"], values["semi_axes_mm"], values["contrast"]
         kind = "stiff" if contrast > 1 else "soft"
         place = ", ".join(f"{x:.1f}" for x in centre)
         return (
             f"A {kind} inclusion of {axes[0]:.1f} mm radius lies at ({place}) mm, "
-            f"{contrast:.2g} times as stiff as what surrounds it."
+            f"{contrast:.2g} times as stiff as its surroundings."
         )
 
 
 def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -> "sparse.csr_array":
-    """Return the share of every tet inside every ball, shape (n_tets, n_balls), its edge as wide as a tet."""
+    """Return the share of every tet inside every ball, shape (n_tets, n_balls); the edge is smoothed over one tet."""
     centres = mesh.nodes[mesh.tets].mean(axis=1)
     width = np.cbrt(6.0 * mesh.volumes)
     reach = float(width.max())
@@ -107,14 +107,14 @@ def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -
 
 
 def _line(low: float, high: float, radius: float) -> FloatArray:
-    """Return places along one axis; the middle of a body that is thinner than the ball."""
+    """Return grid coordinates along one axis; the middle alone where the body is thinner than the ball."""
     if high - low < 2.0 * radius:
         return np.array([0.5 * (low + high)])
     return np.arange(low + 0.5 * radius, high, SPACING * radius)
 
 
 def _places(bench: Bench) -> list[tuple[float, tuple[float, float, float]]]:
-    """Return radii and centres: grids inside the body, coarser for larger balls."""
+    """Return radii and centres on grids inside the body, coarser for larger balls."""
     mesh = bench.experiment.mesh
     tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
     found = []

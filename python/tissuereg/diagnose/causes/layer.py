@@ -1,4 +1,4 @@
-"""An outer layer is stiffer or softer than the core."""
+"""Layer: an outer layer of the body is stiffer or softer than the core."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -12,7 +12,7 @@ from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
 from tissuereg.effects import Layer
 from tissuereg.effects.regions import OuterLayer, share_inside
 
-#: Thicknesses that are tried, over the extent of the body.
+#: Thicknesses of the hypotheses, over the extent of the body.
 THICKNESSES = (0.01, 0.02, 0.04, 0.08)
 
 #: Prior deviation of contrast - 1.
@@ -20,12 +20,12 @@ SPREAD = 1.5
 
 
 class LayerCause(Cause):
-    """A layer of even thickness below the free surface."""
+    """A layer of constant thickness below the free surface, with another modulus."""
 
     id: ClassVar[str] = "layer"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one a thickness."""
+        """Return one hypothesis for each thickness."""
         mesh = bench.experiment.mesh
         sizes = [share * bench.extent for share in THICKNESSES]
         if bench.is_elastic:
@@ -55,7 +55,7 @@ class LayerCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         contrast, thickness = values["contrast"], values["thickness_mm"]
         kind = "stiffer" if contrast > 1 else "softer"
         return f"An outer layer of {thickness:.2g} mm is {kind} than the core: {contrast:.2g} times its modulus."

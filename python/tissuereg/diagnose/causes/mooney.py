@@ -1,4 +1,4 @@
-"""The second invariant has a share of the energy."""
+"""Mooney-Rivlin: a share of the energy depends on the second invariant."""
 
 from typing import ClassVar
 
@@ -12,7 +12,7 @@ LAW = "mooney-rivlin"
 
 
 class MooneyCause(LawCause):
-    """Mooney and Rivlin's law."""
+    """The Mooney-Rivlin law."""
 
     id: ClassVar[str] = "mooney"
     tried: ClassVar[tuple[tuple[str, float], ...]] = ((LAW, 0.5),)
@@ -31,5 +31,5 @@ class MooneyCause(LawCause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
-        return f"A share of {values['share']:.2g} of the energy follows the second invariant (Mooney-Rivlin)."
+        """Return the finding in words."""
+        return f"A share of {values['share']:.2g} of the energy depends on the second invariant (Mooney-Rivlin)."

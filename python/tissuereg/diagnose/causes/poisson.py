@@ -1,4 +1,4 @@
-"""The body is more or less compressible than believed."""
+"""Poisson's ratio: the body is more or less compressible than believed."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -9,7 +9,7 @@ from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs,
 from tissuereg.effects import Poisson
 from tissuereg.simulate.sensitivity import Parameter
 
-#: Prior deviation: from a drained sponge to a gel.
+#: Prior deviation of the ratio.
 SPREAD = 0.06
 
 
@@ -19,7 +19,7 @@ class PoissonCause(Cause):
     id: ClassVar[str] = "poisson"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one: the ratio everywhere."""
+        """Return one hypothesis: another ratio in the whole body."""
         if bench.is_elastic:
             column = bench.by(lambda state: [Parameter("poisson")], 1)
         else:
@@ -30,7 +30,7 @@ class PoissonCause(Cause):
         return [Variant("everywhere", SPREAD * column)]
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the ratio's share of 1/2, as a logit."""
+        """Return the logit of twice the ratio."""
         believed = _ratio(bench)
         start = min(max(believed + SPREAD * float(amplitudes[0]), 0.05), 0.495)
         return knobs(
@@ -40,8 +40,8 @@ class PoissonCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
-        return f"The body keeps its volume otherwise than believed: Poisson's ratio is {values['poisson']:.3f}."
+        """Return the finding in words."""
+        return f"The body's compressibility differs from the believed one: Poisson's ratio is {values['poisson']:.3f}."
 
 
 def _ratio(bench: Bench) -> float:

@@ -1,4 +1,4 @@
-"""Stress grows with the rate of strain."""
+"""Viscosity: a stress proportional to the rate of strain."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -10,17 +10,17 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
 from tissuereg.effects import Rate
 
-#: Viscosity over modulus where secants are taken, over the time between frames.
+#: Viscosity over modulus and the time between frames at which the change is simulated.
 SIZE = 0.2
 
 
 class RateCause(Cause):
-    """A viscous stress beside the elastic one."""
+    """A viscous stress in addition to the elastic one."""
 
     id: ClassVar[str] = "rate"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one secant."""
+        """Return one hypothesis."""
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
         changed = bench.change(Rate(viscosity_kpa_s=SIZE * bench.frame_step * bench.young))
@@ -37,5 +37,5 @@ class RateCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         return f"The body resists fast motion: a viscosity of {values['viscosity_kpa_s']:.2g} kPa s."

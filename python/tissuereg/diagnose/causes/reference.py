@@ -1,4 +1,4 @@
-"""The reference shape is another one: the mesh hangs in gravity already, or does not."""
+"""Reference shape: whether the mesh is the body deformed by gravity, or the unloaded body."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -12,13 +12,13 @@ from tissuereg.effects import Reference
 
 
 class ReferenceCause(Cause):
-    """Whether the mesh hangs in the believed gravity already."""
+    """Whether the mesh is already deformed by the believed gravity."""
 
     id: ClassVar[str] = "reference"
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return the other answer; none without gravity."""
+        """Return the opposite of what is believed; none without gravity."""
         weight = bench.experiment.gravity
         if weight is None:
             return
@@ -28,7 +28,7 @@ class ReferenceCause(Cause):
             yield Variant("hangs" if hangs else "does not hang", changed[None], {"hangs": hangs}, fixed=True)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return none: there is nothing to turn."""
+        """Return no parameters."""
         hangs, none = bool(variant.settings["hangs"]), np.empty(0)
         return Knobs(
             none, none, none,
@@ -38,6 +38,6 @@ class ReferenceCause(Cause):
         )  # fmt: skip
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
-        how = "hangs in gravity already" if values["in_reference"] else "was made without gravity"
-        return f"The mesh {how}, against what is believed."
+        """Return the finding in words."""
+        how = "is already deformed by gravity" if values["in_reference"] else "is the shape without gravity"
+        return f"The mesh {how}, contrary to what is believed."

@@ -1,4 +1,4 @@
-"""Stress relaxes in time."""
+"""Stress relaxation with one time constant."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -10,29 +10,29 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
 from tissuereg.effects import Relaxation
 
-#: Share that relaxes where secants are taken.
+#: Share that relaxes at which changes are simulated.
 SHARE = 0.25
 
-#: Number of times that are tried, from one frame to twice a case.
+#: Number of time constants, from the time between frames to twice the longest case.
 TIMES = 6
 
 
 def times_of(bench: Bench) -> FloatArray:
-    """Return the times in s of memory that an experiment may show."""
+    """Return the time constants in s that an experiment may show."""
     return np.geomspace(max(bench.frame_step, 1e-3), max(2.0 * bench.longest_case, 2e-3), TIMES)
 
 
 class RelaxationCause(Cause):
-    """A share of the stress that fades with one time; of the whole stress, or of its isochoric part."""
+    """A share of the whole stress, or of its isochoric part, relaxes with one time constant."""
 
     id: ClassVar[str] = "relaxation"
     discrete: ClassVar[tuple[str, ...]] = ("part",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return secants for several times and both parts."""
+        """Return hypotheses for several time constants and both parts."""
         if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return
-        # Which part relaxes shows little; every second time does for the isochoric one.
+        # The two parts differ little; every second time constant suffices for the isochoric one.
         tried = [("whole", float(tau)) for tau in times_of(bench)]
         tried += [("isochoric", float(tau)) for tau in times_of(bench)[1::2]]
         changes = bench.changes([[Relaxation(g=(SHARE,), tau_s=(tau,), part=part)] for part, tau in tried])
@@ -41,7 +41,7 @@ class RelaxationCause(Cause):
                 yield Variant(f"{part} {tau:.2g} s", changed[None], {"tau": tau, "part": part}, positive=True)
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the logit of the share and the logarithm of the time."""
+        """Return the logit of the share and the logarithm of the time constant."""
         part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
         middle = float(np.log(times_of(bench)).mean())
 
@@ -58,6 +58,6 @@ class RelaxationCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         share, tau = values["g"], values["tau_s"]
-        return f"Stress relaxes: {100.0 * share[0]:.0f} % of it fades with a time of {tau[0]:.2g} s."
+        return f"Stress relaxes: {100.0 * share[0]:.0f} % of it, with a time constant of {tau[0]:.2g} s."

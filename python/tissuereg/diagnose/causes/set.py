@@ -1,4 +1,4 @@
-"""A share of the largest strain stays."""
+"""Permanent set: a share of the largest strain remains after unloading."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -8,7 +8,7 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
 from tissuereg.effects import Set
 
-#: Share where the secant is taken.
+#: Share at which the change is simulated.
 SIZE = 0.1
 
 
@@ -18,7 +18,7 @@ class SetCause(Cause):
     id: ClassVar[str] = "set"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one secant."""
+        """Return one hypothesis."""
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         changed = bench.change(Set(fraction=SIZE))
@@ -34,6 +34,6 @@ class SetCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         share = values["fraction"]
-        return f"The body does not come back: {100 * share:.1f} % of its largest strain stays."
+        return f"The body does not return to its shape: {100 * share:.1f} % of its largest strain remains."

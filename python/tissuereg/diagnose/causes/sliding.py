@@ -1,4 +1,4 @@
-"""A support slides."""
+"""Sliding of a support, on tangential springs or with friction."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -10,22 +10,22 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
 from tissuereg.effects import Sliding
 
-#: Where secants are taken: compliance times modulus over extent, of springs.
+#: Compliances of springs, times modulus over extent, at which changes are simulated.
 COMPLIANCES = (0.03, 0.3)
 
-#: The same for friction: coefficient, and cohesions over the modulus.
+#: Coefficient of friction, and cohesions over the modulus, at which changes are simulated.
 COEFFICIENT = 0.3
 COHESIONS = (0.03, 0.1)
 
 
 class SlidingCause(Cause):
-    """A boundary on tangential springs, or one that slips where friction does not hold it."""
+    """A boundary on tangential springs, or one that slips where the tangential stress exceeds friction."""
 
     id: ClassVar[str] = "sliding"
     discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return two secants a boundary and kind."""
+        """Return two hypotheses for each boundary and kind."""
         taken = {getattr(effect, "boundary", None) for effect in bench.experiment.effects if effect.id == self.id}
         for boundary in bench.experiment.boundaries:
             name = boundary.name
@@ -54,7 +54,7 @@ class SlidingCause(Cause):
                     "spring_kpa_per_mm": young / (float(np.exp(x[0])) * bench.extent),
                 },
             )
-        # What holds less slips more.
+        # A smaller cohesion slips more.
         return knobs(
             [
                 (float(np.log(COEFFICIENT)), float(np.log(COEFFICIENT)), 0.7, 0.1),
@@ -69,11 +69,11 @@ class SlidingCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         if "friction" in values:
             return (
-                f"Boundary '{values['boundary']}' slips where friction does not hold it (coefficient "
-                f"{values['friction']:.2g}, at rest under {values['cohesion_kpa']:.2g} kPa)."
+                f"Boundary '{values['boundary']}' slips against friction (coefficient {values['friction']:.2g}, "
+                f"cohesion {values['cohesion_kpa']:.2g} kPa)."
             )
         return f"Boundary '{values['boundary']}' slides, as if on springs of {values['spring_kpa_per_mm']:.2g} kPa/mm."
 

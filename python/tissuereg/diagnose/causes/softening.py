@@ -1,4 +1,4 @@
-"""The first large load softens the body for good."""
+"""Softening by the first large load: the Mullins effect, or damage."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -10,22 +10,22 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
 from tissuereg.effects import Softening
 
-#: Where secants are taken: r, and m over the modulus.
+#: Values of r, and of m over the modulus, at which changes are simulated.
 SIZE = 1.5
 ENERGIES = (0.003, 0.03)
 
-#: Forms with the beta that is kept in each.
+#: Forms with the fixed value of beta in each.
 FORMS = {"ogden-roxburgh": 0.1, "damage": 0.0}
 
 
 class SofteningCause(Cause):
-    """Softening by the largest energy so far: of what a first load has been through, or of that load too."""
+    """Softening by the largest strain energy so far: on reloading only (Mullins), or on first loading too (damage)."""
 
     id: ClassVar[str] = "softening"
     discrete: ClassVar[tuple[str, ...]] = ("form",)
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return secants for two energies in both forms."""
+        """Return hypotheses for two energies in both forms."""
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         every = [(form, energy) for form in FORMS for energy in ENERGIES]
@@ -37,7 +37,7 @@ class SofteningCause(Cause):
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return logarithms of r - 1 and of m over the modulus."""
-        # A share of (1 - 1/r) of the stress goes at most.
+        # At most a share of (1 - 1/r) of the stress is lost.
         lost = min((1.0 - 1.0 / SIZE) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
         energy, form = float(variant.settings["energy"]), str(variant.settings["form"])
 
@@ -60,7 +60,7 @@ class SofteningCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         if values["form"] == "damage":
-            return f"Load damages the body while it goes through it for the first time (r = {values['r']:.2g})."
-        return f"The first large load softens the body for good (Mullins effect, r = {values['r']:.2g})."
+            return f"The body is damaged and softens while it is first loaded (r = {values['r']:.2g})."
+        return f"The first large load softens the body permanently (Mullins effect, r = {values['r']:.2g})."

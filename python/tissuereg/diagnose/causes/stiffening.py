@@ -1,4 +1,4 @@
-"""The body stiffens with strain."""
+"""Strain stiffening: Fung's exponential law or Yeoh's polynomial law."""
 
 from typing import ClassVar
 
@@ -10,22 +10,22 @@ from tissuereg.diagnose.causes.base import Knobs, Values, Variant, knobs
 from tissuereg.diagnose.causes.laws import LawCause
 from tissuereg.effects import Effect, Stiffening
 
-#: Where secants are taken: exponents of Fung's law, a ratio of Yeoh's. Skin has exponents of some tens.
+#: Exponents of Fung's law, and ratio of Yeoh's, at which changes are simulated. Skin has exponents of some tens.
 EXPONENTS = (1.0, 4.0, 16.0)
 RATIO = 2.0
 
-#: Largest logarithm of a shape parameter: a strain of 0.1 then multiplies the modulus by some thousands.
+#: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
 LARGEST = 7.0
 
 
 class StiffeningCause(LawCause):
-    """Fung's exponential law or Yeoh's polynomial in place of one without stiffening."""
+    """Fung's exponential law or Yeoh's polynomial law in place of the neo-Hookean one."""
 
     id: ClassVar[str] = "stiffening"
     tried: ClassVar[tuple[tuple[str, float], ...]] = (*(("fung", b) for b in EXPONENTS), ("yeoh", RATIO))
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return one of both laws, of some exponent or ratio."""
+        """Return one of the two laws with an exponent or a ratio."""
         if law == "fung":
             return Stiffening(law="fung", b=size, volumetric=form)
         return Stiffening(law="yeoh", c2_over_c1=size, c3_over_c1=0.0, volumetric=form)
@@ -42,9 +42,9 @@ class StiffeningCause(LawCause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         key = "b" if "b" in values else "c2_over_c1"
-        return f"The body stiffens with strain ({key} = {values[key]:.3g}): large pushes meet more than is believed."
+        return f"The body stiffens with strain ({key} = {values[key]:.3g}), more than the believed law."
 
 
 _KEY = {"fung": "b", "yeoh": "c2_over_c1"}

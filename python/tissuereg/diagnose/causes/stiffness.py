@@ -1,4 +1,4 @@
-"""The whole body is stiffer or softer than believed."""
+"""Young's modulus: the whole body is stiffer or softer than believed."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -10,7 +10,7 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
 from tissuereg.effects import Stiffness
 
-#: Prior deviation of the logarithm, beside that of the belief.
+#: Prior deviation of the logarithm of the factor on the modulus, in addition to that of the believed modulus.
 SPREAD = 1.0
 
 
@@ -21,7 +21,7 @@ class StiffnessCause(Cause):
     absolute: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one: the modulus everywhere."""
+        """Return one hypothesis: another modulus in the whole body."""
         return [Variant("everywhere", SPREAD * bench.by_young)] if bench.is_elastic else []
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
@@ -33,5 +33,5 @@ class StiffnessCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
-        return f"The body's modulus is {values['young_kpa']:.3g} kPa, far from what was believed."
+        """Return the finding in words."""
+        return f"The body's modulus is {values['young_kpa']:.3g} kPa, far from the believed one."

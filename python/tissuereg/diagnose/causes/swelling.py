@@ -1,4 +1,4 @@
-"""The body grows or shrinks while it is measured."""
+"""Swelling: the body grows or shrinks during the measurement."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -9,21 +9,21 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs
 from tissuereg.effects import Effect, Swelling
 
-#: Strain where secants are taken, also the prior deviation.
+#: Linear strain at which changes are simulated, the prior deviation in screening.
 SIZE = 0.01
 
-#: What pads do in the hypotheses of the bank: they hold their patches against the growth.
+#: Behaviour of pads in the hypotheses of the bank: they hold their patches against the growth.
 HOLD = "hold"
 
 
 class SwellingCause(Cause):
-    """Growth of all lengths, even in time, over the whole session or a half of it."""
+    """Growth of all lengths at a constant rate, over the whole session or a half of it."""
 
     id: ClassVar[str] = "swelling"
     discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return secants for three windows of time."""
+        """Return hypotheses for three windows of time."""
         if any(effect.id == self.id for effect in bench.experiment.effects):
             return
         begin, end = bench.first_time, bench.last_time
@@ -37,12 +37,12 @@ class SwellingCause(Cause):
                 yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window, "pads": HOLD})
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same growth with pads that follow it."""
+        """Return the same growth with pads that move with the body."""
         moved = any(case.displacements for case in bench.experiment.cases.values())
         return (replace(variant, settings={**variant.settings, "pads": "follow"}),) if moved else ()
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the strain in units of the secant's."""
+        """Return the strain in units of `SIZE`."""
         window, pads = variant.settings["window"], str(variant.settings["pads"])
         return knobs(
             [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
@@ -56,10 +56,10 @@ class SwellingCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         strain = values["linear_strain"]
         verb = "swells" if strain > 0 else "shrinks"
-        return f"The body {verb} by {abs(100 * strain):.2g} % of its lengths while it is measured."
+        return f"The body {verb} by {abs(100 * strain):.2g} % in length during the measurement."
 
 
 def _effect(strain: float, window: tuple[float, float], pads: str) -> Effect:

@@ -1,6 +1,6 @@
-"""Errors of the marker tracker: its frame, its scale, its delay, markers that slip or are exchanged.
+"""Errors of the marker tracker: frame, scale, delay, slipped markers, exchanged markers.
 
-All of them change places in closed form; nothing is solved.
+All of them change the predicted places in closed form; nothing is solved.
 """
 
 import itertools
@@ -15,31 +15,30 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Cause, Knobs, Values, Variant, knobs, three
 from tissuereg.effects import Effect, Frame, Latency, MarkerSlip, MarkerSwap, Scale, seen_markers
 
-#: Prior deviations: of shifts in mm and turns in degrees of the frame, of the scale, of the delay in frames, of slips
-#: in mm.
+#: Prior deviations: shifts in mm and rotations in degrees of the frame, scale, delay in frames, slips in mm.
 SHIFT, TURN, SCALE, DELAY, SLIP = 0.5, 0.5, 0.01, 0.5, 1.0
 
-#: Pairs of markers that are tried as exchanged ones.
+#: Number of pairs of markers with a hypothesis of exchange.
 LIKELY_PAIRS = 15
 
-#: Times from which a marker may have slipped: begins of cases, and this many in each.
+#: Number of onsets of a slip in each case, the first at its begin.
 ONSETS_A_CASE = 4
 
 
 class FrameCause(Cause):
-    """The tracker's frame is shifted and turned, more than its prior as a nuisance allows."""
+    """The tracker's frame is shifted and rotated, by more than its prior as a nuisance allows."""
 
     id: ClassVar[str] = "frame"
     always_fitted: ClassVar[bool] = True
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one, with three shifts and three turns about the body's middle."""
+        """Return one hypothesis, with three shifts and three rotations about the middle of the markers."""
         shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
         scale = np.array([SHIFT] * 3 + [TURN] * 3)
         return [Variant("frame", scale[:, None] * np.array(shifts))]
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return shifts in mm and turns in degrees about the body's middle."""
+        """Return shifts in mm and rotations in degrees about the middle of the markers."""
         scale = np.array([SHIFT] * 3 + [TURN] * 3)
         return knobs(
             [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
@@ -48,29 +47,29 @@ class FrameCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
-        return f"The tracker's frame is not the mesh's: it is turned by {turn:.2f} degrees and shifted."
+        return f"The tracker's frame is rotated by {turn:.2f} degrees against the mesh's, and shifted."
 
 
 class ScaleCause(Cause):
-    """The tracker's lengths are off, about any origin."""
+    """The tracker's lengths have a wrong scale, about any origin."""
 
     id: ClassVar[str] = "scale"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one, with the scale about the body's middle and three shifts."""
+        """Return one hypothesis, with the scale about the middle of the markers and three shifts."""
         middle = _middle(bench)
         scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * SCALE
         shifts = [SHIFT * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
         return [Variant("scale", np.array([scale, *shifts]))]
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the scale less one about the body's middle, and three shifts in mm."""
+        """Return the scale minus one about the middle of the markers, and three shifts in mm."""
         spread = np.array([SCALE, SHIFT, SHIFT, SHIFT])
 
         def effect(x: FloatArray) -> Scale:
-            # A shift d beside a scale s about the middle m is a scale about m - d / s.
+            # A scale 1 + s about the middle m with a shift d is a scale about m - d / s.
             stretch = float(x[0]) if abs(x[0]) > 1e-6 else 1e-6
             return Scale(scale=1.0 + stretch, origin_mm=three(_middle(bench) - x[1:] / stretch))
 
@@ -81,25 +80,25 @@ class ScaleCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         scale = values["scale"]
-        return f"The tracker's lengths are off by {100 * (scale - 1):+.2f} %."
+        return f"The tracker's lengths are wrong by {100 * (scale - 1):+.2f} %."
 
 
 class LatencyCause(Cause):
-    """Markers are late."""
+    """Markers are recorded with a delay."""
 
     id: ClassVar[str] = "latency"
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one: a delay of a part of a frame."""
+        """Return one hypothesis: a delay of a part of a frame."""
         delay = DELAY * bench.frame_step
         if delay == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
             return []
         return [Variant("delay", changed_by(bench, Latency(latency_s=delay))[None])]
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the delay in units of the variant's."""
+        """Return the delay in units of the hypothesis' delay."""
         unit = DELAY * bench.frame_step
         return knobs(
             [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
@@ -108,23 +107,23 @@ class LatencyCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         delay = values["latency_s"]
-        return f"Markers are {1000 * delay:.0f} ms late against the actuators' clock."
+        return f"Markers are delayed by {1000 * delay:.0f} ms against the actuators' clock."
 
 
 class SlipCause(Cause):
-    """One marker sits off its place from some time on."""
+    """One marker is displaced on the body from some time on."""
 
     id: ClassVar[str] = "marker_slip"
     discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one a marker and onset, with three amplitudes."""
+        """Return one hypothesis for each marker and onset, with three amplitudes."""
         return (_slip(bench, marker, onset) for onset in _onsets(bench) for marker in bench.layout.marker_names)
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
-        """Return the same marker from the other frames on that lie nearest to this onset."""
+        """Return the same marker with the onsets between the neighbouring onsets of the bank."""
         screened, mine = _onsets(bench), float(variant.settings["onset"])
         before = max((onset for onset in screened if onset < mine), default=-np.inf)
         after = min((onset for onset in screened if onset > mine), default=np.inf)
@@ -142,19 +141,19 @@ class SlipCause(Cause):
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
         return f"Marker '{values['marker']}' has slipped by {size:.2f} mm, from {values['from_time_s']:.4g} s on."
 
 
 class SwapCause(Cause):
-    """Two markers are taken for each other from some time on."""
+    """Two markers are mistaken for each other from some time on."""
 
     id: ClassVar[str] = "marker_swap"
     discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")
 
     def variants(self, bench: Bench) -> Iterable[Variant]:
-        """Return one a frame for the pairs that look most like exchanged ones."""
+        """Return one hypothesis for each frame and each of the likeliest pairs."""
         for onset in sorted({float(time) for part in bench.layout.parts for time in part.times}):
             for pair in _likely_pairs(bench):
                 changed = changed_by(bench, MarkerSwap(markers=pair, from_time_s=onset))
@@ -166,7 +165,7 @@ class SwapCause(Cause):
                 )
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return none: there is nothing to turn."""
+        """Return no parameters."""
         pair, onset, none = tuple(variant.settings["pair"]), float(variant.settings["onset"]), np.empty(0)
         return Knobs(
             none, none, none,
@@ -176,13 +175,13 @@ class SwapCause(Cause):
         )  # fmt: skip
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in plain words."""
+        """Return the finding in words."""
         one, other = values["markers"]
         return f"Markers '{one}' and '{other}' are exchanged from {values['from_time_s']:.4g} s on."
 
 
 def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
-    """Return the pairs of markers whose measured places lie nearest to each other's predicted ones, over their own."""
+    """Return the pairs whose measured places lie nearest to each other's predicted places, relative to their own."""
     names = bench.layout.marker_names
     own, other = np.zeros(len(names)), np.zeros((len(names), len(names)))
     for part in bench.layout.parts:
@@ -197,7 +196,7 @@ def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
 
 
 def changed_by(bench: Bench, effect: Effect) -> FloatArray:
-    """Return what an effect of the tracker changes of the believed prediction, shape (size,)."""
+    """Return the change that an effect of the tracker makes to the believed prediction, shape (size,)."""
     tracker = replace(bench.experiment, effects=(effect,))
     changed = np.zeros(bench.layout.size)
     for part in bench.layout.parts:
@@ -207,7 +206,7 @@ def changed_by(bench: Bench, effect: Effect) -> FloatArray:
 
 
 def _frame(bench: Bench, x: FloatArray) -> Frame:
-    """Return the frame that is shifted by x[:3] mm and turned by x[3:] degrees about the body's middle."""
+    """Return the frame that is shifted by x[:3] mm and rotated by x[3:] degrees about the middle of the markers."""
     from tissuereg.effects.base import rotation_from_vector
 
     turn, middle = rotation_from_vector(three(x[3:])), _middle(bench)
@@ -219,7 +218,7 @@ def _middle(bench: Bench) -> FloatArray:
 
 
 def _slip(bench: Bench, marker: str, onset: float) -> Variant:
-    """Return a slip of one marker from a time on, with three amplitudes."""
+    """Return the hypothesis that one marker slips at a time, with three amplitudes."""
     later, number = bench.layout.times() >= onset, bench.layout.marker_names.index(marker)
     columns = np.zeros((3, bench.layout.size))
     for part in bench.layout.parts:
