@@ -156,7 +156,7 @@ def test_a_page_holds_every_finding_with_its_figures(rig, tmp_path):
     for said in (
         "A stiff inclusion lies &lt; 5 mm deep &amp; hides.",
         "P1 slipped.",
-        "Probability 0.87; log Bayes factor 123.4, where 6.5 was asked for.",
+        "Probability 0.87; log Bayes factor 123.4 (threshold 6.5).",
         "log Bayes factor 44.4",
         "15 \u00b1 0.31<br>10 \u00b1 0.32<br>20 \u00b1 0.33",
         "6 \u00b1 1.2",
@@ -166,8 +166,8 @@ def test_a_page_holds_every_finding_with_its_figures(rig, tmp_path):
         "1.13 against 3.21 noise deviations",
         "e<sup>77.7</sup>",
         "threshold 6.5",
-        "cannot tell it from: layer",
-        "Seed of all chance: 4711.",
+        "cannot distinguish it from: layer",
+        "Seed of all random draws: 4711.",
         "tissuereg 9.8.7",
         "contrast = 6.0",
     ):
@@ -239,8 +239,8 @@ def test_names_are_text_and_nothing_else(tmp_path):
     for tag in ("<b>&", "<i>", "<u>", "a<b>"):
         assert tag not in text
     assert "move &lt;i&gt;&amp;push&lt;/i&gt;" in text
-    assert "tell apart: either inclusion or layer." in text
-    assert "5.5 noise deviations beside" in text
+    assert "distinguish: either inclusion or layer." in text
+    assert "5.5 noise deviations, given the uncertainty" in text
     assert "<li><b>layer</b>: A layer of constant thickness below the free surface, with another modulus.</li>" in text
     assert scene_of(text)["markers"]["names"][0] == NASTY
 
@@ -249,7 +249,7 @@ def test_names_are_text_and_nothing_else(tmp_path):
 def test_no_findings(rig, tmp_path, verdict):
     text = read_page(made_up(rig, verdict=verdict), tmp_path / "report.html")
     assert "No cause was accepted." in text
-    assert "both show the same" in text
+    assert "both are the same" in text
     assert ("consistent with the simulation" in text) == (verdict == "consistent")
 
 
@@ -282,7 +282,7 @@ def test_a_finding_without_proof_and_an_answer_without_details(rig, tmp_path):
     assert "<canvas" not in bare
 
 
-def test_a_cause_that_was_dropped_again_leaves_its_round_unmarked(rig, tmp_path):
+def test_a_cause_that_was_removed_later_leaves_its_round_unmarked(rig, tmp_path):
     answer = made_up(rig, [finding(), finding(id="layer", group=("layer",))], [BALL])
     search = answer.details["search"]
     dropped = replace(search.steps[0], found=None)
@@ -290,7 +290,7 @@ def test_a_cause_that_was_dropped_again_leaves_its_round_unmarked(rig, tmp_path)
     answer.details["search"] = replace(search, steps=[dropped, *search.steps[1:]])
     text = read_page(answer, tmp_path / "report.html")
     charts = re.findall(r"<svg[^>]*aria-label='((?:First r|R)ound[^']*)'(.*?)</svg>", text)
-    assert charts[1][0] == "Round 2: what else, once a cause that was dropped again was in the model"
+    assert charts[1][0] == "Round 2: further causes, given a cause that was removed later"
     bold = {title: re.findall(r"font-weight='700'>([a-z ]+)<", chart) for title, chart in charts}
     assert list(bold.values())[:2] == [[], ["layer"]]
 
@@ -301,8 +301,8 @@ def test_every_round_marks_what_it_found(rig, tmp_path):
     rounds = re.findall(r"<svg[^>]*aria-label='((?:First r|R)ound[^']*)'.*?</svg>", text)
     assert rounds == [
         "First round",
-        "Round 2: what else, once inclusion is in the model",
-        "Round 3: what else, once inclusion, layer is in the model",
+        "Round 2: further causes, given inclusion",
+        "Round 3: further causes, given inclusion, layer",
     ]
     bold = [re.findall(r"font-weight='700'>([a-z ]+)<", chart) for chart in re.findall(r"<svg.*?</svg>", text)]
     assert [one for one in bold if one] == [["inclusion"], ["layer"]]

@@ -1,8 +1,8 @@
-"""The page of a diagnosis: what a simulation gets wrong, for people to look at."""
+"""The HTML page of a diagnosis: one self-contained file with text, charts and a three-dimensional view."""
 
 from pathlib import Path
 
 
 def viewer_text() -> str:
-    """Return the script of the turnable view."""
+    """Return the script of the three-dimensional view."""
     return Path(__file__).with_name("viewer.js").read_text(encoding="utf-8")

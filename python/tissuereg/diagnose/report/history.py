@@ -1,4 +1,4 @@
-"""How large residuals are over time, in every case, before and after, against the noise."""
+"""Charts of the residual over time in every case, before and after the findings, against the noise."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from tissuereg.diagnose.signals import CasePart
     from tissuereg.experiment import Case
 
-#: Share of frames of noise alone that lie in the band.
+#: Share of frames that lie in the band where there is noise alone.
 SHARE = 0.95
 
-#: Frames that a line shows at most; of more, the worst of each few.
+#: Number of frames in a line, at most; of longer cases, the worst frame of every few.
 MOST_FRAMES = 800
 
 _WIDTH, _LEFT, _RIGHT = 900.0, 60.0, 20.0
@@ -31,13 +31,13 @@ class Curve:
     Attributes
     ----------
     title : str
-        The channel.
+        Name of the channel.
     times : ndarray of float64, shape (n_frames,)
         s.
     before, after : ndarray of float64, shape (n_frames,)
         Root mean squares; NaN where nothing was measured.
     low, high : ndarray of float64, shape (n_frames,)
-        Between them lies noise alone in `SHARE` of all frames.
+        Band in which noise alone lies in `SHARE` of all frames.
     """
 
     title: str
@@ -48,7 +48,7 @@ class Curve:
     high: FloatArray
 
     def worst(self, most: int = MOST_FRAMES) -> "Curve":
-        """Return the same curve in fewer frames, the worst ones before of every few that follow each other."""
+        """Return the curve in fewer frames: of every few consecutive ones, that with the largest residual before."""
         stride = -(-len(self.times) // most)
         size = np.where(np.isfinite(self.before), self.before, -1.0)
         rows = [i + int(np.argmax(size[i : i + stride])) for i in range(0, len(size), stride)]
@@ -58,26 +58,26 @@ class Curve:
 def curves(found: "Diagnosis") -> dict[str, list[Curve]]:
     """Return the curves of every case: markers, then every measured force.
 
-    What is always fitted beside the causes (frame, drift, error of the mesh) is taken out on both sides, so that a
-    right model leaves uncorrelated noise of unit variance.
+    Residuals are reduced by the null covariance (tracker frame, drift, discretisation error), so that a correct model
+    leaves uncorrelated noise of unit variance.
     """
     search, layout, target = found.details["search"], found.details["layout"], found.details["target"]
     before = target.null.reduced(search.base.residual)
     after = target.null.reduced(search.final.residual)
     if search.final.parts and len(search.reduced):
-        # Where causes were found, their own knobs and the mesh's error in them are fitted too.
+        # Reduced also by the parameters of the causes found and by their discretisation error.
         after = search.reduced
-    said: dict[str, list[Curve]] = {}
+    charts: dict[str, list[Curve]] = {}
     for part in layout.parts:
         seen = part.markers(layout.seen.astype(np.float64))
-        said[part.name] = [_curve("markers", part, part.markers(before), part.markers(after), seen)]
+        charts[part.name] = [_curve("markers", part, part.markers(before), part.markers(after), seen)]
         for i, pad in enumerate(part.pads):
             known = part.forces(layout.seen.astype(np.float64))[:, i]
-            said[part.name].append(
+            charts[part.name].append(
                 _curve(f"force at {pad}", part, part.forces(before)[:, i], part.forces(after)[:, i], known)
             )
-        said[part.name] = [curve for curve in said[part.name] if np.isfinite(curve.before).any()]
-    return said
+        charts[part.name] = [curve for curve in charts[part.name] if np.isfinite(curve.before).any()]
+    return charts
 
 
 def histories(found: "Diagnosis") -> str:
@@ -104,15 +104,15 @@ def _curve(title: str, part: "CasePart", before: FloatArray, after: FloatArray, 
 
 
 def _load(case: "Case") -> dict[str, FloatArray]:
-    """Return what every actuator of a case does, as a length over its largest, which its name tells."""
-    said = {}
+    """Return the size of every actuator's motion or force over its largest, by a label with the largest."""
+    load = {}
     for given, unit in ((case.displacements, "mm"), (case.applied_forces, "mN")):
         for name, values in given.items():
             size = np.linalg.norm(values, axis=1)
             top = float(np.nanmax(size)) if len(size) else 0.0
             if top > 0.0:
-                said[f"{name}, up to {top:.3g} {unit}"] = size / top
-    return said
+                load[f"{name}, up to {top:.3g} {unit}"] = size / top
+    return load
 
 
 def _chart(name: str, several: list[Curve], load: dict[str, FloatArray]) -> str:

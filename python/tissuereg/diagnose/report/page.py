@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a diagnosis."""
+"""The HTML page of a diagnosis: its sections in order, with the view's data and script."""
 
 import os
 from pathlib import Path
@@ -19,7 +19,7 @@ from tissuereg.report.markup import document, escape
 if TYPE_CHECKING:
     from tissuereg.diagnose.answer import Diagnosis
 
-#: File of the extended model beside the page.
+#: File of the extended model in the page's folder.
 MODEL = "experiment.extended.toml"
 
 _STYLE = """
@@ -43,11 +43,11 @@ def write_report(found: "Diagnosis", path: Path, *, seen_from: str | os.PathLike
     Parameters
     ----------
     found : Diagnosis
-        What to show. Without its details the page has words and the ranking alone.
+        The diagnosis. Without its details the page has text and the ranking alone.
     path : Path
         File to write.
     seen_from : path-like, optional
-        Folder in which it will lie, where it is written elsewhere first.
+        Final folder of the page, where it is written elsewhere first.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
     if drawn:
         parts += [_body(found), _history(found)]
     parts += [_ranking(found), "<h2>Prediction of what was not fitted</h2>", proved(found)]
-    parts += ["<h2>What cannot be told apart, and what to measure next</h2>", ties(found)]
+    parts += ["<h2>Causes that cannot be distinguished, and what to measure next</h2>", ties(found)]
     parts += ["<h2>What was assumed</h2>", assumed(found), _model(found, folder)]
     if drawn:
         parts.append(f"<script type='application/json' id='scene'>{script_text(scene(found))}</script>")
@@ -82,14 +82,14 @@ def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
 
 
 def _body(found: "Diagnosis") -> str:
-    same = "" if found.details["search"].final.parts else " No cause was added, so that both show the same."
+    same = "" if found.details["search"].final.parts else " No cause was added, so that both are the same."
     return f"""<h2>Where the simulation is wrong</h2>
-<p>The body at rest, with what was measured less what was predicted at every marker:
-<b style='color:{BEFORE}'>before</b>, by the believed model, and <b style='color:{AFTER}'>after</b>, by the extended
-one.{same} Forces at pads, measured less predicted, are <b style='color:{FLOOR}'>green</b>, on a scale of their own.
-Drag to turn, wheel or two fingers to zoom, shift and drag to move; point at a marker for its figures. Ochre and other
-coloured patches are the pads, dark grey is held; a red cage is an inclusion that was found, a grey one was believed
-before; red circles mark markers that a finding speaks of.</p>
+<p>The body at rest, with the residual (measured minus predicted) at every marker:
+<b style='color:{BEFORE}'>before</b>, of the believed model, and <b style='color:{AFTER}'>after</b>, of the extended
+one.{same} Residuals of forces at pads are <b style='color:{FLOOR}'>green</b>, on a scale of their own.
+Drag to rotate, wheel or two fingers to zoom, shift and drag to move; point at a marker for its numbers. Ochre and other
+coloured patches are the pads, dark grey is held; a red cage is an inclusion that was found, a grey one was in the
+believed model; red circles mark markers that a finding names.</p>
 <div class='controls'>
 <label>case <select id='case'></select></label>
 <label>frame <input id='frame' type='range' min='0' max='0' value='0'> <span id='moment'></span></label>
@@ -105,18 +105,18 @@ def _history(found: "Diagnosis") -> str:
     after = swatch(AFTER, "after, with the findings") if found.details["search"].final.parts else ""
     lines = swatch(BEFORE, "before") + after
     return f"""<h2>When, and under which load</h2>
-<p>Root mean square of what is left in every frame over its noise, once what is always fitted is taken out and what the
-frame before says of the noise. Noise alone lies in the green band in {100 * SHARE:.0f} % of all frames.</p>
+<p>Root mean square residual of every frame in noise deviations, whitened by noise and nuisance parameters. Noise alone
+lies in the green band in {100 * SHARE:.0f} % of all frames.</p>
 <p class='key'>{lines}{swatch(FLOOR, "noise")}</p>
 {histories(found)}"""
 
 
 def _ranking(found: "Diagnosis") -> str:
     return f"""<h2>All causes that were tried</h2>
-<p>The log Bayes factor says how much better a cause predicts the data than the model without it, the price of its
-freedom included. Red lines are thresholds, one a cause, which data without any effect pass rarely. The axis is linear
-near 0 and logarithmic beyond; bars end at -10. "Size" is the length of what the cause would change, in noise
-deviations: what it takes to be seen is about 8.</p>
+<p>The log Bayes factor (in nats) measures how much better a cause predicts the data than the model without it; it
+includes the penalty for the cause's free parameters. Red lines are the thresholds of the causes, which data without any
+effect exceed rarely. The axis is linear near 0 and logarithmic beyond; bars end at -10. "Size" is the norm of the
+change that the cause makes, in noise deviations: about 8 are needed for detection.</p>
 <p class='key'>{swatch(AFTER, "found, or tied with what was found")}{swatch(GENERIC, "not accepted")}</p>
 {rankings(found)}"""
 
@@ -125,10 +125,10 @@ def _model(found: "Diagnosis", folder: Path) -> str:
     try:
         text = f"<pre>{escape(experiment_text(found.extended, folder))}</pre>"
     except ExperimentError as error:
-        text = f"<p>It cannot stand in a file: {escape(error)}</p>"
+        text = f"<p>It cannot be written as a file: {escape(error)}</p>"
     return (
-        f"<h2>The extended model</h2><p>The believed experiment with the findings as effects, and the modulus as "
-        "fitted where data tell it, "
+        f"<h2>The extended model</h2><p>The believed experiment with the findings as effects, and with the fitted "
+        "modulus where the data determine it, "
         f"<a href='{MODEL}'>{MODEL}</a>, runs in <code>simulate</code>, <code>register</code> and "
         f"<code>diagnose</code> like any other.</p><details><summary>Its text</summary>{text}</details>"
     )

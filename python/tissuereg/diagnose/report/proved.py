@@ -1,4 +1,4 @@
-"""How the models predict what they were not fitted to: tables and bars against the noise floor."""
+"""Tables and charts of the models' errors on held-out data, against the noise floor."""
 
 import re
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ _MODELS = (
 
 
 def proved(found: "Diagnosis") -> str:
-    """Return what was held out for every finding, HTML."""
+    """Return the held-out errors of every finding, HTML."""
     proofs = proofs_of(found)
     parts = []
     for number, finding in enumerate(found.findings):
@@ -40,16 +40,16 @@ def proved(found: "Diagnosis") -> str:
 
 
 def proofs_of(found: "Diagnosis") -> dict[int, "HeldOut"]:
-    """Return the proofs of findings by their number; that of a modulus beyond its prior is no step's."""
+    """Return the held-out errors of findings by their number, without that of a modulus beyond its prior."""
     search = found.details.get("search")
     steps = [step for step in search.steps if step.found is not None] if search is not None else []
-    # Findings stand in the order of the steps; only the modulus may stand before them.
+    # Findings are in the order of the steps; only the modulus may precede them.
     first = len(found.findings) - len(steps)
     return {first + i: step.figures for i, step in enumerate(steps) if step.figures is not None}
 
 
 def gain_words(finding: "Finding") -> str:
-    """Return what a finding's proof says in one sentence, plain text; empty where nothing was held out."""
+    """Return a finding's held-out errors in a sentence, plain text; empty where nothing was held out."""
     held = finding.held_out
     if not held:
         return ""
@@ -60,13 +60,13 @@ def gain_words(finding: "Finding") -> str:
     return (
         f"On data that were not fitted ({blocks_words(held['cases'])}) the residual of a marker's coordinate {change} "
         f"mm (rms), where noise alone is {held['noise_mm']:.3f} mm; a generic patch without a physical cause leaves "
-        f"{held['rms_generic_mm']:.3f} mm. Over markers and forces the cause predicts {better} than the patch: "
+        f"{held['rms_generic_mm']:.3f} mm. For markers and forces together the cause predicts {better} than the patch: "
         f"{held['chi_named']:.2f} against {held['chi_generic']:.2f} noise deviations."
     )
 
 
 def blocks_words(blocks: Sequence[str]) -> str:
-    """Return the names of held-out blocks, plain text; blocks of frames of one case in one go.
+    """Return the names of held-out blocks, plain text; blocks of frames of one case are joined.
 
     Parameters
     ----------
@@ -85,22 +85,22 @@ def blocks_words(blocks: Sequence[str]) -> str:
     >>> blocks_words(["push, every 2th frame from 0", "push, every 2th frame from 1"])
     'push, every 2nd frame in turn'
     """
-    said = []
+    names = []
     for block in map(str, blocks):
         found = re.fullmatch(r"(.*), every (\d+)th frame from \d+", block, re.DOTALL)
         if found is None:
-            said.append(block)
+            names.append(block)
         else:
             ending = {"2": "nd", "3": "rd"}.get(found[2], "th")
-            said.append(f"{found[1]}, every {found[2]}{ending} frame in turn")
-    return ", ".join(dict.fromkeys(said))
+            names.append(f"{found[1]}, every {found[2]}{ending} frame in turn")
+    return ", ".join(dict.fromkeys(names))
 
 
 def _overall(finding: "Finding") -> str:
     held = finding.held_out
     rows = [(name, f"{held[f'rms_{key}_mm']:.3f}", f"{held[f'chi_{key}']:.2f}") for key, name, _ in _MODELS]
     rows.append(("noise floor", f"{held['noise_mm']:.3f}", "1.00"))
-    head = ("held out", "markers, rms of a coordinate, mm", "markers and forces, over noise")
+    head = ("held out", "markers, rms of a coordinate, mm", "markers and forces, noise deviations")
     log_density = (
         f"<p>Held-out data are e<sup>{held['log_density_gain']:.1f}</sup> times as likely with the cause as without "
         "it.</p>"
@@ -122,7 +122,7 @@ def _by_case(proof: "HeldOut", layout: "Layout") -> str:
         )
     if len(rows) < 2:
         return ""
-    head = ("case held out, over noise", "numbers", *(name for _, name, _ in _MODELS))
+    head = ("case held out, noise deviations", "numbers", *(name for _, name, _ in _MODELS))
     return _bars(groups) + table(head, rows)
 
 
@@ -132,8 +132,8 @@ def _bars(groups: list[tuple[str, list[tuple[str, float, str]]]]) -> str:
     parts, at = [], 18.0
     for title, bars in groups:
         for i, (name, value, colour) in enumerate(bars):
-            said = f"{title}: {name}" if len(groups) > 1 and i == 0 else name
-            parts.append(svg.text(left - 8.0, at + 12.0, said, "end", more="font-size='12'"))
+            label = f"{title}: {name}" if len(groups) > 1 and i == 0 else name
+            parts.append(svg.text(left - 8.0, at + 12.0, label, "end", more="font-size='12'"))
             parts.append(svg.bar(left, at + 2.0, across(value) - left, row - 5.0, colour))
             parts.append(svg.text(across(value) + 5.0, at + 12.0, f"{value:.2f}", more="font-size='11'"))
             at += row

@@ -1,4 +1,4 @@
-"""What the turnable view shows: surface, markers with their residuals, forces, inclusions, as one JSON."""
+"""Data of the three-dimensional view as one JSON: surface, markers with residuals, forces, inclusions."""
 
 import json
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tissuereg.diagnose.signals import CasePart, Layout
     from tissuereg.experiment import Experiment
 
-#: Residual vectors in a page at most, before and after together; longer cases are shown at every second, third frame.
+#: Number of residual vectors in a page, before and after together, at most; of longer cases every nth frame is shown.
 MOST_VECTORS = 60_000
 
 
@@ -28,12 +28,13 @@ def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> dict[str, Any]:
     found : Diagnosis
         With its details.
     most : int
-        Residual vectors at most.
+        Number of residual vectors at most.
 
     Returns
     -------
     dict
-        Plain values. Lengths in micrometres, forces in mN, None = not measured. Residuals are measured less predicted.
+        Of JSON's types. Lengths in micrometres, forces in mN, None = not measured. Residuals are measured minus
+        predicted.
     """
     layout, search = found.details["layout"], found.details["search"]
     body = found.extended
@@ -65,19 +66,19 @@ def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> dict[str, Any]:
 
 
 def script_text(value: dict[str, Any]) -> str:
-    """Return a value as JSON that can stand inside a script element whatever its texts say."""
+    """Return a value as JSON that is safe inside a script element, whatever its strings contain."""
     text = json.dumps(plain(value), separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _case(layout: "Layout", search: "Search", part: "CasePart", stride: int) -> dict[str, Any]:
     rows = slice(None, None, stride)
-    said: dict[str, Any] = {"name": part.name, "times": np.round(part.times[rows], 4).tolist(), "pads": list(part.pads)}
+    case: dict[str, Any] = {"name": part.name, "times": np.round(part.times[rows], 4).tolist(), "pads": list(part.pads)}
     for when, fit in (("before", search.base), ("after", search.final)):
-        left = np.where(layout.seen, layout.measured - fit.prediction, np.nan)
-        said[when] = _micrometres(part.markers(left)[rows])
-        said[f"forces_{when}"] = _plain(np.round(part.forces(left)[rows], 2))
-    return said
+        residual = np.where(layout.seen, layout.measured - fit.prediction, np.nan)
+        case[when] = _micrometres(part.markers(residual)[rows])
+        case[f"forces_{when}"] = _plain(np.round(part.forces(residual)[rows], 2))
+    return case
 
 
 def _pad(body: "Experiment", name: str) -> dict[str, Any]:
@@ -101,7 +102,7 @@ def _rows(flat: list[Any], count: int) -> list[list[Any]]:
 
 
 def _new(found: "Diagnosis") -> tuple[Any, ...]:
-    """Return the effects that the diagnosis has added."""
+    """Return the effects that the diagnosis added."""
     target = found.details.get("target")
     believed = () if target is None else target.bench.experiment.effects
     return tuple(effect for effect in found.extended.effects if not any(effect is other for other in believed))
@@ -113,7 +114,7 @@ def _markers_of(effect: Any) -> tuple[str, ...]:
 
 
 def _micrometres(places: FloatArray) -> list[int | None]:
-    """Return lengths in mm, flat, as whole micrometres: short, and far below any noise."""
+    """Return lengths in mm, flattened, as whole micrometres: short text, and far below any noise."""
     flat = np.asarray(places, np.float64).ravel()
     return [round(1000.0 * x) if np.isfinite(x) else None for x in flat.tolist()]
 

@@ -1,4 +1,4 @@
-"""The body's surface as a page draws it: few enough triangles, each with the patch it belongs to."""
+"""The body's surface for the view: a limited number of triangles, each with the patch it belongs to."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.experiment import Experiment
 
-#: Triangles that a page draws at most; larger bodies are drawn coarser.
+#: Number of triangles, at most; larger surfaces are coarsened.
 MOST_TRIANGLES = 12_000
 
 
@@ -38,12 +38,12 @@ def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> Surface
     experiment : Experiment
         With the body and its patches.
     most : int
-        Triangles at most.
+        Number of triangles at most.
 
     Returns
     -------
     Surface
-        Nodes are joined on ever coarser grids until there are few enough triangles.
+        Nodes are merged on coarser and coarser grids until there are few enough triangles.
     """
     mesh = experiment.mesh
     patch = np.zeros(len(mesh.surface), np.int64)
@@ -63,7 +63,7 @@ def drawn_surface(experiment: Experiment, most: int = MOST_TRIANGLES) -> Surface
 
 
 def _joined(surface: Surface, width: float) -> Surface:
-    """Return the surface with all nodes of a cell of a grid put into their mean."""
+    """Return the surface with all nodes of a grid cell replaced by their mean."""
     cells = np.floor((surface.nodes - surface.nodes.min(axis=0)) / width).astype(np.int64)
     _, group = np.unique(cells, axis=0, return_inverse=True)
     group = group.reshape(-1)

@@ -49,7 +49,7 @@ class Scale:
 
 
 def picture(width: float, height: float, parts: Sequence[str], name: str) -> str:
-    """Return an SVG element that fits the width of the page.
+    """Return an SVG element as wide as the page.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ def picture(width: float, height: float, parts: Sequence[str], name: str) -> str
     parts : sequence of str
         SVG.
     name : str
-        What it shows, plain text, for readers who do not see it.
+        Description in plain text, for screen readers.
 
     Returns
     -------
     str
-        Element.
+        SVG element.
     """
     return (
         f"<svg viewBox='0 0 {width:g} {height:g}' role='img' aria-label='{escape(name)}' "

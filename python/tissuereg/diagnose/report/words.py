@@ -1,4 +1,4 @@
-"""What a diagnosis says in plain sentences: verdict, findings, ties, what was assumed."""
+"""The text sections of the page: verdict, findings, ties with the advised experiment, assumptions."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 def verdict_sentence(found: "Diagnosis") -> str:
     """Return the verdict in one sentence, plain text."""
     if found.verdict == "consistent":
-        return "The measurements are consistent with the simulation: noise and what is always fitted explain them."
+        return "The measurements are consistent with the simulation, within noise and nuisance parameters."
     if found.verdict == "unexplained":
         return "The simulation does not explain the measurements, and no cause in the catalogue accounts for it."
     names = [_either([plain_name(name) for name in finding.group]) for finding in found.findings]
     if found.verdict == "group":
         return (
-            "The simulation does not explain the measurements; what it lacks is found up to causes that these data "
-            f"cannot tell apart: {_listed(names)}."
+            "The simulation does not explain the measurements; the cause is known up to a group that these data cannot "
+            f"distinguish: {_listed(names)}."
         )
     what = "one cause" if len(names) == 1 else f"{len(names)} causes together"
     return f"The simulation does not explain the measurements; {what} does: {_listed(names)}.".replace(
@@ -46,42 +46,39 @@ def summary(found: "Diagnosis") -> str:
     if found.verdict == "unexplained" and found.next_experiment is not None:
         parts.append(f"<p><b>Next:</b> {escape(found.next_experiment['action'])}.</p>")
     if found.provisional:
-        parts.append("<p>Provisional: with fewer than three load cases, none was foretold from several others.</p>")
+        parts.append("<p>Provisional: with fewer than three load cases, none was predicted from several others.</p>")
     return "\n".join(parts)
 
 
 def findings(found: "Diagnosis") -> str:
-    """Return every finding with its figures, HTML."""
+    """Return every finding with its parameters and evidence, HTML."""
     if not found.findings:
         return "<p>No cause was accepted.</p>"
     return "\n".join(_finding(finding) for finding in found.findings)
 
 
 def ties(found: "Diagnosis") -> str:
-    """Return what cannot be told apart and what would, HTML."""
+    """Return the causes that cannot be distinguished and the experiment that would do so, HTML."""
     groups = [finding for finding in found.findings if len(finding.group) > 1]
     if not groups:
-        said = (
-            "These data tell every finding from all other causes that were tried."
-            if found.findings
-            else "Nothing is tied."
-        )
-        return f"<p>{said}</p>"
+        distinct = "These data distinguish every finding from all other causes that were tried."
+        return f"<p>{distinct if found.findings else 'There is no tie.'}</p>"
     parts = []
     for finding in groups:
         meant = "".join(f"<li><b>{escape(plain_name(name))}</b>: {escape(gloss(name))}</li>" for name in finding.group)
         parts.append(
-            "<p>These explain the data about equally well; the likeliest stands first, and the extended model has it "
-            f"alone.</p><ul>{meant}</ul>"
+            "<p>These causes explain the data about equally well; the likeliest is listed first, and only that one is "
+            f"in the extended model.</p><ul>{meant}</ul>"
         )
     advice = found.next_experiment
     if advice is None:
-        parts.append("<p>No further push, hold or force of the present rig was found that would tell them apart.</p>")
+        parts.append("<p>No further push, hold or force of the present rig was found that would distinguish them.</p>")
     else:
         parts.append(
-            f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(separated(advice))}: what "
-            f"the explanations, as fitted, predict there differs by {advice['separability']:.1f} noise deviations "
-            f"beside the tracker's frame, the modulus and the error of forces ({SEPARABLE:.0f} tell the two apart).</p>"
+            f"<p><b>Next experiment: {escape(advice['action'])}.</b> It separates {escape(separated(advice))}: the "
+            f"predictions of the fitted models differ by {advice['separability']:.1f} noise deviations, given the "
+            "uncertainty of the tracker's frame, the modulus and the forces "
+            f"({SEPARABLE:.0f} are needed to distinguish two causes).</p>"
         )
     return "\n".join(parts)
 
@@ -99,34 +96,35 @@ def assumed(found: "Diagnosis") -> str:
         spread = young * float(np.sqrt(search.final.covariance[0, 0])) * float(np.exp(search.final.x[0]))
         believed = target.bench.young_spread * young
         items.append(
-            f"Young's modulus was believed {young:.4g} \u00b1 {believed:.2g} kPa and fitted with "
-            f"the causes: {search.final.young(young):.4g} \u00b1 {spread:.2g} kPa."
+            f"Young's modulus: prior {young:.4g} \u00b1 {believed:.2g} kPa; fitted together with the causes: "
+            f"{search.final.young(young):.4g} \u00b1 {spread:.2g} kPa."
         )
     items += [
-        "Probabilities hold among the causes of the catalogue, none, and a generic rival, all equally likely before; "
-        f"log Bayes factors are divided by {TEMPER:g} first, because the models of noise and mesh are not exact, and "
-        f"{100 * LOOK_ALIKE:.0f} % of every cause's go to what is outside the catalogue and looks like it.",
-        f"Seed of all chance: {found.seed}.",
+        "Probabilities are posterior ones among the causes of the catalogue, no cause, and the generic rival, with "
+        f"equal priors; log Bayes factors are divided by {TEMPER:g} first, because the models of noise and "
+        f"discretisation error are not exact, and {100 * LOOK_ALIKE:.0f} % of every cause's probability are assigned "
+        "to effects outside the catalogue that look like it.",
+        f"Seed of all random draws: {found.seed}.",
         "Versions: " + ", ".join(f"{name} {version}" for name, version in found.versions.items()) + ".",
     ]
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
 
 
 def _discrepancy(found: "Diagnosis") -> str:
-    said = found.discrepancy
-    if not said:
+    discrepancy = found.discrepancy
+    if not discrepancy:
         return ""
     text = (
-        f"The believed model, its modulus fitted, misses the markers by {said['rms_mm']:.3f} mm in a coordinate (rms), "
-        f"{said['in_sigma']:.1f} times the noise"
+        f"The residual of the believed model with fitted modulus is {discrepancy['rms_mm']:.3f} mm in a marker's "
+        f"coordinate (rms), {discrepancy['in_sigma']:.1f} times the noise"
     )
-    where = said.get("where") or []
+    where = discrepancy.get("where") or []
     if where:
         text += f"; worst at {_listed([str(name) for name in where])}"
-    text += f"; under case {said['under']} more than under others, {said['when']}."
-    after = said.get("after")
+    text += f"; largest under case {discrepancy['under']}, {discrepancy['when']}."
+    after = discrepancy.get("after")
     if after and found.findings:
-        text += f" With the findings {after['rms_mm']:.3f} mm are left, {after['in_sigma']:.1f} times the noise."
+        text += f" With the findings it is {after['rms_mm']:.3f} mm, {after['in_sigma']:.1f} times the noise."
     return text
 
 
@@ -141,10 +139,10 @@ def _finding(finding: "Finding") -> str:
     tied = ""
     if len(finding.group) > 1:
         others = _listed([plain_name(name) for name in finding.group[1:]], "or")
-        tied = f"<p>These data cannot tell it from: {escape(others)}.</p>"
+        tied = f"<p>These data cannot distinguish it from: {escape(others)}.</p>"
     figures = (
-        f"Probability {chance(finding.probability)}; log Bayes factor {finding.log_bayes_factor:.1f}, where "
-        f"{finding.threshold:.1f} was asked for."
+        f"Probability {chance(finding.probability)}; log Bayes factor {finding.log_bayes_factor:.1f} (threshold "
+        f"{finding.threshold:.1f})."
     )
     return (
         f"<section class='finding'><h3>{escape(plain_name(finding.id))} <code>{escape(finding.id)}</code></h3>"
@@ -164,15 +162,13 @@ def _pair(value: Any, spread: Any) -> str:
 
 
 def _noise(noise: "Noise", found: "Diagnosis") -> list[str]:
-    source = "Rest frames were compared with the stated noise" if noise.from_rest else "The stated noise was taken"
+    source = "Noise, as stated or as rest frames show" if noise.from_rest else "Noise as stated"
     low, high = float(noise.marker_std.min()), float(noise.marker_std.max())
     size = f"{low:.3g}" if high - low < 1e-9 else f"{low:.3g} to {high:.3g}"
-    shared = f"; a motion that all markers share, {noise.common_std:.3g} mm" if noise.common_std > 0 else ""
+    shared = f"; a motion common to all markers, {noise.common_std:.3g} mm" if noise.common_std > 0 else ""
     memory = max(noise.memory, noise.common_memory)
-    fades = (
-        f"; what is left of it after {noise.step_s:.3g} s: {100 * memory:.0f} %" if memory > 0 else "; white in time"
-    )
-    items = [f"{source}: {size} mm for a coordinate of a marker{shared}{fades}."]
+    in_time = f"; correlation after {noise.step_s:.3g} s: {100 * memory:.0f} %" if memory > 0 else "; white in time"
+    items = [f"{source}: {size} mm for a coordinate of a marker{shared}{in_time}."]
     if found.extended.force_std is not None:
         items.append(f"Noise of a force component: {noise.force_std:.3g} mN, white.")
     return items
@@ -182,17 +178,18 @@ def _nuisances(found: "Diagnosis") -> list[str]:
     nuisances = found.details.get("nuisances")
     names = ["stiffness"] if nuisances is None else list(nuisances.names)
     kinds = {
-        "stiffness": "Young's modulus within its belief",
+        "stiffness": "Young's modulus within its prior",
         "frame shift": "a small shift of the tracker's frame",
-        "frame turn": "a small turn of it",
+        "frame turn": "a small rotation of it",
         "drift": "a drift of the camera",
-        "gain": "small gains of the actuators, larger on a coarse mesh",
-        "mesh": "the error of the mesh, which grows with the load",
-        "rim": "that of every marker near the rim of the pad at work",
-        "trial": "what trials of one case differ by",
+        "mesh": "the discretisation error, which grows with the load",
+        "place": "position, size, rim, height and tilt of the pads",
+        "edge": "the edges of supports",
+        "surface": "the shape of the surface",
+        "trial": "differences between trials of one case",
     }
-    said = [words for key, words in kinds.items() if any(name.startswith(key) for name in names)]
-    return [f"Always fitted beside the causes: {_listed(said)}. What hides in these is not named."]
+    fitted = [words for key, words in kinds.items() if any(name.startswith(key) for name in names)]
+    return [f"Nuisance parameters of every model: {_listed(fitted)}. An effect that they can explain is not named."]
 
 
 def _either(names: list[str]) -> str:
