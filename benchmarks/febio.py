@@ -1,7 +1,7 @@
-"""Diagnoses of data that another solver made, beside their truth -> results/febio.json, docs/febio.md.
+"""Diagnoses of data made by another solver, compared with the truth -> results/febio.json, docs/febio.md.
 
 ``python benchmarks/febio.py [--data DIR] [--page]``: `DIR` holds experiment folders with a ``truth.json`` each
-(default: the eight in ``../shared/examples/febio`` and the open ones beside them). Every answer is kept as it comes;
+(default: the eight in ``../shared/examples/febio`` and the open ones next to it). Every answer is saved at once;
 ``--page`` writes the page from the archive alone.
 """
 
@@ -16,44 +16,47 @@ from tissuereg.cli.common import envelope
 ROOT = Path(__file__).resolve().parents[1]
 ARCHIVE, PAGE = ROOT / "benchmarks" / "results" / "febio.json", ROOT / "docs" / "febio.md"
 
-#: Detectability (markers, one frame taken out) below which it is right to find nothing.
+#: Detectability (markers, one frame fitted) below which finding nothing counts as right.
 FAINT = 5.0
 
-_INTRO = """# Data of another solver
+_INTRO = """# Data made by another solver
 
-FEBio 4.11, ten-node tetrahedra on meshes of 11,000 to 15,000 nodes of a smooth ellipsoid, pads conforming to their
-discs; the user's mesh is one of 3,839 to 4,552 nodes whose facets lie inside it. `python benchmarks/febio.py` diagnoses
-the experiments of `../shared/examples`. Deviations of the shape and of the bent part of the forces' error were chosen
-on these experiments, most of them on those without an effect: they are development data. A cause with a detectability
-below 5 need not be found.
+Simulated by FEBio 4.11 with ten-node tetrahedra on meshes of 11,000 to 15,000 nodes of a smooth ellipsoid, with pads
+whose edges the mesh follows exactly. The user's mesh has 3,839 to 4,552 nodes, and its flat facets lie inside the
+ellipsoid. `python benchmarks/febio.py` diagnoses the experiments of `../shared/examples`. These are development data:
+the prior standard deviations of the body's shape, and of the force error that grows with the square of the load, were
+chosen on them, mostly on those without an effect.
+
+Columns: the hidden cause, its detectability d, the answer, the log Bayes factor of each named cause in nats, the
+p-value of the remaining misfit, and the time in seconds. A cause with a detectability below 5 need not be found.
 """
 
 
-def asked(folder: Path, threads: int) -> dict[str, object]:
-    """Diagnose one folder by the command and return what was said beside its truth."""
+def diagnosed(folder: Path, threads: int) -> dict[str, object]:
+    """Diagnose one folder by the command and return the answer with the truth."""
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as work:
-        answer = Path(work) / "said.json"
+        answer = Path(work) / "answer.json"
         words = ["diagnose", str(folder), "--threads", str(threads), "--quiet", "--json", str(answer)]
         if command(words):
             message = f"{folder.name} was not diagnosed"
             raise SystemExit(message)
-        said = json.loads(answer.read_text(encoding="utf-8"))
+        found = json.loads(answer.read_text(encoding="utf-8"))
     return {
         "truth": truth["cause"],
         "detectability": truth.get("detectability"),
-        "verdict": said["verdict"],
+        "verdict": found["verdict"],
         "causes": [
-            {key: cause[key] for key in ("id", "group", "probability", "log_bayes_factor")} for cause in said["causes"]
+            {key: cause[key] for key in ("id", "group", "probability", "log_bayes_factor")} for cause in found["causes"]
         ],
-        "p_misfit": said["p_misfit"],
-        "left": said["left"],
-        "seconds": said["seconds"]["total"],
+        "p_misfit": found["p_misfit"],
+        "left": found["left"],
+        "seconds": found["seconds"]["total"],
     }
 
 
 def is_right(row: dict) -> bool:
-    """Say whether every true cause is in a group and no group is without one; or nothing, where there is too little."""
+    """Return whether each true cause is in a named group and each group holds one; faint causes may go unnamed."""
     groups = [set(cause["group"]) for cause in row["causes"]]
     if not row["truth"] or (not groups and row["verdict"] == "consistent" and row["detectability"] < FAINT):
         return row["verdict"] == "consistent"
@@ -64,14 +67,14 @@ def is_right(row: dict) -> bool:
 def page(archive: dict) -> str:
     """Return the page of an archive."""
     rows = archive["rows"]
-    lines = [_INTRO, "| experiment | hidden | d | answered | log Bayes factors | p | s | |", "|---" * 8 + "|"]
+    lines = [_INTRO, "| experiment | hidden | d | answer | log Bayes factors | p | s | |", "|---" * 8 + "|"]
     for name, row in rows.items():
-        said = ", ".join(" or ".join(cause["group"]) for cause in row["causes"]) or row["verdict"]
+        answer = ", ".join(" or ".join(cause["group"]) for cause in row["causes"]) or row["verdict"]
         cells = (
             name,
             ", ".join(row["truth"]) or "nothing",
             f"{row['detectability']:.0f}" if row["truth"] and row["detectability"] is not None else "",
-            said,
+            answer,
             ", ".join(f"{cause['log_bayes_factor']:.1f}" for cause in row["causes"]),
             f"{row['p_misfit']:.2g}",
             f"{row['seconds']:.0f}",
@@ -79,23 +82,23 @@ def page(archive: dict) -> str:
         )
         lines.append("| " + " | ".join(cells) + " |")
     right = sum(is_right(row) for row in rows.values())
-    times = f"Times: banks and fine meshes of these rigs were kept, threads: {archive['threads']}."
+    times = f"Times are with cached banks and fine meshes, threads: {archive['threads']}."
     return "\n".join([*lines, "", f"{right} of {len(rows)} are right. {times}"]) + "\n"
 
 
 def main() -> None:
-    """Ask what is missing, keep every answer, write the page."""
+    """Diagnose what is missing, save every answer, write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "examples")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--page", action="store_true", help="write the page from the archive, ask nothing")
+    parser.add_argument("--page", action="store_true", help="write the page from the archive, diagnose nothing")
     options = parser.parse_args()
     fresh = {"schema": "tissuereg.febio/1", **envelope(options.threads), "rows": {}}
     archive = json.loads(ARCHIVE.read_text(encoding="utf-8")) if ARCHIVE.exists() else fresh
     folders = [] if options.page else sorted(file.parent for file in options.data.rglob("truth.json"))
     for folder in folders:
         if folder.name not in archive["rows"]:
-            archive["rows"][folder.name] = asked(folder, options.threads)
+            archive["rows"][folder.name] = diagnosed(folder, options.threads)
             ARCHIVE.write_text(json.dumps(archive, indent=1) + "\n", encoding="utf-8")
             print(folder.name, archive["rows"][folder.name]["verdict"], flush=True)
     PAGE.write_text(page(archive), encoding="utf-8")

@@ -1,10 +1,10 @@
-"""Numbers of parts of the data beside each other -> results/material-parts.json, docs/material-parts.md.
+"""Parameters fitted to different parts of the data, compared -> results/material-parts.json, docs/material-parts.md.
 
     python benchmarks/material_parts.py [--data DIR] [--seeds N] [--page]
 
-Every part of the measured curves is diagnosed by itself, as a user would; where two parts, with no curve in common or
-one within the other, are answered in the same form, their numbers are compared. Made-up curves, of
-which the truth is known or a wrong form is fitted, come from `tests/support`. ``--page`` writes the page alone.
+Every part of the measured curves is diagnosed separately, as a user would. Where two disjoint or nested parts are
+explained by the same form of law, their parameters are compared. Synthetic curves, whose truth is known or which are
+fitted with a wrong form, come from `tests/support`. ``--page`` writes the page alone.
 """
 
 import argparse
@@ -38,7 +38,7 @@ ARCHIVE, PAGE = ROOT / "benchmarks" / "results" / "material-parts.json", ROOT / 
 
 Curves = Sequence[Curve]
 Numbers = dict[str, list[float]]
-#: Deviations that are compared: those stated, and those of the curvature alone, as if the form were right.
+#: Standard deviations that are compared: the stated ones, and those of the curvature alone, as if the form were right.
 KINDS = ("stated", "right")
 
 
@@ -178,7 +178,7 @@ KNOWN: dict[str, tuple[str, str, dict[str, float], Maker]] = {
     "Fung, a smooth misfit of 10 %": ("stiffening", "fung", FUNG_TRUTH, misfitting(0.1)),
 }
 POWER: Maker = lambda rng: histories(rng, relaxing(lambda t: (1.0 + t / 0.3) ** -0.12), rates=(0.003, 0.03, 0.3))  # noqa: E731
-#: Cause, form, how the curves are made, and what tells their parts apart.
+#: Cause, form, how the curves are made, and the key by which their parts differ.
 WRONG: dict[str, tuple[str, str, Maker, str]] = {
     "a limit of extension as Fung": ("stiffening", "fung", lambda rng: in_modes(rng, ("gent", 1.0)), "mode"),
     "a power of time as one Prony term": ("relaxation", "prony-1", POWER, "rate"),
@@ -189,13 +189,13 @@ WEIGHTINGS = ("lasting errors", "rows alike")
 
 
 def known(name: str, seeds: int) -> dict[str, Any]:
-    """Return errors over deviations where the truth is known."""
+    """Return errors over standard deviations where the truth is known."""
     cause, label, truth, maker = KNOWN[name]
     rows = {}
     for weighting in WEIGHTINGS:
-        said = [both(believed(maker(np.random.default_rng(s))), cause, label, weighting) for s in range(seeds)]
-        rows[weighting] = {"form_error": float(np.median([size for *_, size in said]))}
-        for kind, answers in zip(KINDS, zip(*[row[:2] for row in said], strict=True), strict=True):
+        fits = [both(believed(maker(np.random.default_rng(s))), cause, label, weighting) for s in range(seeds)]
+        rows[weighting] = {"form_error": float(np.median([size for *_, size in fits]))}
+        for kind, answers in zip(KINDS, zip(*[row[:2] for row in fits], strict=True), strict=True):
             z = np.array([[(a[key][0] - value) / a[key][1] for key, value in truth.items()] for a in answers])
             values = np.array([[a[key] for key in truth] for a in answers])
             ratio = np.median(values[:, :, 1], axis=0) / values[:, :, 0].std(axis=0, ddof=1)
@@ -207,7 +207,7 @@ def known(name: str, seeds: int) -> dict[str, Any]:
 
 
 def wrong(name: str, seeds: int) -> dict[str, Any]:
-    """Return how far numbers of parts lie apart where the form is wrong."""
+    """Return how far parameters of different parts lie apart where the form is wrong."""
     cause, label, maker, unit = WRONG[name]
     rows = {}
     for weighting in WEIGHTINGS:
@@ -216,10 +216,10 @@ def wrong(name: str, seeds: int) -> dict[str, Any]:
             curves = maker(np.random.default_rng(seed))
             sets = sorted({getattr(curve, unit) for curve in curves})
             parts = {str(s): [c for c in curves if getattr(c, unit) == s] for s in sets} | {"all": curves}
-            said = {key: both(believed(part), cause, label, weighting) for key, part in parts.items()}
+            fits = {key: both(believed(part), cause, label, weighting) for key, part in parts.items()}
             for one, other, how in pairs(parts):
                 for i, kind in enumerate(KINDS):
-                    found[kind] += distances(said[one][i], said[other][i], how).values()
+                    found[kind] += distances(fits[one][i], fits[other][i], how).values()
         rows[weighting] = {kind: within(z) for kind, z in found.items()}
     return rows
 
@@ -230,27 +230,28 @@ def within(distances: Sequence[float]) -> dict[str, float]:
     return {"n": len(z), "within_two": float(np.mean(z <= 2.0)), "largest": float(z.max())}
 
 
-_INTRO = """# Numbers of one part of the data beside another's
+_INTRO = """# Do parameters from different parts of the data agree?
 
-`python benchmarks/material_parts.py`. Stated deviations carry the noise as it is, errors that last along a curve and
-factors of specimens included, and a smooth misfit of the size that the fit leaves: what the form cannot follow. "By
-curvature alone" are the deviations of a form that is right under the noise that rows were weighed by, which were stated
-before. Two parts without a common curve are compared by the deviation of their difference, a part and what holds it by
-the deviation of the part; 95 of 100 should lie within two. Parts share the error of their form, so that numbers
-of like parts lie nearer than that.
+Written by `python benchmarks/material_parts.py`. The parameters of one law, fitted to different parts of the same data,
+should agree within their stated standard deviations. These include the full noise (errors that are correlated along a
+curve and scale factors of specimens) and a smooth misfit of the size of the fit's residual, for what the form of the
+law cannot follow. "By curvature alone" are the standard deviations that hold if the form is right and the noise is that
+of the weights; earlier releases stated these. Two disjoint parts are compared by the standard deviation of their
+difference, a part and the larger part that contains it by the standard deviation of the smaller; 95 of 100 should lie
+within two. Parts share the error of their form, so parameters of similar parts agree better than that.
 
 ## Measured
 
-Every part is diagnosed by itself; parts that get no name, or another form, cannot be compared and are counted. An
-answer is provisional where nothing but the last part of its curves could be left out.
+Every part is diagnosed separately. Parts for which no cause is named, or another form of law is chosen, cannot be
+compared; they are counted. An answer is provisional if nothing but the last part of its curves could be held out.
 """
 
 _MEASURED = (
     "material",
     "parts named",
-    "pairs of one form",
-    "numbers compared",
-    "within two deviations",
+    "pairs of the same form",
+    "parameters compared",
+    "within two standard deviations",
     "largest",
     "by curvature alone",
     "largest",
@@ -258,26 +259,34 @@ _MEASURED = (
 _TERMS = (
     "rates",
     "verdict",
-    "form's error",
+    "misfit of the form",
     "first share",
     "by curvature alone",
     "first time, s",
-    "modulus at once, kPa",
+    "instantaneous modulus, kPa",
 )
 _KNOWN = (
     "curves",
     "weights",
-    "form's error found",
-    "truth within two deviations",
-    "deviation over scatter",
+    "estimated misfit of the form",
+    "truth within two standard deviations",
+    "standard deviation over scatter",
     "by curvature alone: within two",
     "over scatter",
 )
-_WRONG = ("form", "weights", "numbers", "within two deviations", "largest", "by curvature alone", "largest")
+_WRONG = (
+    "form",
+    "weights",
+    "parameters",
+    "within two standard deviations",
+    "largest",
+    "by curvature alone",
+    "largest",
+)
 
-_LIMIT = """A form that follows its own part of the data within the noise shows no error there, whatever it does
-elsewhere: numbers of one term fitted to one window of time, or of one law fitted to one mode, may lie further from
-those of another part than is stated. Only data that reach further can tell."""
+_LIMIT = """A form that fits its own part of the data within the noise shows no misfit there, however wrong it is
+elsewhere. Parameters of one relaxation term fitted to one time window, or of one law fitted to one mode of loading, may
+therefore differ from those of another part by more than is stated. Only data over a wider range can reveal this."""
 
 
 def head(cells: Sequence[str]) -> list[str]:
@@ -290,13 +299,13 @@ def page(archive: dict[str, Any]) -> str:
     parts = [_INTRO]
     parts += head(_MEASURED)
     parts += [_summary(name, rows) for name, rows in archive["measured"].items()]
-    parts += ["", "Numbers beyond two stated deviations:", ""]
+    parts += ["", "Parameters beyond two stated standard deviations:", ""]
     parts += _beyond(archive["measured"]) or ["* none"]
     adhesive = archive["measured"].get("adhesive")
     if adhesive:
         parts += ["", "### The adhesive", "", *_terms(adhesive["parts"])]
-    parts += ["", "## Made up, the truth known", "", *_known_table(archive["known"])]
-    parts += ["", "## Made up, fitted by a wrong form", "", *_wrong_table(archive["wrong"]), "", _LIMIT, ""]
+    parts += ["", "## Synthetic, truth known", "", *_known_table(archive["known"])]
+    parts += ["", "## Synthetic, fitted with a wrong form", "", *_wrong_table(archive["wrong"]), "", _LIMIT, ""]
     return "\n".join(parts)
 
 
@@ -317,7 +326,7 @@ def _summary(name: str, rows: dict[str, Any]) -> str:
 
 def _beyond(measured: dict[str, Any]) -> list[str]:
     return [
-        f"* {name}, {key}: {pair['one']} beside {pair['other']}, {z:.1f}{_provisional(rows['parts'], pair)}"
+        f"* {name}, {key}: {pair['one']} against {pair['other']}, {z:.1f}{_provisional(rows['parts'], pair)}"
         for name, rows in measured.items()
         for pair in rows["pairs"]
         if pair["same_form"]
@@ -335,9 +344,9 @@ def _terms(parts: dict[str, Any]) -> list[str]:
     for name, row in parts.items():
         cells = [name, row["verdict"]]
         if "g_1" in row.get("stated", {}):
-            said = row["stated"]
-            cells += [f"{row['form_error']:.1%}", _with(said["g_1"]), _with(row["right"]["g_1"])]
-            cells += [_with(said["tau_s_1"]), _with(said["young_kpa"])]
+            stated = row["stated"]
+            cells += [f"{row['form_error']:.1%}", _with(stated["g_1"]), _with(row["right"]["g_1"])]
+            cells += [_with(stated["tau_s_1"]), _with(stated["young_kpa"])]
         lines.append("| " + " | ".join([*cells, *[""] * (len(_TERMS) - len(cells))]) + " |")
     return lines
 
@@ -349,10 +358,10 @@ def _with(pair: Sequence[float]) -> str:
 def _known_table(rows: dict[str, Any]) -> list[str]:
     lines = head(_KNOWN)
     for name, row in rows.items():
-        for weighting, said in row.items():
-            cells = [name, weighting, f"{said['form_error']:.1%}"]
+        for weighting, found in row.items():
+            cells = [name, weighting, f"{found['form_error']:.1%}"]
             for kind in KINDS:
-                cells += [f"{said[kind]['within_two']:.0%}", f"{said[kind]['over_scatter']:.2f}"]
+                cells += [f"{found[kind]['within_two']:.0%}", f"{found[kind]['over_scatter']:.2f}"]
             lines.append("| " + " | ".join(cells) + " |")
     return lines
 
@@ -360,10 +369,10 @@ def _known_table(rows: dict[str, Any]) -> list[str]:
 def _wrong_table(rows: dict[str, Any]) -> list[str]:
     lines = head(_WRONG)
     for name, row in rows.items():
-        for weighting, said in row.items():
-            cells = [name, weighting, str(said["stated"]["n"])]
+        for weighting, found in row.items():
+            cells = [name, weighting, str(found["stated"]["n"])]
             for kind in KINDS:
-                cells += [f"{said[kind]['within_two']:.0%}", f"{said[kind]['largest']:.1f}"]
+                cells += [f"{found[kind]['within_two']:.0%}", f"{found[kind]['largest']:.1f}"]
             lines.append("| " + " | ".join(cells) + " |")
     return lines
 
@@ -372,7 +381,7 @@ def main() -> None:
     """Diagnose, fit, write the archive and the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of measured files")
-    parser.add_argument("--seeds", type=int, default=40, help="of every made-up case")
+    parser.add_argument("--seeds", type=int, default=40, help="of every synthetic case")
     parser.add_argument("--page", action="store_true", help="write the page from the archive, run nothing")
     options = parser.parse_args()
     if options.page:

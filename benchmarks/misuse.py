@@ -1,10 +1,10 @@
-"""Misread inputs and good ones: what is said of them, what is trusted -> results/misuse.json, docs/misuse.md.
+"""Misread and good inputs: which are suspected, which are trusted -> results/misuse.json, docs/misuse.md.
 
     python benchmarks/misuse.py [--jobs N] [--page]
 
 Forty misuses on five bodies, and 500 good events, all of them odd-numbered; `tissuereg.readings` was developed on the
-even-numbered. Where nothing is found, the event is registered. `--page` writes the page again from the archive. Events:
-`tests/misuse`, its data by `misuse.generate`.
+even-numbered ones. Events without a suspicion are also registered. `--page` writes the page again from the archive.
+The events are in `tests/misuse`, their data made by `misuse.generate`.
 """
 
 import argparse
@@ -25,7 +25,7 @@ ARCHIVE, PAGE = ROOT / "benchmarks" / "results" / "misuse.json", ROOT / "docs" /
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--page", action="store_true", help="write the page from the archive, ask nothing")
+    parser.add_argument("--page", action="store_true", help="write the page from the archive, run nothing")
     parser.add_argument("--jobs", type=int, default=2, help="registrations side by side")
     options = parser.parse_args()
     if not options.page:

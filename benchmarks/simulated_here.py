@@ -1,9 +1,9 @@
-"""Rigs without an effect, simulated here with the stated noise and diagnosed: how many are `consistent`.
+"""Rigs without a hidden effect, simulated with the stated noise and diagnosed: how many are `consistent`.
 
 ``python benchmarks/simulated_here.py`` simulates and diagnoses what is missing in ``results/simulated-here.json`` and
-writes the table of ``docs/simulated-here.md``. Rigs are drawn by their number: blocks and domes of 300 to 700 nodes,
-one to three pads given by balls or by node sets, strokes of three to six millimetres, Poisson's ratio. Every third one
-is a plain simulation, on the mesh as it is.
+writes the table of ``docs/simulated-here.md``. The number of a rig seeds its random choices: a block or a dome of 300
+to 700 nodes, one to three pads given by balls or by node sets, strokes of three to six millimetres, Poisson's ratio.
+Every third one is simulated with ``--plain``, on the mesh as it is.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from tissuereg.cli.common import envelope
 HERE = Path(__file__).resolve().parent
 RESULTS, TABLE = HERE / "results" / "simulated-here.json", HERE.parent / "docs" / "simulated-here.md"
 
-#: Rigs, and frames of a rest case and of a push: up, held, down.
+#: Number of rigs, and frames of a rest case and of a push: up, held, down.
 RIGS = 30
 REST, PUSH = 12, np.concatenate([np.linspace(0.0, 1.0, 5), np.ones(6), np.linspace(1.0, 0.0, 5)])
 
@@ -49,7 +49,7 @@ def body(rng: np.random.Generator) -> tr.Mesh:
 
 
 def write_rig(number: int, folder: Path) -> str:
-    """Write the rig of a number as an experiment without measurements; return in words what it is."""
+    """Write the rig of a number as an experiment without measurements; return its description."""
     rng = np.random.default_rng([20, number])
     mesh = body(rng)
     surface, extent = mesh.surface_nodes, mesh.extent
@@ -102,9 +102,9 @@ def write_rig(number: int, folder: Path) -> str:
     return f"{mesh.n_nodes} nodes, {len(pads)} pads by {how}, Poisson's ratio {poisson:.2f}"
 
 
-def asked(number: int, work: Path) -> dict[str, object]:
-    """Simulate and diagnose one rig by the commands, and return what was said."""
-    rig, simulated, answer = work / f"rig{number}", work / f"sim{number}", work / f"said{number}.json"
+def diagnosed(number: int, work: Path) -> dict[str, object]:
+    """Simulate and diagnose one rig by the commands, and return the answer."""
+    rig, simulated, answer = work / f"rig{number}", work / f"sim{number}", work / f"answer{number}.json"
     words = write_rig(number, rig)
     plain = number % 3 == 2
     options = ["--plain"] if plain else []
@@ -113,17 +113,17 @@ def asked(number: int, work: Path) -> dict[str, object]:
         message = f"rig {number} was not simulated"
         raise SystemExit(message)
     begin = time.perf_counter()
-    told = ["--threads", "1", "--no-cache", "--quiet", "--json", str(answer)]
-    if command(["diagnose", str(simulated), *told]):
+    options = ["--threads", "1", "--no-cache", "--quiet", "--json", str(answer)]
+    if command(["diagnose", str(simulated), *options]):
         message = f"rig {number} was not diagnosed"
         raise SystemExit(message)
-    said = json.loads(answer.read_text(encoding="utf-8"))
+    found = json.loads(answer.read_text(encoding="utf-8"))
     return {
         "rig": words,
         "model": "plain" if plain else "fine",
-        "verdict": said["verdict"],
-        "causes": [cause["id"] for cause in said["causes"]],
-        "p_misfit": said["p_misfit"],
+        "verdict": found["verdict"],
+        "causes": [cause["id"] for cause in found["causes"]],
+        "p_misfit": found["p_misfit"],
         "seconds": time.perf_counter() - begin,
     }
 
@@ -131,12 +131,14 @@ def asked(number: int, work: Path) -> dict[str, object]:
 def page(archive: dict) -> str:
     """Return the page of an archive."""
     rows = archive["rows"]
-    lines = ["# Simulated here, diagnosed here", ""]
+    lines = ["# Simulated and diagnosed by this package", ""]
     lines += [
-        "Rigs of 300 to 700 nodes without an effect, drawn by their number (`python benchmarks/simulated_here.py`).",
+        "Random rigs of 300 to 700 nodes without a hidden effect, simulated with their stated noise and then diagnosed: "
+        "every one should be answered `consistent`. *fine*: simulated on a fine mesh, as usual; *plain*: on the mesh as "
+        "it is. p: p-value of the misfit. Written by `python benchmarks/simulated_here.py`.",
         "",
     ]
-    lines += ["| model | rigs | `consistent` | least p | median p | median time, s |", "|---" * 6 + "|"]
+    lines += ["| model | rigs | `consistent` | smallest p | median p | median time, s |", "|---" * 6 + "|"]
     for model in ("fine", "plain", "all"):
         mine = [row for row in rows.values() if model in (row["model"], "all")]
         if mine:
@@ -146,16 +148,16 @@ def page(archive: dict) -> str:
             lines.append(f"| {model} | {len(mine)} | {right} | {figures} |")
     odd = {number: row for number, row in rows.items() if row["verdict"] != "consistent"}
     for number, row in odd.items():
-        said = f"{row['verdict']} {', '.join(row['causes'])}".strip()
-        lines += ["", f"Rig {number} ({row['rig']}, {row['model']}): {said}, p {row['p_misfit']:.2g}."]
+        answer = f"{row['verdict']} {', '.join(row['causes'])}".strip()
+        lines += ["", f"Rig {number} ({row['rig']}, {row['model']}): {answer}, p {row['p_misfit']:.2g}."]
     return "\n".join(lines) + "\n"
 
 
 def main() -> None:
-    """Ask what is missing, keep every answer as it comes, write the table."""
+    """Diagnose what is missing, save every answer at once, write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rigs", type=int, default=RIGS)
-    parser.add_argument("--page", action="store_true", help="write the page from the archive, ask nothing")
+    parser.add_argument("--page", action="store_true", help="write the page from the archive, diagnose nothing")
     options = parser.parse_args()
     fresh = {"schema": "tissuereg.simulated-here/1", **envelope(1), "rows": {}}
     archive = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else fresh
@@ -163,7 +165,7 @@ def main() -> None:
         if str(number) in archive["rows"]:
             continue
         with tempfile.TemporaryDirectory() as work:
-            archive["rows"][str(number)] = asked(number, Path(work))
+            archive["rows"][str(number)] = diagnosed(number, Path(work))
         RESULTS.write_text(json.dumps(archive, indent=1) + "\n", encoding="utf-8")
         print(number, archive["rows"][str(number)], flush=True)
     TABLE.write_text(page(archive), encoding="utf-8")

@@ -25,7 +25,7 @@ def test_pages_of_diagnoses_are_those_of_their_archives(name, archive):
     assert script.page(rows) != kept
 
 
-def test_an_answer_is_right_with_every_true_cause_and_none_beside():
+def test_an_answer_is_right_with_every_true_cause_and_no_other():
     script = loaded("febio")
 
     def row(truth, *groups, detectability=50.0):
@@ -56,7 +56,7 @@ def test_the_page_of_parts_of_material_tests_is_that_of_its_archive():
     archive = json.loads((BENCHMARKS / "results" / "material-parts.json").read_text(encoding="utf-8"))
     kept = (BENCHMARKS.parent / "docs" / "material-parts.md").read_text(encoding="utf-8")
     assert script.page(archive) == kept
-    # Numbers of one part lie within two stated deviations of another's; by curvature alone they would not.
+    # Parameters of one part lie within two stated deviations of another's; by curvature alone they would not.
     adhesive = archive["measured"]["adhesive"]["pairs"]
     apart = {kind: [z for pair in adhesive if pair["same_form"] for z in pair[kind].values()] for kind in script.KINDS}
     assert max(apart["stated"]) <= 2.0 < max(apart["right"])

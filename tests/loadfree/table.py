@@ -31,54 +31,55 @@ COLUMNS = (
     ("seconds", "seconds", 2, 1),
 )
 
-INTRODUCTION = """# Registration with nothing known of the load
+INTRODUCTION = """# Registration with an unknown load: accuracy
 
 Five bodies (dome, breast phantom, half ellipsoid with a hole, slab glued on one side, clamped beam) with forty events
-each: dead tractions, bonded pads, sliding pads, two contacts at once, own weight with a contact. The truth comes from
-another solver and other meshes: ten-node elements of scikit-fem, finer under the contacts; half of the events have
-another Poisson's ratio, Young's modulus or law, or a ball five times as stiff. Each event is registered with four
-layouts of fifteen markers (0.1 mm noise): spread over the surface, at random, in the third of it nearest to the
-contacts, in the third farthest from them. A body counts by the mean over its nodes; *targets that move most*: the upper
-third of sixty inner points. M2: squared Mahalanobis distance of a target. *Good* targets are off by less than 20 % of
-their motion. In brackets: 95 % intervals by resampling whole events. How the truth is made:
-`tests/loadfree/README.md`.
+each: dead tractions, bonded pads, sliding pads, two contacts at once, own weight with a contact. The ground truth comes
+from another solver and other meshes: ten-node elements of scikit-fem, finer under the contacts. Half of the events have
+another Poisson's ratio, Young's modulus or material law, or a ball five times as stiff. Each event is registered with
+four layouts of fifteen markers (0.1 mm noise): spread over the surface, at random, in the third of the surface nearest
+to the contacts, and in the third farthest from them. How the truth is made: `tests/loadfree/README.md`.
+
+The error of a body is the mean over its nodes. *Targets that move most*: the upper third of sixty inner points. M2:
+squared Mahalanobis distance of a target. *Good* targets have an error of less than 20 % of their motion. Brackets hold
+95 % intervals by resampling whole events.
 """
 
-#: What each method is.
-SAID = {
-    "contacts": "`register(mesh, markers)`: nothing is known of the load",
-    "rigid": "the markers' best rigid motion",
+#: One line on each method.
+METHODS_IN_WORDS = {
+    "contacts": "`register(mesh, markers)`, load unknown",
+    "rigid": "the best rigid motion of the markers",
     "spline": "a thin-plate spline through the markers",
-    "gaussian": "tractions of a Gaussian field, to first order",
-    "oracle": "`load=` is true: contacts as smooth tractions of their true force and place, and the weight",
+    "gaussian": "Gaussian-process prior on the surface tractions, linear model",
+    "oracle": "`load=` is the true load: the contacts as smooth tractions of the true force and place, and the weight",
     "wrong_load": "`load=` is wrong: every force and the weight have half their size and are turned by 30 degrees, "
     "every contact is 12 mm from its place",
-    "perhaps": '`held="perhaps"`: the base is held where the markers say so, nothing is known of the load',
-    "sure": '`held="sure"`: the base is held as the mesh says, nothing is known of the load',
-    "none": "nothing moves",
+    "perhaps": '`held="perhaps"`, load unknown: how firmly the base is held is estimated from the markers',
+    "sure": '`held="sure"`, load unknown: the base is held as the mesh states',
+    "none": "no motion at all",
 }
 
-SUPPORTS_INTRODUCTION = """## Supports partly wrong
+SUPPORTS_INTRODUCTION = """## Partly wrong supports
 
-Dome, phantom and half ellipsoid with a hole again, each with eight events of its own. The user says that the whole base
-is held. Truly an outer *ring* of it is held, or its *middle*, or three *patches*, or a *band* of the skin above it as
-well. The body is as the user believes otherwise. *perhaps*: `register(..., held="perhaps")`, for supports that are
-doubted; *sure*: the same without doubt, `held="sure"`. The other half was registered once more, with a version in which
-some sixty cells of the base hold or give way one by one: worked out on the development half, where it left 0.24 mm for
-0.28, it left 0.35 mm for 0.32 there (coverage 92 %), and was not taken. Figures of `perhaps` are those of the release,
-taken after that.
+Dome, phantom and half ellipsoid with a hole again, each with eight further events. The user states that the whole base
+is held. In truth only an outer *ring* of it is held, or its *middle*, or three *patches*, or a *band* of the skin above
+it as well; otherwise the body is as the user believes. *perhaps*: `register(..., held="perhaps")`, for supports that
+the user doubts; *sure*: `held="sure"`. The test half was registered once more, with a version in which some sixty cells
+of the base hold or give way one by one. On the development half, where it was worked out, it reduced the error from
+0.28 to 0.24 mm; on the test half it raised it from 0.32 to 0.35 mm (coverage 92 %), and it was rejected. The figures of
+`perhaps` are those of the release, measured after that.
 """
 
 
-#: Begins the name of a group that leaves one value out.
+#: Prefix of a group that leaves one value out.
 ALL_BUT = "all but "
 
 
 REFERENCE_INTRODUCTION = """## Reference problems
 
-Half ellipsoids pulled or pushed by a dead load on a small patch, solved by four foreign solvers on the user's own mesh
-(three of 4,227 nodes, one with a Poisson's ratio of 0.49, and one of 19,957): the model is right, the load unknown, or
-believed wrongly. Two draws of markers and noise each; in brackets: intervals by resampling draws of problems.
+Half ellipsoids pulled or pushed by a dead load on a small patch, solved by four other solvers on the user's own mesh
+(three of 4,227 nodes, one with a Poisson's ratio of 0.49, and one of 19,957). The model is right; the load is unknown,
+or a wrong one is given. Two draws of markers and noise each; brackets hold intervals by resampling draws of problems.
 """
 
 
@@ -112,7 +113,7 @@ PARTS = (
     Part(
         LOADFREE,
         "",
-        {"dev": "Development half (even events)", "test": "Other half (odd events), asked once"},
+        {"dev": "Development half (even events)", "test": "Test half (odd events), evaluated once"},
         2,
         (("layout", "layout", (*LAYOUTS, f"{ALL_BUT}far")), ("kind of event", "kind", KINDS), ("body", "body", BODIES)),
         "contacts",
@@ -120,7 +121,7 @@ PARTS = (
     Part(
         SUPPORTS,
         SUPPORTS_INTRODUCTION,
-        {"dev": "Supports, development half (even events)", "test": "Supports, other half (odd events)"},
+        {"dev": "Supports, development half (even events)", "test": "Supports, test half (odd events)"},
         3,
         (("what truly holds", "support", supports.KINDS), ("layout", "layout", SUPPORTS.layouts)),
         "perhaps",
@@ -128,7 +129,7 @@ PARTS = (
     Part(
         REFERENCE,
         REFERENCE_INTRODUCTION,
-        {"both": "All draws, all of it development"},
+        {"both": "All draws (development data)"},
         3,
         (("layout", "layout", REFERENCE.layouts), ("problem", "body", PROBLEMS)),
         "contacts",
@@ -137,10 +138,10 @@ PARTS = (
 
 
 def page() -> str:
-    """Return the page from the results that are there."""
+    """Return the page from the archived results."""
     parts = [[(half, read_results(result_path(half, part.bench))) for half in part.titles] for part in PARTS]
     used = {method for halves in parts for _, answer in halves for method in answer["rows"]}
-    text = [INTRODUCTION, *_listed([method for method in SAID if method in used])]
+    text = [INTRODUCTION, *_listed([method for method in METHODS_IN_WORDS if method in used])]
     for part, halves in zip(PARTS, parts, strict=True):
         some = [section(part, half, answer) for half, answer in halves if answer["rows"]]
         text += [part.introduction, *some] if some and part.introduction else some
@@ -164,19 +165,24 @@ def section(part: Part, half: str, answer: dict) -> str:
 
 
 def _split(rows: list[dict], events: dict, key: str, names: tuple[str, ...]) -> dict[str, list[dict]]:
-    """Return rows by what they, or their events, have under a key, or by what they do not have."""
-    told = [(row | events[row["body"], row["event"]])[key] for row in rows]
+    """Return rows grouped by the value that they, or their events, have (or lack) under a key."""
+    values = [(row | events[row["body"], row["event"]])[key] for row in rows]
 
     def belongs(value: str, name: str) -> bool:
         return value != name.removeprefix(ALL_BUT) if name.startswith(ALL_BUT) else value == name
 
-    groups = {name: [row for row, value in zip(rows, told, strict=True) if belongs(value, name)] for name in names}
+    groups = {name: [row for row, value in zip(rows, values, strict=True) if belongs(value, name)] for name in names}
     return {name: some for name, some in groups.items() if some}
 
 
 def _listed(methods: list[str]) -> list[str]:
-    """Return a table of what methods are."""
-    return ["| method | what it is |", "| --- | --- |", *(f"| {name} | {SAID[name]} |" for name in methods), ""]
+    """Return a table with one line on each method."""
+    return [
+        "| method | what it is |",
+        "| --- | --- |",
+        *(f"| {name} | {METHODS_IN_WORDS[name]} |" for name in methods),
+        "",
+    ]
 
 
 def _side_by_side(heading: str, names: tuple[str, ...], split: dict, events: dict) -> list[str]:
@@ -188,7 +194,7 @@ def _side_by_side(heading: str, names: tuple[str, ...], split: dict, events: dic
 
 
 def _conditions(answer: dict, methods: list[str]) -> list[str]:
-    """Return when, where and under which commit: one line for methods that share all of it; and what failed."""
+    """Return date, machine and commit, one line for all methods that share them, with the number of failures."""
     lines: dict[str, list[str]] = {}
     for method in methods:
         run = answer["methods"][method]
@@ -205,11 +211,11 @@ def _conditions(answer: dict, methods: list[str]) -> list[str]:
 
 def _table(heading: str, groups: dict[str, list[dict]], events: dict) -> list[str]:
     found = {name: figures(rows, events) for name, rows in groups.items()}
-    used = [column for column in COLUMNS if any(_keys(column[1])[0] in told for told in found.values())]
+    used = [column for column in COLUMNS if any(_keys(column[1])[0] in values for values in found.values())]
     lines = [f"| {heading} | n | " + " | ".join(column[0] for column in used) + " |", "| --- " * (len(used) + 2) + "|"]
-    for name, told in found.items():
-        cells = [_cell(told, *column[1:]) for column in used]
-        lines.append(f"| {name} | {told['n']['value']} | " + " | ".join(cells) + " |")
+    for name, values in found.items():
+        cells = [_cell(values, *column[1:]) for column in used]
+        lines.append(f"| {name} | {values['n']['value']} | " + " | ".join(cells) + " |")
     return lines
 
 
@@ -217,8 +223,8 @@ def _keys(key: str | tuple[str, ...]) -> tuple[str, ...]:
     return (key,) if isinstance(key, str) else key
 
 
-def _cell(told: dict, key: str | tuple[str, ...], digits: int, factor: float) -> str:
-    parts = [told.get(name, {"value": None}) for name in _keys(key)]
+def _cell(found: dict, key: str | tuple[str, ...], digits: int, factor: float) -> str:
+    parts = [found.get(name, {"value": None}) for name in _keys(key)]
     if any(part["value"] is None for part in parts):
         return "-"
     values = " / ".join(f"{factor * part['value']:,.{digits}f}" for part in parts)

@@ -1,4 +1,4 @@
-"""The table of `benchmarks/loadfree_time.py`: whole calls, timed."""
+"""The table of `benchmarks/loadfree_time.py`: wall times of whole calls."""
 
 import json
 
@@ -9,7 +9,7 @@ from loadfree.archive import RESULTS
 ARCHIVE = RESULTS / "loadfree-time.json"
 SCHEMA = "tissuereg.loadfree-time/1"
 
-#: Case and call, what it is, and the wall seconds that are wanted.
+#: Case and call, its description, and the goal in wall seconds.
 ROWS = (
     ("dome", "first", "dome, 15 markers, first call on the mesh", 1.0),
     ("dome", "next", "the next call, other values at the same markers", 0.35),
@@ -19,14 +19,14 @@ ROWS = (
 
 INTRODUCTION = """## Times
 
-Whole `register` calls with five targets and nothing known of the load, a fresh process each: the package is imported
-and a mesh of 200 nodes registered before, so that only the mesh is new. Medians over repeats that differ by the noise
-and, on the dome (4,227 nodes), by the event: development events without another model, one of every kind in turn. The
-pull on 20,000 nodes is solved by our own solver: its body error shows no error of the model. CPU: all threads together.
-Stages below 2 % are left out.
+Whole `register` calls with five targets and an unknown load, each in a fresh process. The package is imported and a
+mesh of 200 nodes registered beforehand, so that only the mesh is new. Medians over repeats that differ in the noise
+and, on the dome (4,227 nodes), in the event: development events whose model is right, one of every kind in turn. The
+pull on 20,000 nodes is simulated by our own solver, so its body error contains no model error. CPU: summed over all
+threads. Stages below 2 % are left out.
 """
 
-#: Counters of a call that are shown.
+#: Work counters that are shown.
 WORK = ("passes", "factorisations", "right_hand_sides", "solves", "iterations", "sweeps")
 
 #: Stages that take less than this share of a call are left out.
@@ -47,7 +47,7 @@ def tables(answer: dict) -> str:
         f"`{answer['command']}`, {answer['date']}, commit {answer['commit']}"
         f"{' with changed files' if answer['changed_files'] else ''}, {answer['machine']['processor']}, "
         f"{answer['machine']['cores']} cores, {answer['threads']} threads; {versions}. `import tissuereg`: "
-        f"{_median(run['import']['wall_s'] for run in runs):.2f} s; the small mesh, with what is imported at need: "
+        f"{_median(run['import']['wall_s'] for run in runs):.2f} s; the small mesh, including lazy imports: "
         f"{_median(run['small']['wall_s'] for run in runs):.2f} s.",
         "",
         "| call | n | wall, s | goal | least to most | CPU, s | body, mm (moved) | work | stages, s |",

@@ -1,10 +1,10 @@
-"""The page of the measured bodies, made from the archive."""
+"""The page of the measured bodies, written from the archive."""
 
 from typing import Any
 
 import numpy as np
 
-#: From the data's own description: mean over draws, um.
+#: From the description that comes with the data: mean over draws, um.
 QUOTED = {
     20: {"rigid": 0.91, "affine": 6.4, "spline": 2.0, "linear layer": 0.75},
     60: {"rigid": 0.92, "affine": 3.7, "spline": 2.2, "linear layer": 0.77},
@@ -12,27 +12,28 @@ QUOTED = {
 
 HEAD = """# Measured bodies, load unknown
 
-Made by `python benchmarks/loadfree_real.py` from `benchmarks/results/loadfree-real.json`; edit neither. The recordings
+Written by `python benchmarks/loadfree_real.py` from `benchmarks/results/loadfree-real.json`; edit neither. The recordings
 are public and not part of this repository; the command finds them in `../shared/data`.
 
 ## A hydrogel under a ball
 
-Beads in a polyacrylamide gel before and after a ball was pressed into its top. Registered to beads at 62 to 76 um by
-farthest points, five draws, asked for {n_targets} beads at 10 to 50 um a draw. Ball, load, stiffness and the drift of
-the microscope are unknown: `register(gel, markers, frame="drifts", stiffness="graded", element="tet4-averaged")`. The
-mesh goes on for 130 um beyond the view, since the gel does. Draws 0 and 1 served for development.
+Beads in a polyacrylamide gel, tracked before and after a ball was pressed into its top. The markers are beads at a
+height of 62 to 76 um, chosen by farthest-point sampling in five draws; the held-out targets are {n_targets} beads per
+draw at 10 to 50 um. Ball, load, stiffness and the drift of the microscope are unknown:
+`register(gel, markers, frame="drifts", stiffness="graded", element="tet4-averaged")`. The mesh extends 130 um beyond
+the field of view, as the gel does. Draws 0 and 1 were used for development.
 
-Root mean square 3-D error at the targets, um; about 0.3 of it is their own noise. Coverage: the measured place lies in
-the 90 % region of registration and bead noise together. Rigid, affine, spline and linear layer are quoted from the
-description of the data, with their own targets.
+Root mean square 3-D error at the targets, um; about 0.3 um of it is the targets' own noise. Coverage: share of targets
+whose measured place lies in the 90 % region of registration and bead noise together. Rigid, affine, spline and linear
+layer are quoted from the description of the data and have their own targets.
 
 """
 
 BEAM = """
 ## A silicone beam
 
-Clamped at one end, tracked by motion capture; registered to Tip-1 and Tip-2 without `load`, asked for Tip-3
-(`element="tet10"`).
+Clamped at one end, tracked by motion capture; registered to Tip-1 and Tip-2 without `load`, evaluated at the held-out
+marker Tip-3 (`element="tet10"`).
 
 """
 
@@ -49,9 +50,9 @@ def page(answer: dict[str, Any]) -> str:
             name: float(np.mean([row[name] for row in own])) for name in ("none", "registered", "coverage90", "flagged")
         }
         draws = ", ".join(f"{row['registered']:.2f}" for row in own)
-        beside = " | ".join(f"{value}" for value in quoted.values())
+        others = " | ".join(f"{value}" for value in quoted.values())
         text += (
-            f"| {n_markers} | {mean['none']:.2f} | {beside} | **{mean['registered']:.2f}** | {draws} "
+            f"| {n_markers} | {mean['none']:.2f} | {others} | **{mean['registered']:.2f}** | {draws} "
             f"| {mean['coverage90']:.0%} | {mean['flagged']:.0%} |\n"
         )
     text += "\nBy axis (x, y, z), mean over draws: " + "; ".join(_by_axis(rows, n) for n in QUOTED) + ".\n"

@@ -1,4 +1,4 @@
-"""The page of the bench, made from its answers."""
+"""The page of the bench, written from its archived answers."""
 
 from collections import Counter
 from math import sqrt
@@ -6,19 +6,22 @@ from math import sqrt
 from misuse.misuses import MISUSES
 from misuse.run import N_MISUSED
 
-HEAD = """# Misread inputs: what geometry finds before anything is solved
+HEAD = """# Misread inputs: what the checks of geometry find before anything is solved
 
-Made by `python benchmarks/misuse.py` from `benchmarks/results/misuse.json`; edit neither.
-`tissuereg.readings.suspect` was developed on even-numbered events; all figures here are of odd-numbered ones, which
-differ in field, markers, noise and mistake.
+Written by `python benchmarks/misuse.py` from `benchmarks/results/misuse.json`; edit neither.
+`tissuereg.readings.suspect` was developed on even-numbered events; all figures here are for odd-numbered ones, which
+differ in displacement field, markers, noise and mistake.
 
-{n_misuses} mistakes on {n_bodies} bodies ({bodies}), {n_each} events each: simulated pulls, pushes and own weight
-with a largest motion of 3 to 25 mm, 8 to 30 markers up to 6 mm off the skin, noise of 0.05 to 0.5 mm. *Refused*:
-making mesh, markers or observation raises a typed error. *Found*: refused, or any suspicion. *Named*: a suspicion of
-a kind that states the reason (`MISUSES` in `tests/misuse/misuses.py`). *Nothing tells*: mesh and markers are as
-plausible after the mistake as before: all places stay within 2 mm of their distance from the surface with the same
-motion (a round body with two axes negated); exchanged markers lie within 3 mm and their noise of each other; another
-organ's markers lie all within 6 mm of this one's surface. The last two columns leave these events out.
+{n_misuses} kinds of mistake on {n_bodies} bodies ({bodies}), {n_each} events each: simulated pulls, pushes and own
+weight with a largest motion of 3 to 25 mm, 8 to 30 markers up to 6 mm off the skin, noise of 0.05 to 0.5 mm.
+
+* *Refused*: constructing the mesh, the markers or the observation raises a typed error.
+* *Found*: refused, or any suspicion is raised.
+* *Named*: a suspicion of a kind that states the actual mistake (`MISUSES` in `tests/misuse/misuses.py`).
+* *Undetectable*: mesh and markers are as plausible with the mistake as without it. All positions keep their distance
+  from the surface within 2 mm, with the same motion (a round body with two axes negated); or exchanged markers lie
+  within 3 mm and their noise of each other; or another organ's markers all lie within 6 mm of this one's surface.
+  The last two columns leave these events out.
 """
 
 GOOD = """
@@ -26,26 +29,27 @@ GOOD = """
 
 {n_good} events: 3 to 60 markers (random, spread, in one region, near the load), 0 to 6 mm off the skin, noise of 0.05
 to 1 mm, numbers rounded to 0.1, 0.01, 0.001 mm or not at all; in a fifth of them markers or single coordinates are
-missing; a tenth is of bodies without held nodes that also move rigidly by up to 60 mm and 40 degrees, which is legal
-there.
+missing; a tenth of them are bodies without held nodes that also move rigidly by up to 60 mm and 40 degrees, which is
+valid input there.
 
 False alarms: **{n_alarms} of {n_good}** ({share}; 95 % interval {low} to {high}){kinds}.
 
-With one marker 5 mm off, which is for the mechanics to find, {n_off} of {n_off_all} such events were called
-misread{off_kinds}.
+One marker displaced by 5 mm is for the mechanics to find, not for these checks: {n_off} of {n_off_all} such events
+raised a suspicion{off_kinds}.
 """
 
 REGISTERED = """
 ## Through `register`
 
-Events in which geometry finds nothing are registered with nothing known of the load. A marker is *named* where it is
-dropped as wrong or given as a reason; the answer is *trusted* where nothing speaks against it.
+Events in which these checks find nothing are registered with the load unknown. A marker is *named* if it is dropped
+as wrong or appears in a reason; the answer is *trusted* if `trust.ok`.
 
 Good events: {n_good} registered, **{n_alarms} not trusted** ({share}; 95 % interval {low} to {high}){kinds}. A wrong
-marker is named in {n_named} of them, in most without a loss of trust: it lies inside the region that the others leave
-it.
+marker is named in {n_named} of them, mostly without a loss of trust, because it lies inside the region predicted from
+the other markers.
 
-One marker 5 mm off: {n_off} registered; the marker is named in {n_off_named}, the answer not trusted in {n_off_told}.
+One marker displaced by 5 mm: {n_off} registered; the marker is named in {n_off_named}, the answer is not trusted in
+{n_off_untrusted}.
 
 """
 
@@ -58,30 +62,30 @@ def interval(count: int, n: int) -> tuple[float, float]:
 
 
 def page(answers: dict) -> str:
-    """Return the page of an archive's odd-numbered events."""
+    """Return the page for the odd-numbered events of an archive."""
     rows = [row for row in answers["misuses"] if row["event"] % 2]
     bodies = list(dict.fromkeys(row["body"] for row in rows))
     head = HEAD.format(n_misuses=len(MISUSES), n_bodies=len(bodies), bodies=", ".join(bodies), n_each=N_MISUSED // 2)
-    table = ["| misuse | events | refused | found | named | nothing tells | found of the others | named of them |"]
+    table = ["| misuse | events | refused | found | named | undetectable | found, others | named, others |"]
     table.append("| --- | --- | --- | --- | --- | --- | --- | --- |")
     table += [_row(misuse.title, [row for row in rows if row["misuse"] == misuse.title]) for misuse in MISUSES]
     table.append(_row("**all**", rows))
-    missed = Counter((row["misuse"], _said(row)) for row in rows if not row["named"] and not row["alike"])
+    missed = Counter((row["misuse"], _response(row)) for row in rows if not row["named"] and not row["alike"])
     ends = [f"* {title}: {said}, {count}" for (title, said), count in missed.items()]
-    unnamed = "\n## Not named, though something tells\n\n" + ("\n".join(ends) if ends else "None.") + "\n"
+    unnamed = "\n## Detectable, but not named\n\n" + ("\n".join(ends) if ends else "None.") + "\n"
     return head + "\n" + "\n".join(table) + "\n" + unnamed + _good(answers) + _registered(answers)
 
 
 def _row(title: str, rows: list[dict]) -> str:
-    told = [row for row in rows if not row["alike"]]
+    detectable = [row for row in rows if not row["alike"]]
     counts = [
         len(rows),
         sum(row["refused"] is not None for row in rows),
         sum(row["found"] for row in rows),
         sum(row["named"] for row in rows),
-        len(rows) - len(told),
+        len(rows) - len(detectable),
     ]
-    shares = [_share(sum(row[what] for row in told), len(told)) for what in ("found", "named")]
+    shares = [_share(sum(row[what] for row in detectable), len(detectable)) for what in ("found", "named")]
     return "| " + " | ".join([title, *map(str, counts), *shares]) + " |"
 
 
@@ -105,7 +109,7 @@ def _good(answers: dict) -> str:
 
 
 def _registered(answers: dict) -> str:
-    """Return what `register` made of the odd-numbered events in which geometry finds nothing."""
+    """Return the section on `register` for the odd-numbered events in which the checks of geometry find nothing."""
     good, off, misread = (
         [row for row in answers[which] if row["event"] % 2 and not row["found"]]
         for which in ("good", "one_marker_off", "misuses")
@@ -123,14 +127,14 @@ def _registered(answers: dict) -> str:
         n_named=sum(bool(row["register"]["wrong"]) for row in good),
         n_off=len(off),
         n_off_named=sum(_names_its_marker(row) for row in off),
-        n_off_told=len(_untrusted(off)),
+        n_off_untrusted=len(_untrusted(off)),
     )
-    table = ["| misuse not found | registered | not trusted | nothing tells | not trusted of the others |"]
+    table = ["| misuse not found | registered | not trusted | undetectable | not trusted, others |"]
     table.append("| --- | --- | --- | --- | --- |")
     for title in [*dict.fromkeys(row["misuse"] for row in misread), None]:
         rows = [row for row in misread if title in (None, row["misuse"])]
-        told = [row for row in rows if not row["alike"]]
-        counts_of = [len(rows), len(_untrusted(rows)), len(rows) - len(told), len(_untrusted(told))]
+        others = [row for row in rows if not row["alike"]]
+        counts_of = [len(rows), len(_untrusted(rows)), len(rows) - len(others), len(_untrusted(others))]
         table.append("| " + " | ".join([title or "**all**", *map(str, counts_of)]) + " |")
     return text + "\n".join(table) + "\n"
 
@@ -140,24 +144,24 @@ def _untrusted(rows: list[dict]) -> list[dict]:
 
 
 def _reason(row: dict) -> str:
-    """Return the kinds of reasons for which an answer is not trusted."""
+    """Return the kinds of the reasons why an answer is not trusted."""
     kinds = dict.fromkeys(reason.split(":")[0] for reason in row["register"]["reasons"])
     return " and ".join(kinds)
 
 
 def _names_its_marker(row: dict) -> bool:
-    """Return whether the marker that is off is dropped as wrong or given as a reason."""
+    """Return whether the displaced marker is dropped as wrong or appears in a reason."""
     reasons = row["register"]["reasons"]
     return row["marker"] in row["register"]["wrong"] or any(f" {row['marker']} " in reason for reason in reasons)
 
 
 def _kinds(rows: list[dict]) -> str:
-    counts = Counter(_said(row) for row in rows)
+    counts = Counter(_response(row) for row in rows)
     return ": " + ", ".join(f"{said} {count}" for said, count in counts.most_common()) if rows else ""
 
 
-def _said(row: dict) -> str:
-    return ", ".join(row["kinds"]) or (row["refused"] or "nothing said")
+def _response(row: dict) -> str:
+    return ", ".join(row["kinds"]) or (row["refused"] or "no suspicion")
 
 
 def _share(count: int, n: int) -> str:
