@@ -133,9 +133,9 @@ def page(archive: dict) -> str:
     rows = archive["rows"]
     lines = ["# Simulated and diagnosed by this package", ""]
     lines += [
-        "Random rigs of 300 to 700 nodes without a hidden effect, simulated with their stated noise and then diagnosed: "
-        "every one should be answered `consistent`. *fine*: simulated on a fine mesh, as usual; *plain*: on the mesh as "
-        "it is. p: p-value of the misfit. Written by `python benchmarks/simulated_here.py`.",
+        "Random rigs of 300 to 700 nodes without a hidden effect, simulated with their stated noise and then "
+        "diagnosed: every one should be answered `consistent`. *fine*: simulated on a fine mesh, as usual; *plain*: on "
+        "the mesh as it is. p: p-value of the misfit. Written by `python benchmarks/simulated_here.py`.",
         "",
     ]
     lines += ["| model | rigs | `consistent` | smallest p | median p | median time, s |", "|---" * 6 + "|"]

@@ -12,8 +12,8 @@ QUOTED = {
 
 HEAD = """# Measured bodies, load unknown
 
-Written by `python benchmarks/loadfree_real.py` from `benchmarks/results/loadfree-real.json`; edit neither. The recordings
-are public and not part of this repository; the command finds them in `../shared/data`.
+Written by `python benchmarks/loadfree_real.py` from `benchmarks/results/loadfree-real.json`; edit neither. The
+recordings are public and not part of this repository; the command finds them in `../shared/data`.
 
 ## A hydrogel under a ball
 
