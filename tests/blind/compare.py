@@ -1,8 +1,8 @@
-"""Rivals and ablations beside the diagnoser, in one table.
+"""Rivals and ablations compared with the diagnoser, in one table.
 
-Each is held against the diagnoser on the cases that both have answered. The gain is the median, over single effects
-with d >= 8 that can be told apart, of `blind.scored.gains`: what the method's last model, whether anything is named in
-it or not, predicts of the same held-out blocks as the fit that was told the cause.
+Each is compared on the cases that both have answered. The gain is the median of `blind.scored.gains` over separable
+single effects with d >= 8: how much of the oracle fit's improvement on the held-out blocks the method's final model
+reaches, whether or not it names anything.
 """
 
 from collections import defaultdict
@@ -44,11 +44,11 @@ def comparison(ours: list[Scored], methods: dict[str, list[Scored]], oracle: dic
     Parameters
     ----------
     ours : list of Scored
-        What the diagnoser said.
+        Predictions of the diagnoser.
     methods : dict of str to list of Scored
-        What others said, by name. Those that answered the same cases stand under one row of the diagnoser on these.
+        Predictions of the others, by name. Methods that answered the same cases share one row of the diagnoser.
     oracle : dict
-        Predictions of a fit that was told the cause, by case.
+        Predictions of the oracle fit (given the true cause), by case.
     """
     groups: dict[frozenset[str], list[str]] = defaultdict(list)
     mine = {c.case for c in ours}
@@ -62,17 +62,17 @@ def comparison(ours: list[Scored], methods: dict[str, list[Scored]], oracle: dic
 
 
 def made(cases: list[Scored]) -> str:
-    """Return with which commits, when and in what time answers were made."""
-    commits = sorted({c.said["commit"] for c in cases if "commit" in c.said})
-    dates = sorted(c.said["date"][:10] for c in cases if "date" in c.said)
-    seconds = [c.said["seconds"] for c in cases if "seconds" in c.said]
-    said = [f"commit {', '.join(commits)}"] if commits else []
+    """Return the commits, dates and times of predictions in words."""
+    commits = sorted({c.prediction["commit"] for c in cases if "commit" in c.prediction})
+    dates = sorted(c.prediction["date"][:10] for c in cases if "date" in c.prediction)
+    seconds = [c.prediction["seconds"] for c in cases if "seconds" in c.prediction]
+    parts = [f"commit {', '.join(commits)}"] if commits else []
     if dates:
-        said.append(dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}")
+        parts.append(dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}")
     if seconds:
-        said.append(f"median {np.median(seconds):.1f} s, largest {max(seconds):.1f} s")
-    failed = sum(c.said["verdict"] == "failed" for c in cases)
-    return "; ".join([*said, f"{failed} failed"])
+        parts.append(f"median {np.median(seconds):.1f} s, largest {max(seconds):.1f} s")
+    failed = sum(c.prediction["verdict"] == "failed" for c in cases)
+    return "; ".join([*parts, f"{failed} failed"])
 
 
 def _row(name: str, cases: list[Scored], oracle: dict[str, dict]) -> str:
@@ -82,7 +82,7 @@ def _row(name: str, cases: list[Scored], oracle: dict[str, dict]) -> str:
         name,
         str(len(cases)),
         _share([bool(c.ids) for c in nulls]),
-        _share([c.said["verdict"] == "consistent" for c in nulls]),
+        _share([c.prediction["verdict"] == "consistent" for c in nulls]),
         _share([c.right for c in clear]),
         _share([c.exact for c in clear]),
         _share([c.wrong for c in singles(cases)]),

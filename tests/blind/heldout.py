@@ -1,4 +1,4 @@
-"""How well models predict what they were not fitted to, block by block, so that the scorer can take all on the same.
+"""How well models predict held-out data, block by block, so that the scorer can compare all on the same blocks.
 
 Blocks are those of `tissuereg.diagnose.proof`: every load case, and every fourth frame of each.
 """
@@ -10,12 +10,12 @@ from tissuereg.diagnose.signals import Layout
 
 
 def by_block(base: Linear, final: Linear, layout: Layout) -> dict[str, list[float]]:
-    """Return for every block how many numbers were measured, and the error of two models in units of noise.
+    """Return for every block the number of measured values and the errors of two models in units of noise.
 
     Parameters
     ----------
     base, final : Linear
-        What is believed, and with what was found.
+        The believed model, and the same with the findings.
     layout : Layout
         Order of the data.
 
@@ -25,7 +25,7 @@ def by_block(base: Linear, final: Linear, layout: Layout) -> dict[str, list[floa
         Number, root mean square of base and of final.
     """
     cases = {part.name: layout.of_case(part.name) for part in layout.parts}
-    # A cause that one case alone shows is proved on frames of it.
+    # A cause that shows in one case alone is tested on frames of that case.
     frames = {name: mask for part in layout.parts for name, mask in frame_blocks(layout, part).items()}
     table = {}
     for blocks in (cases, frames):

@@ -1,9 +1,9 @@
 """Rivals of the diagnoser on the same bench: the same bank of columns and noise, none of its model of mesh error.
 
-One alone gets the correction by the fine mesh: what is left of the mesh's error is no part of it either.
+Only one of them gets the correction by the fine mesh, and that without a model of the remaining mesh error.
 
 All are linear. Modulus and frame are free within their priors (30 %, 0.02 mm, 0.02 degrees), so that either can still
-be a finding. What a cause changes is a least-squares fit of its bank columns, without a prior.
+be a finding. The effect of a cause is a least-squares fit of its bank columns, without a prior.
 """
 
 from collections.abc import Collection, Iterator
@@ -35,10 +35,10 @@ FALL = 0.05
 #: The chi-square test of the Gaussian process.
 LEVEL = 0.01
 
-#: For held-out data amplitudes have priors, so many times as wide as the bank's, or what nothing tells would run away.
+#: Predictions of held-out data need a prior, lest undetermined amplitudes diverge: this factor times the bank's.
 WIDE = 10.0
 
-#: Directions of a hypothesis that carry less than this share of its largest are none.
+#: Directions of a hypothesis with less than this share of the largest squared singular value are dropped.
 RANK = 1e-6
 
 
@@ -71,7 +71,7 @@ class Scene:
 
     @property
     def n(self) -> int:
-        """How many numbers were measured."""
+        """Number of measured values."""
         return int(self.layout.seen.sum())
 
     def white(self, columns: np.ndarray) -> np.ndarray:
@@ -90,7 +90,7 @@ class Hypotheses:
     white : ndarray of float64, shape (n, p, size)
         Whitened.
     left : ndarray of float64, shape (n, p, size)
-        Cleared of modulus and frame, and of what was chosen before.
+        Projected off modulus and frame, and off what was chosen before.
     """
 
     id: str
@@ -99,15 +99,15 @@ class Hypotheses:
 
     @property
     def n_columns(self) -> int:
-        """Columns of each."""
+        """Number of columns of each."""
         return self.white.shape[1]
 
     def cleared_of(self, modes: np.ndarray) -> "Hypotheses":
-        """Return the same, cleared of orthonormal directions (k, size)."""
+        """Return the same, projected off orthonormal directions (k, size)."""
         return Hypotheses(self.id, self.white, self.left - (self.left @ modes.T) @ modes)
 
     def best(self, residual: np.ndarray) -> tuple[int, float]:
-        """Return the hypothesis that takes most off the sum of squares of a residual (size,), and how much."""
+        """Return the hypothesis that reduces the sum of squares of a residual (size,) most, and by how much."""
         along = self.left @ residual
         inner = np.linalg.pinv(self.left @ self.left.transpose(0, 2, 1), rcond=RANK, hermitian=True)
         taken = np.einsum("np,npq,nq->n", along, inner, along)
@@ -115,23 +115,23 @@ class Hypotheses:
         return top, float(taken[top])
 
 
-def sparse_regression(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return what greedy sparse regression says; see `greedy`."""
+def sparse_regression(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the answer of greedy sparse regression; see `greedy`."""
     return greedy(look_at(folder, threads))
 
 
-def sparse_regression_on_fine_mesh(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return what it says when predictions are corrected by the fine mesh, as the diagnoser's are."""
+def sparse_regression_on_fine_mesh(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return its answer when predictions are corrected by the fine mesh, as the diagnoser's are."""
     return greedy(look_at(folder, threads, fine=True))
 
 
 def greedy(scene: Scene) -> dict:
-    """Return what greedy sparse regression says.
+    """Return the answer of greedy sparse regression.
 
-    Group-wise orthogonal matching pursuit: the hypothesis is added that lowers BIC = n log(RSS / n) + k log n most,
-    as long as one does, three at most. The variance of the noise is free in it, which spares it some of the mesh's
-    error. Probabilities are exp(-BIC / 2), normalised over all causes and none; a group are causes within 8 nats
-    (the diagnoser's own limit). It is never surprised: no answer is "unexplained".
+    Group-wise orthogonal matching pursuit: the hypothesis that lowers BIC = n log(RSS / n) + k log n most is added,
+    as long as one does, three at most. The variance of the noise is free, which absorbs some of the mesh's error.
+    Probabilities are exp(-BIC / 2), normalised over all causes and none; causes within 8 nats form a group (the
+    diagnoser's own limit). It does not test the misfit: no answer is "unexplained".
     """
     causes, n = list(hypotheses(scene)), scene.n
     residual, chosen, found = scene.null.reduced(scene.residual), [], []
@@ -160,11 +160,11 @@ def greedy(scene: Scene) -> dict:
     return _answer(scene, found, chosen)
 
 
-def error_ranking(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return the single cause whose fit has the least error, named where the error falls by `FALL`.
+def error_ranking(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the single cause whose fit has the least error, named if the error falls by `FALL`.
 
-    The error is the root mean square of all that was measured, in units of noise. It knows no doubt: its probability
-    is one, its group the cause alone, and it is never surprised.
+    The error is the root mean square over all measured values, in units of noise. The probability is always one, the
+    group the cause alone, and no answer is "unexplained".
     """
     scene = look_at(folder, threads)
     residual = scene.null.reduced(scene.residual)
@@ -177,11 +177,11 @@ def error_ranking(folder: Path, told: Collection[str] = (), *, threads: int = 0)
     return _answer(scene, [found], [cause.white[top]])
 
 
-def gaussian_process(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return whether the believed model fits, by a chi-square test, and what a smooth patch predicts.
+def gaussian_process(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return whether the believed model fits, by a chi-square test, and the prediction of a smooth patch.
 
-    It never names a cause. The patch is the diagnoser's generic rival, of the size that the data favour, as a prior
-    (a fit without one would predict nothing).
+    It never names a cause. The patch is the diagnoser's generic rival with the prior size of highest evidence (a fit
+    without a prior would predict nothing).
     """
     scene = look_at(folder, threads)
     reduced = scene.null.reduced(scene.residual)
@@ -232,7 +232,7 @@ def _directions(columns: np.ndarray) -> np.ndarray:
 
 
 def _answer(scene: Scene, found: list[dict], chosen: list[np.ndarray]) -> dict:
-    """Return the answer, with what all that was chosen predicts of held-out blocks."""
+    """Return the answer, with the errors on held-out blocks of all that was chosen."""
     columns = WIDE * np.concatenate([np.zeros((0, scene.layout.size)), *chosen])
     tied = any(len(cause["group"]) > 1 for cause in found)
     verdict = "group" if tied else "named" if found else "consistent"

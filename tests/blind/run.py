@@ -1,10 +1,10 @@
-"""Runs diagnosers over stored cases: one JSON a case, kept, so that a run that was stopped goes on.
+"""Runs diagnosers over stored cases and saves one JSON a case, so that an interrupted run can be resumed.
 
 Opens no answers. A diagnoser is a command (``{folder}``, ``{out}``, ``{json}`` and ``{threads}`` are filled in) or
-``module:function``, which gets the folder, the ids that it is told (none, or those of a list that the scorer wrote),
-and ``threads``, and returns the dictionary. Functions run in the worker itself, which imports the package once.
+``module:function``, which gets the folder, the ids it is given (none, or those of a list that the scorer wrote), and
+``threads``, and returns the dictionary. Functions run in the worker itself, which imports the package once.
 
-A case is one worker's work with all methods that are asked, so that they share what the cache keeps of it.
+One worker runs all requested methods on a case, so that they share the cache of that case.
 """
 
 import argparse
@@ -35,7 +35,7 @@ BUILD = Path("build") / "blind"
 #: The diagnoser under test.
 OURS = "blind.variants:ours"
 
-#: What stands beside it, by the folder of its predictions; the first part of a name means all that begin with it.
+#: Other methods, by the folder of their predictions; the first part of a name selects all that begin with it.
 METHODS = {
     "oracle": "blind.variants:oracle",
     "without": "blind.variants:without",
@@ -50,7 +50,7 @@ METHODS = {
     "ablations/no-mesh-nuisances": "blind.variants:no_mesh_nuisances",
 }
 
-#: Methods that are told ids: their lists, ``CASE ID,ID`` a line, lie in the work folder.
+#: Methods that are given ids: their lists, ``CASE ID,ID`` a line, lie in the work folder.
 LISTS = {"oracle": "oracle.txt", "without": "without.txt"}
 
 #: Seconds after which a case counts as not answered.
@@ -59,7 +59,7 @@ LIMIT = 600.0
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of a diagnoser about one case.
+    """One case for one diagnoser.
 
     Attributes
     ----------
@@ -69,14 +69,14 @@ class Question:
         Command, or ``module:function``.
     kept : Path
         File of the answer.
-    told : tuple of str
-        Ids that a function is told.
+    ids : tuple of str
+        Ids that a function is given.
     """
 
     case: str
     diagnoser: str
     kept: Path
-    told: tuple[str, ...] = ()
+    ids: tuple[str, ...] = ()
 
 
 def tier_cases(tier: str) -> list[str]:
@@ -91,16 +91,16 @@ def tier_cases(tier: str) -> list[str]:
 
 
 def diagnose(question: Question, work: Path, threads: int = 0) -> dict:
-    """Return what a diagnoser says about a case; asks it once and keeps the answer, whole or not at all."""
+    """Return a diagnoser's answer on a case; runs it once and saves the answer, whole or not at all."""
     kept = question.kept
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
     folder = folder_of(question.case, work)
     begun = time.perf_counter()
     try:
-        answer = _asked(question, folder, work / "out" / question.case, threads)
+        answer = _run(question, folder, work / "out" / question.case, threads)
     except Exception as error:
-        # Whatever a diagnoser raises is its answer.
+        # An exception of the diagnoser is recorded as its answer.
         answer = {"verdict": "failed", "causes": [], "error": f"{type(error).__name__}: {error}"[-2000:]}
     answer["seconds"] = time.perf_counter() - begun
     answer["commit"] = _commit()
@@ -112,13 +112,13 @@ def diagnose(question: Question, work: Path, threads: int = 0) -> dict:
     return answer
 
 
-def _asked(question: Question, folder: Path, out: Path, threads: int) -> dict:
+def _run(question: Question, folder: Path, out: Path, threads: int) -> dict:
     function = function_of(question.diagnoser)
     if function is not None:
         signal.signal(signal.SIGALRM, _too_long)
         signal.setitimer(signal.ITIMER_REAL, LIMIT)
         try:
-            return function(folder, question.told, threads=threads)
+            return function(folder, question.ids, threads=threads)
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
     out.mkdir(parents=True, exist_ok=True)
@@ -146,21 +146,21 @@ def function_of(diagnoser: str):
 
 @functools.cache
 def _commit() -> str:
-    """Return the commit that answers, with a mark where files differ from it."""
+    """Return the commit in use, marked if files differ from it."""
     words = ["git", "-C", str(DATA), "describe", "--always", "--dirty", "--exclude=*"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     return done.stdout.strip() or "unknown"
 
 
 def questions_of(cases: list[str], methods: list[str], diagnoser: str, predictions: Path, work: Path) -> list[Question]:
-    """Return what is to be asked; methods that are told ids are asked about the cases of their lists alone.
+    """Return the cases to run; methods that are given ids run on the cases of their lists alone.
 
     Parameters
     ----------
     cases : list of str
         Names, in the order of the questions.
     methods : list of str
-        Names of `METHODS` or first parts of them; none asks the diagnoser itself.
+        Names of `METHODS` or first parts of them; if empty, the diagnoser itself runs.
     diagnoser : str
         Command, or ``module:function``.
     predictions, work : Path
@@ -171,7 +171,7 @@ def questions_of(cases: list[str], methods: list[str], diagnoser: str, predictio
     ValueError
         If a method is not known.
     FileNotFoundError
-        If the list of a method is not written.
+        If the list of a method does not exist.
     """
     if not methods:
         return [Question(case, diagnoser, predictions / f"{case}.json") for case in cases]
@@ -179,7 +179,7 @@ def questions_of(cases: list[str], methods: list[str], diagnoser: str, predictio
     if unknown := [m for m in methods if not any(m in (name, name.partition("/")[0]) for name in METHODS)]:
         message = f"methods must be among {', '.join(METHODS)} or their first parts; got {', '.join(unknown)}"
         raise ValueError(message)
-    lists = {name: _told(work / LISTS[name]) for name in chosen if name in LISTS}
+    lists = {name: _read_list(work / LISTS[name]) for name in chosen if name in LISTS}
     return [
         Question(case, METHODS[name], predictions / name / f"{case}.json", lists.get(name, {}).get(case, ()))
         for case in cases
@@ -188,24 +188,21 @@ def questions_of(cases: list[str], methods: list[str], diagnoser: str, predictio
     ]
 
 
-def _told(path: Path) -> dict[str, tuple[str, ...]]:
+def _read_list(path: Path) -> dict[str, tuple[str, ...]]:
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
     return {case: tuple(ids.split(",")) for case, ids in rows}
 
 
 def answer_all(questions: list[Question], work: Path, jobs: int) -> Iterator[tuple[Question, dict]]:
-    """Yield every question with its answer, asked by workers side by side, as they come.
-
-    With several workers each has one thread.
-    """
+    """Yield every question with its answer as workers finish; several workers have one thread each."""
     by_case: dict[str, list[Question]] = {}
     for question in questions:
         by_case.setdefault(question.case, []).append(question)
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, context, initializer=follow_parent)
     try:
-        told = [pool.submit(_diagnose_case, some, work, 0 if jobs == 1 else 1) for some in by_case.values()]
-        for done in as_completed(told):
+        tasks = [pool.submit(_diagnose_case, some, work, 0 if jobs == 1 else 1) for some in by_case.values()]
+        for done in as_completed(tasks):
             yield from done.result()
     finally:
         pool.shutdown(cancel_futures=True)
@@ -229,20 +226,20 @@ def _diagnose_case(questions: list[Question], work: Path, threads: int) -> list[
 
 
 def main() -> None:
-    """Run a tier and say how far it is."""
+    """Run a tier and print its progress."""
     parser = argparse.ArgumentParser(prog="python -m blind.run", description=__doc__)
     parser.add_argument("--tier", choices=("quick", "full", "fine", "all"), default="quick")
     parser.add_argument("--cases", help="file with names of cases, one a line, in place of a tier")
     parser.add_argument("--diagnoser", default=OURS)
     parser.add_argument("--methods", nargs="+", default=[], help=f"in place of the diagnoser: {', '.join(METHODS)}")
-    parser.add_argument("--jobs", type=int, default=1, help="cases side by side; more than one: one thread each")
+    parser.add_argument("--jobs", type=int, default=1, help="cases at a time; more than one: one thread each")
     parser.add_argument("--predictions", type=Path, default=BUILD / "predictions")
     parser.add_argument("--work", type=Path, default=BUILD)
     options = parser.parse_args()
     cases = Path(options.cases).read_text(encoding="utf-8").split() if options.cases else tier_cases(options.tier)
     questions = questions_of(cases, options.methods, options.diagnoser, options.predictions, options.work)
     for diagnoser in {question.diagnoser for question in questions}:
-        function_of(diagnoser)  # a name that is not there shows before anything is asked
+        function_of(diagnoser)  # a misspelt name fails before anything runs
     # Workers import numpy anew: BLAS reads these at its start.
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
     os.environ.setdefault("TISSUEREG_CACHE", str((options.work / "cache").resolve()))
@@ -255,7 +252,7 @@ def main() -> None:
                 flush=True,
             )
     except (KeyboardInterrupt, BrokenProcessPool):
-        sys.exit("stopped; what was answered is kept, and the same command goes on from there")
+        sys.exit("stopped; finished answers are saved, and the same command resumes from there")
 
 
 if __name__ == "__main__":

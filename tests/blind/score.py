@@ -1,7 +1,7 @@
 """Scores predictions against the sealed answers: ``python -m blind.score PREDICTIONS [--out docs/blind.md]``.
 
-Cases without a prediction are not scored. Counts come with 95 % Wilson intervals. What is right and wrong is told in
-`blind.scored`, which opens the answers; rivals and ablations stand beside in a table of `blind.compare`.
+Cases without a prediction are not scored. Counts come with 95 % Wilson intervals. `blind.scored` opens the answers and
+defines right and wrong; `blind.compare` makes the table of rivals and ablations.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from blind.scored import (
 )
 from tissuereg.diagnose.causes import CAUSES
 
-#: Names of the cases that were stored after the diagnoser's rules had been set, and have been asked once.
+#: Names of the cases that were stored after the diagnoser's rules had been set, and were diagnosed once.
 LATER = Path(__file__).parent / "later.txt"
 
 _HEAD = ["| figure | count | share | goal | met | |", "|---|---|---|---|---|---|"]
@@ -71,9 +71,9 @@ def rows(cases: list[Scored], oracle: dict[str, dict], without: dict[str, list[S
     ----------
     cases : list of Scored
     oracle : dict
-        Predictions of a fit that was told the cause, by case; where absent, a chi of 1 stands for it.
+        Predictions of the oracle fit, which is given the true causes, by case; a chi of 1 is used where absent.
     without : dict
-        Scored cases of a hidden id, diagnosed with that id out of the catalogue, by id.
+        Scored cases of a hidden id, diagnosed with that id removed from the catalogue, by id.
     """
     table = [*_null_rows(cases), *_single_rows(cases, oracle), *_outside_rows(cases, without)]
     table += [*_gain_rows(cases, oracle), *_pair_rows(cases), *_probability_rows(cases), *_tied_rows(cases)]
@@ -88,7 +88,7 @@ def _count(figure, flags, goal, share, at_least=True, note="") -> Row:
 def _null_rows(cases):
     nulls = of_kind(cases, "null")
     yield _count("false alarms on nulls", (bool(c.ids) for c in nulls), "<= 3 %", 0.03, at_least=False)
-    yield _count("nulls answered consistent", (c.said["verdict"] == "consistent" for c in nulls), ">= 90 %", 0.9)
+    yield _count("nulls answered consistent", (c.prediction["verdict"] == "consistent" for c in nulls), ">= 90 %", 0.9)
     for noise in ("white", "ar1", "common"):
         some = [c for c in nulls if c.truth["noise"] == noise]
         yield _count(f"false alarms, noise {noise}", (bool(c.ids) for c in some), "", 1.0, at_least=False)
@@ -96,23 +96,23 @@ def _null_rows(cases):
 
 def _single_rows(cases, oracle):
     every, clear = singles(cases), clear_singles(cases)
-    told = [c for c in clear if c.case in oracle]
-    visible = seen(told, oracle)
+    with_oracle = [c for c in clear if c.case in oracle]
+    visible = seen(with_oracle, oracle)
     yield _count("singles, d >= 8, separable: right group", (c.right for c in clear), ">= 90 %", 0.9)
     yield _count("the same, exact", (c.exact for c in clear), ">= 80 %", 0.8)
     yield _count(
-        f"right group, where a fit that is told the cause gains {SEEN:g} nats",
+        f"right group, where the oracle fit gains {SEEN:g} nats",
         (c.right for c in visible),
         "",
         0.0,
-        note=f"{len(told) - len(visible)} of {len(told)} told fits gain less",
+        note=f"{len(with_oracle) - len(visible)} of {len(with_oracle)} oracle fits gain less",
     )
     high = [c for c in clear if c.truth["detectability"] >= 20]
     yield _count("singles, d >= 21, separable: right group", (c.right for c in high), ">= 97 %", 0.97)
     eight = [c for c in every if c.truth["level"] == 8.0]
     yield _count("singles, d = 8, separable or not: right group", (c.right for c in eight), ">= 50 %", 0.5)
     foreign = [c for c in clear if c.foreign]
-    yield _count("form that the fit does not own: right group", (c.right for c in foreign), "", 0.0)
+    yield _count("form that the fit does not have: right group", (c.right for c in foreign), "", 0.0)
     yield _count("wrong group named, all singles", (c.wrong for c in every), "<= 3 %", 0.03, at_least=False)
 
 
@@ -122,10 +122,12 @@ def _outside_rows(cases, without):
         "outside the catalogue: silently misnamed", (bool(c.ids) for c in outside), "<= 10 %", 0.1, at_least=False
     )
     high = [c for c in outside if c.truth["detectability"] >= 12.8]
-    yield _count("outside, d >= 13: unexplained", (c.said["verdict"] == "unexplained" for c in high), ">= 80 %", 0.8)
+    yield _count(
+        "outside, d >= 13: unexplained", (c.prediction["verdict"] == "unexplained" for c in high), ">= 80 %", 0.8
+    )
     removed = [c for some in without.values() for c in some]
     yield _count(
-        "a cause taken out: silently misnamed",
+        "true cause removed from the catalogue: silently misnamed",
         (c.wrong for c in removed),
         "<= 10 %",
         0.1,
@@ -134,15 +136,15 @@ def _outside_rows(cases, without):
     )
     named_together = {c.case: set().union(*c.groups) for c in cases}
     yield _count(
-        "the same, where the whole catalogue tells the two apart",
+        "the same, where the full catalogue separates the two",
         (bool(set(c.ids) - named_together.get(c.case, set())) and c.wrong for c in removed),
         "",
         1.0,
     )
     high = [c for c in removed if c.truth["detectability"] >= 12.8]
     yield _count(
-        "a cause taken out, d >= 13: unexplained or its mate",
-        (c.said["verdict"] == "unexplained" or c.right for c in high),
+        "true cause removed, d >= 13: unexplained, or a cause that the answer accepts",
+        (c.prediction["verdict"] == "unexplained" or c.right for c in high),
         ">= 80 %",
         0.8,
     )
@@ -152,7 +154,7 @@ def _gain_rows(cases, oracle):
     known = of_kind(cases, "single", "fine", "pair", "tied")
     found, small = gains([c for c in known if c.right], oracle)
     note = f"median {np.median(found):.2f}, 10th percentile {np.quantile(found, 0.1):.2f}; " if found else ""
-    note += f"{small} with too little to gain; oracle: {'its own fit' if oracle else 'chi = 1'}"
+    note += f"{small} with too little to gain; oracle: {'fit given the cause' if oracle else 'chi = 1'}"
     row = _count("held-out gain of at least 0.95", (g >= 0.95 for g in found), "median >= 0.95", 0.5, note=note)
     yield row
     some = [held_out(c) for c in known]
@@ -179,7 +181,7 @@ def _probability_rows(cases):
     sure = [
         (c, k)
         for c in cases
-        for k, cause in enumerate(c.said.get("causes", []))
+        for k, cause in enumerate(c.prediction.get("causes", []))
         if c.ids and cause.get("probability", 0.0) >= 0.9
     ]
     flags = (bool(c.groups[k] & set(c.truth["group_ok"])) for c, k in sure)
@@ -188,12 +190,12 @@ def _probability_rows(cases):
 
 
 def calibration_error(cases: list[Scored], n_bins: int = 5) -> float:
-    """Return the mean distance of stated probability and share that is right, over bins weighted by their findings."""
+    """Return the mean difference of stated probability and share of right findings, over bins weighted by count."""
     stated = [
         (cause.get("probability", 0.0), bool(c.groups[k] & set(c.truth["group_ok"])))
         for c in cases
         if c.ids
-        for k, cause in enumerate(c.said["causes"])
+        for k, cause in enumerate(c.prediction["causes"])
     ]
     bins: dict[int, list[tuple[float, bool]]] = defaultdict(list)
     for probability, right in stated:
@@ -208,24 +210,24 @@ def _tied_rows(cases):
         len(c.groups) == 1 and 2 <= len(c.groups[0]) <= 3 and bool(set(c.truth["cause"]) & c.groups[0]) for c in tied
     ]
     pure = sum(flag and c.groups[0] <= set(c.truth["group_ok"]) for flag, c in zip(flags, tied, strict=True))
-    note = f"{pure} of these groups hold tied ids alone" if tied else ""
-    yield _count("tied causes: a group that holds the hidden one", flags, ">= 90 %", 0.9, note=note)
+    note = f"{pure} of these groups contain tied ids only" if tied else ""
+    yield _count("tied causes: a group that contains the hidden one", flags, ">= 90 %", 0.9, note=note)
 
 
 def confusion(cases: list[Scored]) -> dict[str, Counter]:
-    """Return how often each hidden id was answered by what: ids, consistent, unexplained."""
+    """Return the confusion counts: for every hidden id, how often each ids, consistent or unexplained was answered."""
     table: dict[str, Counter] = defaultdict(Counter)
     for case in cases:
         truth = case.truth
         if truth["kind"] == "pair":
             continue
         hidden = truth["cause"][0] if truth["cause"] else "outside" if truth["outside"] else "nothing"
-        table[hidden]["+".join(case.ids) or case.said["verdict"]] += 1
+        table[hidden]["+".join(case.ids) or case.prediction["verdict"]] += 1
     return dict(table)
 
 
 def power(cases: list[Scored]) -> dict[str, dict[float, tuple[int, int]]]:
-    """Return (rightly named, all) by cause and level of detectability."""
+    """Return (number named rightly, number of cases) by cause and level of detectability."""
     table: dict[str, dict[float, list[int]]] = defaultdict(lambda: defaultdict(lambda: [0, 0]))
     for case in singles(cases):
         if case.truth["level"] is None:
@@ -240,9 +242,9 @@ def _weak(table):
     at_eight = {cause: row[8.0] for cause, row in sorted(table.items()) if 8.0 in row}
     weak = [f"{cause} ({hits} of {n})" for cause, (hits, n) in at_eight.items() if 2 * hits < n]
     absent = sorted(set(CAUSES) - set(table))
-    said = [f"Fewer than half are named at d = 8 of: {', '.join(weak) or 'none'}."] if at_eight else []
-    said += [f"Not among these cases at a stated level: {', '.join(absent)}."] if absent else []
-    return " ".join(said)
+    lines = [f"Causes of which fewer than half are named at d = 8: {', '.join(weak) or 'none'}."] if at_eight else []
+    lines += [f"Causes without a case at a stated level: {', '.join(absent)}."] if absent else []
+    return " ".join(lines)
 
 
 def report(
@@ -253,15 +255,22 @@ def report(
     note: str = "",
     sizes: dict | None = None,
 ) -> str:
-    """Return all tables in Markdown, with a note on how the answers were made."""
+    """Return all tables in Markdown, with a note on how the predictions were made."""
     lines = [
         "# Blind test bench",
         "",
-        f"{len(cases)} of {len(case_names())} sealed cases scored; intervals are 95 % (Wilson). Cases are asked in the "
-        f"order of their names, which are random. Verdicts: {made(cases)}.{note and ' ' + note}",
+        "Simulated experiments, most with a hidden effect, made by other code than the package and diagnosed without "
+        "access to the answers ([how](../tests/blind/README.md)).",
         "",
-        "A goal is met (yes) where the whole interval meets it, by the count alone (count) where the interval reaches "
-        "beyond it.",
+        f"{len(cases)} of {len(case_names())} sealed cases scored; intervals are 95 % (Wilson). Cases are diagnosed in "
+        f"the order of their names, which are random. Verdicts: {made(cases)}.",
+        *(["", note.strip()] if note else []),
+        "",
+        "*null*: a case without an effect; *single*: with one effect of the catalogue. *d*: detectability, the length "
+        "of the effect in the data in standard deviations of the noise, after modulus and frame are fitted. "
+        "*Separable*: no other cause changes the data nearly alike. *Right group*: the named cause, or the group it is "
+        "in, contains the hidden one. *Oracle fit*: a fit that is given the true causes. *met*: `yes` if the whole "
+        "interval meets the goal, `count` if only the count does.",
         "",
         *_HEAD,
         *(row.text() for row in rows(cases, oracle, without)),
@@ -277,22 +286,22 @@ def report(
         "",
         "## Power: right group by detectability",
         "",
-        f"Last column: told the cause, from d = 8 on, a fit gains {SEEN:g} nats by it in so many of those asked.",
+        f"Last column: cases from d = 8 on in which the oracle fit gains {SEEN:g} nats, of those with an oracle fit.",
         "",
-        "| cause | " + " | ".join(f"{x:g}" for x in levels) + " | told |",
+        "| cause | " + " | ".join(f"{x:g}" for x in levels) + " | oracle |",
         "|---|" + "---|" * (len(levels) + 1),
     ]
-    told = [c for c in clear_singles(cases) if c.case in oracle]
-    n_told, n_seen = (Counter(c.truth["cause"][0] for c in some) for some in (told, seen(told, oracle)))
+    fitted = [c for c in clear_singles(cases) if c.case in oracle]
+    n_fitted, n_seen = (Counter(c.truth["cause"][0] for c in some) for some in (fitted, seen(fitted, oracle)))
     for cause, row in sorted(table.items()):
         cells = [f"{row[x][0]}/{row[x][1]}" if x in row else "" for x in levels]
-        cells.append(f"{n_seen[cause]}/{n_told[cause]}" if n_told[cause] else "")
+        cells.append(f"{n_seen[cause]}/{n_fitted[cause]}" if n_fitted[cause] else "")
         lines.append(f"| {cause} | " + " | ".join(cells) + " |")
     every = [tuple(sum(row[x][k] for row in table.values() if x in row) for k in (0, 1)) for x in levels]
     cells = [f"{h}/{n} ({100 * wilson(h, n)[0]:.0f}-{100 * wilson(h, n)[1]:.0f} %)" for h, n in every]
     lines.append("| all | " + " | ".join(cells) + " | |")
     lines += ["", _weak(table)]
-    lines += ["", "## What was answered", "", "| hidden | answered |", "|---|---|"]
+    lines += ["", "## Answers by hidden cause", "", "| hidden | answers |", "|---|---|"]
     for hidden, counts in sorted(confusion(cases).items()):
         lines.append(f"| {hidden} | " + ", ".join(f"{what} {n}" for what, n in counts.most_common()) + " |")
     if methods:
@@ -305,10 +314,10 @@ def _sizes_table(sizes):
         return []
     lines = [
         "",
-        "## How large what is uncertain must be",
+        "## Prior standard deviations of the nuisances",
         "",
-        f"Prior deviations of the nuisances under which {sizes['nulls']} nulls are likeliest, over those in use: below "
-        "1 too much is taken for uncertain, and weak effects are lost in it.",
+        "Factor on the prior standard deviations in use under which the data of "
+        f"{sizes['nulls']} nulls are likeliest. Below 1 the prior in use is too wide, and weak effects are lost in it.",
         "",
         "| kind | factor | within 2 nats | gain in nats |",
         "|---|---|---|---|",
@@ -320,8 +329,9 @@ def _sizes_table(sizes):
         along, across, noise = (100 * sizes["forces"][key] for key in ("along", "across", "noise"))
         lines += [
             "",
-            f"With the modulus fitted, pads' forces of these nulls are off by {along:.2f} % of their largest along the "
-            f"force and by {across:.2f} % across it, of which noise is {noise:.2f} % (rms; means of loaded frames).",
+            f"With the modulus fitted, the error of the pad forces of these nulls is {along:.2f} % of the largest "
+            f"force along the force and {across:.2f} % across it; noise accounts for {noise:.2f} % (rms; means of "
+            "loaded frames).",
         ]
     return lines
 
@@ -335,11 +345,9 @@ def main() -> None:
         help="CASE.json; the same in oracle/, without/, rivals/NAME/, ablations/NAME/; sizes.json of blind.sizes",
     )
     parser.add_argument("--out", type=Path, help="Markdown file; standard output if absent")
-    parser.add_argument("--list-oracle", type=Path, help="write CASE ID,ID of what a told fit would be given, and stop")
-    parser.add_argument(
-        "--list-without", type=Path, help="write CASE ID of what a fit would have to do without, and stop"
-    )
-    parser.add_argument("--note", default="", help="sentence for the head: what the time of a verdict leaves out, say")
+    parser.add_argument("--list-oracle", type=Path, help="write CASE ID,ID for the oracle fits, and stop")
+    parser.add_argument("--list-without", type=Path, help="write CASE ID for the fits without their cause, and stop")
+    parser.add_argument("--note", default="", help="text for the head of the page, such as how times were measured")
     options = parser.parse_args()
     cases = scored(read_predictions(options.predictions))
     if options.list_oracle or options.list_without:

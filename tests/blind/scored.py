@@ -1,7 +1,7 @@
-"""Predictions beside the sealed answers. Nothing else that is scored or tested opens the answers.
+"""Compares predictions with the sealed answers. No other module that is scored or tested opens the answers.
 
-They are opened for cases whose prediction is written, and each is checked against its seal. Right group: the id or
-group of every finding meets the ids that the answer accepts. Wrong group: a finding that meets none of them.
+An answer is opened only if the prediction for its case has been written, and is checked against its seal. Right group:
+the id or group of every finding contains an id that the answer accepts. Wrong group: a finding contains none of them.
 """
 
 import csv
@@ -15,51 +15,51 @@ import numpy as np
 
 from blind.materialise import DATA
 
-#: Fall of the sum of squares on what was held out, below which there is nothing to gain.
+#: Least reduction of the sum of squares on held-out data for a gain to be defined.
 LEAST_TO_GAIN = 9.0
 
-#: Nats that a fit which is told the cause must gain for the effect to be seen: the diagnoser's least threshold.
+#: Nats that the oracle fit must gain for an effect to be visible: the diagnoser's smallest threshold.
 SEEN = 6.0
 
 NAMED = ("named", "group")
 
-#: Causes whose other form was no law of the fit when the bench was sealed, and is one since.
+#: Causes with a second form that the fit did not have when the bench was sealed, and has now.
 OWNED_SINCE = ("asymmetry", "mooney", "sliding", "softening")
 
 
 @dataclass
 class Scored:
-    """A case with what is true and what was said."""
+    """A case with its true answer and its prediction."""
 
     case: str
     truth: dict
-    said: dict
+    prediction: dict
     ids: list = field(default_factory=list)
     groups: list = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        causes = self.said.get("causes", []) if self.said["verdict"] in NAMED else []
+        causes = self.prediction.get("causes", []) if self.prediction["verdict"] in NAMED else []
         self.ids = [c["id"] for c in causes]
         self.groups = [set(c.get("group", [])) | {c["id"]} for c in causes]
 
     @property
     def wrong(self) -> bool:
-        """Whether a finding's group misses all that the answer accepts."""
+        """Whether the group of some finding contains no id that the answer accepts."""
         return any(not group & set(self.truth["group_ok"]) for group in self.groups)
 
     @property
     def right(self) -> bool:
-        """Whether something is named, and nothing that the answer does not accept."""
+        """Whether something is named, and every finding is accepted by the answer."""
         return bool(self.groups) and not self.wrong
 
     @property
     def exact(self) -> bool:
-        """Whether the hidden ids, and nothing else, are named first."""
+        """Whether the first-named ids are exactly the hidden ones."""
         return sorted(self.ids) == sorted(self.truth["cause"])
 
     @property
     def foreign(self) -> bool:
-        """Whether the one hidden effect has a form that the fit does not own."""
+        """Whether the single hidden effect has a form that the fit cannot represent."""
         cause = self.truth["cause"][0]
         if cause == "stiffening":
             # The fit tries Fung and Yeoh, in two forms each.
@@ -87,19 +87,19 @@ def open_answers(names: set[str]) -> dict[str, dict]:
     """
     with (DATA / "seals.csv").open(encoding="utf-8") as file:
         seals = {row["case"]: row["sha256"] for row in csv.DictReader(file)}
-    told = json.loads(gzip.decompress((DATA / "answers.json.gz").read_bytes()))
+    stored = json.loads(gzip.decompress((DATA / "answers.json.gz").read_bytes()))
     found = {}
-    for name in names & set(told["answers"]):
-        text = json.dumps(told["answers"][name], sort_keys=True)
-        if hashlib.sha256(f"{told['salt']}/{name}/{text}".encode()).hexdigest() != seals[name]:
+    for name in names & set(stored["answers"]):
+        text = json.dumps(stored["answers"][name], sort_keys=True)
+        if hashlib.sha256(f"{stored['salt']}/{name}/{text}".encode()).hexdigest() != seals[name]:
             message = f"the answer of {name} must be the sealed one; its hash is another"
             raise ValueError(message)
-        found[name] = told["answers"][name]
+        found[name] = stored["answers"][name]
     return found
 
 
 def read_predictions(folder: Path) -> dict[str, dict]:
-    """Return what was said, by case."""
+    """Return the predictions in a folder, by case."""
     return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("b*.json"))}
 
 
@@ -120,25 +120,25 @@ def singles(cases: list[Scored]) -> list[Scored]:
 
 
 def clear_singles(cases: list[Scored]) -> list[Scored]:
-    """Return those of them that are to be named: large enough, and separable."""
+    """Return the single effects that should be named: large enough, and separable."""
     return [c for c in singles(cases) if c.truth["detectability"] >= 7.8 and c.truth["separable"]]
 
 
 def seen(cases: list[Scored], oracle: dict[str, dict]) -> list[Scored]:
-    """Return the cases whose causes a fit that is told them gains enough by, beside all that is uncertain anyway."""
-    told = {name: sum(cause["log_bayes_factor"] for cause in said["causes"]) for name, said in oracle.items()}
-    return [case for case in cases if told.get(case.case, 0.0) >= SEEN]
+    """Return the cases whose effect is visible: the oracle fit gains at least `SEEN` nats, given all nuisances."""
+    gained = {name: sum(cause["log_bayes_factor"] for cause in fit["causes"]) for name, fit in oracle.items()}
+    return [case for case in cases if gained.get(case.case, 0.0) >= SEEN]
 
 
 def held_out(case: Scored) -> dict:
-    """Return the held-out figures of the last finding, which carries what all findings together reach."""
-    causes = case.said.get("causes", [])
+    """Return the held-out figures of the last finding, which are those of all findings together."""
+    causes = case.prediction.get("causes", [])
     return causes[-1].get("held_out", {}) if causes and case.ids else {}
 
 
-def held_out_chi(said: dict, blocks: list[str]) -> tuple[float, float, float] | None:
-    """Return the number of values in blocks, and the errors there of base and final model; None where not known."""
-    table = said.get("by_block", {})
+def held_out_chi(prediction: dict, blocks: list[str]) -> tuple[float, float, float] | None:
+    """Return the number of values in blocks, and the errors of base and final model there; None if not known."""
+    table = prediction.get("by_block", {})
     if not blocks or not set(blocks) <= set(table):
         return None
     n, base, final = np.array([table[block] for block in blocks]).T
@@ -146,21 +146,21 @@ def held_out_chi(said: dict, blocks: list[str]) -> tuple[float, float, float] | 
 
 
 def gains(cases: list[Scored], oracle: dict[str, dict]) -> tuple[list[float], int]:
-    """Return (base - reached) / (base - told) in chi on what was held out, and how many cases had too little to gain.
+    """Return (base - reached) / (base - oracle) in held-out chi, and how many cases had too little to gain.
 
-    Blocks, base and told are those of the fit that was told the causes. Where there is none, the case's own blocks and
-    base stand in, and a chi of 1. Cases of which other data were seen are left out.
+    Blocks, base and oracle are those of the oracle fit. Without one, the case's own blocks and base are used, and a chi
+    of 1 for the oracle. Cases in which the two saw different data are left out.
     """
     found, small = [], 0
     for case in cases:
-        reference = oracle.get(case.case, case.said)
+        reference = oracle.get(case.case, case.prediction)
         causes = reference.get("causes", [])
         blocks = causes[-1].get("held_out", {}).get("cases", []) if causes else []
-        told, mine = held_out_chi(reference, blocks), held_out_chi(case.said, blocks)
-        if told is None or mine is None or told[0] != mine[0]:
+        best_fit, mine = held_out_chi(reference, blocks), held_out_chi(case.prediction, blocks)
+        if best_fit is None or mine is None or best_fit[0] != mine[0]:
             continue
-        n, base, best = told if case.case in oracle else (told[0], told[1], 1.0)
-        # Where too little of the effect is held out, a share of it means nothing.
+        n, base, best = best_fit if case.case in oracle else (best_fit[0], best_fit[1], 1.0)
+        # Where too little of the effect is held out, the ratio is meaningless.
         if n * (base**2 - best**2) < LEAST_TO_GAIN:
             small += 1
             continue

@@ -1,11 +1,11 @@
-"""How large what is uncertain must be, on effect-free data: ``python -m blind.sizes PREDICTIONS`` or ``--open DIR``.
+"""Are the nuisances' prior standard deviations right? ``python -m blind.sizes PREDICTIONS`` or ``--open DIR``.
 
-Evidence that a cause must beat falls as the nuisances of `tissuereg.diagnose` grow; whether they are larger than need
-be tells whether weak effects could be seen. The factor on the prior deviations of every kind is sought under which the
-residuals of all nulls that have been answered are likeliest, the other kinds as they are: 1 is right, below 1 too much
-is taken for uncertain. How far forces are off is told too. Kept in ``PREDICTIONS/sizes.json``, which `blind.score`
-shows. ``--open DIR`` looks at the experiment folders in DIR instead, of which it is known that they have no effect: to
-tune on (``python -m blind.generator.open_cases nulls DIR``, or those of another solver).
+The wider the priors of the nuisances of `tissuereg.diagnose`, the more of a weak effect they absorb. On data without an
+effect, this finds for every kind of nuisance the factor on its prior standard deviations that maximises the likelihood
+of the residuals of all diagnosed nulls, the other kinds kept: 1 is right, below 1 the prior in use is too wide. The
+errors of forces are reported too. The result is ``PREDICTIONS/sizes.json``, which `blind.score` shows. ``--open DIR``
+uses the experiment folders in DIR instead, which are known to have no effect, for tuning (``python -m
+blind.generator.open_cases nulls DIR``, or those of another solver).
 """
 
 import argparse
@@ -28,27 +28,27 @@ from tissuereg.diagnose.signals import Layout
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.json import write_json
 
-#: Factors that are tried.
+#: Candidate factors.
 FACTORS = np.geomspace(0.25, 4.0, 49)
 
-#: Factors that cost no more than this are in the range, nats: two standard deviations.
+#: Factors that cost at most this many nats are in the reported range: two standard deviations.
 IN_RANGE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Needs:
-    """What the likelihood of one case's nuisances hangs on.
+    """What the likelihood of one case's nuisances depends on.
 
     Attributes
     ----------
     kinds : ndarray of str, shape (n,)
-        Of every nuisance.
+        Kind of every nuisance.
     columns : ndarray of float64, shape (n, size)
-        Whitened, times prior deviations.
+        Whitened, times prior standard deviations.
     left : ndarray of float64, shape (size,)
-        What the believed model leaves, whitened.
+        Residual of the believed model, whitened.
     forces : ndarray of float64, shape (n, 3)
-        Of every pad at work, see `force_errors`.
+        Errors of every active pad, see `force_errors`.
     """
 
     kinds: np.ndarray
@@ -57,18 +57,18 @@ class Needs:
     forces: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def log_likelihood(self, factors: np.ndarray) -> float:
-        """Return that of prior deviations that are factors (n,) of the present ones, up to a constant."""
+        """Return the log likelihood, up to a constant, for prior standard deviations scaled by factors (n,)."""
         return fit_amplitudes(self.left, factors[:, None] * self.columns).log_bayes_factor
 
 
 def needs_of(folder: Path, threads: int = 0) -> Needs:
-    """Return what one experiment tells of the nuisances, the modulus fitted beside them."""
+    """Return the data of one experiment on the nuisances, with the modulus fitted."""
     experiment = read_experiment(folder)
     layout = Layout(experiment)
     noise = estimate_noise(experiment, layout)
     bench = Bench(experiment, layout, threads=threads)
     believed = make_believed(bench, noise)
-    # In the space that the nuisances span there are as many numbers as columns; nothing else matters here.
+    # Only the residual's part in the span of the nuisances matters: as many numbers as columns.
     basis, along = np.linalg.qr(believed.target.null.nuisances.T)
     fitted = fit(believed.target, [])
     left = fitted.residual @ basis
@@ -79,22 +79,22 @@ def needs_of(folder: Path, threads: int = 0) -> Needs:
 
 
 def force_errors(layout: Layout, predicted: np.ndarray, base: np.ndarray, std: float) -> np.ndarray:
-    """Return how far pads' forces are off, over the largest one of their case.
+    """Return the errors of pad forces, over the largest force of their case.
 
     Parameters
     ----------
     layout : Layout
-        Of all that was measured.
+        Order of the data.
     predicted, base : ndarray of float64, shape (size,)
-        What the fitted model says, and the believed one on the user's mesh, mm and mN.
+        Predictions of the fitted model, and of the believed one on the user's mesh, mm and mN.
     std : float
-        Of a force's noise, mN.
+        Standard deviation of a force's noise, mN.
 
     Returns
     -------
     ndarray of float64, shape (n, 3)
-        A row a case and pad: mean over the frames under more than half of the load along the pad's force, the same
-        across it (over each of two directions), and the deviation of such a mean by noise alone.
+        One row a case and pad: mean error along the pad's force over the frames under more than half of the load, the
+        same across it (per direction), and the standard deviation of such a mean by noise alone.
     """
     rows = []
     for part in layout.parts:
@@ -111,7 +111,7 @@ def force_errors(layout: Layout, predicted: np.ndarray, base: np.ndarray, std: f
 
 
 def kind_of(name: str, pads: set[str]) -> str:
-    """Return the kind of a nuisance: its first word; the mesh's error in markers, and in forces that bend, apart."""
+    """Return the kind of a nuisance: its first word, with errors of the mesh in markers and in forces kept apart."""
     words = name.split()
     if words[0] not in ("mesh", "bent"):
         return words[0]
@@ -119,7 +119,7 @@ def kind_of(name: str, pads: set[str]) -> str:
 
 
 def sizes_of(needs: list[Needs]) -> dict[str, dict[str, float]]:
-    """Return for every kind the likeliest factor, and the lowest and highest that are hardly less likely."""
+    """Return for every kind the most likely factor, and the range of those hardly less likely."""
     found = {}
     for kind in sorted({kind for case in needs for kind in case.kinds}):
         logs = np.array([_together(needs, kind, factor) for factor in FACTORS])
@@ -138,16 +138,16 @@ def _together(needs: list[Needs], kind: str, factor: float) -> float:
 
 
 def main() -> None:
-    """Look at the nulls of a folder of predictions and keep what they ask for."""
+    """Find the factors for the nulls of a folder of predictions and save them."""
     parser = argparse.ArgumentParser(prog="python -m blind.sizes", description=__doc__)
-    parser.add_argument("predictions", type=Path, nargs="?", help="answers; only nulls among them are looked at")
+    parser.add_argument("predictions", type=Path, nargs="?", help="answers; only the nulls among them are used")
     parser.add_argument("--open", type=Path, help="folder of experiments without an effect")
     parser.add_argument("--work", type=Path, default=BUILD)
     parser.add_argument("--threads", type=int, default=0)
     options = parser.parse_args()
     os.environ.setdefault("TISSUEREG_CACHE", str((options.work / "cache").resolve()))
     if (options.predictions is None) == (options.open is None):
-        parser.error("either a folder of answers or --open")
+        parser.error("give either a folder of answers or --open")
     if options.open is not None:
         nulls = sorted(file.parent for file in options.open.glob("*/experiment.toml"))
     else:

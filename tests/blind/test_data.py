@@ -71,15 +71,15 @@ def test_a_believed_model_moves_the_markers_as_the_foreign_one_does(tmp_path):
     for name in ("push_x", "push_y", "push_z"):
         hold = slice(2, 9)
         seen = np.nanmean(experiment.cases[name].markers[hold], axis=0) - experiment.marker_reference
-        said = simulated[name].markers[hold].mean(axis=0) - experiment.marker_reference
-        assert np.corrcoef(seen.ravel(), said.ravel())[0, 1] > 0.9
+        predicted = simulated[name].markers[hold].mean(axis=0) - experiment.marker_reference
+        assert np.corrcoef(seen.ravel(), predicted.ravel())[0, 1] > 0.9
 
 
-def test_open_cases_have_the_wanted_size_and_tell_the_truth(tmp_path):
+def test_open_cases_have_the_wanted_size_and_come_with_their_truth(tmp_path):
     truth = make_open_cases(13.0, tmp_path, rigs=(1,))
     assert len(truth) > 5
-    for name, told in truth.items():
-        assert told["detectability"] == pytest.approx(13.0, rel=0.02)
+    for name, hidden in truth.items():
+        assert hidden["detectability"] == pytest.approx(13.0, rel=0.02)
         experiment = tr.read_experiment(tmp_path / name)
         assert not experiment.effects
         assert set(experiment.cases) >= {"rest", "push_x"}

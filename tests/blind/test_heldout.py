@@ -15,7 +15,7 @@ def layout(tmp_path_factory):
     return Layout(read_experiment(materialise(case_names()[0], tmp_path_factory.mktemp("case"))))
 
 
-def test_a_model_predicts_what_other_cases_tell_and_not_what_one_alone_shows(layout):
+def test_a_model_predicts_what_other_cases_show_and_not_what_one_alone_shows(layout):
     everywhere, once = np.full(layout.size, 100.0), 100.0 * layout.of_case("push_y")
     nothing = np.zeros((0, layout.size))
     table = by_block(Linear(3.0 * everywhere, nothing), Linear(3.0 * everywhere, everywhere[None]), layout)

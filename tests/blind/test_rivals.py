@@ -1,4 +1,4 @@
-"""Rivals on made-up columns: what is hidden among them is named, noise is not, and held-out figures follow."""
+"""Rivals on synthetic columns: a hidden cause is named, noise is not, and held-out figures follow."""
 
 from types import SimpleNamespace
 
@@ -14,7 +14,7 @@ from tissuereg.diagnose.noise import estimate_noise
 from tissuereg.diagnose.signals import Layout
 from tissuereg.io.experiments import read_experiment
 
-#: Length of what is hidden, in deviations of the noise.
+#: Length of the hidden effect, in standard deviations of the noise.
 LENGTH = 40.0
 
 
@@ -31,8 +31,8 @@ def rig(tmp_path_factory):
 
 
 @pytest.fixture
-def ask(rig, monkeypatch):
-    """Return a function that asks a rival about amounts of made-up causes, modulus and frame aside."""
+def answer_of(rig, monkeypatch):
+    """Return a function that runs a rival on data with given synthetic causes, modulus and frame as believed."""
     layout, noise, base, extent = rig
     generator = np.random.default_rng(4)
     columns = {}
@@ -44,7 +44,7 @@ def ask(rig, monkeypatch):
     bank = {name: [Variant(str(k), c) for k, c in enumerate(several)] for name, several in columns.items()}
     monkeypatch.setattr(rivals, "make_bank", lambda bench: bank)
 
-    def asked(rival, *hidden):
+    def run(rival, *hidden):
         measured = noise.draw(layout, np.random.default_rng(5))
         for name, number in hidden:
             measured = measured + LENGTH * noise.whitened(columns[name][number].sum(axis=0), layout)
@@ -55,44 +55,44 @@ def ask(rig, monkeypatch):
         monkeypatch.setattr(rivals, "look_at", lambda folder, threads: scene)
         return rival(None)
 
-    return asked
+    return run
 
 
-def test_sparse_regression_names_what_is_hidden_one_after_another(ask):
-    said = ask(rivals.sparse_regression, ("fibre", 3), ("scale", 0))
-    assert said["verdict"] == "named"
-    assert sorted(cause["id"] for cause in said["causes"]) == ["fibre", "scale"]
-    assert all(cause["probability"] > 0.99 for cause in said["causes"])
+def test_sparse_regression_names_hidden_causes_one_after_another(answer_of):
+    answer = answer_of(rivals.sparse_regression, ("fibre", 3), ("scale", 0))
+    assert answer["verdict"] == "named"
+    assert sorted(cause["id"] for cause in answer["causes"]) == ["fibre", "scale"]
+    assert all(cause["probability"] > 0.99 for cause in answer["causes"])
     for block in ("push_x", "push_y", "push_z", "push_x, every 4th frame from 0"):
-        _, base, final = said["by_block"][block]
+        _, base, final = answer["by_block"][block]
         assert final == pytest.approx(1.0, abs=0.1)
         assert base > final + 0.1
 
 
-def test_sparse_regression_says_which_causes_are_tied(ask):
-    said = ask(rivals.sparse_regression, ("layer", 0))
-    assert said["verdict"] == "group"
-    assert sorted(said["causes"][0]["group"]) == ["layer", "poisson"]
-    assert said["causes"][0]["probability"] == pytest.approx(0.5, abs=0.01)
+def test_sparse_regression_groups_tied_causes(answer_of):
+    answer = answer_of(rivals.sparse_regression, ("layer", 0))
+    assert answer["verdict"] == "group"
+    assert sorted(answer["causes"][0]["group"]) == ["layer", "poisson"]
+    assert answer["causes"][0]["probability"] == pytest.approx(0.5, abs=0.01)
 
 
-def test_noise_alone_is_consistent_to_all_rivals(ask):
+def test_noise_alone_is_consistent_to_all_rivals(answer_of):
     for rival in (rivals.sparse_regression, rivals.error_ranking, rivals.gaussian_process):
-        said = ask(rival)
-        assert said["verdict"] == "consistent"
-        assert said["causes"] == []
-        assert said["by_block"]["push_x"][1] == pytest.approx(1.0, abs=0.1)
+        answer = answer_of(rival)
+        assert answer["verdict"] == "consistent"
+        assert answer["causes"] == []
+        assert answer["by_block"]["push_x"][1] == pytest.approx(1.0, abs=0.1)
 
 
-def test_error_ranking_names_the_least_error_where_it_falls_enough(ask, monkeypatch):
-    said = ask(rivals.error_ranking, ("fibre", 3))
-    assert [cause["id"] for cause in said["causes"]] == ["fibre"]
+def test_error_ranking_names_the_least_error_where_it_falls_enough(answer_of, monkeypatch):
+    answer = answer_of(rivals.error_ranking, ("fibre", 3))
+    assert [cause["id"] for cause in answer["causes"]] == ["fibre"]
     monkeypatch.setattr(rivals, "FALL", 0.5)
-    assert ask(rivals.error_ranking, ("fibre", 3))["verdict"] == "consistent"
+    assert answer_of(rivals.error_ranking, ("fibre", 3))["verdict"] == "consistent"
 
 
-def test_a_gaussian_process_is_surprised_and_names_nothing(ask):
-    said = ask(rivals.gaussian_process, ("fibre", 3))
-    assert said["verdict"] == "unexplained"
-    assert said["causes"] == []
-    assert said["p_misfit"] < 0.01
+def test_a_gaussian_process_detects_a_misfit_and_names_nothing(answer_of):
+    answer = answer_of(rivals.gaussian_process, ("fibre", 3))
+    assert answer["verdict"] == "unexplained"
+    assert answer["causes"] == []
+    assert answer["p_misfit"] < 0.01

@@ -1,4 +1,4 @@
-"""Running diagnosers over cases: each is asked once, answers are whole, a stopped run goes on."""
+"""Running diagnosers over cases: each runs once, answers are whole, an interrupted run can be resumed."""
 
 import json
 import os
@@ -17,29 +17,29 @@ CASES = case_names()[:3]
 CONSISTENT = {"verdict": "consistent", "causes": []}
 
 
-def says_what_it_was_given(folder, told, *, threads):
-    return CONSISTENT | {"given": [folder.name, *told, threads], "worker": os.getpid()}
+def returns_its_arguments(folder, ids, *, threads):
+    return CONSISTENT | {"given": [folder.name, *ids, threads], "worker": os.getpid()}
 
 
-def fails(folder, told, *, threads):
-    message = "nothing to say"
+def fails(folder, ids, *, threads):
+    message = "no answer"
     raise ArithmeticError(message)
 
 
-def dawdles(folder, told, *, threads):
+def dawdles(folder, ids, *, threads):
     time.sleep(60.0)
 
 
-def question(folder, case=CASES[0], diagnoser="any {folder}", told=()):
-    return run.Question(case, diagnoser, folder / f"{case}.json", told)
+def question(folder, case=CASES[0], diagnoser="any {folder}", ids=()):
+    return run.Question(case, diagnoser, folder / f"{case}.json", ids)
 
 
-def test_a_run_that_was_stopped_goes_on_and_asks_nobody_twice(tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(run, "_asked", lambda asking, folder, *_: asked.append(folder.name) or dict(CONSISTENT))
+def test_an_interrupted_run_resumes_and_runs_no_case_twice(tmp_path, monkeypatch):
+    ran = []
+    monkeypatch.setattr(run, "_run", lambda question, folder, *_: ran.append(folder.name) or dict(CONSISTENT))
     for _ in range(2):
         answer = run.diagnose(question(tmp_path / "predictions"), tmp_path)
-    assert asked == [CASES[0]]
+    assert ran == [CASES[0]]
     assert answer["verdict"] == "consistent"
     assert {"seconds", "commit", "date"} <= answer.keys()
     assert json.loads((tmp_path / "predictions" / f"{CASES[0]}.json").read_text(encoding="utf-8")) == answer
@@ -51,7 +51,7 @@ def test_a_diagnoser_that_fails_is_an_answer_too(tmp_path):
     assert "exit status 1" in command["error"]
     function = run.diagnose(question(tmp_path / "b", diagnoser="blind.test_run:fails"), tmp_path)
     assert function["verdict"] == "failed"
-    assert "ArithmeticError: nothing to say" in function["error"]
+    assert "ArithmeticError: no answer" in function["error"]
 
 
 def test_a_function_that_takes_too_long_counts_as_not_answered(tmp_path, monkeypatch):
@@ -64,31 +64,31 @@ def test_a_function_that_takes_too_long_counts_as_not_answered(tmp_path, monkeyp
 def test_a_case_killed_half_written_is_written_anew(tmp_path):
     (tmp_path / "cases" / f"{CASES[0]}.part").mkdir(parents=True)
     (tmp_path / "cases" / f"{CASES[0]}.part" / "mesh.vtu").write_text("half", encoding="utf-8")
-    run.diagnose(question(tmp_path / "predictions", diagnoser="blind.test_run:says_what_it_was_given"), tmp_path)
+    run.diagnose(question(tmp_path / "predictions", diagnoser="blind.test_run:returns_its_arguments"), tmp_path)
     assert (tmp_path / "cases" / CASES[0] / "mesh.vtu").read_text(encoding="utf-8").endswith("</VTKFile>\n")
 
 
-def test_workers_side_by_side_answer_all_and_keep_the_methods_of_a_case_together(tmp_path):
-    asked = [
-        run.Question(case, "blind.test_run:says_what_it_was_given", tmp_path / method / f"{case}.json", (method,))
+def test_parallel_workers_answer_all_and_keep_the_methods_of_a_case_together(tmp_path):
+    questions = [
+        run.Question(case, "blind.test_run:returns_its_arguments", tmp_path / method / f"{case}.json", (method,))
         for case in CASES
         for method in ("a", "b")
     ]
-    answers = dict(run.answer_all(asked, tmp_path, 2))
-    assert set(answers) == set(asked)
+    answers = dict(run.answer_all(questions, tmp_path, 2))
+    assert set(answers) == set(questions)
     for one, answer in answers.items():
-        assert answer["given"] == [one.case, *one.told, 1]
+        assert answer["given"] == [one.case, *one.ids, 1]
         assert answer["worker"] != os.getpid()
     for case in CASES:
         assert len({answer["worker"] for one, answer in answers.items() if one.case == case}) == 1
 
 
-def test_methods_are_asked_by_name_and_told_only_what_their_lists_say(tmp_path):
+def test_methods_are_selected_by_name_and_given_only_the_ids_of_their_lists(tmp_path):
     (tmp_path / "oracle.txt").write_text(f"{CASES[1]} layer,scale\n", encoding="utf-8")
     found = run.questions_of(CASES, ["oracle", "rivals"], run.OURS, tmp_path / "predictions", tmp_path)
-    told = [one for one in found if one.told]
-    assert [(one.case, one.told) for one in told] == [(CASES[1], ("layer", "scale"))]
-    assert told[0].kept == tmp_path / "predictions" / "oracle" / f"{CASES[1]}.json"
+    with_ids = [one for one in found if one.ids]
+    assert [(one.case, one.ids) for one in with_ids] == [(CASES[1], ("layer", "scale"))]
+    assert with_ids[0].kept == tmp_path / "predictions" / "oracle" / f"{CASES[1]}.json"
     assert len(found) == 1 + len(CASES) * sum(name.startswith("rivals/") for name in run.METHODS)
     with pytest.raises(ValueError, match="nobody"):
         run.questions_of(CASES, ["nobody"], run.OURS, tmp_path, tmp_path)
@@ -115,9 +115,9 @@ def test_an_interrupted_run_leaves_nothing_half_written(tmp_path):
     while len(list((tmp_path / "out").glob("*"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.05)
     os.killpg(begun.pid, signal.SIGINT)
-    said = begun.communicate(timeout=20.0)[1]
+    errors = begun.communicate(timeout=20.0)[1]
     assert begun.returncode == 1
-    assert "goes on from there" in said
+    assert "resumes from there" in errors
     assert not list(predictions.glob("*"))
 
 
@@ -140,8 +140,8 @@ def test_workers_end_with_the_process_that_made_them(tmp_path):
     made = subprocess.Popen(
         [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path}
     )
-    with made.stdout as said:
-        worker = int(said.readline())
+    with made.stdout as output:
+        worker = int(output.readline())
     os.kill(worker, 0)  # it is there
     made.kill()
     made.wait()

@@ -1,4 +1,4 @@
-"""The scorer on made-up answers and predictions: each figure counts what its name says."""
+"""The scorer on synthetic answers and predictions: each figure counts what its name states."""
 
 import json
 
@@ -76,13 +76,13 @@ def test_weak_and_inseparable_effects_do_not_count_as_separable():
     assert counted(cases, "wrong group named, all singles") == (0, 3)
 
 
-def test_an_effect_is_seen_where_a_fit_that_is_told_it_gains_by_it():
+def test_an_effect_is_visible_where_the_oracle_fit_gains():
     cases = [Scored("b1", truth(), named("layer")), *(Scored(f"b{i}", truth(), CONSISTENT) for i in (2, 3, 4))]
     nats = {"b1": 80.0, "b2": 7.0, "b3": 2.0}
     oracle = {name: {"causes": [{"id": "layer", "log_bayes_factor": gain}]} for name, gain in nats.items()}
-    row = figure(cases, "right group, where a fit that is told the cause gains 6 nats", oracle=oracle)
+    row = figure(cases, "right group, where the oracle fit gains 6 nats", oracle=oracle)
     assert (row.hits, row.n) == (1, 2)
-    assert row.note == "1 of 3 told fits gain less"
+    assert row.note == "1 of 3 oracle fits gain less"
     assert "| layer | 1/4 | 2/3 |" in report(cases, oracle, {}, {})
 
 
@@ -97,29 +97,29 @@ def test_an_effect_outside_the_catalogue_is_unexplained_or_misnamed():
     assert counted(cases, "outside, d >= 13: unexplained") == (1, 3)
 
 
-def test_a_cause_taken_out_is_misnamed_only_outside_its_group():
+def test_a_removed_cause_is_misnamed_only_outside_its_group():
     without = {
         "layer": [Scored("b1", truth(near=("poisson",)), named("poisson")), Scored("b2", truth(), named("fibre"))]
     }
-    assert counted([], "a cause taken out: silently misnamed", without=without) == (1, 2)
-    # With the whole catalogue the data told no difference between the layer and the fibre.
+    assert counted([], "true cause removed from the catalogue: silently misnamed", without=without) == (1, 2)
+    # With the full catalogue the data did not separate the layer from the fibre.
     tied = [Scored("b2", truth(), named("layer", group=["layer", "fibre"]))]
-    name = "the same, where the whole catalogue tells the two apart"
+    name = "the same, where the full catalogue separates the two"
     assert counted([], name, without=without) == (1, 2)
     assert counted(tied, name, without=without) == (0, 2)
 
 
-def predicting(said, base, final, n=1000, blocks=("push_x",)):
+def predicting(prediction, base, final, n=1000, blocks=("push_x",)):
     """Return an answer whose models have these errors on held-out blocks, on the first of which it was proved."""
-    causes = [cause | {"held_out": cause["held_out"] | {"cases": list(blocks[:1])}} for cause in said["causes"]]
-    return said | {"causes": causes, "by_block": {block: [n, base, final] for block in blocks}}
+    causes = [cause | {"held_out": cause["held_out"] | {"cases": list(blocks[:1])}} for cause in prediction["causes"]]
+    return prediction | {"causes": causes, "by_block": {block: [n, base, final] for block in blocks}}
 
 
-def test_gain_is_relative_to_the_fit_that_was_told_on_its_blocks():
-    told = {"b1": predicting(named("layer"), 3.0, 1.0)}
+def test_gain_is_relative_to_the_oracle_fit_on_its_blocks():
+    fits = {"b1": predicting(named("layer"), 3.0, 1.0)}
 
-    def gained(said, oracle=told):
-        return gains([Scored("b1", truth(), said)], oracle)
+    def gained(prediction, oracle=fits):
+        return gains([Scored("b1", truth(), prediction)], oracle)
 
     assert gained(predicting(named("layer"), 3.0, 1.2)) == ([pytest.approx(0.9)], 0)
     # Who names nothing, or has another base, is held against the same; who has no such block, or other data, is not.
@@ -130,7 +130,7 @@ def test_gain_is_relative_to_the_fit_that_was_told_on_its_blocks():
     assert gained(named("layer")) == ([], 0)
 
 
-def test_gain_without_a_told_fit_is_relative_to_noise():
+def test_gain_without_an_oracle_fit_is_relative_to_noise():
     case = Scored("b1", truth(), predicting(named("layer"), 3.0, 1.2))
     assert gains([case], {}) == ([pytest.approx(0.9)], 0)
     tiny = Scored("b2", truth(), predicting(named("layer"), 1.001, 1.0))
@@ -138,8 +138,8 @@ def test_gain_without_a_told_fit_is_relative_to_noise():
 
 
 def test_errors_on_several_blocks_are_pooled_by_their_numbers():
-    said = {"by_block": {"push_x": [300, 1.0, 2.0], "push_y": [100, 3.0, 2.0], "push_z": [9, 9.0, 9.0]}}
-    assert held_out_chi(said, ["push_x", "push_y"]) == (400.0, pytest.approx(np.sqrt(3.0)), pytest.approx(2.0))
+    prediction = {"by_block": {"push_x": [300, 1.0, 2.0], "push_y": [100, 3.0, 2.0], "push_z": [9, 9.0, 9.0]}}
+    assert held_out_chi(prediction, ["push_x", "push_y"]) == (400.0, pytest.approx(np.sqrt(3.0)), pytest.approx(2.0))
 
 
 def test_the_generic_patch_is_beaten_on_what_was_held_out():
@@ -158,7 +158,7 @@ def test_pairs_count_when_both_are_named_and_nothing_else():
     assert counted(cases, "pairs: one right and none wrong") == (2, 3)
 
 
-def test_a_tied_cause_wants_its_group_and_no_more_than_three_ids():
+def test_a_tied_cause_needs_its_group_and_no_more_than_three_ids():
     tied = truth("tied", near=("poisson", "sliding"))
     cases = [
         Scored("b1", tied, named("poisson", group=["poisson", "layer"])),
@@ -166,8 +166,8 @@ def test_a_tied_cause_wants_its_group_and_no_more_than_three_ids():
         Scored("b3", tied, named("layer", group=["layer", "a", "b", "c"])),
         Scored("b4", tied, named("layer", group=["layer", "a"])),
     ]
-    row = figure(cases, "tied causes: a group that holds the hidden one")
-    assert (row.hits, row.n, row.note) == (2, 4, "1 of these groups hold tied ids alone")
+    row = figure(cases, "tied causes: a group that contains the hidden one")
+    assert (row.hits, row.n, row.note) == (2, 4, "1 of these groups contain tied ids only")
 
 
 def test_cases_that_were_stored_later_are_counted_apart_too():
@@ -192,8 +192,8 @@ def test_a_goal_is_met_where_the_whole_interval_meets_it():
 
 def test_a_form_that_the_fit_has_by_now_is_not_foreign():
     def form(cause, **parameters):
-        told = {**truth("single", (cause,)), "own_form": cause == "stiffening", "parameters": {cause: parameters}}
-        return Scored("b1", told, CONSISTENT)
+        hidden = {**truth("single", (cause,)), "own_form": cause == "stiffening", "parameters": {cause: parameters}}
+        return Scored("b1", hidden, CONSISTENT)
 
     assert not form("mooney", law="mooney-rivlin").foreign
     assert form("rate", power=0.6).foreign
@@ -265,15 +265,15 @@ def test_methods_that_answered_other_cases_have_a_row_of_the_diagnoser_of_their_
     assert [row["wrong group, all singles"] for row in rows_of] == ["1 of 2", "0 of 2", "0 of 2", "1 of 1", "0 of 1"]
 
 
-def test_the_table_has_the_median_gain_where_a_fit_was_told():
-    told = {name: predicting(named("layer"), 3.0, 1.0) for name in ("b1", "b2")}
+def test_the_table_has_the_median_gain_where_there_is_an_oracle_fit():
+    fits = {name: predicting(named("layer"), 3.0, 1.0) for name in ("b1", "b2")}
     ours = [Scored(name, truth(), predicting(named("layer"), 3.0, 1.0)) for name in ("b1", "b2", "b3")]
     rival = [
         Scored("b1", truth(), predicting(CONSISTENT, 5.0, 4.0)),
         Scored("b2", truth(), predicting(named("layer"), 5.0, 2.0)),
         Scored("b3", truth(), CONSISTENT),
     ]
-    assert [row["held-out gain"] for row in table(ours, {"rival: any": rival}, told)] == ["1.00 (2)", "0.00 (2)"]
+    assert [row["held-out gain"] for row in table(ours, {"rival: any": rival}, fits)] == ["1.00 (2)", "0.00 (2)"]
     assert [row["held-out gain"] for row in table(ours, {"rival: any": rival})] == ["-", "-"]
 
 

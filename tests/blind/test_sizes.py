@@ -1,4 +1,4 @@
-"""The sizes that effect-free data ask for: found again where they are known."""
+"""Prior standard deviations estimated from effect-free data: known ones are recovered."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from tissuereg.diagnose.signals import Layout
 
 
 def drawn(true, generator, size=40):
-    """Return a case whose nuisances, two of each kind, are `true` times their prior deviations."""
+    """Return a case whose nuisances, two of each kind, are `true` times their prior standard deviations."""
     kinds = np.repeat(list(true), 2)
     columns = generator.standard_normal((len(kinds), size))
     amplitudes = np.array([true[kind] for kind in kinds]) * generator.standard_normal(len(kinds))
@@ -18,7 +18,7 @@ def drawn(true, generator, size=40):
     return Needs(kinds, columns, left)
 
 
-def test_sizes_are_found_again():
+def test_known_sizes_are_recovered():
     rng = np.random.default_rng(3)
     true = {"frame": 1.0, "size": 2.5, "tilt": 0.4}
     found = sizes_of([drawn(true, rng) for _ in range(40)])
@@ -43,7 +43,7 @@ def test_likelihood_is_that_of_the_whole_covariance():
     assert change == pytest.approx(dense(some) - dense(others), abs=1e-10)
 
 
-def test_forces_and_markers_of_the_mesh_are_told_apart():
+def test_mesh_errors_of_forces_and_markers_are_separate_kinds():
     pads = {"push_x"}
     assert kind_of("mesh push_x push_x 2", pads) == "mesh, forces"
     assert kind_of("bent push_x push_x 2", pads) == "bent, forces"
@@ -51,7 +51,7 @@ def test_forces_and_markers_of_the_mesh_are_told_apart():
     assert kind_of("tilt of push_x 1", pads) == "tilt"
 
 
-def test_errors_of_forces_are_told_along_and_across_them():
+def test_errors_of_forces_are_split_along_and_across_them():
     layout = Layout(rig())
     base = np.zeros(layout.size)
     for part in layout.parts:
@@ -61,14 +61,16 @@ def test_errors_of_forces_are_told_along_and_across_them():
             part.forces(base)[:, pad, 2] = -200.0 * load
             part.forces(layout.measured)[:, pad] = part.forces(base)[:, pad] + load[:, None] * [0.0, 4.0, -2.0]
     found = force_errors(layout, base, base, 3.0)
-    # Frames with half of the load are not looked at.
+    # Frames with at most half of the load are not used.
     loaded = (STROKE > 0.5).sum()
     np.testing.assert_allclose(found, [[0.01, 0.02 / np.sqrt(2.0), 3.0 / np.sqrt(loaded) / 200.0]] * 2)
 
 
 def test_the_report_shows_what_was_found():
     sizes = {"nulls": 9, "sizes": {"size": {"factor": 1.31, "low": 1.2, "high": 1.46, "gain_nats": 10.4}}}
-    assert "| size | 1.31 | 1.20-1.46 | 10.4 |" in report([], {}, {}, {}, sizes=sizes)
-    assert "uncertain" not in report([], {}, {}, {})
+    shown = report([], {}, {}, {}, sizes=sizes)
+    assert "Prior standard deviations" in shown
+    assert "| size | 1.31 | 1.20-1.46 | 10.4 |" in shown
+    assert "Prior standard deviations" not in report([], {}, {}, {})
     sizes["forces"] = {"along": 0.0123, "across": 0.004, "noise": 0.001}
-    assert "off by 1.23 % of their largest along the force and by 0.40 %" in report([], {}, {}, {}, sizes=sizes)
+    assert "1.23 % of the largest force along the force and 0.40 %" in report([], {}, {}, {}, sizes=sizes)

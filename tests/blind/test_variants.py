@@ -1,4 +1,4 @@
-"""Variants of the diagnoser: each changes its step, everything is put back, and stored banks stay right."""
+"""Variants of the diagnoser: each changes its step, everything is restored, and stored banks stay valid."""
 
 from contextlib import ExitStack
 from types import SimpleNamespace
@@ -28,7 +28,7 @@ def experiment(tmp_path_factory):
 MODULES = {"run": run, "search": search, "candidates": candidates, "findings": findings}
 
 
-def seen_by(monkeypatch, variant, told=()):
+def seen_by(monkeypatch, variant, ids=()):
     """Return the modules' names and the catalogue as a variant shows them to a diagnosis."""
     seen = {}
 
@@ -39,7 +39,7 @@ def seen_by(monkeypatch, variant, told=()):
 
     monkeypatch.setattr(variants, "answer", look)
     monkeypatch.setattr(variants, "read_experiment", lambda folder: folder)
-    variant(None, told)
+    variant(None, ids)
     return SimpleNamespace(**seen)
 
 
@@ -56,7 +56,7 @@ def names_now():
         (variants.no_mesh_nuisances, "run", "make_nuisances"),
     ],
 )
-def test_an_ablation_replaces_one_step_and_puts_it_back(variant, module, name, monkeypatch):
+def test_an_ablation_replaces_one_step_and_restores_it(variant, module, name, monkeypatch):
     before = names_now()
     seen = getattr(seen_by(monkeypatch, variant), module)
     plain = before[0][module]
@@ -64,14 +64,14 @@ def test_an_ablation_replaces_one_step_and_puts_it_back(variant, module, name, m
     assert names_now() == before
 
 
-def test_oracle_and_without_see_their_catalogues_and_put_all_back(monkeypatch):
+def test_oracle_and_without_see_their_catalogues_and_restore_all(monkeypatch):
     before = names_now()
-    told = seen_by(monkeypatch, variants.oracle, ("relaxation", "inclusion"))
-    assert told.ids == ["inclusion", "relaxation"]
-    assert told.search["MOST_CAUSES"] == 2
-    # What is told is never taken back for what it leaves.
-    assert told.run["MISFIT"] <= 0.0
-    assert not told.candidates["_repeats"]("inclusion")
+    oracle = seen_by(monkeypatch, variants.oracle, ("relaxation", "inclusion"))
+    assert oracle.ids == ["inclusion", "relaxation"]
+    assert oracle.search["MOST_CAUSES"] == 2
+    # The oracle fit is never rejected for its misfit.
+    assert oracle.run["MISFIT"] <= 0.0
+    assert not oracle.candidates["_repeats"]("inclusion")
     assert seen_by(monkeypatch, variants.oracle, ("inclusion", "inclusion")).candidates["_repeats"]("inclusion")
     lacking = seen_by(monkeypatch, variants.without, ("stiffness",))
     assert lacking.ids == [name for name in CAUSES if name != "stiffness"]
@@ -79,7 +79,7 @@ def test_oracle_and_without_see_their_catalogues_and_put_all_back(monkeypatch):
     assert names_now() == before
 
 
-def test_all_is_put_back_when_a_diagnosis_fails(monkeypatch):
+def test_all_is_restored_when_a_diagnosis_fails(monkeypatch):
     before = names_now()
 
     def fail(experiment, threads):
@@ -115,14 +115,14 @@ def test_draws_of_noise_alone_hold_no_nuisances_and_no_meshes():
     assert null.nuisances.shape == (2, 5)
 
 
-def test_nuisances_of_the_mesh_go_and_others_stay():
+def test_nuisances_of_the_mesh_are_removed_and_others_stay():
     names = ("stiffness", "mesh push_x 0 1", "tilt of push_x 0", "frame shift 0")
     kept = variants._but_the_mesh(Nuisances(names, np.arange(8.0).reshape(4, 2)))
     assert kept.names == ("stiffness", "frame shift 0")
     np.testing.assert_array_equal(kept.columns, [[0.0, 1.0], [6.0, 7.0]])
 
 
-def test_a_told_fit_has_no_threshold():
+def test_the_oracle_fit_has_no_threshold():
     assert variants._without_threshold(Nulls(np.zeros((1, 2)), {"layer": 12.0})).thresholds == {
         "layer": variants.NO_THRESHOLD
     }
@@ -137,11 +137,11 @@ def test_ignored_forces_are_not_measured_and_leave_the_bank_where_it_is(experime
     assert bank.fingerprint(blind, "tet4") == bank.fingerprint(experiment, "tet4")
 
 
-def test_another_catalogue_leaves_stored_banks_right(experiment, tmp_path, monkeypatch):
+def test_another_catalogue_leaves_stored_banks_valid(experiment, tmp_path, monkeypatch):
     monkeypatch.setenv("TISSUEREG_CACHE", str(tmp_path))
     made = []
 
-    class MadeUp:
+    class FakeCause:
         def __init__(self, name, value):
             self.name, self.value = name, value
 
@@ -149,10 +149,10 @@ def test_another_catalogue_leaves_stored_banks_right(experiment, tmp_path, monke
             made.append(self.name)
             return [Variant("one", np.full((1, 3), self.value))]
 
-    causes = {"poisson": MadeUp("poisson", 1.0), "layer": MadeUp("layer", 2.0), "scale": MadeUp("scale", 3.0)}
+    causes = {"poisson": FakeCause("poisson", 1.0), "layer": FakeCause("layer", 2.0), "scale": FakeCause("scale", 3.0)}
     bench = SimpleNamespace(experiment=experiment, predictor=SimpleNamespace(element="tet4"), base=np.zeros(3))
 
-    def asked(*ids):
+    def bank_of(*ids):
         made.clear()
         with ExitStack() as stack:
             stack.enter_context(variants.catalogue(ids))
@@ -163,13 +163,13 @@ def test_another_catalogue_leaves_stored_banks_right(experiment, tmp_path, monke
             patched.delitem(CAUSES, name)
         for name, cause in causes.items():
             patched.setitem(CAUSES, name, cause)
-        assert asked("layer", "scale") == {"layer": 2.0, "scale": 3.0}
+        assert bank_of("layer", "scale") == {"layer": 2.0, "scale": 3.0}
         assert made == ["layer", "scale"]
-        # The larger catalogue finds what is stored, adds what is not, and makes closed forms anew.
-        assert asked("poisson", "layer", "scale") == {"poisson": 1.0, "layer": 2.0, "scale": 3.0}
+        # The larger catalogue reuses what is stored, adds what is missing, and recomputes closed forms.
+        assert bank_of("poisson", "layer", "scale") == {"poisson": 1.0, "layer": 2.0, "scale": 3.0}
         assert made == ["poisson", "scale"]
-        assert asked("poisson") == {"poisson": 1.0}
+        assert bank_of("poisson") == {"poisson": 1.0}
         assert made == []
-        assert asked("poisson", "layer", "scale") == {"poisson": 1.0, "layer": 2.0, "scale": 3.0}
+        assert bank_of("poisson", "layer", "scale") == {"poisson": 1.0, "layer": 2.0, "scale": 3.0}
         assert made == ["scale"]
     assert "rate" in CAUSES

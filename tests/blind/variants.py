@@ -1,12 +1,12 @@
-"""The diagnoser as it is, with another catalogue, and with one step taken out, for `blind.run`.
+"""The diagnoser as it is, with another catalogue, and with one step removed, for `blind.run`.
 
-Names and constants in modules of `tissuereg.diagnose` are replaced in the running process, and put back after every
-case. That is this bench's own business: the package has no such settings, and needs none. A name that is no longer
-there is an error, so that no step is silently left in.
+Names and constants in modules of `tissuereg.diagnose` are patched in the running process and restored after every
+case; the package itself has no such settings, and needs none. A name that no longer exists is an error, so that no
+step is silently left in.
 
-Stored banks stay right. Their files hang on the experiment, hold any part of the catalogue, and get what a later
-catalogue asks for beside what is there; causes in closed form are never stored. Forces are ignored by taking them for
-not measured, which changes no bank.
+Stored banks stay valid. Their files depend on the experiment and may hold any part of the catalogue; a larger catalogue
+adds its missing parts, and causes in closed form are never stored. Forces are ignored by marking them as not measured,
+which changes no bank.
 """
 
 import copy
@@ -30,10 +30,10 @@ from tissuereg.experiment import Experiment
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.json import plain
 
-#: What a told fit has for a threshold: anything passes.
+#: Threshold of the oracle fit: anything passes.
 NO_THRESHOLD = -1e6
 
-#: A probability that no misfit is below: whatever it leaves, a told fit is not taken back.
+#: Level of the misfit test for the oracle fit: no p-value is below it, so the fit is never rejected.
 ANY_MISFIT = 0.0
 
 #: Nuisances of the mesh's error and of the shape begin with these words.
@@ -51,41 +51,41 @@ OF_THE_MESH = (
 )
 
 
-def ours(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return what the diagnoser says, as its command would."""
+def ours(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the diagnoser's answer, as its command would."""
     return answer(read_experiment(folder), threads)
 
 
 def answer(experiment: Experiment, threads: int) -> dict:
-    """Return a diagnosis as it stands in JSON, and what the models before and after it predict of held-out blocks."""
+    """Return a diagnosis as in its JSON, with the errors of the models before and after it on held-out blocks."""
     found = diagnose(experiment, threads=threads)
     target, searched = found.details["target"], found.details["search"]
     base, final = (linear_model(target, fit) for fit in (searched.base, searched.final))
     return plain({**found.to_json(), "by_block": by_block(base, final, target.bench.layout)})
 
 
-def oracle(folder: Path, told: Collection[str], *, threads: int = 0) -> dict:
-    """Return the fit of the causes that are told: the catalogue holds nothing else, and all of it is accepted."""
-    told = list(told)
+def oracle(folder: Path, ids: Collection[str], *, threads: int = 0) -> dict:
+    """Return the fit of the given causes: the catalogue holds nothing else, and all of it is accepted."""
+    ids = list(ids)
     with (
-        catalogue(told),
+        catalogue(ids),
         no_judge(),
         patch.object(run, "draw_nulls", _then(run.draw_nulls, _without_threshold)),
         patch.object(run, "MISFIT", ANY_MISFIT),
-        patch.object(search, "MOST_CAUSES", len(told)),
-        patch.object(candidates, "_repeats", lambda name: told.count(name) > 1),
+        patch.object(search, "MOST_CAUSES", len(ids)),
+        patch.object(candidates, "_repeats", lambda name: ids.count(name) > 1),
     ):
         return ours(folder, threads=threads)
 
 
-def without(folder: Path, told: Collection[str], *, threads: int = 0) -> dict:
-    """Return what the diagnoser says when the told causes are not in its catalogue."""
-    with catalogue(set(CAUSES) - set(told)):
+def without(folder: Path, ids: Collection[str], *, threads: int = 0) -> dict:
+    """Return the diagnoser's answer without the given causes in its catalogue."""
+    with catalogue(set(CAUSES) - set(ids)):
         return ours(folder, threads=threads)
 
 
-def no_mesh_correction(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return what is said when predictions on the user's mesh are taken as they are."""
+def no_mesh_correction(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the answer without a correction of predictions on the user's mesh."""
     with (
         patch.object(run, "make_correction", _no_correction),
         patch.object(recorrect, "recorrected", lambda target, found, **_: target),
@@ -93,32 +93,32 @@ def no_mesh_correction(folder: Path, told: Collection[str] = (), *, threads: int
         return ours(folder, threads=threads)
 
 
-def no_third_mesh(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return what is said when threshold and misfit are judged by draws of the noise alone."""
+def no_third_mesh(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the answer with threshold and misfit calibrated by draws of the noise alone."""
     with patch.object(run, "draw_nulls", _of_noise_alone(run.draw_nulls)):
         return ours(folder, threads=threads)
 
 
-def no_forces(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return what is said when no force was measured."""
+def no_forces(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the answer without measured forces."""
     return answer(forceless(read_experiment(folder)), threads)
 
 
-def no_proof(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return what is said when a cause that passes the threshold needs no proof on what was held out."""
+def no_proof(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the answer when a cause that passes the threshold needs no proof on held-out data."""
     with no_judge():
         return ours(folder, threads=threads)
 
 
-def no_mesh_nuisances(folder: Path, told: Collection[str] = (), *, threads: int = 0) -> dict:
-    """Return what is said when the correction of the mesh's error is taken to be exact."""
+def no_mesh_nuisances(folder: Path, ids: Collection[str] = (), *, threads: int = 0) -> dict:
+    """Return the answer when the correction of the mesh's error is taken to be exact."""
     with patch.object(run, "make_nuisances", _then(run.make_nuisances, _but_the_mesh)):
         return ours(folder, threads=threads)
 
 
 @contextmanager
 def catalogue(ids: Collection[str]) -> Iterator[None]:
-    """Have some causes alone in the catalogue, in its order; without stiffness, its own finding goes too."""
+    """Restrict the catalogue to some causes, in its order; without stiffness, its own finding is removed too."""
     with patch.dict(CAUSES, {name: cause for name, cause in CAUSES.items() if name in ids}, clear=True):
         if "stiffness" in CAUSES:
             yield
@@ -129,13 +129,13 @@ def catalogue(ids: Collection[str]) -> Iterator[None]:
 
 @contextmanager
 def no_judge() -> Iterator[None]:
-    """Have held-out data measured, and every cause pass, whatever they say."""
+    """Evaluate held-out data, and let every cause pass whatever the result."""
     with patch.object(search, "_prove", _then(search._prove, _passed)):
         yield
 
 
 def forceless(experiment: Experiment) -> Experiment:
-    """Return an experiment whose measured forces are not measured."""
+    """Return an experiment whose forces are marked as not measured."""
     cases = {
         name: replace(case, forces={pad: np.full_like(values, np.nan) for pad, values in case.forces.items()})
         for name, case in experiment.cases.items()
@@ -144,7 +144,7 @@ def forceless(experiment: Experiment) -> Experiment:
 
 
 def _then(made: Callable, change: Callable) -> Callable:
-    """Return a function whose result is changed."""
+    """Return a function whose result is passed through another."""
     return lambda *given, **named: change(made(*given, **named))
 
 
@@ -153,7 +153,7 @@ def _without_threshold(nulls: Nulls) -> Nulls:
 
 
 def _passed(proof: HeldOut) -> HeldOut:
-    """Return a proof in which the model before, and the generic rival, predict worse than the cause in every block."""
+    """Return a proof in which the earlier model and the generic rival predict worse than the cause in every block."""
     worse = np.full((len(proof.log_density), 1), search.PROVED + 1.0)
     worse[[NAMED, GENERIC], 0] = 0.0, 1e-6
     return replace(proof, log_density=np.minimum(proof.log_density, proof.log_density[NAMED] - worse))
@@ -165,7 +165,7 @@ def _no_correction(layout: Layout, coarse: np.ndarray, fine: np.ndarray) -> Corr
 
 def _of_noise_alone(draw_nulls: Callable) -> Callable:
     def drawn(screen, null, noise, layout, mesh_errors, seed):
-        # Nuisances are taken out of the draws as ever, and none are put in.
+        # Nuisances are fitted to the draws as usual, but the draws contain none.
         bare = copy.copy(null)
         bare.nuisances = null.nuisances[:0]
         return draw_nulls(screen, bare, noise, layout, [], seed)
