@@ -277,12 +277,12 @@ def test_the_table_has_the_median_gain_where_there_is_an_oracle_fit():
     assert [row["held-out gain"] for row in table(ours, {"rival: any": rival})] == ["-", "-"]
 
 
-def test_the_table_says_by_what_and_when_answers_were_made():
+def test_the_table_states_how_and_when_answers_were_made():
     stamps = [{"commit": "abc", "date": f"2026-01-0{day}T00:00:00+00:00", "seconds": float(day)} for day in (1, 3)]
     cases = [Scored(f"b{k}", truth(), CONSISTENT | stamp) for k, stamp in enumerate(stamps)]
     assert made(cases) == "commit abc; 2026-01-01 to 2026-01-03; median 2.0 s, largest 3.0 s; 0 failed"
     assert made(cases) in report(cases, {}, {}, {})
-    assert f"{made(cases)}. Made twice.\n" in report(cases, {}, {}, {}, "Made twice.")
+    assert f"{made(cases)}.\n\nMade twice.\n" in report(cases, {}, {}, {}, "Made twice.")
 
 
 def test_answers_of_methods_are_read_by_folder(tmp_path):
