@@ -1,6 +1,7 @@
 """Labels that do not cover each other: each goes to the free place closest to what it is about."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,21 @@ _REACHES = (0.05, 0.08, 0.12, 0.17, 0.23, 0.30, 0.38)
 #: Directions that are tried.
 _DIRECTIONS = 20
 
-#: What it costs, in heights of the figure, to cover a place that had better stay clear, or the body.
-_COVERED, _ON_BODY = 0.08, 0.15
+#: What it costs, in heights of the figure, to cover a place that had better stay clear, or the body,
+#: and to lead a line across a label.
+_COVERED, _ON_BODY, _CROSSED = 0.08, 0.15, 0.4
+
+#: Places along each side of the frame that are tried where none around is free.
+_GRID = 25
+
+#: Size of letters, in points, and the widest label over the width of a view.
+_FONT, _WIDEST = 10, 0.8
 
 #: Room between labels, over the figure's height.
 _GAP = 0.008
 
 
-def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> None:
+def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
     """Write the labels of views, with a line to what each is about.
 
     Parameters
@@ -32,47 +40,78 @@ def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> None:
         With labels.
     body : ndarray of float64, shape (n, 3)
         Places of the body's surface, mm.
+
+    Returns
+    -------
+    int
+        Labels that were left out, since no place was free.
     """
-    ratio = figure.get_figwidth() / figure.get_figheight()
+    left_out = 0
     for view in views:
-        taken: list[FloatArray] = []
-        frame = _frame(view, ratio)
+        frame = _frame(figure, view)
         silhouette, clear, anchors = (
             on_page(figure, view, np.reshape(places, (-1, 3)))
             for places in (body, view.keep_clear, [label.place for label in view.labels])
         )
         for label, anchor in zip(view.labels, anchors, strict=True):
-            size = _size(figure, label.text, ratio)
-            middle = _free_place(anchor, size, frame, taken, (np.concatenate([clear, anchors]), silhouette))
-            taken.append(_box(middle, size + 2.0 * _GAP))
-            clear = np.concatenate([clear, _leader(anchor, taken[-1])])
-            _write(figure, label, anchor, middle, size, ratio)
+            text = _fitted(figure, label.text, frame)
+            size = _size(figure, text)
+            middle = _free_place(anchor, size, frame, view.taken, (np.concatenate([clear, anchors]), silhouette))
+            if middle is None:
+                left_out += 1
+                continue
+            view.taken.append(_box(middle, size + 2.0 * _GAP))
+            clear = np.concatenate([clear, _leader(anchor, view.taken[-1])])
+            _write(figure, replace(label, text=text), anchor, middle, size)
+    return left_out
 
 
 def on_page(figure: Any, view: View, places: FloatArray) -> FloatArray:
     """Return where places (n, 3) lie on the page (n, 2), in heights of the figure."""
     from mpl_toolkits.mplot3d import proj3d
 
-    ratio = figure.get_figwidth() / figure.get_figheight()
     view.axes.apply_aspect()
     x, y, _ = proj3d.proj_transform(*places.T, view.axes.get_proj())
     pixels = view.axes.transData.transform(np.stack([np.asarray(x), np.asarray(y)], axis=1).reshape(-1, 2))
-    return np.asarray(figure.transFigure.inverted().transform(pixels) * (ratio, 1.0))
+    return np.asarray(figure.transFigure.inverted().transform(pixels) * (_ratio(figure), 1.0))
 
 
-def _frame(view: View, ratio: float) -> FloatArray:
-    """Return the part of the page (low, high) that the labels of a view may take."""
+def shortened(figure: Any, text: str, width: float, **style: Any) -> str:
+    """Return a text of one line, cut where it is wider than `width` (parts of the figure) in a style of matplotlib."""
+    if _size(figure, text, **style)[0] <= width * _ratio(figure):
+        return text
+    low, high = 0, len(text)
+    while high - low > 1:
+        middle = (low + high) // 2
+        fits = _size(figure, text[:middle].rstrip() + "…", **style)[0] <= width * _ratio(figure)
+        low, high = (middle, high) if fits else (low, middle)
+    return text[:low].rstrip() + "…"
+
+
+def _fitted(figure: Any, text: str, frame: FloatArray) -> str:
+    """Return a text whose lines are no wider than most of a frame."""
+    width = _WIDEST * float(np.ptp(frame[:, 0])) / _ratio(figure)
+    return "\n".join(shortened(figure, line, width, fontsize=_FONT) for line in text.split("\n"))
+
+
+def _ratio(figure: Any) -> float:
+    return float(figure.get_figwidth() / figure.get_figheight())
+
+
+def _frame(figure: Any, view: View) -> FloatArray:
+    """Return the part of the page (low, high) that the labels of a view may take, in heights of the figure."""
     box = view.axes.get_position(original=True)
-    return np.array([[box.x0 * ratio, box.y0], [box.x1 * ratio, box.y1]])
+    scale = np.array([_ratio(figure), 1.0])
+    return np.asarray([[box.x0, box.y0], [box.x1, box.y1]] * scale)
 
 
-def _size(figure: Any, text: str, ratio: float) -> FloatArray:
+def _size(figure: Any, text: str, **style: Any) -> FloatArray:
     """Return width and height of a text in heights of the figure."""
-    probe = figure.text(0.0, 0.0, text, fontsize=9)
+    probe = figure.text(0.0, 0.0, text, **{"fontsize": _FONT, **style})
     box = probe.get_window_extent(figure.canvas.get_renderer())
     probe.remove()
     width, height = figure.transFigure.inverted().transform((box.width, box.height))
-    return np.array([width * ratio, height])
+    return np.array([width * _ratio(figure), height])
 
 
 def _box(middle: FloatArray, size: FloatArray) -> FloatArray:
@@ -85,48 +124,60 @@ def _free_place(
     frame: FloatArray,
     taken: list[FloatArray],
     drawn: tuple[FloatArray, FloatArray],
-) -> FloatArray:
-    """Return the middle of the cheapest box: inside the frame, off other labels, near, off what is drawn."""
-    angles = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-    best, least = anchor, np.inf
-    for reach in _REACHES:
-        for angle in angles:
-            way = np.array([np.cos(angle), np.sin(angle)])
-            middle = anchor + way * (reach + 0.5 * np.abs(way) @ size)
-            box = _box(middle, size)
-            outside = np.maximum(frame[0] - box[0], 0.0).sum() + np.maximum(box[1] - frame[1], 0.0).sum()
-            covers = sum(_overlap(box, other) for other in taken)
-            leader = _leader(anchor, box)
-            clear, body = (_inside(places, box + _GAP * np.array([[-1.0], [1.0]])) for places in drawn)
-            clear += sum(_inside(leader, other) for other in taken)
-            cost = reach + 10.0 * outside + 1e3 * covers + _COVERED * clear + _ON_BODY * min(1.0, 0.25 * body)
-            if cost < least:
-                best, least = middle, cost
+) -> FloatArray | None:
+    """Return the middle of the cheapest box inside the frame and off what is taken: near, and off what is drawn.
+
+    None where there is no such box.
+    """
+    best, least = None, np.inf
+    for reach, middle in _candidates(anchor, size, frame):
+        box = _box(middle, size)
+        outside = (box[0] < frame[0]).any() or (box[1] > frame[1]).any()
+        if reach >= least or outside or any(_overlap(_box(middle, size + 2.0 * _GAP), other) for other in taken):
+            continue
+        leader = _leader(anchor, box)
+        clear, body = (_inside(places, box + _GAP * np.array([[-1.0], [1.0]])) for places in drawn)
+        crossed = any(_inside(leader, other) for other in taken)
+        cost = reach + _COVERED * clear + _CROSSED * crossed + _ON_BODY * min(1.0, 0.25 * body)
+        if cost < least:
+            best, least = middle, cost
     return best
 
 
+def _candidates(anchor: FloatArray, size: FloatArray, frame: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+    """Yield distances from an anchor to middles of boxes: around it, then anywhere in the frame, which costs more."""
+    for reach in _REACHES:
+        for angle in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+            way = np.array([np.cos(angle), np.sin(angle)])
+            yield reach, anchor + way * (reach + 0.5 * np.abs(way) @ size)
+    steps = np.maximum(np.ptp(frame, axis=0) - size, 0.0)
+    for share in np.ndindex(_GRID, _GRID):
+        middle = frame[0] + 0.5 * size + steps * np.array(share) / (_GRID - 1)
+        yield 1.0 + float(np.linalg.norm(middle - anchor)), middle
+
+
 def _leader(anchor: FloatArray, box: FloatArray) -> FloatArray:
-    """Return places (10, 2) along the line from an anchor to its box."""
-    return np.linspace(anchor, np.clip(anchor, *box), 10)
+    """Return places (30, 2) along the line from an anchor to its box."""
+    return np.linspace(anchor, np.clip(anchor, *box), 30)
 
 
 def _inside(places: FloatArray, box: FloatArray) -> int:
     return int(np.all((places > box[0]) & (places < box[1]), axis=1).sum())
 
 
-def _overlap(one: FloatArray, other: FloatArray) -> float:
-    sides = np.minimum(one[1], other[1]) - np.maximum(one[0], other[0])
-    return float(np.prod(np.maximum(sides, 0.0)) + (0.01 if (sides > 0.0).all() else 0.0))
+def _overlap(one: FloatArray, other: FloatArray) -> bool:
+    return bool((np.minimum(one[1], other[1]) > np.maximum(one[0], other[0])).all())
 
 
-def _write(figure: Any, label: Label, anchor: FloatArray, middle: FloatArray, size: FloatArray, ratio: float) -> None:
+def _write(figure: Any, label: Label, anchor: FloatArray, middle: FloatArray, size: FloatArray) -> None:
     from matplotlib.lines import Line2D
 
-    scale = np.array([1.0 / ratio, 1.0])
+    scale = np.array([1.0 / _ratio(figure), 1.0])
     end = np.clip(anchor, *_box(middle, size))
     line = np.stack([anchor, end]) * scale
-    figure.add_artist(Line2D(*line.T, color=label.colour, lw=0.7, alpha=0.8, zorder=20))
+    figure.add_artist(Line2D(*line.T, color=label.colour, lw=0.8, alpha=0.8, zorder=20))
     around = {"boxstyle": "square,pad=0.15", "fc": (1, 1, 1, 0.85), "ec": "none"}
+    middle = middle * scale
     figure.text(
-        *(middle * scale), label.text, ha="center", va="center", fontsize=9, color=label.colour, bbox=around, zorder=21
+        *middle, label.text, ha="center", va="center", fontsize=_FONT, color=label.colour, bbox=around, zorder=21
     )

@@ -1,14 +1,14 @@
 """Pictures of a registration by matplotlib, without a display."""
 
-import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.report import scene
+from tissuereg.report.heading import write_heading, write_legend
+from tissuereg.report.inset import MOST_PANELS, draw_panels, round_length
 from tissuereg.report.labels import on_page, place_labels
-from tissuereg.report.words import silent, verdict
 
 if TYPE_CHECKING:
     from tissuereg.result import Registration
@@ -19,18 +19,21 @@ _ELEVATION, _AZIMUTHS = 18.0, (-60.0, 30.0)
 #: With contacts, the views look at the first of them from this many degrees to its left and right.
 _ASIDE = (-40.0, 50.0)
 
-#: Reasons that are written out, and how many letters a line of them has.
-_MOST_REASONS, _LETTERS = 3, 165
-
 #: Share of a view that the body fills along its longer side.
-_FILLED = 0.72
+_FILLED = 0.74
 
 #: Share of the nodes whose spread lies within the scale of colours.
 _SHOWN = 0.99
 
+#: Width and height of a figure in inches; left and right border of views and panels, and where panels begin.
+_SIZE, _LEFT, _RIGHT, _PANELS = (13.0, 7.2), 0.012, 0.988, 0.742
+
+#: Lower end of the views, over the figure's height; below are scale, colours and signs.
+_LOW = 0.165
+
 
 def registration_figure(result: "Registration") -> Any:
-    """Return a figure: the registered body from two sides, its markers, contacts, and targets with their regions.
+    """Return a figure: the registered body from two sides, its markers, contacts and targets, each target enlarged.
 
     Parameters
     ----------
@@ -40,17 +43,18 @@ def registration_figure(result: "Registration") -> Any:
     Returns
     -------
     matplotlib.figure.Figure
-        Not bound to any window.
+        Not bound to any window. No words lie over others; what found no room is counted below the views.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13.0, 6.8))
+    figure = Figure(figsize=_SIZE)
     FigureCanvasAgg(figure)
     surface, colours = scene.Surface.of(result), _colours(result)
+    top = write_heading(figure, result) - 0.01
+    right = _PANELS - 0.012 if result.targets else _RIGHT
     body = surface.places[surface.nodes]
-    views = [_view(figure, column, azimuth, body) for column, azimuth in enumerate(_azimuths(result))]
-    _fit(figure, views, body)
+    views = _views(figure, result, body, (right, top))
     for view in views:
         scene.draw_body(view, result, surface, colours)
         scene.draw_contacts(view, result, surface)
@@ -58,18 +62,39 @@ def registration_figure(result: "Registration") -> Any:
         scene.draw_surface_points(view, result)
         scene.draw_targets(view, result)
         _triad(figure, view)
-    place_labels(figure, views, body)
+    left_out = place_labels(figure, views, body)
     _scale_bar(figure, views[0], result.mesh.extent)
-    bar = figure.add_axes((0.935, 0.18, 0.012, 0.55))
-    figure.colorbar(colours, cax=bar, extend="max", label="standard deviation of the surface, mm")
-    _legend(figure, result)
-    _head(figure, result)
+    _colour_bar(figure, colours, right)
+    if left_out:
+        figure.text(0.022, 0.082, f"{left_out} labels have no room: see the report", fontsize=9, color="dimgray")
+    if result.targets:
+        _panels(figure, result, views[0], top)
+    write_legend(figure, result)
     return figure
 
 
-def _view(figure: Any, column: int, azimuth: float, body: FloatArray) -> scene.View:
+def _views(figure: Any, result: "Registration", body: FloatArray, ends: tuple[float, float]) -> list[scene.View]:
+    """Return two empty views side by side, zoomed alike, so that the body fills them but for a border for labels."""
+    right, top = ends
+    wide = 0.5 * (right - _LEFT)
+    frames = [(_LEFT + wide * column, _LOW, wide - 0.006, top - _LOW) for column in range(2)]
+    azimuths = _azimuths(result)
+    views = [_view(figure, frame, azimuth, body) for frame, azimuth in zip(frames, azimuths, strict=True)]
+    zooms = []
+    for view in views:
+        frame = view.axes.get_position(original=True)
+        size = np.ptp(on_page(figure, view, body), axis=0)
+        room = np.array([frame.width * figure.get_figwidth() / figure.get_figheight(), frame.height])
+        zooms.append(float(np.min(_FILLED * room / size)))
+    for view in views:
+        low, high = body.min(axis=0), body.max(axis=0)
+        view.axes.set_box_aspect(high - low, zoom=min(zooms))
+    return views
+
+
+def _view(figure: Any, frame: tuple[float, ...], azimuth: float, body: FloatArray) -> scene.View:
     """Return one empty view with equal scales along all axes."""
-    axes: Any = figure.add_axes((0.015 + 0.455 * column, 0.075, 0.45, 0.78), projection="3d", proj_type="ortho")
+    axes: Any = figure.add_axes(frame, projection="3d", proj_type="ortho")
     axes.set_axis_off()
     axes.computed_zorder = False  # markers and regions stay readable through the body
     axes.view_init(_ELEVATION, azimuth)
@@ -80,21 +105,18 @@ def _view(figure: Any, column: int, azimuth: float, body: FloatArray) -> scene.V
     return scene.View(axes, _towards(azimuth))
 
 
-def _fit(figure: Any, views: list[scene.View], body: FloatArray) -> None:
-    """Zoom all views alike, so that the body fills them but for a border for labels."""
-    zooms = []
-    for view in views:
-        frame = view.axes.get_position(original=True)
-        size = np.ptp(on_page(figure, view, body), axis=0)
-        room = np.array([frame.width * figure.get_figwidth() / figure.get_figheight(), frame.height])
-        zooms.append(float(np.min(_FILLED * room / size)))
-    for view in views:
-        low, high = body.min(axis=0), body.max(axis=0)
-        view.axes.set_box_aspect(high - low, zoom=min(zooms))
+def _panels(figure: Any, result: "Registration", view: scene.View, top: float) -> None:
+    """Draw the targets enlarged right of the views."""
+    words = "90 % regions, seen as on the left"
+    more = len(result.targets) - MOST_PANELS
+    if more > 0:
+        words = f"90 % regions; {more} more in the report"
+    figure.text(_PANELS, top - 0.025, words, fontsize=10, color="dimgray")
+    draw_panels(figure, result, view.towards, (_PANELS, 0.1, _RIGHT - _PANELS, top - 0.135))
 
 
 def _triad(figure: Any, view: scene.View) -> None:
-    """Draw the directions of the axes in the lower left corner of a view."""
+    """Draw the directions of the axes in the lower left corner of a view, and keep labels off it."""
     from matplotlib.lines import Line2D
 
     ratio = figure.get_figwidth() / figure.get_figheight()
@@ -106,8 +128,9 @@ def _triad(figure: Any, view: scene.View) -> None:
         line = np.stack([origin, origin + way]) / (ratio, 1.0)
         figure.add_artist(Line2D(*line.T, color="dimgray", lw=1.2))
         figure.text(
-            *((origin + 1.35 * way) / (ratio, 1.0)), name, fontsize=8, color="dimgray", ha="center", va="center"
+            *((origin + 1.35 * way) / (ratio, 1.0)), name, fontsize=9, color="dimgray", ha="center", va="center"
         )
+    view.taken.append(np.stack([origin - 0.085, origin + 0.085]))
 
 
 def _scale_bar(figure: Any, view: scene.View, extent: float) -> None:
@@ -117,11 +140,18 @@ def _scale_bar(figure: Any, view: scene.View, extent: float) -> None:
     ratio = figure.get_figwidth() / figure.get_figheight()
     across = np.cross([0.0, 0.0, 1.0], view.towards)
     ends = on_page(figure, view, np.stack([np.zeros(3), across / np.linalg.norm(across)]))
-    power = 10.0 ** np.floor(np.log10(0.2 * extent))
-    length = power * max(step for step in (1.0, 2.0, 5.0) if step * power <= 0.2 * extent)
-    width, left, low = float(np.linalg.norm(ends[1] - ends[0])) * length / ratio, 0.12, 0.105
+    length = round_length(0.2 * extent)
+    width, left, low = float(np.linalg.norm(ends[1] - ends[0])) * length / ratio, 0.022, 0.12
     figure.add_artist(Line2D([left, left + width], [low, low], color="dimgray", lw=2.5, solid_capstyle="butt"))
-    figure.text(left + 0.5 * width, low + 0.012, f"{length:g} mm", fontsize=8, color="dimgray", ha="center")
+    figure.text(left + width + 0.008, low, f"{length:g} mm", fontsize=9, color="dimgray", va="center")
+
+
+def _colour_bar(figure: Any, colours: Any, right: float) -> None:
+    """Explain the colours of the surface, below the views."""
+    bar = figure.add_axes((right - 0.27, 0.118, 0.25, 0.016))
+    figure.colorbar(colours, cax=bar, extend="max", orientation="horizontal")
+    bar.tick_params(labelsize=9)
+    figure.text(right - 0.28, 0.12, "standard deviation of the surface, mm", fontsize=9, ha="right")
 
 
 def _azimuths(result: "Registration") -> tuple[float, float]:
@@ -145,72 +175,3 @@ def _colours(result: "Registration") -> Any:
 
     largest = float(np.quantile(result.std[result.mesh.surface_nodes], _SHOWN))
     return ScalarMappable(Normalize(0.0, max(largest, 1e-9)), colormaps["YlGnBu"])
-
-
-def _head(figure: Any, result: "Registration") -> None:
-    """Write the verdict, large, with its reasons."""
-    trust = result.trust
-    figure.text(
-        0.02, 0.965, verdict(trust.ok), fontsize=19, weight="bold", va="top", color="#176f2c" if trust.ok else "#a3180d"
-    )
-    facts = "   |   ".join([*_met(result), f"chance of this misfit p = {trust.p_value:.2g}"])
-    figure.text(0.98, 0.955, facts, fontsize=10, va="top", ha="right")
-    lines = [
-        line
-        for reason in trust.reasons[:_MOST_REASONS]
-        for line in textwrap.wrap(reason, _LETTERS, initial_indent="• ", subsequent_indent="   ")[:2]
-    ]
-    more = len(trust.reasons) - _MOST_REASONS
-    if more > 0:
-        lines.append(f"• and {more} more in the report")
-    figure.text(0.02, 0.905, "\n".join(lines), fontsize=9, va="top", color="#a3180d", linespacing=1.3)
-    flagged = [name for name, target in result.targets.items() if target.flag]
-    if flagged:
-        text = "\n".join(textwrap.wrap(silent(flagged), _LETTERS)[:2])
-        figure.text(0.02, 0.9 - 0.026 * len(lines), text, fontsize=9, va="top", color=scene.FLAGGED)
-
-
-def _met(result: "Registration") -> list[str]:
-    """Return how far the data lay from the body before and after."""
-    fit, surface, words = result.markers, result.surface, []
-    if fit.used:
-        words.append(
-            f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)"
-        )
-    if surface is not None:
-        words.append(
-            f"{surface.used} surface points: {surface.before_rms_mm:.2f} mm before, {surface.after_rms_mm:.2f} mm after"
-        )
-    return words
-
-
-def _legend(figure: Any, result: "Registration") -> None:
-    """Explain below the views what is drawn, and nothing else."""
-    from matplotlib.lines import Line2D
-
-    def sign(label: str, colour: str, **style: Any) -> Any:
-        return Line2D([], [], color=colour, label=label, **{"ls": "none", **style})
-
-    signs = []
-    if len(result.all_markers):
-        signs += [
-            sign("marker before", scene.BEFORE, marker="x", ms=5),
-            sign("registered", scene.FITTED, marker="o", ms=4.5),
-            sign("measured", scene.MEASURED, marker="o", ms=7, mfc="none"),
-        ]
-    if result.surface is not None:
-        signs.append(sign("surface points", scene.MEASURED, marker=".", ms=4))
-    reasons = {reason for _, reason in result.markers.dropped}
-    if "wrong" in reasons:
-        signs.append(sign("wrong marker, not used", scene.WRONG, marker="X", ms=8))
-    if "not seen" in reasons:
-        signs.append(sign("not seen: where it must be", "gray", marker="$?$", ms=7))
-    if result.contacts:
-        signs.append(sign("contact: force on the body", scene.CONTACT, marker=r"$\rightarrow$", ms=12))
-    flags = {target.flag is not None for target in result.targets.values()}
-    if False in flags:
-        signs.append(sign("target, 90 % region", scene.TARGET, ls="-", lw=1.2, marker="+", ms=6))
-    if True in flags:
-        signs.append(sign("target, no marker tells", scene.FLAGGED, ls="--", lw=1.2, marker="+", ms=6))
-    figure.legend(handles=signs, loc="lower left", bbox_to_anchor=(0.015, 0.005), ncols=len(signs), fontsize=9,
-                  frameon=False, columnspacing=1.6, handletextpad=0.5)  # fmt: skip

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from tissuereg.contacts.found import FoundContact
     from tissuereg.result import Region, Registration
 
-#: Colours by what they stand for.
-BEFORE, FITTED, MEASURED, WRONG = "tab:orange", "tab:blue", "black", "magenta"
-CONTACT, TARGET, FLAGGED = "firebrick", "black", "darkviolet"
+#: Colours by what they stand for; told apart with any kind of colour vision, and by shape as well.
+BEFORE, FITTED, MEASURED, WRONG = "#e07b00", "#0072b2", "black", "#d6218f"
+CONTACT, TARGET, FLAGGED, REGION = "#a01c10", "black", "#6a1fb0", "#8fb3d9"
 
 #: The longest arrow over the extent of the body, and the shortest over the longest.
 _ARROW, _LEAST_ARROW = 0.22, 0.45
@@ -60,12 +60,15 @@ class View:
         Filled by the functions below.
     keep_clear : list of ndarray of float64, shape (3,)
         Places that labels had better not cover, filled as well.
+    taken : list of ndarray of float64, shape (2, 2)
+        Lower left and upper right corners, in heights of the figure, of what labels must not cover.
     """
 
     axes: Any
     towards: FloatArray
     labels: list[Label] = field(default_factory=list)
     keep_clear: list[FloatArray] = field(default_factory=list)
+    taken: list[FloatArray] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,9 +234,9 @@ def draw_targets(view: View, result: "Registration") -> None:
         colour = FLAGGED if flagged else TARGET
         _draw_region(view, region, colour, "--" if flagged else "-")
         view.axes.scatter(*region.centre, s=34, marker="+", c=colour, depthshade=False, zorder=12)
+        view.keep_clear.append(region.centre)
         if flagged or not many:
-            half = f"90 % within {region.radii[-1]:.2g} mm"
-            view.labels.append(Label(region.centre, f"{name}: {target.flag or half}", colour))
+            view.labels.append(Label(region.centre, f"{name}: {target.flag}" if flagged else name, colour))
 
 
 def _draw_region(view: View, region: "Region", colour: str, style: str) -> None:

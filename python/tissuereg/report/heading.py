@@ -1,0 +1,112 @@
+"""Words around the views of a registration: verdict and reasons above, signs below."""
+
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+from tissuereg.report import scene
+from tissuereg.report.words import silent, verdict
+
+if TYPE_CHECKING:
+    from tissuereg.result import Registration
+
+#: Reasons that are written out, lines of one, and how many letters a line has.
+_MOST_REASONS, _MOST_LINES, _LETTERS = 3, 2, 160
+
+#: Height of a line over that of the figure.
+_LINE = 0.027
+
+#: Signs in a row.
+_COLUMNS = 5
+
+
+def write_heading(figure: Any, result: "Registration") -> float:
+    """Write the verdict, large, with its reasons.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Where to.
+    result : Registration
+        What to tell of.
+
+    Returns
+    -------
+    float
+        Where the words end, over the figure's height.
+    """
+    trust = result.trust
+    good = "#176f2c" if trust.ok else "#a3180d"
+    figure.text(0.02, 0.972, verdict(trust.ok), fontsize=19, weight="bold", va="top", color=good)
+    facts = "   |   ".join([*_met(result), f"chance of this misfit p = {trust.p_value:.2g}"])
+    figure.text(0.02, 0.915, facts, fontsize=10, va="top")
+    lines = [line for reason in trust.reasons[:_MOST_REASONS] for line in _wrapped(reason, "• ", "   ")]
+    more = len(trust.reasons) - _MOST_REASONS
+    if more > 0:
+        lines.append(f"• and {more} more in the report")
+    told = [(line, "#a3180d") for line in lines]
+    flagged = [name for name, target in result.targets.items() if target.flag]
+    if flagged:
+        told += [(line, scene.FLAGGED) for line in _wrapped(silent(flagged))]
+    for row, (line, colour) in enumerate(told):
+        figure.text(0.02, 0.882 - _LINE * row, line, fontsize=9.5, va="top", color=colour)
+    return 0.882 - _LINE * len(told)
+
+
+def _wrapped(text: str, first: str = "", later: str = "") -> list[str]:
+    """Return the lines of a text; what is too long ends in dots."""
+    return textwrap.wrap(
+        text, _LETTERS, max_lines=_MOST_LINES, placeholder=" …", initial_indent=first, subsequent_indent=later
+    )
+
+
+def _met(result: "Registration") -> list[str]:
+    """Return how far the data lay from the body before and after."""
+    fit, surface, words = result.markers, result.surface, []
+    if fit.used:
+        words.append(
+            f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)"
+        )
+    if surface is not None:
+        words.append(
+            f"{surface.used} surface points: {surface.before_rms_mm:.2f} mm before, {surface.after_rms_mm:.2f} mm after"
+        )
+    return words
+
+
+def write_legend(figure: Any, result: "Registration") -> None:
+    """Explain below the views what is drawn, and nothing else."""
+    signs = [_sign(*sign[:2], **sign[2]) for sign in _signs(result)]
+    figure.legend(handles=signs, loc="lower left", bbox_to_anchor=(0.012, 0.0), ncols=_COLUMNS, fontsize=10,
+                  frameon=False, columnspacing=1.6, handletextpad=0.5, labelspacing=0.35)  # fmt: skip
+
+
+def _sign(label: str, colour: str, **style: Any) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, label=label, **{"ls": "none", **style})
+
+
+def _signs(result: "Registration") -> list[tuple[str, str, dict[str, Any]]]:
+    """Return label, colour and style of every sign that the picture uses."""
+    signs: list[tuple[str, str, dict[str, Any]]] = []
+    if len(result.all_markers):
+        signs += [
+            ("before", scene.BEFORE, {"marker": "x", "ms": 6, "mew": 1.8}),
+            ("marker, registered", scene.FITTED, {"marker": "o", "ms": 4.5}),
+            ("marker, measured", scene.MEASURED, {"marker": "o", "ms": 7, "mfc": "none"}),
+        ]
+    if result.surface is not None:
+        signs.append(("surface points", scene.MEASURED, {"marker": ".", "ms": 4}))
+    reasons = {reason for _, reason in result.markers.dropped}
+    if "wrong" in reasons:
+        signs.append(("wrong marker, not used", scene.WRONG, {"marker": "X", "ms": 8}))
+    if "not seen" in reasons:
+        signs.append(("not seen: where it must be", "dimgray", {"marker": "$?$", "ms": 7}))
+    if result.contacts:
+        signs.append(("contact: force on the body", scene.CONTACT, {"marker": r"$\rightarrow$", "ms": 12}))
+    flags = {target.flag is not None for target in result.targets.values()}
+    if False in flags:
+        signs.append(("target, 90 % region", scene.TARGET, {"ls": "-", "lw": 1.2, "marker": "+", "ms": 7}))
+    if True in flags:
+        signs.append(("target, no marker tells", scene.FLAGGED, {"ls": "--", "lw": 1.2, "marker": "+", "ms": 7}))
+    return signs
