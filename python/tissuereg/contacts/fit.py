@@ -89,6 +89,14 @@ class _Pass:
         return self.left < self.promised + _FORETOLD
 
 
+@dataclass(frozen=True)
+class _Left:
+    """What is remembered of every pass: see `_Pass`."""
+
+    left: float
+    promised: float
+
+
 @dataclass(frozen=True, eq=False)
 class ContactFit:
     """What the passes came to.
@@ -236,27 +244,38 @@ class Passes:
 
     def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
         """Return the closest of at most so many passes, and what each of them left."""
-        reached: list[_Pass] = []
+        reached: list[_Left] = []
+        closest: _Pass | None = None
         while len(reached) < max(most, 1) and not self._ended(reached):
             try:
-                at = self.linear.at(moment, self.seen)
+                made = self._one_pass(moment, samples)
             except ConvergenceError:
                 # A limit point has no tangent: the passes that led there count.
-                if not reached:
+                if closest is None:
                     raise
                 break
-            samples = self._sample(at.sampler, samples)
-            with self.clock.stage("solve"):
-                wanted, misfit = self._mean(at, samples)
-                promised = _promised(at.posed, wanted, samples)
-                moment = self._solve(at, samples, moment, wanted)
-            left = self.residual_rms(moment, samples)
-            reached.append(_Pass(moment, samples, at, left, promised, misfit))
+            moment, samples = made.moment, made.samples
+            reached.append(_Left(made.left, made.promised))
+            # Past a limit point of the load passes may lead away again: the closest one counts. The others go, since
+            # each holds a factor.
+            if closest is None or made.left < closest.left:
+                closest = made
+            del made
             if self.progress is not None:
                 most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
                 self.progress(min(self.counters["passes"], most_passes), most_passes)
-        # Past a limit point of the load passes may lead away again: the closest one counts.
-        return min(reached, key=lambda one: one.left), [one.left for one in reached]
+        assert closest is not None  # the loop runs once at least
+        return closest, [one.left for one in reached]
+
+    def _one_pass(self, moment: Moment, samples: Samples | None) -> "_Pass":
+        """Return the pass that begins at a body, with samples that go on from those before."""
+        at = self.linear.at(moment, self.seen)
+        drawn = self._sample(at.sampler, samples)
+        with self.clock.stage("solve"):
+            wanted, misfit = self._mean(at, drawn)
+            promised = _promised(at.posed, wanted, drawn)
+            reached = self._solve(at, drawn, moment, wanted)
+        return _Pass(reached, drawn, at, self.residual_rms(reached, drawn), promised, misfit)
 
     def posed(self, moment: Moment) -> Posed:
         """Return the data at a body with how they follow the columns."""
@@ -346,7 +365,7 @@ class Passes:
             weights[group] = max(1.0 - wrong, 1e-6)
         return float(np.sqrt(np.average(reading.cost, weights=weights)))
 
-    def _ended(self, reached: list["_Pass"]) -> bool:
+    def _ended(self, reached: list["_Left"]) -> bool:
         """Return whether the data are met as well as the linear model promised, or the last passes brought nothing."""
         if len(reached) < 2:
             return False

@@ -28,9 +28,14 @@ def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
         return np.ones((1, len(middles)))
     gaps = np.asarray(cKDTree(places).query(places, k=2)[0])
     width = 0.8 * float(np.median(gaps[:, 1]))
-    squared = np.sum(middles**2, axis=1) - 2.0 * places @ middles.T + np.sum(places**2, axis=1)[:, None]
-    fields = np.exp(-0.5 * squared / width**2)
-    return np.asarray(fields / np.sqrt(np.sum(fields**2, axis=0)))
+    # One array for all steps: on a large body it is the largest of all.
+    fields = np.asarray((-2.0 * places) @ middles.T)
+    fields += np.sum(middles**2, axis=1)
+    fields += np.sum(places**2, axis=1)[:, None]
+    fields *= -0.5 / width**2
+    np.exp(fields, out=fields)
+    fields /= np.sqrt(np.einsum("fn,fn->n", fields, fields))
+    return fields
 
 
 def far_apart(places: FloatArray, count: int) -> IntArray:

@@ -6,7 +6,7 @@ what it does to the markers reaches the point once more, through the gain. The l
 anywhere, of which the samples know nothing because no marker saw it: its variance given the markers, times a chance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +23,9 @@ from tissuereg.simulate.sensitivity import Cause, Compliance, Field
 
 #: Smooth fields of the stiffness of supports that are perhaps held.
 _N_SUPPORT_FIELDS = 12
+
+#: Fields of the whole body that are made at the same time: whole blocks of the solver, the same at any thread count.
+_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +76,7 @@ class Spread:
         errors = _model_errors(fit, material, settings)
         scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
         causes = [*errors, *(cause for cause, _ in further)]
-        by_law = -scales[:, None, None] * fit.tangent.linearised.unbalanced(causes)
-        self._model_forces = np.concatenate([by_law, _support_errors(fit, settings)])
+        self._model_forces = _forces_of_errors(fit, (causes, scales), _support_errors(fit, settings))
         self._model_at_data = self._by_model(self._compliance(fit.posed.rows))
         self._suggested: FloatArray | None = None
         self._unseen_variances = unseen_variances(fit.columns.body.patches, settings, fit.columns.n_columns)
@@ -187,9 +189,13 @@ class Spread:
             suggested = self._moments(np.zeros((0, fit.columns.n_columns)))[2]
         drawn = drawn - errors @ suggested.T
         drawn += np.sqrt(self._settings.unseen_chance) * self._unseen_draws(rng, len(drawn))
-        moved = linear_fields(fit, drawn, np.tensordot(errors, self._model_forces, 1))
-        moved = moved[:, : fit.columns.body.mesh.n_nodes] @ turn.T
-        spread = np.einsum("dna,dnb->nab", moved, moved) / len(moved)
+        n_nodes = fit.columns.body.mesh.n_nodes
+        spread = np.zeros((n_nodes, 3, 3))
+        for some in _in_parts(len(drawn)):
+            moved = linear_fields(fit, drawn[some], np.tensordot(errors[some], self._model_forces, 1))
+            moved = moved[:, :n_nodes] @ turn.T
+            spread += np.einsum("dna,dnb->nab", moved, moved)
+        spread /= len(drawn)
         if fields is not None:
             off = fields - fields.mean(axis=0)
             spread += np.einsum("dna,dnb->nab", off, off) / max(1, len(fields) - 1)
@@ -205,6 +211,25 @@ class Spread:
         chosen = [np.ascontiguousarray(part[order]) for part in fit.samples]
         normals = rng.standard_normal((count, fit.columns.n_columns + n_obs))
         return np.asarray(fit.sampler.draws(chosen, normals, threads=self._threads))
+
+
+def _in_parts(count: int) -> Iterator[slice]:
+    """Yield parts of a count: whole fields are made for so many at a time, since they are large."""
+    for first in range(0, count, _AT_ONCE):
+        yield slice(first, min(first + _AT_ONCE, count))
+
+
+def _forces_of_errors(
+    fit: ContactFit, errors: tuple[Sequence[Cause], FloatArray], of_supports: FloatArray
+) -> FloatArray:
+    """Return what errors of the model leave out of balance, each at its size, (n_errors, n_element_nodes, 3), mN."""
+    causes, scales = errors
+    forces = np.empty((len(causes) + len(of_supports), *of_supports.shape[1:]))
+    for some in _in_parts(len(causes)):
+        forces[some] = fit.tangent.linearised.unbalanced(causes[some])
+        forces[some] *= -scales[some, None, None]
+    forces[len(causes) :] = of_supports
+    return forces
 
 
 def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int) -> FloatArray:
@@ -234,7 +259,7 @@ def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings
     simulator = fit.columns.body.simulator
     young = simulator.moduli(material)[0]
     by_tet = young if young.ndim == 1 else young.mean(axis=1)
-    fields = settings.young_log_std * fit.columns.body.blobs * by_tet
+    fields = fit.columns.body.blobs * (settings.young_log_std * by_tet)
     poisson = np.full(simulator.mesh.n_tets, settings.poisson_std)
     return [*(Field("young", one) for one in fields), Field("poisson", poisson)]
 
