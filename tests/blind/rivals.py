@@ -23,7 +23,7 @@ from tissuereg.diagnose.generic import generic_columns
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import make_nuisances
 from tissuereg.diagnose.proof import Linear
-from tissuereg.diagnose.refined import path_of, refined_predictions
+from tissuereg.diagnose.refined import entry_of, refined_predictions
 from tissuereg.diagnose.search import MOST_CAUSES, SEPARABLE
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import EFFECTS
@@ -205,7 +205,7 @@ def look_at(folder: Path, threads: int, *, fine: bool = False) -> Scene:
     bench = Bench(experiment, layout, threads=threads)
     correction = Correction(layout)
     if fine:
-        correction = make_correction(layout, bench.base, refined_predictions(bench, path_of(experiment))[0])
+        correction = make_correction(layout, bench.base, refined_predictions(bench, entry_of(experiment))[0])
     nuisances = make_nuisances(bench, np.zeros((1, layout.size)), correction)
     free = [i for i, name in enumerate(nuisances.names) if name == "stiffness" or name.startswith("frame ")]
     null = Null(noise.whitened(correction.at_modulus(nuisances.columns[free]), layout))

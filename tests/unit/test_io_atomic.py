@@ -1,5 +1,6 @@
 """Files are written whole or not at all; JSON holds finite numbers only."""
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -19,7 +20,7 @@ def half_write(path, error):
 def test_a_file_appears_only_when_its_writer_has_finished(tmp_path):
     with atomic_file(tmp_path / "deep" / "er" / "note.txt") as temporary:
         temporary.write_text("all")
-        assert not (tmp_path / "deep").exists()
+        assert not (tmp_path / "deep" / "er" / "note.txt").exists()
     assert (tmp_path / "deep" / "er" / "note.txt").read_text() == "all"
 
 
@@ -29,6 +30,24 @@ def test_a_writer_that_fails_leaves_the_old_file_and_no_litter(tmp_path):
         half_write(temporary, ZeroDivisionError)
     assert (tmp_path / "note.txt").read_text() == "old"
     assert [file.name for file in tmp_path.iterdir()] == ["note.txt"]
+
+
+def test_a_writer_that_fails_takes_the_folders_away_that_it_made(tmp_path):
+    with pytest.raises(ZeroDivisionError), atomic_file(tmp_path / "deep" / "er" / "note.txt") as temporary:
+        half_write(temporary, ZeroDivisionError)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_in_the_way_of_a_result_leaves_all_old_files(tmp_path):
+    (tmp_path / "out" / "b.txt").mkdir(parents=True)
+    (tmp_path / "out" / "a.txt").write_text("old")
+    written = contextlib.ExitStack()
+    temporary = written.enter_context(atomic_folder(tmp_path / "out"))
+    for name in ("a.txt", "b.txt"):
+        (temporary / name).write_text("new")
+    with pytest.raises(OutputError, match=r"b\.txt must be a file"):
+        written.close()
+    assert (tmp_path / "out" / "a.txt").read_text() == "old"
 
 
 def test_an_interrupt_leaves_no_litter_either(tmp_path):

@@ -6,10 +6,9 @@ hash of all that they depend on.
 """
 
 import hashlib
+import io
 import json
-import zipfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes import CAUSES, Variant
 from tissuereg.effects import EFFECTS, ChainEffect
 from tissuereg.experiment import Experiment
-from tissuereg.io.cache import cache_folder, keep_in_cache
+from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.json import dumps
 
 #: To be increased when columns change their meaning, so that older files are not read.
@@ -30,7 +29,7 @@ SCHEMA = 10
 CLOSED_FORM = tuple(name for name in CAUSES if issubclass(EFFECTS[name], ChainEffect))
 
 #: Number of cached banks; the oldest are deleted.
-MOST_FILES = 24
+MOST_ENTRIES = 24
 
 
 #: Hypotheses by id of the cause; causes without a hypothesis in an experiment are left out.
@@ -59,8 +58,8 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
     ConvergenceError
         If the believed model itself has no equilibrium.
     """
-    path = cache_folder() / f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA}')}.npz"
-    base, bank = _read(path) if keep else (None, {})
+    entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA}')}"
+    base, bank = _read(entry) if keep else (None, {})
     if base is not None:
         bench.base = base
     new = False
@@ -71,7 +70,7 @@ def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None
             bank[name] = [_single(variant) for variant in cause.variants(bench)]
             new = new or name not in CLOSED_FORM
     if keep and new:
-        _write(path, bench.base, bank)
+        _write(entry, bench.base, bank)
     return {name: bank[name] for name in CAUSES if bank[name]}
 
 
@@ -115,7 +114,7 @@ def _single(variant: Variant) -> Variant:
     )
 
 
-def _write(path: Path, base: FloatArray, bank: Bank) -> None:
+def _write(entry: str, base: FloatArray, bank: Bank) -> None:
     arrays: dict[str, Any] = {"base": base}
     card: dict[str, list[dict[str, object]]] = {}
     for name, several in bank.items():
@@ -127,21 +126,23 @@ def _write(path: Path, base: FloatArray, bank: Bank) -> None:
         if several:
             arrays[f"columns_{name}"] = np.stack([v.columns for v in several])
     arrays["card"] = np.array(dumps(card))
-    keep_in_cache(path, lambda stream: np.savez(stream, allow_pickle=False, **arrays), MOST_FILES)
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    keep_entry(entry, content.getvalue(), MOST_ENTRIES)
 
 
-def _read(path: Path) -> tuple[FloatArray | None, Bank]:
-    """Return the cached prediction of the believed model and the hypotheses; nothing where the file is damaged."""
-    try:
-        with np.load(path, allow_pickle=False) as kept:
-            card = json.loads(str(kept["card"]))
-            bank: Bank = {}
-            for name, rows in card.items():
-                columns = kept[f"columns_{name}"] if rows else []
-                bank[name] = [
-                    Variant(row["label"], column, row["settings"], row["positive"], row["fixed"])
-                    for row, column in zip(rows, columns, strict=True)
-                ]
-            return kept["base"], bank
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+def _read(entry: str) -> tuple[FloatArray | None, Bank]:
+    """Return the cached prediction of the believed model and the hypotheses; none where there is no whole entry."""
+    content = read_entry(entry)
+    if content is None:
         return None, {}
+    with np.load(io.BytesIO(content), allow_pickle=False) as kept:
+        card = json.loads(str(kept["card"]))
+        bank: Bank = {}
+        for name, rows in card.items():
+            columns = kept[f"columns_{name}"] if rows else []
+            bank[name] = [
+                Variant(row["label"], column, row["settings"], row["positive"], row["fixed"])
+                for row, column in zip(rows, columns, strict=True)
+            ]
+        return kept["base"], bank

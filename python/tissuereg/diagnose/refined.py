@@ -3,9 +3,9 @@
 Meshing and solving take long; predictions of the believed model are cached, named by a hash of all that they depend on.
 """
 
+import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from tissuereg.diagnose.predictor import refuse_failures
 from tissuereg.diagnose.signals import Layout
 from tissuereg.effects import Effect, extended
 from tissuereg.experiment import Experiment
-from tissuereg.io.cache import cache_folder, keep_in_cache
+from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.simulate.experiment import CaseSimulation
 from tissuereg.simulate.fine import FineModel, third_meshes
 from tissuereg.simulate.memory import remembers
@@ -27,8 +27,8 @@ SCHEMA = 2
 #: Number of fine meshes in addition to the one that corrects.
 THIRDS = 3
 
-#: Number of cached files, some 0.1 MB each; the oldest are deleted.
-MOST_FILES = 500
+#: Number of cached entries, some 0.1 MB each; the oldest are deleted.
+MOST_ENTRIES = 500
 
 
 def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
@@ -59,13 +59,13 @@ def flat_of(layout: Layout, answers: dict[str, CaseSimulation]) -> FloatArray:
     )
 
 
-def path_of(experiment: Experiment) -> Path:
-    """Return the cache file of a believed model's predictions on fine meshes."""
-    return cache_folder() / f"fine_{fingerprint(experiment, f'tet10 {SCHEMA}')}.npy"
+def entry_of(experiment: Experiment) -> str:
+    """Return the name of the cached entry of a believed model's predictions on fine meshes."""
+    return f"fine_{fingerprint(experiment, f'tet10 {SCHEMA}')}"
 
 
 def refined_predictions(
-    bench: Bench, path: Path | None, *, thirds: int = THIRDS, progress: Callable[[str], None] | None = None
+    bench: Bench, entry: str | None, *, thirds: int = THIRDS, progress: Callable[[str], None] | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the predictions of the believed model on the correcting fine mesh and on further ones.
 
@@ -73,8 +73,8 @@ def refined_predictions(
     ----------
     bench : Bench
         The believed model.
-    path : Path, optional
-        Cache file; see `path_of`.
+    entry : str, optional
+        Name of the cached entry; see `entry_of`.
     thirds : int
         Number of further meshes.
     progress : callable of str, optional
@@ -90,7 +90,7 @@ def refined_predictions(
     ConvergenceError
         If a frame has no equilibrium.
     """
-    kept = None if path is None else _read(path)
+    kept = None if entry is None else _read(entry)
     if kept is not None and kept.shape == (1 + thirds, bench.layout.size):
         return kept[0], kept[1:]
     found = []
@@ -99,8 +99,10 @@ def refined_predictions(
             progress("fine mesh" if number == 0 else f"other mesh {number}")
         found.append(flat_of(bench.layout, model.simulate(threads=bench.predictor.threads)))
     made = np.array(found)
-    if path is not None:
-        keep_in_cache(path, lambda stream: np.save(stream, made), MOST_FILES)
+    if entry is not None:
+        content = io.BytesIO()
+        np.save(content, made)
+        keep_entry(entry, content.getvalue(), MOST_ENTRIES)
     return made[0], made[1:]
 
 
@@ -137,8 +139,6 @@ def _models(bench: Bench, thirds: int) -> Iterator[FineModel]:
     yield from third_meshes(bench.experiment, thirds, seed=0)
 
 
-def _read(path: Path) -> FloatArray | None:
-    try:
-        return np.asarray(np.load(path, allow_pickle=False))
-    except (OSError, ValueError):
-        return None
+def _read(entry: str) -> FloatArray | None:
+    content = read_entry(entry)
+    return None if content is None else np.asarray(np.load(io.BytesIO(content), allow_pickle=False))

@@ -29,7 +29,7 @@ from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
 from tissuereg.diagnose.noise import Noise, estimate_noise
 from tissuereg.diagnose.nuisances import Nuisances, make_nuisances
 from tissuereg.diagnose.nulls import draw_nulls
-from tissuereg.diagnose.refined import path_of, refined_predictions
+from tissuereg.diagnose.refined import entry_of, refined_predictions
 from tissuereg.diagnose.residual import nearest_cause, residual_summary
 from tissuereg.diagnose.screen import Screen
 from tissuereg.diagnose.search import Search, search
@@ -165,7 +165,7 @@ def make_believed(
     if bench.is_exact:
         fine, others = bench.base, np.zeros((0, layout.size))
     else:
-        fine, others = refined_predictions(bench, path_of(bench.experiment) if keep else None, progress=progress)
+        fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None, progress=progress)
     correction = make_correction(layout, bench.base, fine)
     nuisances = make_nuisances(bench, others - fine, correction)
     correction = _at_modulus(bench, noise, correction, nuisances)

@@ -1,18 +1,19 @@
 """Write files and folders whole or not at all.
 
-A writer gets a temporary sibling; only when it has finished is that made durable and renamed onto
-the name the user gave. Whatever goes wrong before leaves the old content untouched.
+A writer gets a place in a draft (`tissuereg.io.drafts`); only when it has finished is that made durable and renamed
+onto the name the user gave. Whatever goes wrong before leaves the old content untouched, and what a killed process
+leaves of its draft the next writer to the same folder removes.
 """
 
 import contextlib
 import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from tissuereg._arguments import place
 from tissuereg.errors import TissueRegError
+from tissuereg.io.drafts import draft, remove_stale_drafts
 
 
 class OutputError(TissueRegError, OSError):
@@ -50,18 +51,13 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = place("path", path, error=OutputError)
     check_file_target(target)
-    with _as_output_error(target):
-        handle, name = tempfile.mkstemp(prefix=".tissuereg-", suffix=target.suffix, dir=_standing_folder(target))
-        os.close(handle)
-        temporary = Path(name)
-        try:
-            yield temporary
-            _make_durable(temporary)
-            temporary.chmod(0o666 & ~_umask())
-            target.parent.mkdir(parents=True, exist_ok=True)
-            temporary.replace(target)
-        finally:
-            temporary.unlink(missing_ok=True)
+    with _as_output_error(target), _draft_in(target.parent) as made:
+        temporary = made / target.name
+        temporary.touch()
+        yield temporary
+        _make_durable(temporary)
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(target)
 
 
 @contextlib.contextmanager
@@ -88,16 +84,14 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = place("path", path, error=OutputError)
     check_folder_target(target)
-    with _as_output_error(target):
-        temporary = Path(tempfile.mkdtemp(prefix=".tissuereg-", dir=_standing_folder(target)))
-        try:
-            yield temporary
-            for file in sorted(temporary.rglob("*")):
-                if file.is_file():
-                    _make_durable(file)
-            _move_content(temporary, target)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+    # A folder that stands may be all that can be written there, or a file system of its own.
+    with _as_output_error(target), _draft_in(target if target.is_dir() else target.parent) as made:
+        remove_stale_drafts(target.parent)
+        yield made
+        for file in sorted(made.rglob("*")):
+            if file.is_file():
+                _make_durable(file)
+        _move_content(made, target)
 
 
 def check_file_target(path: str | os.PathLike[str]) -> None:
@@ -156,18 +150,36 @@ def _standing_folder(target: Path) -> Path:
     return next(folder for folder in target.absolute().parents if folder.exists())
 
 
-def _move_content(temporary: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary.chmod(0o777 & ~_umask())
+@contextlib.contextmanager
+def _draft_in(folder: Path) -> Iterator[Path]:
+    """Give an empty folder to write in below `folder`, which is made where absent and goes again if it stays empty."""
+    absent = [folder, *folder.parents]
+    absent = [one for one in absent if not one.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with draft(folder) as made:
+            yield made
+    finally:
+        for one in absent:
+            with contextlib.suppress(OSError):
+                one.rmdir()
+
+
+def _move_content(made: Path, target: Path) -> None:
     if not target.exists():
-        temporary.rename(target)
+        made.chmod(0o777 & ~_umask())
+        made.rename(target)
         return
-    for file in sorted(temporary.rglob("*")):
-        place = target / file.relative_to(temporary)
-        if file.is_dir():
-            place.mkdir(exist_ok=True)
+    moves = [(one, target / one.relative_to(made)) for one in sorted(made.rglob("*"))]
+    for one, final in moves:  # all are looked at before any is moved
+        if final.exists() and final.is_dir() != one.is_dir():
+            message = f"{final} must be a {'folder' if one.is_dir() else 'file'}, or absent, for results to replace it"
+            raise OutputError(message, where=str(final))
+    for one, final in moves:
+        if one.is_dir():
+            final.mkdir(exist_ok=True)
         else:
-            file.replace(place)
+            one.replace(final)
 
 
 def _make_durable(file: Path) -> None:

@@ -18,6 +18,7 @@ from tissuereg._clock import Clock
 from tissuereg._version import __version__
 from tissuereg.errors import EnsembleError, ExperimentError
 from tissuereg.io.atomic import atomic_file
+from tissuereg.io.drafts import remove_stale_drafts
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.recipe import Recipe
@@ -112,20 +113,19 @@ def _begin(folder: Path, recipe: Recipe, mesh: Mesh, seed: int) -> None:
     told = {k: v for k, v in recipe.raw.items() if k != "train"}
     mark = hashlib.sha256(json.dumps([told, seed, mesh.digest(), __version__], sort_keys=True).encode()).hexdigest()
     marker = folder / "recipe.sha256"
-    if marker.exists():
-        if marker.read_text(encoding="utf-8").strip() != mark:
-            message = (
-                f"{folder} must be empty or hold data of this very recipe, seed, mesh and version; it holds another's"
-            )
+    remove_stale_drafts(folder)
+    if not marker.exists():
+        if folder.exists() and any(folder.iterdir()):
+            message = f"{folder} must be empty or hold a data set; it holds other files"
             raise ExperimentError(message, where=str(folder))
-        return
-    if folder.exists() and any(folder.iterdir()):
-        message = f"{folder} must be empty or hold a data set; it holds other files"
+        # First of all: a run that is killed after it is gone on with.
+        with atomic_file(marker) as path:
+            path.write_text(mark + "\n", encoding="utf-8")
+    elif marker.read_text(encoding="utf-8").strip() != mark:
+        message = f"{folder} must be empty or hold data of this very recipe, seed, mesh and version; it holds another's"
         raise ExperimentError(message, where=str(folder))
-    folder.mkdir(parents=True, exist_ok=True)
-    _save(folder / "mesh.npz", nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
-    with atomic_file(marker) as path:
-        path.write_text(mark + "\n", encoding="utf-8")
+    if not (folder / "mesh.npz").exists():
+        _save(folder / "mesh.npz", nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
 
 
 def _events(

@@ -1,0 +1,134 @@
+"""Drafts: the temporary folder in which an output is written before it gets its name.
+
+A draft is a folder ``.tissuereg-tmp-MACHINE-RANDOM`` beside the output, with a file ``lock`` that its writer keeps
+locked. The system frees the lock when the process ends, however it ends: a draft whose lock is free was left by a
+killed process, and the next writer to the same folder removes it. Locks may not reach other machines through a shared
+folder, so a draft of another machine is removed only if it is also a day old.
+"""
+
+import contextlib
+import os
+import re
+import secrets
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+if sys.platform != "win32":
+    import fcntl
+
+#: How the name of every draft begins.
+DRAFT_PREFIX = ".tissuereg-tmp-"
+
+#: A draft of another machine goes when it is older than this, s. Writing takes seconds.
+OTHERS_AGE = 86_400.0
+
+#: Names that are tried before giving up; one is lost to a writer that tidies at the same moment.
+_TRIES = 100
+
+
+@contextlib.contextmanager
+def draft(folder: Path) -> Iterator[Path]:
+    """Give an empty folder to write in, and remove drafts in `folder` that killed processes left.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the draft stands: the folder of the output, so that a rename stays on one file system.
+
+    Yields
+    ------
+    Path
+        An empty folder within the draft; whatever is still in it at the end is removed.
+
+    Raises
+    ------
+    OSError
+        If the draft cannot be made.
+    """
+    remove_stale_drafts(folder)
+    made, lock = _make(folder)
+    try:
+        yield made / "content"
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+        os.close(lock)
+
+
+def remove_stale_drafts(folder: Path) -> None:
+    """Remove drafts that nobody writes any more; what cannot be removed stays.
+
+    Parameters
+    ----------
+    folder : Path
+        Where outputs are written.
+    """
+    with contextlib.suppress(OSError):
+        for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+            if entry.name.startswith(DRAFT_PREFIX) and entry.is_dir(follow_symlinks=False):
+                _remove_if_stale(Path(entry.path))
+
+
+def _make(folder: Path) -> tuple[Path, int]:
+    """Return a new draft and its lock, held."""
+    for _ in range(_TRIES):
+        made = folder / f"{DRAFT_PREFIX}{_machine()}-{secrets.token_hex(4)}"
+        try:
+            made.mkdir(mode=0o700)
+            lock = _opened(made)
+        except (FileExistsError, FileNotFoundError):  # another writer's name, or tidied away before it was locked
+            continue
+        if _take(lock) is not False and _still_there(made, lock):
+            (made / "content").mkdir(mode=0o700)
+            return made, lock
+        os.close(lock)
+    message = "no draft could be made"
+    raise FileExistsError(message)
+
+
+def _remove_if_stale(found: Path) -> None:
+    if not found.name.startswith(f"{DRAFT_PREFIX}{_machine()}-"):
+        with contextlib.suppress(OSError):
+            if time.time() - found.stat().st_mtime < OTHERS_AGE:
+                return
+    try:
+        lock = _opened(found)
+    except OSError:
+        return
+    try:
+        if _take(lock):
+            shutil.rmtree(found, ignore_errors=True)
+    finally:
+        os.close(lock)
+
+
+def _machine() -> str:
+    return re.sub(r"[^A-Za-z0-9]", "", socket.gethostname())[:32] or "unknown"
+
+
+def _opened(made: Path) -> int:
+    # Where anybody may write, another user's link must not lead anywhere.
+    return os.open(made / "lock", os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+
+
+def _take(lock: int) -> bool | None:
+    """Lock; return whether it is held now, None where this system or file system has no locks."""
+    if sys.platform == "win32":
+        return None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
+
+
+def _still_there(made: Path, lock: int) -> bool:
+    try:
+        return os.path.samestat((made / "lock").stat(), os.fstat(lock))
+    except OSError:
+        return False
