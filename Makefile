@@ -5,6 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 TRAINING_VENV := .venv-training
 TRAINING_BIN := $(TRAINING_VENV)/bin
+DOCS_VENV := .venv-docs
+DOCS_BIN := $(DOCS_VENV)/bin
 CARGO ?= cargo
 DATA ?= ../shared/data
 REFERENCE ?= ../shared/reference
@@ -12,13 +14,14 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
 	@echo "make test            tests of the Rust crates and the Python package (no torch); make test-slow: those of minutes"
 	@echo "make test-sturdy     a thousand known equilibria, two thousand random inputs"
 	@echo "make test-training   set up training/ with torch and test it"
+	@echo "make docs            the documentation site, to be read from files -> build/site/index.html"
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
 	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls -> docs/blind-quick.md"
@@ -97,6 +100,19 @@ training: $(TRAINING_VENV)/.installed
 
 test-training: training
 	cd training && ../$(TRAINING_BIN)/python -m pytest
+
+# The site needs neither the wheel nor what it depends on: sources are read, not imported.
+$(DOCS_VENV)/.installed: pyproject.toml tools/extra.py
+	$(PYTHON) -m venv $(DOCS_VENV)
+	$(DOCS_BIN)/python -m pip install --quiet --upgrade pip
+	$(DOCS_BIN)/python -m pip install --quiet "tomli>=2.0; python_version < '3.11'"
+	$(DOCS_BIN)/python tools/extra.py docs > $(DOCS_VENV)/requirements.txt
+	$(DOCS_BIN)/python -m pip install --quiet --requirement $(DOCS_VENV)/requirements.txt
+	touch $@
+
+docs: $(DOCS_VENV)/.installed
+	NO_MKDOCS_2_WARNING=1 $(DOCS_BIN)/mkdocs build --strict --quiet
+	$(DOCS_BIN)/python tools/check_site.py build/site
 
 beam: $(VENV)/.installed-dev
 	$(BIN)/python examples/beam.py --data $(DATA)/beam
@@ -177,4 +193,4 @@ phantom-model: phantom-data training
 	$(TRAINING_BIN)/tissuereg train training/recipes/phantom.toml --data build/phantom-data --out build/phantom-model
 
 clean:
-	rm -rf target $(VENV) $(TRAINING_VENV) .venv-peers build demo
+	rm -rf target $(VENV) $(TRAINING_VENV) $(DOCS_VENV) .venv-peers build demo

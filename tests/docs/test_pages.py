@@ -1,0 +1,108 @@
+"""Does every code block of the documentation do what its page says?"""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.blocks import REPOSITORY, blocks, run_page
+from support.material_curves import believed, in_modes
+from support.rig_folders import write_rig
+from support.surfaces import sphere, write_stl
+from tissuereg.demo import run_demo
+from tissuereg.io.material_experiments import write_material_experiment, write_test_table
+
+DOCS = REPOSITORY / "docs"
+PAGES = [REPOSITORY / "README.md", *sorted(DOCS.rglob("*.md"))]
+WITH_BLOCKS = [page for page in PAGES if blocks(page)]
+
+
+def name_of(page):
+    return page.relative_to(REPOSITORY).as_posix()
+
+
+def give_readme(folder):
+    """What `make demo` writes, and the same files under the names of the command line."""
+    run_demo(folder / "demo", seed=0)
+    for file in ("body.vtu", "markers.csv", "targets.csv"):
+        shutil.copy(folder / "demo" / "input" / file, folder / file)
+
+
+def give_meshing(folder):
+    """A surface of the size of the page's numbers: base at z = 0, top near (40, 20, 95)."""
+    vertices, triangles = sphere(50.0, (40.0, 20.0, 0.0))
+    vertices[:, 2] = np.maximum(vertices[:, 2], 0.0) * 1.9
+    write_stl(folder / "liver.stl", (vertices, triangles))
+
+
+def give_diagnose(folder):
+    write_rig(folder / "my-rig", "balls")
+
+
+def give_material(folder):
+    test = folder / "my-test"
+    test.mkdir()
+    curves = in_modes(np.random.default_rng(4), ("ogden", -10.0))
+    write_test_table(test / "test.csv", curves)
+    write_material_experiment(believed(curves, folder=test), test / "experiment.toml")
+
+
+#: What a page takes for granted, by a function of the folder in which its blocks run.
+GIVEN = {
+    "README.md": give_readme,
+    "docs/meshing.md": give_meshing,
+    "docs/diagnose.md": give_diagnose,
+    "docs/material.md": give_material,
+}
+
+#: Pages whose blocks take tens of seconds.
+SLOW = {"docs/diagnose.md"}
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run a page in a folder of its own, with a cache of its own."""
+
+    def run(page):
+        if "tissuereg mesh " in page.read_text(encoding="utf-8"):
+            pytest.importorskip("pytetwild", reason="the extra `mesh` is not installed")
+        folder, cache = tmp_path / "page", tmp_path / "cache"
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+        monkeypatch.setenv("TISSUEREG_CACHE", str(cache))
+        GIVEN.get(name_of(page), lambda folder: None)(folder)
+        return folder, run_page(page, folder, {"TISSUEREG_CACHE": str(cache)})
+
+    return run
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=name_of(page), marks=[pytest.mark.slow] if name_of(page) in SLOW else [])
+        for page in WITH_BLOCKS
+        if page.name != "README.md"
+    ],
+)
+def test_the_blocks_of_a_page_run(page, run):
+    run(page)
+
+
+def test_the_readme_runs_and_finds_the_lesion(run):
+    folder, names = run(REPOSITORY / "README.md")
+    result = names["result"]
+    told = json.loads((folder / "demo" / "registration.json").read_text(encoding="utf-8"))
+    true = told["truth"]["targets"]["lesion"]["true_mm"]
+    off = ((result.target("lesion").mean - true) ** 2).sum() ** 0.5
+    rest = ((result.target("lesion").reference - true) ** 2).sum() ** 0.5
+    assert off < 0.2 * rest
+    assert (folder / "report.html").is_file()
+    assert (folder / "registered" / "registered.vtu").is_file()
+    assert isinstance(result, tr.Registration)
+
+
+def test_blocks_that_are_not_run_are_known():
+    left_out = {name_of(page): sum(block.not_run is not None for block in blocks(page)) for page in PAGES}
+    assert {page: n for page, n in left_out.items() if n} == {}

@@ -1,0 +1,69 @@
+"""Does the site lead to every page, name every public name, and find what it would lack without a network?"""
+
+import importlib.util
+import pkgutil
+import re
+
+import pytest
+
+import tissuereg as tr
+from support.blocks import REPOSITORY
+
+DOCS = REPOSITORY / "docs"
+
+
+def loaded(name):
+    """Return a script of `tools` as a module."""
+    spec = importlib.util.spec_from_file_location(name, REPOSITORY / "tools" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def nav():
+    """Return the pages that mkdocs.yml leads to."""
+    text = (REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
+    return re.findall(r"^ +- [^#]*?([\w./-]+\.md)$", text, flags=re.MULTILINE)
+
+
+def mirrored():
+    """Return the pages that the build makes of files elsewhere."""
+    text = (REPOSITORY / "tools" / "site_hooks.py").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^MIRRORED = \{(.*)\}$", text, flags=re.MULTILINE)
+    return dict(re.findall(r'"([^"]+)": "([^"]+)"', line))
+
+
+def test_the_nav_leads_to_every_page_once_and_to_no_other():
+    pages = "\n".join(page.read_text(encoding="utf-8") for page in sorted((DOCS / "api").glob("*.md")))
+    shown = [pkgutil.resolve_name(name) for name in re.findall(r"^::: (tissuereg[\w.]+)$", pages, flags=re.MULTILINE)]
+    assert all(found.__doc__ for found in shown)
+    missing = [name for name in tr.__all__ if not any(getattr(tr, name) is found for found in shown)]
+    assert missing == ["__version__"]
+
+
+@pytest.mark.parametrize(
+    ("line", "fault"),
+    [
+        ('<script src="https://cdn.example/x.js"></script>', "lies elsewhere"),
+        ('<link rel="stylesheet" href="//cdn.example/x.css">', "lies elsewhere"),
+        ('<img src="../picture.png">', "lies outside of the site"),
+        ('<img src="picture.png">', "does not exist"),
+        ('<p style="background: url(http://x.example/y.png)">', "lies elsewhere"),
+        ('<a href="other.html#there">', "does not exist"),
+        ('<span class="arithmatex">\\(x\\)</span>', "were not rendered"),
+        ('<a href="https://doi.example/10">', None),
+        ('<a href="#here">', None),
+        ('<img src="data:image/png;base64,">', None),
+        ('<a href="page.html">', None),
+    ],
+)
+def test_what_a_page_would_lack_without_a_network_is_found(line, fault, tmp_path):
+    (tmp_path / "page.html").write_text(f"<!doctype html><body>{line}</body>", encoding="utf-8")
+    told = loaded("check_site").faults(tmp_path)
+    assert [fault in line for line in told] == ([] if fault is None else [True])
+
+
+def test_style_sheets_are_looked_into(tmp_path):
+    (tmp_path / "page.html").write_text("<!doctype html>", encoding="utf-8")
+    (tmp_path / "own.css").write_text("@import 'far.css'; p { background: url(https://x.example/y.png) }")
+    assert len(loaded("check_site").faults(tmp_path)) == 2

@@ -1,0 +1,103 @@
+"""Fail where the built site needs anything that does not lie in it: `python tools/check_site.py build/site`."""
+
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+#: Elements whose attribute loads something; links that a reader may follow are not among them.
+LOADS = {
+    "audio": "src",
+    "embed": "src",
+    "iframe": "src",
+    "image": "href",
+    "img": "src",
+    "input": "src",
+    "link": "href",
+    "object": "data",
+    "script": "src",
+    "source": "src",
+    "use": "href",
+    "video": "src",
+}
+
+#: Of a style sheet.
+STYLE = re.compile(r"""url\(\s*['"]?(?!data:|#)([^'")]+)|@import\s+['"]([^'"]+)""")
+
+
+class Loaded(HTMLParser):
+    """Gathers what a page loads, its links, and formulas that were left as text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.links: list[str] = []
+        self.raw_formulas = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note what an element loads."""
+        given = dict(attrs)
+        if (found := given.get(LOADS.get(tag, ""))) is not None:
+            self.loads.append(found)
+        if tag == "a" and (found := given.get("href")) is not None:
+            self.links.append(found)
+        if (style := given.get("style")) is not None:
+            self.loads += style_loads(style)
+        self.raw_formulas += given.get("class") == "arithmatex"
+
+
+def style_loads(text: str) -> list[str]:
+    """Return what a style sheet loads."""
+    return [one or other for one, other in STYLE.findall(text)]
+
+
+def fault(page: Path, target: str, root: Path) -> str | None:
+    """Return what is wrong with something that a page loads or leads to, or None."""
+    parts = urlsplit(target)
+    if parts.scheme == "data" or not (parts.scheme or parts.netloc or parts.path):
+        return None
+    file = (page.parent / unquote(parts.path)).resolve()
+    if parts.scheme or parts.netloc:
+        why = "lies elsewhere"
+    elif not file.is_relative_to(root.resolve()):
+        why = "lies outside of the site"
+    elif not file.is_file():
+        why = "does not exist"
+    else:
+        return None
+    return f"{page.relative_to(root)}: {target} {why}"
+
+
+def faults_of_page(page: Path, root: Path) -> list[str]:
+    """Return a line for everything that a page would lack without a network."""
+    reader = Loaded()
+    reader.feed(page.read_text(encoding="utf-8"))
+    inside = [link for link in reader.links if not urlsplit(link).scheme]
+    told = [line for target in reader.loads + inside if (line := fault(page, target, root)) is not None]
+    if reader.raw_formulas:
+        told.append(f"{page.relative_to(root)}: {reader.raw_formulas} formulas were not rendered")
+    return told
+
+
+def faults(root: Path) -> list[str]:
+    """Return a line for everything that the site would lack without a network."""
+    told = [line for page in sorted(root.rglob("*.html")) for line in faults_of_page(page, root)]
+    for sheet in sorted(root.rglob("*.css")):
+        found = [fault(sheet, target, root) for target in style_loads(sheet.read_text(encoding="utf-8"))]
+        told += [line for line in found if line is not None]
+    return told
+
+
+def main() -> int:
+    """Check the folder that is named."""
+    root = Path(sys.argv[1])
+    pages = len(list(root.rglob("*.html")))
+    told = faults(root)
+    print(*told, sep="\n", end="\n" if told else "")
+    print(f"{root}: {pages} pages, {len(told)} faults")
+    return int(bool(told) or pages == 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

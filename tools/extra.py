@@ -1,0 +1,13 @@
+"""Print the requirements of an extra, one a line, so that pip installs them without building the package."""
+
+import sys
+from pathlib import Path
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
+
+print(*tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["optional-dependencies"][sys.argv[1]], sep="\n")

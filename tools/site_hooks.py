@@ -1,0 +1,50 @@
+"""What the site does beyond mkdocs: formulas become MathML when it is built, and NOTATION.md becomes a page."""
+
+import html
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+import latex2mathml.converter
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parent.parent
+
+#: Pages that lie at the root of the repository, by their names in the site.
+MIRRORED = {"notation.md": "NOTATION.md"}
+
+#: What pymdownx.arithmatex leaves of `$...$` and `$$...$$`.
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def on_config(config: Any) -> Any:
+    """Leave out the page that servers show for a missing one: it leads from the root of a server, and here is none."""
+    config.theme.static_templates.discard("404.html")
+    return config
+
+
+def on_files(files: Files, *, config: Any) -> Files:
+    """Add the mirrored pages."""
+    for name, source in MIRRORED.items():
+        files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
+    return files
+
+
+def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
+    """Lead links to a mirrored file to its page."""
+    folder = posixpath.dirname(page.file.src_uri)
+    for name, source in MIRRORED.items():
+        from_page = posixpath.relpath(posixpath.join("..", source), folder or ".")
+        markdown = markdown.replace(f"]({from_page}", f"]({posixpath.relpath(name, folder or '.')}")
+    return markdown
+
+
+def on_page_content(content: str, *, page: Any, config: Any, files: Files) -> str:
+    """Turn formulas into MathML, which browsers show without a script."""
+
+    def formula(match: re.Match[str]) -> str:
+        display = "block" if match[1] == "div" else "inline"
+        return latex2mathml.converter.convert(html.unescape(match[2]).strip(), display=display)
+
+    return FORMULA.sub(formula, content)
