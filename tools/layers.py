@@ -14,10 +14,10 @@ from pathlib import Path
 #: import what stands in its own layer (without a circle) and what stands in a lower one.
 LAYERS: tuple[tuple[str, str], ...] = (
     ("commands", "__main__ cli"),
-    ("ready-made runs", "bench demo frames"),
+    ("ready-made runs", "bench demo frames skeleton"),
     ("public calls", "contact_answer contact_registration diagnose latent_registration registration"),
     ("answers", "report result"),
-    ("parts of the calls", "contacts inputs meshing"),
+    ("parts of the calls", "contacts inputs meshing samples"),
     (
         "simulation, observation, networks",
         "assimilate baselines latent observe phantom posterior readings simulate widen",

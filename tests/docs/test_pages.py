@@ -16,7 +16,8 @@ from tissuereg.io.material_experiments import write_material_experiment, write_t
 
 DOCS = REPOSITORY / "docs"
 PAGES = [REPOSITORY / "README.md", *sorted(DOCS.rglob("*.md"))]
-WITH_BLOCKS = [page for page in PAGES if blocks(page)]
+#: Guides are followed by `test_guides.py`, in a copy of the sources.
+WITH_BLOCKS = [page for page in PAGES if blocks(page) and page.parent.name != "guides"]
 
 
 def name_of(page):
