@@ -118,7 +118,7 @@ def test_causes_that_tie_are_a_group_and_a_further_test_is_advised():
     advice = answer["next_experiment"]
     assert advice["separates"][0][0] == finding["id"]
     assert advice["separability"] > 0
-    assert "cannot tell" in finding["sentence"]
+    assert "cannot distinguish" in finding["sentence"]
 
 
 def test_two_causes_at_once_are_both_named():

@@ -1,9 +1,10 @@
-"""What a believed law gets wrong in material tests: found, named, proved on held-out data, and corrected.
+"""Diagnosis of material tests: which causes explain the difference between measured stress curves and a believed law.
 
-`diagnose_material` is the whole path: `noise` (what curves do by themselves), `hypothesis` (causes fitted, evidence),
-`nulls` (what chance does), `search` (race, proof, groups), `verdict`, `refine` and `deviations` (numbers, and how far
-they may lie off), `answer`, `extend`, `report`. One file a cause family in `causes`; the stress of a model along a
-curve is `history.stress_of`.
+`diagnose_material` runs all steps: `noise` (measurement error of the curves), `hypothesis` (fits of causes and their
+evidence), `nulls` (threshold and p-value from simulated null experiments), `search` (selection of causes, held-out
+proof, groups), `verdict`, `refine` (form and weights of the reported fit), `deviations` (its standard deviations),
+`answer`, `extend` and `report`. `causes` has one module for each family of causes; `history.stress_of` computes the
+stress of a model along a curve.
 """
 
 import os
@@ -27,18 +28,18 @@ __all__ = ["MaterialDiagnosis", "diagnose_material", "predicted_stresses"]
 
 @dataclass(frozen=True, eq=False)
 class MaterialDiagnosis:
-    """What was found out about a material test.
+    """The result of a diagnosis of a material test.
 
     Attributes
     ----------
     answer : dict
         Schema ``tissuereg.diagnosis/1``, of JSON's types.
     experiment : MaterialExperiment
-        Believed and measured.
+        Believed law and measured curves.
     extended : MaterialExperiment
         With the causes found as effects; the same where none was named.
     outcome : Outcome
-        All figures, for further work in Python.
+        All intermediate results, for further work in Python.
     """
 
     answer: dict[str, Any]
@@ -52,7 +53,7 @@ class MaterialDiagnosis:
         return str(self.answer["verdict"])
 
     def to_json(self) -> dict[str, Any]:
-        """Return the answer as JSON's types."""
+        """Return the answer in JSON's types."""
         return self.answer
 
     def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
@@ -63,7 +64,7 @@ class MaterialDiagnosis:
         folder : path-like
             Files of these names in it are replaced, others stay.
         extra : mapping, optional
-            Entries added to the JSON, or put over its own.
+            Entries added to the JSON, or replacing its own.
 
         Returns
         -------
@@ -78,7 +79,7 @@ class MaterialDiagnosis:
         out = place("folder", folder, error=OutputError)
         with atomic_folder(out) as draft:
             write_json(draft / "diagnosis.json", {**self.answer, **(extra or {})})
-            # Paths in the model lead from the folder's final place.
+            # Paths in the model are relative to the final folder.
             write_material_experiment(self.extended, draft / EXTENDED_FILE, seen_from=out)
             (draft / "report.html").write_text(material_page(self, out), encoding="utf-8")
         return out
@@ -87,16 +88,16 @@ class MaterialDiagnosis:
 def diagnose_material(
     experiment: MaterialExperiment, *, seed: int = 0, progress: Callable[[str], None] | None = None
 ) -> MaterialDiagnosis:
-    """Find out what the believed law of a material test gets wrong.
+    """Return the diagnosis of a material test.
 
     Parameters
     ----------
     experiment : MaterialExperiment
         From `tissuereg.io.material_experiments.read_material_experiment`, or made in Python.
     seed : int
-        Of the simulated nulls; the answer is the same at each call.
+        Seed of the simulated null experiments; the result is the same at each call.
     progress : callable, optional
-        Told in a few words what is being done.
+        Called with the name of the step that begins.
 
     Returns
     -------
@@ -109,7 +110,7 @@ def diagnose_material(
 
     Examples
     --------
-    Shear that grows with the cube of its amount, which no neo-Hookean solid does:
+    A shear stress with a cubic term, which no neo-Hookean solid has:
 
     >>> from pathlib import Path
     >>> import numpy as np

@@ -1,4 +1,4 @@
-"""Which further test would tell causes apart that tie with these."""
+"""Which further test would distinguish two causes that the measured curves cannot."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,14 +20,14 @@ _ROWS = 40
 
 @dataclass(frozen=True)
 class Advice:
-    """A test and what it would bring.
+    """A test and its expected benefit.
 
     Attributes
     ----------
     action : str
-        What to do.
+        Description of the test.
     separability : float
-        Of the two causes by the new curve alone.
+        Of the two causes by the new curve alone, in noise deviations.
     """
 
     action: str
@@ -35,32 +35,32 @@ class Advice:
 
 
 def best_test(experiment: MaterialExperiment, scene: Scene, one: Model, other: Model) -> Advice | None:
-    """Return the test that tells two models best apart.
+    """Return the stock test that separates two models best.
 
     Parameters
     ----------
     experiment : MaterialExperiment
-        Measured so far.
+        The experiment so far.
     scene : Scene
-        Its ranges.
+        Its scope.
     one, other : Model
         Both fitted to it.
 
     Returns
     -------
     Advice or None
-        None where no test of the stock can be foretold by both.
+        None where the models have predictions for no common test.
     """
-    told = []
+    tests = []
     for action, curve in _stock(experiment, scene):
         first, second = (stress_of(model, curve) for model in (one, other))
         if np.isfinite(first).all() and np.isfinite(second).all():
-            told.append(Advice(action, _apart(experiment, curve, first, second)))
-    return max(told, key=lambda advice: advice.separability, default=None)
+            tests.append(Advice(action, _separability(experiment, curve, first, second)))
+    return max(tests, key=lambda advice: advice.separability, default=None)
 
 
-def _apart(experiment: MaterialExperiment, curve: Curve, first: FloatArray, second: FloatArray) -> float:
-    """Return the difference of two answers in units of the noise of one more specimen."""
+def _separability(experiment: MaterialExperiment, curve: Curve, first: FloatArray, second: FloatArray) -> float:
+    """Return the norm of the difference between two predictions, whitened by the noise of one more specimen."""
     try:
         measured = replace(curve, stress=first)
     except ExperimentError:
@@ -85,7 +85,7 @@ def _stock(experiment: MaterialExperiment, scene: Scene) -> list[tuple[str, Curv
     def add(action: str, mode: str, path: Callable[[float], tuple[FloatArray, FloatArray]]) -> None:
         times, strains = path(largest[mode])
         amounts = strains if mode == "simple-shear" else 1.0 + strains
-        # Any stress of the right sign does: the models answer to the path alone.
+        # The stress is a placeholder of the right sign: the models use the path alone.
         tests.append((action, Curve("next", mode, rate, times, amounts, strains)))
 
     for mode in largest:

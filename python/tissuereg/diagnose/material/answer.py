@@ -1,4 +1,4 @@
-"""The answer in words and figures: schema ``tissuereg.diagnosis/1`` with stresses in kPa in place of millimetres."""
+"""The answer as JSON and sentences: schema ``tissuereg.diagnosis/1`` with stresses in kPa in place of millimetres."""
 
 import platform
 from collections import Counter
@@ -24,22 +24,22 @@ EXTENDED_FILE = "experiment.extended.toml"
 
 
 def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> dict[str, Any]:
-    """Return the answer as JSON's types.
+    """Return the answer in JSON's types.
 
     Parameters
     ----------
     experiment : MaterialExperiment
-        Believed and measured.
+        Believed law and measured curves.
     outcome : Outcome
-        What was found out.
+        Result of all steps.
     seed : int
-        Of simulated nulls.
+        Seed of the simulated null experiments.
 
     Returns
     -------
     dict
-        As experiment-format says, with ``kind = "material-test"``; lengths become stresses (``rms_base_kpa``), and
-        ``held_out`` has ``unit`` and ``by_case`` beside them.
+        The schema of bodies with ``kind = "material-test"``; lengths become stresses (``rms_base_kpa``), and
+        ``held_out`` also has ``unit`` and ``by_case``.
     """
     parameters = {} if outcome.refined is None else parameters_of(outcome.refined.fit, outcome.known.ids)
     causes = [
@@ -90,14 +90,14 @@ def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> di
 
 
 def parameters_of(fit: Fit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:
-    """Return the numbers of every finding, with standard deviations by linear propagation of the fit's covariance.
+    """Return the parameters of every finding, with standard deviations by linear propagation of the fit's covariance.
 
     Parameters
     ----------
     fit : Fit
-        Of the findings.
+        Of all findings together.
     ids : sequence of str
-        Of its forms, in their order.
+        Ids of its forms, in their order.
 
     Returns
     -------
@@ -112,12 +112,12 @@ def parameters_of(fit: Fit, ids: Sequence[str]) -> dict[str, dict[str, list[floa
         for column, before, effect in zip(columns, plain, effects_of(fit.forms, moved), strict=True):
             after = _numbers(effect)
             column.append(np.array([(after[key] - before[key]) / (1e-3 * std) for key in before]))
-    told = {}
+    parameters = {}
     for id, before, column in zip(ids, plain, columns, strict=True):
         slopes = np.stack(column, axis=1)
         spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fit.covariance, slopes))
-        told[id] = {key: [value, float(s)] for (key, value), s in zip(before.items(), spread, strict=True)}
-    return told
+        parameters[id] = {key: [value, float(s)] for (key, value), s in zip(before.items(), spread, strict=True)}
+    return parameters
 
 
 def _numbers(effect: Effect) -> dict[str, float]:
@@ -157,10 +157,10 @@ def _held_out(outcome: Outcome) -> dict[str, Any]:
 
 
 def _discrepancy(outcome: Outcome) -> dict[str, Any]:
-    """Say where and when what is believed is wrong."""
+    """Return in which curves and parts of them the believed law differs from the measured stress."""
     data = outcome.bench.problem.data
-    left = data.stress - data.modelled(outcome.believed.model)
-    chi = left / np.sqrt(np.diag(outcome.bench.noise))
+    residual = data.stress - data.modelled(outcome.believed.model)
+    chi = residual / np.sqrt(np.diag(outcome.bench.noise))
     sizes = {
         name: float(np.sqrt(np.mean(chi[data.curve_of == i] ** 2)))
         for i, name in enumerate(_names(data.curves))
@@ -170,7 +170,7 @@ def _discrepancy(outcome: Outcome) -> dict[str, Any]:
     modes = np.array(data.modes)
     under = max(dict.fromkeys(modes.tolist()), key=lambda mode: float(np.mean(chi[modes == mode] ** 2)))
     return {
-        "rms_kpa": float(np.sqrt(np.mean(left**2))),
+        "rms_kpa": float(np.sqrt(np.mean(residual**2))),
         "in_sigma": float(np.sqrt(np.mean(chi**2))),
         "where": worst,
         "when": _when(outcome, chi),
@@ -179,7 +179,7 @@ def _discrepancy(outcome: Outcome) -> dict[str, Any]:
 
 
 def _names(curves: Sequence[Curve]) -> list[str]:
-    """Return the names of curves, those of one name numbered."""
+    """Return the names of curves; curves of the same name are numbered."""
     seen: Counter[str] = Counter()
     several = Counter(curve.name for curve in curves)
     names = []
@@ -210,62 +210,63 @@ def _sentence(outcome: Outcome, finding: Finding) -> str:
     fit = outcome.refined.fit
     effect = fit.effects[outcome.known.ids.index(finding.id)]
     table: Mapping[str, object] = effect.table()
-    said = CAUSES[finding.id].sentence(table)
+    sentence = CAUSES[finding.id].sentence(table)
     if isinstance(effect, Relaxation):
-        said += f" Young's modulus at once: {np.exp(fit.x[0]):.3g} kPa."
+        sentence += f" Instantaneous Young's modulus: {np.exp(fit.x[0]):.3g} kPa."
     if len(finding.group) > 1:
         tied = " or ".join(finding.group[1:])
-        apart = max(finding.separability.values())
-        said += f" These data cannot tell it from {tied} (separability {apart:.1f}, {LEAST_SEPARABILITY:g} are needed)."
-    return said
+        largest = max(finding.separability.values())
+        needed = f"separability {largest:.1f}, {LEAST_SEPARABILITY:g} are needed"
+        sentence += f" These data cannot distinguish it from {tied} ({needed})."
+    return sentence
 
 
 def _sentences(outcome: Outcome) -> list[str]:
     base, named = outcome.before, outcome.after
-    said = [_sentence(outcome, finding) for finding in outcome.findings]
+    sentences = [_sentence(outcome, finding) for finding in outcome.findings]
     if outcome.verdict == "consistent":
-        return [f"What is believed explains these curves within their noise (p = {outcome.p_misfit:.2g})."]
+        return [f"The believed law explains these curves within their noise (p = {outcome.p_misfit:.2g})."]
     if outcome.verdict == "unexplained":
         nearest = [c.id for c in outcome.candidates if c.id != "unknown"][:2]
-        share = f" The best of them explain {outcome.explained:.0%} of it." if outcome.known.ids else ""
+        share = f" The best of them explain {outcome.explained:.0%} of the misfit." if outcome.known.ids else ""
         return [
-            "What is believed does not explain these curves, and no cause of the catalogue does; "
-            f"nearest come {' and '.join(nearest) or 'none'}.{share}"
+            "The believed law does not explain these curves, nor does any cause of the catalogue; "
+            f"the nearest are {' and '.join(nearest) or 'none'}.{share}"
         ]
     what = {"part": "the last part of each curve", "mode": "a mode", "rate": "a rate", "specimen": "a specimen"}
-    fall = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
-    said.append(f"With {what[outcome.unit]} left out of the fit its error falls {fall}.")
+    change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
+    sentences.append(f"The prediction error of {what[outcome.unit]} that is held out changes {change}.")
     if outcome.p_misfit <= MISFIT:
-        said.append(f"A remainder beyond the noise is left: {outcome.explained:.0%} of the misfit are explained.")
+        sentences.append(f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.")
         assert outcome.refined is not None  # there are findings
-        said.append(
-            f"The form found cannot follow some {outcome.refined.form_error:.1%} of the stress: the deviations stated "
-            "allow for that within the modes, rates and strains tested."
+        sentences.append(
+            f"The form found has a model error of some {outcome.refined.form_error:.1%} of the stress; the stated "
+            "deviations include it for the modes, rates and strains tested."
         )
     if outcome.unit == "part":
-        said.append(
-            "Nothing but the last part could be left out: provisional until another mode, rate or specimen is tested, "
-            "of which the deviations stated say nothing."
+        sentences.append(
+            "Only the last part of the curves could be held out: provisional until another mode, rate or specimen is "
+            "tested; the stated deviations do not cover those."
         )
-    return said
+    return sentences
 
 
 def _again(outcome: Outcome) -> dict[str, Any]:
-    """Return what to measure again, from where and when most is left: what does not repeat is no property."""
-    said = _discrepancy(outcome)
-    mode, curves = said["under"].replace("-", " "), outcome.bench.problem.data.curves
-    others = len({curve.specimen for curve in curves if curve.mode == said["under"]}) > 1
+    """Return which test to repeat: the mode and the part of the curves with the largest residual."""
+    worst = _discrepancy(outcome)
+    mode, curves = worst["under"].replace("-", " "), outcome.bench.problem.data.curves
+    others = len({curve.specimen for curve in curves if curve.mode == worst["under"]}) > 1
     with_what = "a further specimen" if others else "another specimen"
     action = (
-        f"measure {mode} again with {with_what}, with more rows {said['when']}: most is left there, worst in "
-        f"{' and '.join(said['where'])}; what does not come back is no property of the material"
+        f"measure {mode} again with {with_what}, with more rows {worst['when']}: the residual is largest there, worst "
+        f"in {' and '.join(worst['where'])}; a deviation that does not repeat is no property of the material"
     )
-    check = {"kind": "mode", "name": said["under"], "where": said["where"], "when": said["when"]}
+    check = {"kind": "mode", "name": worst["under"], "where": worst["where"], "when": worst["when"]}
     return {"action": action, "separates": [], "separability": None, "check": check}
 
 
 def _next(experiment: MaterialExperiment, outcome: Outcome) -> dict[str, Any] | None:
-    """Return the test that tells tied causes apart; where nothing explains the curves, what to measure again."""
+    """Return the test that distinguishes tied causes; where nothing explains the curves, the test to repeat."""
     if outcome.verdict == "unexplained":
         return _again(outcome)
     for finding in outcome.findings:

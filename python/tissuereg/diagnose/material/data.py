@@ -1,4 +1,4 @@
-"""The stresses that count: rows of every curve, thinned, each with what a smooth misfit could depend on."""
+"""The data of fits: thinned rows of every curve, with the coordinates on which a smooth misfit may depend."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,7 @@ from tissuereg.material_experiment import Curve, MaterialExperiment
 
 BoolArray = npt.NDArray[np.bool_]
 
-#: Rows used at most, of all curves together; more would count the same smooth error again and again.
+#: Number of rows of all curves together, at most; more would only repeat the same correlated errors.
 MAX_ROWS = 320
 
 
@@ -32,13 +32,13 @@ class Data:
     curve_of : ndarray of int64, shape (n,)
         Index of the curve.
     level : ndarray of float64, shape (n,)
-        Size of the stress there, a tenth of the curve's peak added, kPa: what relative errors multiply.
+        Size of the stress plus a tenth of the curve's peak, kPa; relative errors are multiplied by it.
     arc : ndarray of float64, shape (n,)
         Progress along the load history, 0 to 1, strain and time counting half each.
     strain : ndarray of float64, shape (n,)
         Strain over the largest of its mode.
     log_rate : ndarray of float64, shape (n,)
-        Decadic logarithm of the rate; 0 where it is not known.
+        Decadic logarithm of the rate in 1/s; 0 where it is not known.
     """
 
     curves: tuple[Curve, ...]
@@ -71,14 +71,14 @@ class Data:
         Returns
         -------
         Data
-            All curves stay; those without rows are not asked.
+            With all curves; those without rows contribute nothing.
         """
         rows = tuple(rows[kept[self.curve_of == i]] for i, rows in enumerate(self.rows))
         columns: tuple[Any, ...] = (self.stress, self.curve_of, self.level, self.arc, self.strain, self.log_rate)
         return Data(self.curves, rows, *(column[kept] for column in columns))
 
     def modelled(self, model: Model) -> FloatArray:
-        """Return what a model answers.
+        """Return the stresses of a model.
 
         Parameters
         ----------
@@ -88,14 +88,14 @@ class Data:
         Returns
         -------
         ndarray of float64, shape (n,)
-            Stress at the rows, kPa; NaN where the law has none.
+            Stress at the rows, kPa; NaN where the law has no solution.
         """
         parts = [stress_of(model, c, rows) for c, rows in zip(self.curves, self.rows, strict=True) if len(rows)]
         return np.concatenate(parts)
 
 
 def data_of(experiment: MaterialExperiment, max_rows: int = MAX_ROWS) -> Data:
-    """Return the rows of an experiment that count.
+    """Return the rows of an experiment that are fitted.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def data_of(experiment: MaterialExperiment, max_rows: int = MAX_ROWS) -> Data:
 
 
 def path_arc(curve: Curve) -> FloatArray:
-    """Return how far each row lies along its load history, 0 to 1.
+    """Return the progress of each row along its load history, 0 to 1.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def path_arc(curve: Curve) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n,)
-        Strain passed and time passed count half each; without times strain alone.
+        Mean of the shares of the path length in strain and of the time; without times strain alone.
     """
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(curve.amounts)))])
     strain = moved / (moved[-1] or 1.0)
@@ -160,16 +160,16 @@ def path_arc(curve: Curve) -> FloatArray:
 
 def _thinned(curve: Curve, arc: FloatArray, share: int) -> IntArray:
     measured = np.flatnonzero(np.isfinite(curve.stress))
-    # The state of rest is what stress is counted from: it tells nothing.
-    told = measured[(np.abs(curve.strains[measured]) > 0) | (np.abs(curve.stress[measured]) > 0)]
-    if len(told) <= share:
-        return np.asarray(told)
-    places = np.interp(np.linspace(0.0, 1.0, share), _grown(arc[told]), np.arange(len(told)))
-    return np.asarray(told[np.unique(np.round(places).astype(np.int64))])
+    # Stress is measured from the state of rest, whose row is zero by definition.
+    rows = measured[(np.abs(curve.strains[measured]) > 0) | (np.abs(curve.stress[measured]) > 0)]
+    if len(rows) <= share:
+        return np.asarray(rows)
+    places = np.interp(np.linspace(0.0, 1.0, share), _with_count(arc[rows]), np.arange(len(rows)))
+    return np.asarray(rows[np.unique(np.round(places).astype(np.int64))])
 
 
-def _grown(arc: FloatArray) -> FloatArray:
-    """Return a progress from 0 to 1 that also grows with the number of rows, so that jumps keep some."""
+def _with_count(arc: FloatArray) -> FloatArray:
+    """Return the mean of progress and row number, 0 to 1 each, so that rows within short loadings are kept."""
     count = np.linspace(0.0, 1.0, len(arc))
     span = float(arc[-1] - arc[0]) or 1.0
     return np.asarray(0.5 * (arc - arc[0]) / span + 0.5 * count)

@@ -1,16 +1,17 @@
-"""What noise, and the error of the form itself, do to fitted numbers.
+"""Standard deviations of fitted parameters, from the noise and from the model error of the form.
 
-A fit weighs rows in some way; its numbers follow every error of the rows to first order: ``dx = G e``, with
-``G = (J^T W J + 1)^-1 J^T W`` in units of the prior. What `e` is does not depend on those weights: the noise of the
-curves, errors that last along a curve and factors of specimens included, and what the form cannot follow. The latter
-is the smooth misfit that also competes as ``unknown``, of a size that is not known:
+To first order an error `e` of the rows changes the parameters by ``dx = G e``, with ``G = (J^T W J + 1)^-1 J^T W`` in
+units of the prior, J the Jacobian and W the weights of the fit. The error itself does not depend on the weights: it is
+the noise of the curves, with correlated errors and factors of specimens, plus the model error of the form. The latter
+is modelled by the generic misfit (the rival ``unknown``) with an unknown size s:
 
     cov(x) = sum_s p(s | q) G (noise + s^2 generic) G^T + (J^T W J + 1)^-2
 
-The last part is the prior's. Sizes are weighed by the sum `q` of squared residuals, each over the variance of its
-noise: its mean and variance under every size, the freedom of the numbers taken off, give a Gamma density. The
-likelihood of the whole residual would find the size from its roughness, which is far below its size where a form bends
-the wrong way. Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001, on numbers fitted beside a misfit.
+The last term comes from the prior. The posterior p(s | q) of the size is based on the sum q of squared residuals, each
+over the variance of its noise; its density under every size is approximated by a Gamma distribution with the exact mean
+and variance, corrected for the fitted parameters. The likelihood of the whole residual is not used: it would derive the
+size from the residual's roughness, which is far smaller than the model error of a form with the wrong curvature. The
+approach follows Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001, on calibration with a model discrepancy.
 """
 
 import math
@@ -24,20 +25,20 @@ from tissuereg.diagnose.material.holdout import Bench
 from tissuereg.diagnose.material.hypothesis import NO_MISFIT
 from tissuereg.diagnose.material.weights import SHARES
 
-#: Step of the numbers over their prior's standard deviation, for differences.
+#: Step of finite differences over the prior standard deviation.
 _STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """A fit whose deviations can be stated.
+    """A fit with the covariance that is reported.
 
     Attributes
     ----------
     fit : Fit
-        Its covariance carries noise, the form's error and the prior.
+        Its covariance includes noise, the form's model error and the prior.
     form_error : float
-        Root mean square size of what the form cannot follow, over the stress.
+        Root mean square of the form's model error, over the stress.
     """
 
     fit: Fit
@@ -45,24 +46,24 @@ class Stated:
 
 
 def stated(bench: Bench, fit: Fit) -> Stated:
-    """Return a fit with the covariance that noise and the error of its form give its numbers.
+    """Return a fit with the covariance due to noise, the model error of its form, and the prior.
 
     Parameters
     ----------
     bench : Bench
-        That the fit was made on: its `noise` is that of the curves, its `fitting` what fits are weighted by.
+        Bench of the fit: its `noise` is that of the curves, its `fitting` the covariance that weights fits.
     fit : Fit
-        Of all its rows.
+        Of all rows.
 
     Returns
     -------
     Stated
-        Other numbers of the fit stay.
+        The fit is otherwise unchanged.
 
     Notes
     -----
-    A few products of matrices of one row and column a stress, milliseconds. A form that follows the curves within
-    their noise shows no error here; that it may have one elsewhere only other modes, rates or strains can tell.
+    Costs a few products of (n_rows, n_rows) matrices, milliseconds. A form that agrees with the curves within their
+    noise shows no model error here; only other modes, rates or strains can show whether it has one elsewhere.
     """
     data = bench.problem.data
     _, scale = prior_of(bench.problem, fit.forms)
@@ -80,9 +81,9 @@ def stated(bench: Bench, fit: Fit) -> Stated:
 def _squared_size(
     bench: Bench, slopes: FloatArray, gain: FloatArray, inverse: FloatArray, residual: FloatArray
 ) -> float:
-    """Return the mean square of the form's error over the stress, all sizes weighed."""
+    """Return the posterior mean square of the form's model error over the stress."""
     unit = np.sqrt(np.diag(bench.noise))
-    # Made-up curves may be followed to the last digit.
+    # Simulated curves may be fitted to the last digit.
     found = max(float(np.sum((residual / unit) ** 2)), float(np.finfo(np.float64).tiny))
     maker = (np.eye(len(unit)) - slopes @ gain) / unit[:, None]
     prior = (slopes @ inverse) / unit[:, None]
@@ -96,14 +97,14 @@ def _squared_size(
 
 
 def _log_density(found: float, covariance: FloatArray) -> float:
-    """Return the log density of a sum of squares of Gaussian numbers, as of the Gamma of its mean and variance."""
+    """Return the log density of a sum of squared Gaussian numbers, approximated by a Gamma distribution."""
     mean, variance = float(np.trace(covariance)), 2.0 * float(np.sum(covariance**2))
     shape, unit = mean**2 / variance, variance / mean
     return (shape - 1.0) * math.log(found) - found / unit - math.lgamma(shape) - shape * math.log(unit)
 
 
 def _slopes(bench: Bench, fit: Fit, scale: FloatArray) -> FloatArray:
-    """Return the derivatives of the stresses by the numbers, in units of their prior."""
+    """Return the derivatives of the stresses by the parameters, in units of their prior deviations."""
     problem = bench.problem
     columns = []
     for i, unit in enumerate(scale):

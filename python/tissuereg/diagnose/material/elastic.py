@@ -1,10 +1,10 @@
-"""Elastic answers of homogeneous deformation: second Piola-Kirchhoff stress and isochoric energy.
+"""Elastic response to homogeneous deformation: second Piola-Kirchhoff stress and isochoric energy.
 
-Bars free across are answered by the solver's own point (`tissuereg.material_tests`). In simple shear the whole tensor
-is needed, because memory acts on its parts: in the plane of shear, with ``C`` of determinant 1 and ``C33 = 1``,
+Bars with free lateral surfaces are computed by the solver (`tissuereg.material_tests`). In simple shear the whole
+tensor is needed, because memory acts on its components. In the plane of shear, with ``det C = 1`` and ``C33 = 1``,
 
     S = 2 (W1 + I1 W2) I - 2 W2 C - 2/3 (W1 I1 + 2 W2 I2) C^-1        (split laws; no volumetric stress at J = 1)
-    S = mu (I - C^-1)                                                  (neo-Hookean of the coupled form)
+    S = mu (I - C^-1)                                                  (coupled neo-Hookean law)
 """
 
 import numpy as np
@@ -22,19 +22,19 @@ def lame(material: Material) -> tuple[float, float]:
 
 
 def axial_second_pk(material: Material, stretch: FloatArray) -> FloatArray:
-    """Return the axial second Piola-Kirchhoff stress of a bar that is free across.
+    """Return the axial second Piola-Kirchhoff stress of a bar with free lateral surfaces.
 
     Parameters
     ----------
     material : Material
-        The same everywhere.
+        Homogeneous.
     stretch : ndarray of float64, shape (n,)
         Positive.
 
     Returns
     -------
     ndarray of float64, shape (n,)
-        kPa; NaN where the law has none.
+        kPa; NaN where the law has no solution.
     """
     return np.asarray(uniaxial_stress(material, stretch) / stretch)
 
@@ -60,12 +60,12 @@ def shear_metric(shear: FloatArray) -> FloatArray:
 
 
 def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
-    """Return the second Piola-Kirchhoff stress of a plane deformation that keeps areas.
+    """Return the second Piola-Kirchhoff stress of an area-preserving plane deformation.
 
     Parameters
     ----------
     material : Material
-        The same everywhere; not of the law hooke.
+        Homogeneous; not of the law hooke.
     metric : ndarray of float64, shape (n, 2, 2)
         ``C`` in the plane, determinant 1.
 
@@ -98,12 +98,12 @@ def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
 
 
 def isochoric_energy(material: Material, stretches: FloatArray) -> FloatArray:
-    """Return the energy density of principal stretches that keep the volume, fibres left out.
+    """Return the energy density at volume-preserving principal stretches, without fibres.
 
     Parameters
     ----------
     material : Material
-        The same everywhere.
+        Homogeneous.
     stretches : ndarray of float64, shape (n, 3)
         Of product 1.
 
@@ -169,7 +169,7 @@ def _larger_square(metric: FloatArray) -> FloatArray:
 
 
 def _stretched(metric: FloatArray) -> FloatArray:
-    """Return the logarithmic strain that stretches in the plane, over the square of the stretch, (n, 2, 2)."""
+    """Return the tensile part of the logarithmic strain in the plane, over the square of the stretch, (n, 2, 2)."""
     larger = _larger_square(metric)
     gap = larger - 1.0 / larger
     along = (metric - (1.0 / larger)[:, None, None] * np.eye(2)) / np.where(gap > 1e-9, gap, 1.0)[:, None, None]

@@ -1,4 +1,4 @@
-"""The extended model: the believed experiment with what was found, as an experiment that can be read and run."""
+"""The extended model: the believed experiment with the findings as effects, which can be read and run."""
 
 from dataclasses import replace
 
@@ -19,14 +19,14 @@ def extended(experiment: MaterialExperiment, fit: Fit) -> MaterialExperiment:
     Parameters
     ----------
     experiment : MaterialExperiment
-        Believed.
+        The believed experiment.
     fit : Fit
         Of the causes found.
 
     Returns
     -------
     MaterialExperiment
-        Effects in place of older ones of their kind; the modulus as fitted, unless it is itself a finding.
+        New effects replace older ones of the same kind; the modulus is the fitted one, unless it is itself a finding.
     """
     found = fit.effects
     kept = [old for old in experiment.effects if not any(_same_kind(old, new) for new in found)]
@@ -39,17 +39,17 @@ def extended(experiment: MaterialExperiment, fit: Fit) -> MaterialExperiment:
 
 
 def predicted_stresses(experiment: MaterialExperiment) -> list[FloatArray]:
-    """Run an experiment's model along its curves.
+    """Return the stresses that an experiment's model predicts along its curves.
 
     Parameters
     ----------
     experiment : MaterialExperiment
-        With its effects, those of an ``experiment.extended.toml`` say.
+        With its effects, for instance from an ``experiment.extended.toml``.
 
     Returns
     -------
     list of ndarray of float64
-        Nominal stress of every row of every curve, kPa, compression negative; NaN where the law has none.
+        Nominal stress of every row of every curve, kPa, compression negative; NaN where the law has no solution.
 
     Examples
     --------

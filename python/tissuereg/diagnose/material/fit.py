@@ -1,4 +1,9 @@
-"""One hypothesis fitted: nonlinear least squares, and its evidence by Laplace's approximation."""
+"""Fit of one hypothesis: nonlinear least squares (Levenberg-Marquardt), and evidence by Laplace's approximation.
+
+With whitened residual r(x) and z = (x - mean) / std in units of the Gaussian prior, |r|^2 + |z|^2 is minimised; the log
+evidence is -1/2 (|r|^2 + |z|^2) - 1/2 log det(1 + share^2 Lambda) - 1/2 log det(J^T J), with J the Jacobian of (r, z)
+by z and Lambda the spectrum of the generic misfit (`weights`).
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,27 +21,27 @@ from tissuereg.errors import TissueRegError
 
 Residuals = Callable[[FloatArray], FloatArray]
 
-#: Whitened residual of a stress that a law does not have.
+#: Whitened residual where a law has no stress.
 _NO_STRESS = 1e4
 _STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted to.
+    """Data, weights and believed model of a fit.
 
     Attributes
     ----------
     base : Model
-        Believed.
+        The believed model.
     data : Data
         Rows that are fitted.
     weights : Weights
-        Of these rows.
+        Whitening of these rows.
     young_log : float
-        Logarithm of the believed modulus in kPa.
+        Prior mean of the logarithm of the modulus in kPa.
     young_std : float
-        Standard deviation of that belief, of the logarithm.
+        Prior standard deviation of the logarithm.
     """
 
     base: Model
@@ -46,7 +51,7 @@ class Problem:
     young_std: float
 
     def model(self, forms: Sequence[Form], x: FloatArray) -> Model:
-        """Return the model of fitted numbers: the modulus' logarithm, then those of every form."""
+        """Return the model for parameters x: the modulus' logarithm, then those of every form."""
         model = self.base.with_material(young=float(np.exp(np.clip(x[0], -30.0, 30.0))))
         for effect in effects_of(forms, x):
             if not isinstance(effect, Stiffness):
@@ -61,18 +66,18 @@ class Fit:
     Attributes
     ----------
     forms : tuple of Form
-        What acts.
+        Forms of its causes.
     x : ndarray of float64, shape (n,)
-        Logarithm of the modulus, then the numbers of each form.
+        Logarithm of the modulus, then the parameters of each form.
     covariance : ndarray of float64, shape (n, n)
-        Of `x`, by the curvature: that of a form that is right under noise that is as it was weighed. What is handed
-        on is widened by `deviations.stated`.
+        Of `x`, from the curvature; valid if form and noise model are correct. `deviations.stated` gives the covariance
+        that is reported.
     share : float
-        Size of a generic misfit beside it, over the stress.
+        Size of the generic misfit in its covariance, over the stress; 0 for none.
     evidence : float
-        Logarithm, up to what all hypotheses share.
+        Log evidence, up to a constant that all hypotheses have in common.
     log_posterior : float
-        The same without Occam's factor.
+        Log posterior density at `x`: the log evidence without Occam's factor.
     model : Model
         Fitted.
     """
@@ -92,7 +97,7 @@ class Fit:
 
 
 def effects_of(forms: Sequence[Form], x: FloatArray) -> list[Effect]:
-    """Return the effects of fitted numbers, one a form."""
+    """Return the effects of fitted parameters, one for each form."""
     effects: list[Effect] = []
     first = 1
     for form in forms:
@@ -106,7 +111,7 @@ def effects_of(forms: Sequence[Form], x: FloatArray) -> list[Effect]:
 
 
 def prior_of(problem: Problem, forms: Sequence[Form]) -> tuple[FloatArray, FloatArray]:
-    """Return mean and standard deviation of the fitted numbers."""
+    """Return prior mean and standard deviation of the fitted parameters."""
     wide = any(form.effect is None for form in forms)
     mean = np.concatenate([[problem.young_log], *(form.mean for form in forms)])
     std = np.concatenate([[WIDE_YOUNG if wide else problem.young_std], *(form.std for form in forms)])
@@ -114,23 +119,23 @@ def prior_of(problem: Problem, forms: Sequence[Form]) -> tuple[FloatArray, Float
 
 
 def fitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArray], share: float = 0.0) -> Fit:
-    """Fit a hypothesis from a few starts.
+    """Return the fit of a hypothesis, the best from several starts.
 
     Parameters
     ----------
     problem : Problem
-        Data and beliefs.
+        Data, weights and believed model.
     forms : sequence of Form
-        What acts.
+        Forms of its causes.
     starts : sequence of ndarray of float64, shape (n,)
-        The best end counts.
+        First guesses.
     share : float
-        Size of a generic misfit beside it, over the stress.
+        Size of the generic misfit in its covariance, over the stress; 0 for none.
 
     Returns
     -------
     Fit
-        With evidence.
+        With the largest log posterior.
     """
     ends = [_descent(problem, forms, start, share) for start in starts]
     return max(ends, key=lambda fit: fit.log_posterior)
@@ -153,9 +158,9 @@ def _descent(problem: Problem, forms: Sequence[Form], start: FloatArray, share: 
     z, value, jacobian = _levenberg(residuals, (start - mean) / std)
     curvature = jacobian.T @ jacobian
     log_posterior = -0.5 * float(value @ value) - problem.weights.log_size(share)
-    # The prior's part makes every eigenvalue 1 at least; rounding may lose that where a law explodes.
+    # With the prior every eigenvalue is at least 1, but for rounding errors where the stress becomes huge.
     occam = 0.5 * max(0.0, float(np.linalg.slogdet(curvature)[1]))
-    # The prior keeps it regular but for rounding, where a law explodes.
+    # Keeps it regular against the same rounding errors.
     rounding = 1e-13 * float(np.trace(curvature)) * np.eye(len(z))
     covariance = std[:, None] * np.linalg.inv(curvature + rounding) * std[None, :]
     x = mean + std * z
@@ -164,9 +169,9 @@ def _descent(problem: Problem, forms: Sequence[Form], start: FloatArray, share: 
 
 
 def _levenberg(residuals: Residuals, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Minimise half the sum of squares: damped Gauss-Newton steps, the prior part of the residuals.
+    """Minimise half the sum of squared residuals, which include the prior, by damped Gauss-Newton steps.
 
-    The Jacobian is formed by differences, since a stress costs less than its derivatives would.
+    The Jacobian is taken by finite differences, which cost less than analytic derivatives of the stress.
     """
     z = np.clip(z, -6.0, 6.0)
     value = residuals(z)

@@ -1,11 +1,11 @@
-"""Stress along a curve: what an elastic law, and what a material remembers, answer to a path.
+"""Stress along a curve of a model with an elastic law and memory.
 
-The formulas are those of the solver (`crates/fem/src/history`) at one point of homogeneous deformation, rows as time
-steps. Relaxation acts on the second Piola-Kirchhoff stress with an instantaneous modulus; softening multiplies the
-isochoric stress; the set is a stress-free stretch ``exp(fraction E_max)`` held within a step; viscosity is the Cauchy
-stress ``2 eta D``. A bar stays free across: without lateral elastic stress there is none to relax either, so relaxation
-is exact at any Poisson's ratio; softening and viscosity of a bar are those of its incompressible limit (off by the
-order of 1 - 2 nu).
+The formulas are those of the solver (`crates/fem/src/history`) at one point of homogeneous deformation, with rows as
+time steps. Relaxation acts on the second Piola-Kirchhoff stress with an instantaneous modulus; softening multiplies the
+isochoric stress; the set is a stress-free stretch ``exp(fraction E_max)``, constant within a step; viscosity is the
+Cauchy stress ``2 eta D``. The lateral stress of a bar is zero: without lateral elastic stress there is none to relax
+either, so relaxation is exact at any Poisson's ratio; softening and viscosity of a bar are those of its incompressible
+limit (with an error of the order of 1 - 2 nu).
 """
 
 import math
@@ -26,7 +26,7 @@ from tissuereg.material_tests import shear_stress, uniaxial_stress
 
 @dataclass(frozen=True)
 class _Law:
-    """What an elastic stress of modulus 1 depends on, as a key."""
+    """Everything that the elastic stress of modulus 1 depends on, as a cache key."""
 
     law: str
     shape: tuple[tuple[str, tuple[float, ...]], ...]
@@ -43,21 +43,21 @@ class _Law:
 
 
 def stress_of(model: Model, curve: Curve, rows: Sequence[int] | IntArray | None = None) -> FloatArray:
-    """Return the nominal stress that a model answers to a curve.
+    """Return the nominal stress of a model along a curve.
 
     Parameters
     ----------
     model : Model
         Law and memory.
     curve : Curve
-        Path and times; its stress is not looked at. Without times there is no memory of time: nothing relaxes or flows.
+        Path and times; its stress is not used. Without times relaxation and viscosity are left out.
     rows : array_like of int, optional
-        Rows that are wanted; all where absent. The whole path counts in either case.
+        Rows to return; all where absent. The history includes all rows in either case.
 
     Returns
     -------
     ndarray of float64, shape (n_rows,)
-        kPa, compression negative; NaN where the law has none.
+        kPa, compression negative; NaN where the law has no solution.
     """
     wanted = np.arange(len(curve.amounts)) if rows is None else np.asarray(rows, dtype=np.int64)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -86,7 +86,7 @@ def _young(model: Model) -> float:
 
 @lru_cache(maxsize=256)
 def _from_rest(curve: Curve) -> tuple[FloatArray, FloatArray]:
-    """Return path and times with the state of rest before the first row, left at the curve's rate where it has one."""
+    """Return path and times, preceded by the state of rest; from there to the first row at the curve's rate, if any."""
     rest = 0.0 if curve.mode == "simple-shear" else 1.0
     times = curve.clock
     if not curve.timed:
@@ -107,7 +107,7 @@ def _stretched(model: Model, curve: Curve) -> FloatArray:
     if model.rate is not None and curve.timed:
         along = _viscous(stretch**2, times)
         aside = _viscous(1.0 / stretch, times)
-        # Without lateral stress: Cauchy stress along minus across, over the stretch.
+        # The lateral stress is zero: Cauchy stress along minus across, over the stretch.
         nominal = nominal + model.rate.viscosity_kpa_s * (stretch * along - aside / stretch**2)
     return np.asarray(nominal)
 
@@ -144,7 +144,7 @@ def _sheared_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray, Floa
     metric = shear_metric(shear)
     back = None if law.set_fraction == 0 else _shear_back(law.set_fraction, metric, shear)
     elastic = metric if back is None else back @ metric @ back
-    # Principal stretches of a plane that keeps its area: their squares have this sum and the product 1.
+    # Principal stretches in a plane of constant area: their squares have this sum and the product 1.
     half = 0.5 * (elastic[:, 0, 0] + elastic[:, 1, 1])
     larger = np.sqrt(half + np.sqrt(np.maximum(half**2 - 1.0, 0.0)))
     energy = isochoric_energy(material, np.stack([larger, 1.0 / larger, np.ones(len(larger))], axis=1))
@@ -189,7 +189,7 @@ def _softened(softening: Softening, energy: FloatArray) -> FloatArray:
 def _relaxed(relaxation: Relaxation, elastic: FloatArray, times: FloatArray) -> FloatArray:
     """Return ``(1 - sum g) S + sum g_i H_i`` by Simo's recursion, `elastic` (..., n) linear in time within a step.
 
-    ``H_n = e_n H_n-1 + beta_n dS_n`` of all steps at once, by doubling the steps that are joined.
+    ``H_n = e_n H_n-1 + beta_n dS_n`` is evaluated for all steps at once by recursive doubling.
     """
     shares, taus = np.array(relaxation.g), np.array(relaxation.tau_s)
     x = np.diff(times) / taus[:, None]

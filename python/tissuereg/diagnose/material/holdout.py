@@ -1,4 +1,4 @@
-"""Proof on what was never fitted: a mode, a rate, a specimen, or the rest of a lone curve."""
+"""Held-out proof for material tests: prediction of a mode, rate, specimen or last part of the curves from the rest."""
 
 import math
 from collections.abc import Sequence
@@ -12,24 +12,24 @@ from tissuereg.diagnose.material.fit import Fit, Problem, fitted
 from tissuereg.diagnose.material.weights import block, patched, weights_of
 from tissuereg.material_experiment import HELD_OUT, MaterialExperiment
 
-#: Specimens are left out in so many sets at most.
+#: Specimens are divided into so many folds at most.
 _MAX_FOLDS = 4
-#: A lone curve is fitted up to here and foretold beyond, in progress along its load history.
+#: Progress along the load history up to which a single curve is fitted; the rest is predicted.
 _PART = 0.8
-#: Rates of a ratio below this are left out together: one would be a copy of the other.
+#: Rates with a ratio below this are held out together, because one would predict the other.
 _SAME_RATE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """What is left out at once.
+    """Rows that are held out together.
 
     Attributes
     ----------
     name : str
-        Such as ``compression``.
+        For instance ``compression``.
     held_out : ndarray of bool, shape (n,)
-        Rows left out.
+        Which rows.
     """
 
     name: str
@@ -38,22 +38,22 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """All that a proof needs.
+    """Everything that held-out proofs need.
 
     Attributes
     ----------
     unit : str
         ``mode``, ``rate``, ``specimen`` or ``part``.
     folds : tuple of Fold
-        Every row is left out once at most.
+        Every row is held out once at most.
     problem : Problem
         Of all rows.
     noise, generic : ndarray of float64, shape (n, n)
-        Covariances, kPa^2.
+        Covariances of the noise and of a generic misfit of size 1, kPa^2.
     repeats : int
-        Curves that repeat another one: how well the noise is known.
+        Number of curves that repeat another one; without any the noise is an assumption.
     fitting : ndarray of float64, shape (n, n), optional
-        Covariance that fits are weighted by, in place of `noise`.
+        Covariance that weights the fits, in place of `noise`.
     """
 
     unit: str
@@ -67,18 +67,18 @@ class Bench:
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """How well a hypothesis foretells what was left out.
+    """Errors of a hypothesis' predictions of held-out rows.
 
     Attributes
     ----------
     rms : dict of str to float
-        kPa, by fold.
+        Root mean square error by fold, kPa.
     chi : float
         Root mean square of the error over its standard deviation, all folds together.
     misfits : dict of str to float
         Half the sum of squared whitened errors, by fold.
     rms_all : float
-        kPa, all folds together.
+        Root mean square error of all folds together, kPa.
     """
 
     rms: dict[str, float]
@@ -88,17 +88,17 @@ class HeldOutErrors:
 
     @property
     def total(self) -> float:
-        """Misfit of all folds together."""
+        """Sum of the misfits of all folds."""
         return sum(self.misfits.values())
 
 
 def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fold, ...]]:
-    """Return what is left out in turn.
+    """Return the folds: sets of rows that are held out in turn.
 
     Parameters
     ----------
     experiment : MaterialExperiment
-        Its `hold_out` decides where it is given; else modes, then rates, then specimens, whatever there are two of.
+        Its `hold_out` is the unit where it is given; else the first of mode, rate and specimen with two values.
     data : Data
         Rows used.
 
@@ -123,7 +123,7 @@ def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fol
 
 
 def _alike(rates: Sequence[object]) -> list[list[object]]:
-    """Return rates in sets that lie close together."""
+    """Return rates in sets of nearby values."""
     sets: list[list[object]] = []
     for rate in sorted(float(str(r)) for r in rates):
         if sets and rate < _SAME_RATE * float(str(sets[-1][-1])):
@@ -140,23 +140,23 @@ def _named(unit: str, values: Sequence[object]) -> str:
 
 
 def held_out_errors(bench: Bench, fit: Fit, *, patch_share: float | None = None) -> HeldOutErrors:
-    """Fit a hypothesis again without each fold and compare what it foretells.
+    """Return the errors of a hypothesis on every fold, each predicted by a fit to all other rows.
 
     Parameters
     ----------
     bench : Bench
         Rows, covariances and folds.
     fit : Fit
-        Of all rows; where the search begins.
+        Of all rows; its parameters are the first guess.
     patch_share : float, optional
-        Size of a generic misfit that is learnt from the fitted rows and carried over; none where absent. Without it,
-        what is believed is fitted as a user would, every row by itself: under lasting errors a wrong law would be
-        fitted to its slopes alone.
+        Size of a generic misfit (Gaussian process) that is conditioned on the fitted rows and added to the prediction;
+        none where absent. Without it, the believed law is fitted with independent rows, as a user would do: with
+        correlated errors a wrong law would be fitted to slopes alone.
 
     Returns
     -------
     HeldOutErrors
-        Errors.
+        NaN where no fold could be predicted.
     """
     data = bench.problem.data
     errors, pointwise, rms, misfits = [], [], {}, {}
@@ -172,9 +172,9 @@ def held_out_errors(bench: Bench, fit: Fit, *, patch_share: float | None = None)
         again = fitted(problem, fit.forms, [fit.x], fit.share if patch_share is None else patch_share)
         error = data.stress[left_out] - data.part(fold.held_out).modelled(again.model)
         if patch_share is not None:
-            left = problem.data.stress - problem.data.modelled(again.model)
-            error = error - patched(bench.noise, bench.generic, patch_share, known, left_out, left)
-        # A law that has no stress there is as wrong as one that says nothing.
+            residual = problem.data.stress - problem.data.modelled(again.model)
+            error = error - patched(bench.noise, bench.generic, patch_share, known, left_out, residual)
+        # Where the law has no stress, the prediction is zero.
         error = np.where(np.isfinite(error), error, data.stress[left_out])
         own = block(bench.noise, left_out)
         white = np.linalg.solve(np.linalg.cholesky(own), error)

@@ -1,4 +1,8 @@
-"""Hypotheses: some causes at work, each in one of its forms, with or without a generic misfit beside them."""
+"""Hypotheses: a set of causes, each in one of its forms, with or without a generic misfit in addition.
+
+The evidence of a hypothesis is the mean over the forms tried and over the sizes of a generic misfit (a Gaussian process
+that no cause explains), with prior weights.
+"""
 
 import math
 from collections.abc import Sequence
@@ -11,27 +15,27 @@ from tissuereg.diagnose.material.causes import CAUSES, Form
 from tissuereg.diagnose.material.fit import Fit, Problem, fitted
 from tissuereg.diagnose.material.weights import SHARES, weights_of
 
-#: Prior weight of no generic misfit beside named causes; the rest is spread over its sizes.
+#: Prior probability that there is no generic misfit in addition to the causes; the rest is divided among its sizes.
 NO_MISFIT = 0.5
 
-#: Log evidence that a form with more numbers must gain over one with fewer.
+#: Log evidence that a form must gain over one with fewer parameters.
 _SIMPLER = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Causes at work.
+    """A set of causes, fitted.
 
     Attributes
     ----------
     ids : tuple of str
-        Of the causes, in the order of their discovery; empty: none.
+        Ids of the causes in the order of their discovery; empty for the believed model.
     fit : Fit
-        Best forms, fitted.
+        Fit in the best forms.
     evidence : float
-        Logarithm, averaged over the forms tried and over the sizes of a generic misfit.
+        Log evidence, averaged over the forms tried and over the sizes of a generic misfit.
     forms : tuple of Fit
-        With the newest cause in each form tried, likeliest first.
+        Fits with the newest cause in each form tried, likeliest first.
     """
 
     ids: tuple[str, ...]
@@ -41,44 +45,44 @@ class Hypothesis:
 
 
 def null_hypothesis(problem: Problem) -> Hypothesis:
-    """Return the hypothesis that what is believed holds, the modulus within its belief."""
+    """Return the null hypothesis: the believed law holds, with the modulus within its prior."""
     fit = fitted(problem, (), [np.array([problem.young_log])])
     return Hypothesis((), fit, fit.evidence)
 
 
 def plain_fit(problem: Problem, noise: FloatArray) -> Fit:
-    """Return what is believed fitted as a user would: every row by itself.
+    """Return the believed law fitted with independent rows, as a user would do.
 
     Parameters
     ----------
     problem : Problem
-        Data and beliefs.
+        Data, weights and believed model.
     noise : ndarray of float64, shape (n, n)
-        Covariance of the rows, kPa^2; its diagonal counts.
+        Covariance of the rows, kPa^2, of which only the diagonal is used.
 
     Returns
     -------
     Fit
-        For comparison: its evidence is not that of a hypothesis.
+        Its evidence cannot be compared with that of a hypothesis.
     """
     weights = weights_of(np.diag(np.diag(noise)), np.zeros_like(noise))
     return fitted(replace(problem, weights=weights), (), [np.array([problem.young_log])])
 
 
 def unknown(problem: Problem, known: Hypothesis) -> Hypothesis:
-    """Return the generic rival: what is known so far, and a smooth misfit that no cause explains.
+    """Return the generic rival: the causes found so far, and a smooth misfit that no cause explains.
 
     Parameters
     ----------
     problem : Problem
-        Data and beliefs.
+        Data, weights and believed model.
     known : Hypothesis
         Causes found so far.
 
     Returns
     -------
     Hypothesis
-        Of the likeliest size; evidence averaged over all sizes.
+        With the fit of the likeliest size, and the evidence averaged over all sizes.
     """
     fits = [fitted(problem, known.fit.forms, [known.fit.x], share) for share in SHARES]
     best = max(fits, key=lambda fit: fit.evidence)
@@ -87,16 +91,16 @@ def unknown(problem: Problem, known: Hypothesis) -> Hypothesis:
 
 
 def with_cause(problem: Problem, known: Hypothesis, cause: str, forms: Sequence[Form]) -> Hypothesis:
-    """Return what is known so far with one more cause, in its best form.
+    """Return the hypothesis with one more cause, in its best form.
 
     Parameters
     ----------
     problem : Problem
-        Data and beliefs.
+        Data, weights and believed model.
     known : Hypothesis
-        Causes found so far; their forms stay, their numbers are fitted again.
+        Causes found so far; their forms are kept, their parameters are fitted again.
     cause : str
-        Id of the new one.
+        Id of the new cause.
     forms : sequence of Form
         Its forms, at least one.
 
@@ -106,52 +110,52 @@ def with_cause(problem: Problem, known: Hypothesis, cause: str, forms: Sequence[
         Evidence averaged over the forms.
     """
     found: list[tuple[Fit, float]] = []
-    # A simpler form of the same cause shows a richer one where to begin.
+    # The fit of a simpler form gives a first guess for a richer one.
     x = known.fit.x
     for form in forms:
         starts = [np.concatenate([x, start]) for start in form.starts]
         starts += [np.concatenate([x, *more]) for more in _grown(form, found)]
         found.append(refitted(problem, (*known.fit.forms, form), starts))
-    # Of forms that do as well the one with fewest numbers says most.
+    # Of forms with about the same evidence, that with the fewest parameters.
     highest = max(pair[1] for pair in found)
-    able = [pair for pair in found if pair[1] >= highest - _SIMPLER]
-    best = min(able, key=lambda pair: (len(pair[0].x), -pair[1]))
+    as_good = [pair for pair in found if pair[1] >= highest - _SIMPLER]
+    best = min(as_good, key=lambda pair: (len(pair[0].x), -pair[1]))
     evidence = float(np.logaddexp.reduce([pair[1] for pair in found])) - math.log(len(forms))
     ordered = sorted(found, key=lambda pair: -pair[1])
     return Hypothesis((*known.ids, cause), best[0], evidence, tuple(fit for fit, _ in ordered))
 
 
 def refitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArray]) -> tuple[Fit, float]:
-    """Fit forms with and without a generic misfit beside them.
+    """Return the fit of forms with or without a generic misfit, and their evidence.
 
     Parameters
     ----------
     problem : Problem
-        Data and beliefs.
+        Data, weights and believed model.
     forms : sequence of Form
-        What acts.
+        Forms of the causes.
     starts : sequence of ndarray of float64
-        Numbers to begin from.
+        First guesses.
 
     Returns
     -------
     fit : Fit
-        The likelier one.
+        The likelier of the two.
     evidence : float
-        Logarithm, prior weights of both ways included.
+        Log of the mean evidence with and without the generic misfit, weighted by their prior probabilities.
     """
     plain = fitted(problem, forms, starts)
     share = _likeliest_share(problem, plain)
     small = math.log((1.0 - NO_MISFIT) / len(SHARES))
     if share == 0.0:
         return plain, plain.evidence + math.log(NO_MISFIT)
-    beside = fitted(problem, forms, [plain.x], share)
-    evidence = float(np.logaddexp(plain.evidence + math.log(NO_MISFIT), beside.evidence + small))
-    return (beside if beside.evidence + small > plain.evidence + math.log(NO_MISFIT) else plain), evidence
+    smooth = fitted(problem, forms, [plain.x], share)
+    evidence = float(np.logaddexp(plain.evidence + math.log(NO_MISFIT), smooth.evidence + small))
+    return (smooth if smooth.evidence + small > plain.evidence + math.log(NO_MISFIT) else plain), evidence
 
 
 def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> list[Form]:
-    """Return the forms that a cause can take beside others; none where one of them takes its place."""
+    """Return the forms of a cause given those found; none where one of those excludes it (`Cause.slot`)."""
     taken = {CAUSES[other].slot for other in known}
     return [] if CAUSES[cause].slot in taken else forms[cause]
 
@@ -168,7 +172,7 @@ def _likeliest_share(problem: Problem, fit: Fit) -> float:
 
 
 def _grown(form: Form, found: Sequence[tuple[Fit, float]]) -> list[list[FloatArray]]:
-    """Return starts of a form from the numbers of the last one, where it is the same with one term less."""
+    """Return first guesses for a relaxation from the fit with one term less."""
     if not found or not form.label.startswith("prony") or not found[-1][0].forms[-1].label.startswith("prony"):
         return []
     last = found[-1][0]

@@ -1,4 +1,4 @@
-"""A material as its tests see it: an elastic law and what it remembers."""
+"""The model of a material test: an elastic law with optional effects of time and history."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -15,14 +15,14 @@ from tissuereg.material_experiment import MaterialExperiment
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What answers to a test.
+    """A material model: elastic law and memory.
 
     Parameters
     ----------
     material : Material
         Law, instantaneous moduli and fibres.
     relaxation, rate, softening, set : effects of these names, optional
-        What is remembered.
+        Effects of time and history.
     """
 
     material: Material
@@ -33,7 +33,7 @@ class Model:
 
     @property
     def remembers(self) -> bool:
-        """Whether stress depends on more than the strain of the moment."""
+        """Whether the stress depends on more than the present strain."""
         return any(part is not None for part in (self.relaxation, self.rate, self.softening, self.set))
 
     def with_material(self, **changes: Any) -> "Model":
@@ -47,27 +47,27 @@ class Model:
         Returns
         -------
         Model
-            All else as it is.
+            With everything else unchanged.
         """
         return replace(self, material=replace(self.material, **changes))
 
     def with_effect(self, effect: Effect) -> "Model":
-        """Return the model with one effect worked into it.
+        """Return the model with one effect applied.
 
         Parameters
         ----------
         effect : Effect
-            On moduli, law, fibres or memory.
+            Of moduli, law, fibres or memory.
 
         Returns
         -------
         Model
-            All else as it is.
+            With everything else unchanged.
 
         Raises
         ------
         ExperimentError
-            If a material test cannot show the effect.
+            If the effect does not act on the material.
         """
         match effect:
             case Stiffness():
@@ -93,12 +93,12 @@ class Model:
 
 
 def model_of(experiment: MaterialExperiment, effects: Iterable[Effect] | None = None) -> Model:
-    """Return what is believed, effects worked in.
+    """Return the believed model with effects applied.
 
     Parameters
     ----------
     experiment : MaterialExperiment
-        Beliefs.
+        Believed law and effects.
     effects : iterable of Effect, optional
         In place of the experiment's own.
 

@@ -1,4 +1,4 @@
-"""How far a curve may lie off by itself: noise of one stress, one specimen's factor, errors that last along a curve."""
+"""The noise model of curves: white noise of a stress, a factor for each specimen, correlated errors along a curve."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,33 +9,33 @@ from tissuereg._arrays import FloatArray
 from tissuereg.diagnose.material.data import Data, path_arc
 from tissuereg.material_experiment import Curve, MaterialExperiment
 
-#: Noise of one stress over the curve's peak is not taken for less: load cells and digitised plots do no better.
+#: Least noise of a stress over the curve's peak, typical of load cells and digitised plots.
 LEAST_NOISE = 1e-3
-#: What testing machines repeat, where no curves are repeated: errors along a curve over its stress, and one specimen's
-#: factor. They weigh like `_PRIOR_REPEATS` repeats beside measured spreads.
+#: Typical values where no curves are repeated: correlated error along a curve over its stress, and standard deviation
+#: of a specimen's factor. They count as `_PRIOR_REPEATS` repeats in addition to measured ones.
 USUAL_ALONG = 0.02
 USUAL_FACTOR = 0.05
 _PRIOR_REPEATS = 1.0
-#: Length, in progress along the load history, over which an error of a curve lasts.
+#: Correlation length of the error along a curve, in progress along the load history.
 ALONG_LENGTH = 0.25
-#: Share of such an error's variance that lasts no longer than a row: corners of a path, and what is not smooth.
+#: Share of that error's variance which is uncorrelated between rows: corners of a path, and other rough errors.
 ROUGH = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Sizes of what is no misfit of the law.
+    """Standard deviations of the noise.
 
     Attributes
     ----------
     std : ndarray of float64, shape (n_curves,)
         White noise of one stress, kPa.
     factor : float
-        Standard deviation of the factor between specimens, dimensionless.
+        Factor between specimens, dimensionless.
     along : float
-        Standard deviation of an error that lasts along a curve, over its stress.
+        Correlated error along a curve, over its stress.
     repeats : int
-        Curves that repeat another one, less the number of such sets.
+        Number of curves in sets of repeated ones, minus the number of such sets.
     """
 
     std: FloatArray
@@ -45,11 +45,11 @@ class Noise:
 
 
 def noise_of(experiment: MaterialExperiment) -> Noise:
-    """Estimate the noise of an experiment.
+    """Return the estimated noise of an experiment.
 
-    White noise is what is left of every row by a cubic through its four neighbours along the load history. Curves of
-    one mode and rate repeat each other: after their common mean, factors give the spread of specimens, the rest the
-    errors along a curve.
+    White noise is estimated from the difference between every row and a cubic through its four neighbours along the
+    load history. Curves of one mode and rate repeat each other: the factors between them and their mean give the spread
+    of specimens, the remaining differences the correlated errors along a curve.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def noise_of(experiment: MaterialExperiment) -> Noise:
     Returns
     -------
     Noise
-        Where nothing is repeated, usual figures stand in.
+        With typical values where no curve is repeated.
     """
     std = np.array([_white(curve, experiment.stress_std) for curve in experiment.curves])
     factors, rests, repeats = 0.0, 0.0, 0
@@ -75,14 +75,14 @@ def noise_of(experiment: MaterialExperiment) -> Noise:
 
 
 def covariance(data: Data, noise: Noise) -> FloatArray:
-    """Return the covariance of the stresses of an experiment whose law is right.
+    """Return the covariance of measured stresses about a correct law.
 
     Parameters
     ----------
     data : Data
         Rows used.
     noise : Noise
-        Sizes.
+        Standard deviations.
 
     Returns
     -------
@@ -109,15 +109,15 @@ def _white(curve: Curve, given: float | None) -> float:
     least = LEAST_NOISE * float(np.abs(stress).max())
     if len(stress) < 7:
         return max(least, 0.01 * float(np.abs(stress).max()))
-    # A ladder in time: rows apart in progress and in number.
+    # Adding the row number separates rows at equal progress.
     place = place + np.linspace(0.0, 0.2, len(place))
-    left = []
+    differences = []
     for i in range(2, len(stress) - 2):
         others = [i - 2, i - 1, i + 1, i + 2]
         weights = _cubic_weights(place[others] - place[i])
-        left.append((stress[i] - weights @ stress[others]) / np.sqrt(1.0 + weights @ weights))
-    # The median is not moved by a few corners of the path.
-    return max(least, 1.4826 * float(np.median(np.abs(left))))
+        differences.append((stress[i] - weights @ stress[others]) / np.sqrt(1.0 + weights @ weights))
+    # The median is robust against the few corners of a path.
+    return max(least, 1.4826 * float(np.median(np.abs(differences))))
 
 
 def _cubic_weights(offsets: FloatArray) -> FloatArray:
@@ -152,9 +152,9 @@ def _similar_path(one: Curve, other: Curve) -> bool:
 
 
 def _spread(curves: Sequence[Curve], std: FloatArray) -> tuple[float, float]:
-    """Return the variances of factors and of errors along curves, over the stress."""
+    """Return the variances of factors and of correlated errors along curves, over the stress."""
     places = np.linspace(0.05, 1.0, 40)
-    # Stress at equal strain along the way, so that a machine's small differences of stroke do not count as errors.
+    # Stress at equal strain, so that small differences of a machine's stroke do not count as errors of the stress.
     common = np.mean([np.interp(places, path_arc(c), c.strains) for c in curves], axis=0)
     stresses = np.array([_at(c, places, common) for c in curves])
     mean = stresses.mean(axis=0)

@@ -1,4 +1,4 @@
-"""What chance alone does: thresholds and p-values from simulated experiments without any effect."""
+"""Threshold and p-value from simulated null experiments, which have noise but no effect."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,36 +10,37 @@ from tissuereg.diagnose.material.fit import Fit, Problem, prior_of
 from tissuereg.diagnose.material.weights import SHARES, Weights
 from tissuereg.errors import TissueRegError
 
-#: Evidence below which nothing is named, whatever the nulls say.
+#: Least threshold, nats.
 LEAST_THRESHOLD = 5.0
-#: White noise is known to this share, estimated as it is from some tens of rows.
+#: Relative uncertainty of the white noise, which is estimated from some tens of rows.
 _NOISE_OF_NOISE = 0.15
 
 
 def threshold(
     problem: Problem, known: Fit, forms: Mapping[str, Sequence[Form]], rng: np.random.Generator, n_nulls: int = 400
 ) -> float:
-    """Return the evidence that the best of all causes exceeds in one of a hundred experiments without an effect.
+    """Return the log Bayes factor that the best cause exceeds in one of a hundred null experiments.
 
-    Every form is linear about its starts: a column of stress, of unit prior size, beside that of the modulus.
+    Every form is linearised about its first guesses: one column of stress with a unit prior amplitude, in addition to
+    the column of the modulus.
 
     Parameters
     ----------
     problem : Problem
-        Data and beliefs.
+        Data, weights and believed model.
     known : Fit
-        Of what is believed.
+        Of the believed model.
     forms : mapping of str to sequence of Form
         By id.
     rng : numpy.random.Generator
         For the noise.
     n_nulls : int
-        Experiments.
+        Number of null experiments.
 
     Returns
     -------
     float
-        Natural logarithm, `LEAST_THRESHOLD` at least.
+        Nats, at least `LEAST_THRESHOLD`.
     """
     draws = rng.standard_normal((len(problem.data.stress), n_nulls))
     young = _young_column(problem, known)
@@ -55,20 +56,20 @@ def threshold(
 
 
 def misfit_probability(weights: Weights, residual: FloatArray, rng: np.random.Generator, n_nulls: int = 500) -> float:
-    """Return the probability that noise alone leaves so much structure in a residual.
+    """Return the p-value of the structure in a residual.
 
-    The statistic is the largest gain of a generic misfit over none, of any size.
+    The statistic is the largest log likelihood ratio of a generic misfit against none, over its sizes.
 
     Parameters
     ----------
     weights : Weights
-        Of the rows.
+        Whitening of the rows.
     residual : ndarray of float64, shape (n,)
         Measured minus modelled, kPa.
     rng : numpy.random.Generator
         For the noise.
     n_nulls : int
-        Residuals of pure noise, whose size is known as well as it is from the curves.
+        Number of residuals of noise alone, of uncertain size.
 
     Returns
     -------
@@ -90,7 +91,7 @@ def _structure(weights: Weights, white: FloatArray) -> FloatArray:
 
 
 def _evidence(draws: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return the linear Gaussian evidence of columns of unit prior, of every draw."""
+    """Return the linear-Gaussian log evidence of columns with unit prior amplitudes, for every draw."""
     inner = np.eye(columns.shape[1]) + columns.T @ columns
     pulled = columns.T @ draws
     gain = 0.5 * np.einsum("in,in->n", pulled, np.linalg.solve(inner, pulled))

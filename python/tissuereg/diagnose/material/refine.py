@@ -1,9 +1,10 @@
-"""The numbers that are handed on: of each cause the form, and of all the weights, that foretell best.
+"""The reported fit of the findings: the form of each cause and the weights of the rows with the best predictions.
 
-Evidence needs the noise as it is, errors that last along a curve included; such weights trust slopes more than levels,
-and where a law is a little wrong they may foretell worse than rows that all count alike. Which of the two, and
-which form of a law, held-out data decide; for a lone curve, whose rest is no fair judge of forms, the fit itself.
-Weights choose the numbers; their deviations are those of the noise as it is and of the form's own error (`deviations`).
+Evidence needs the full noise covariance, with correlated errors along curves. Such weights rely on slopes more than on
+levels; where a law is slightly wrong, they may predict worse than equal weights for all rows of a curve. Held-out data
+decide between the two, and between the forms of a law; for a single curve, whose last part is no fair test of forms,
+the fit itself decides. The weights affect the parameters only: their standard deviations follow from the full noise
+covariance and the model error of the form (`deviations`).
 """
 
 import math
@@ -20,26 +21,26 @@ from tissuereg.diagnose.material.noise import Noise
 from tissuereg.diagnose.material.search import Search
 from tissuereg.diagnose.material.weights import weights_of
 
-#: Noise of a row over the peak of its curve, where all rows of a curve count alike.
+#: Noise of a row over the peak of its curve, where all rows of a curve have equal weights.
 _ALIKE = 0.01
-#: A form with more numbers, or other weights, must lower the error by this share.
+#: Share by which a form with more parameters, or other weights, must lower the error.
 _WORTH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """What is handed on.
+    """The reported fit.
 
     Attributes
     ----------
     fit : Fit
-        Of all rows; its covariance carries the error of its form.
+        Of all rows; its covariance includes the model error of its form.
     held_out : HeldOutErrors
-        Held-out data by the same form and weights.
+        Errors on held-out data with the same form and weights.
     weighting : {"lasting errors", "rows alike"}
-        Which noise the rows were given.
+        Weights of the rows: by the full covariance with correlated errors, or equal.
     form_error : float
-        Size of what the form cannot follow, over the stress.
+        Size of the form's model error, over the stress.
     """
 
     fit: Fit
@@ -49,31 +50,31 @@ class Refined:
 
 
 def refined(search: Search, none: Hypothesis, known: Hypothesis, noise: Noise) -> Refined:
-    """Return the form and the weights that foretell best.
+    """Return the fit in the form and with the weights that predict best.
 
     Parameters
     ----------
     search : Search
         With its bench.
     none, known : Hypothesis
-        What is believed, and that with the causes found.
+        The believed law without and with the causes found.
     noise : Noise
-        Of the curves.
+        Noise of the curves.
 
     Returns
     -------
     Refined
-        One of the forms tried of each cause, with its deviations.
+        With one of the forms tried of each cause, and its deviations.
     """
     benches = {"lasting errors": search.bench, "rows alike": rows_alike(search.bench, noise)}
     if search.bench.unit == "part":
-        # What lasts along a lone curve is told from memory by its noise; a law without memory is no such rival.
+        # In a single curve only the noise model separates correlated errors from memory; other laws need none.
         del benches["rows alike" if known.fit.model.remembers else "lasting errors"]
     best = min((_of(bench, known.fit, name) for name, bench in benches.items()), key=lambda r: _error(search, r))
     for cause in (cause for cause in known.ids if CAUSES[cause].slot == "law"):
         best = _best_form(search, none, replace(known, fit=best.fit), cause, best, benches)
-    said = stated(benches[best.weighting], best.fit)
-    return replace(best, fit=said.fit, form_error=said.form_error)
+    with_deviations = stated(benches[best.weighting], best.fit)
+    return replace(best, fit=with_deviations.fit, form_error=with_deviations.form_error)
 
 
 def _best_form(
@@ -100,7 +101,7 @@ def _in_each_form(search: Search, none: Hypothesis, known: Hypothesis, cause: st
 
 
 def _reordered(fit: Fit, order: list[str], wanted: tuple[str, ...]) -> Fit:
-    """Return a fit with its forms, and their numbers, in the order of other ids."""
+    """Return a fit with its forms and their parameters in another order of the ids."""
     parts: dict[str, tuple[Form, slice]] = {}
     first = 1
     for id, form in zip(order, fit.forms, strict=True):
@@ -118,7 +119,7 @@ def _of(bench: Bench, fit: Fit, weighting: str) -> Refined:
 
 
 def _error(search: Search, refined: Refined) -> float:
-    """Return the error that decides: of held-out data, of the fit itself for a lone curve; kPa."""
+    """Return the error that decides: on held-out data, or of the fit itself for a single curve; kPa."""
     if search.bench.unit != "part":
         return refined.held_out.rms_all
     data = search.bench.problem.data
@@ -126,19 +127,19 @@ def _error(search: Search, refined: Refined) -> float:
 
 
 def rows_alike(bench: Bench, noise: Noise) -> Bench:
-    """Return a bench on which the rows of a curve count alike in fits.
+    """Return a bench on which the rows of a curve have equal weights in fits.
 
     Parameters
     ----------
     bench : Bench
         Rows, covariances and folds.
     noise : Noise
-        Of the curves.
+        Noise of the curves.
 
     Returns
     -------
     Bench
-        Errors stay counted in units of the true noise.
+        Prediction errors are still measured in units of the full noise covariance.
     """
     data = bench.problem.data
     peaks = np.array([float(np.nanmax(np.abs(curve.stress))) for curve in data.curves])

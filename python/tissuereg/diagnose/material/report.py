@@ -1,4 +1,4 @@
-"""One self-contained HTML page of a diagnosed material test: curves, findings, ranking, what was left out."""
+"""The self-contained HTML page of a diagnosed material test: curves, findings, ranking, held-out errors."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,19 +26,20 @@ pre { background: #f4f6f8; padding: .8rem; overflow: auto; font-size: 13px; }
 """
 
 _SAID = {
-    "named": "The law misses something that these curves show, and its cause is named.",
-    "group": "The law misses something; its cause is found up to ids that these curves cannot tell apart.",
-    "consistent": "The curves are consistent with the law.",
-    "unexplained": "The law does not explain the curves, and no cause in the catalogue does.",
+    "named": "The believed law does not explain the curves; the cause is named.",
+    "group": "The believed law does not explain the curves; the cause is known up to a group that these curves cannot "
+    "distinguish.",
+    "consistent": "The curves are consistent with the believed law.",
+    "unexplained": "The believed law does not explain the curves, nor does any cause of the catalogue.",
 }
 
-#: What is left out, and its models.
+#: Models whose held-out errors are listed.
 _MODELS = (("base", "believed law"), ("named", "with the findings"), ("generic", "with a generic patch"))
 
 _MEASURED = "#555"
 _WIDTH, _LEFT, _RIGHT, _HEIGHT = 900.0, 70.0, 20.0, 300.0
 
-#: Points of a curve that are drawn at most.
+#: Number of points of a curve that are drawn, at most.
 _MOST_POINTS = 300
 
 
@@ -48,14 +49,14 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
     Parameters
     ----------
     found : MaterialDiagnosis
-        What to show.
+        The diagnosis.
     folder : Path
-        Of the page: paths in the extended model lead from there.
+        Folder of the page, to which paths in the extended model are relative.
 
     Returns
     -------
     str
-        HTML, nothing in it from elsewhere.
+        HTML without external resources.
     """
     answer = found.answer
     tone = "yes" if answer["verdict"] == "consistent" else "no"
@@ -69,12 +70,13 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
         f"<p class='key'>{_key(found)}</p>",
         *_charts(found),
         "<h2>All causes that were tried</h2>",
-        "<p>The log Bayes factor says how much better a cause predicts the curves than the law without it, the price "
-        "of its freedom included. The red line is the threshold, which curves without any effect pass rarely.</p>",
+        "<p>The log Bayes factor (in nats) measures how much better a cause predicts the curves than the law without "
+        "it; it includes the penalty for the cause's free parameters. The red line is the threshold, which curves "
+        "without any effect exceed rarely.</p>",
         _ranking(found),
-        "<h2>What was left out of the fit</h2>",
+        "<h2>Prediction of held-out data</h2>",
         _held_out(answer["held_out"]),
-        "<h2>Which test would tell more</h2>",
+        "<h2>What to measure next</h2>",
         f"<p>{escape(_advice(answer['next_experiment']))}</p>",
         "<h2>What was assumed</h2>",
         _assumed(answer),
@@ -85,12 +87,12 @@ def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
 
 
 def _discrepancy(answer: dict[str, Any]) -> str:
-    said = answer["discrepancy"]
+    before = answer["discrepancy"]
     return (
-        f"The believed law, fitted, misses the stress by {said['rms_kpa']:.3g} kPa (rms), {said['in_sigma']:.1f} times "
-        f"its uncertainty; most in {said['under']} and {said['when']}, worst in {' and '.join(said['where'])}. With "
-        f"the findings, curves without further effects would misfit as much with probability "
-        f"{chance(answer['p_misfit'])}."
+        f"The residual of the believed law, fitted, is {before['rms_kpa']:.3g} kPa (rms), {before['in_sigma']:.1f} "
+        f"times the uncertainty of the stress; largest in {before['under']} and {before['when']}, worst in "
+        f"{' and '.join(before['where'])}. With the findings, curves without further effects would misfit as much with "
+        f"probability {chance(answer['p_misfit'])}."
     )
 
 
@@ -99,8 +101,8 @@ def _finding(cause: dict[str, Any]) -> str:
     tied = ", ".join(plain_name(name) for name in cause["group"][1:])
     return (
         f"<h3>{escape(plain_name(cause['id']))} <code>{escape(cause['id'])}</code></h3>"
-        f"<p>Probability {chance(cause['probability'])}; log Bayes factor {cause['log_bayes_factor']:.1f}, where "
-        f"{cause['threshold']:.1f} was asked for.{f' Tied with: {escape(tied)}.' if tied else ''}</p>"
+        f"<p>Probability {chance(cause['probability'])}; log Bayes factor {cause['log_bayes_factor']:.1f} (threshold "
+        f"{cause['threshold']:.1f}).{f' Tied with: {escape(tied)}.' if tied else ''}</p>"
         + table(("parameter", "value \u00b1 standard deviation"), rows)
     )
 
@@ -112,7 +114,7 @@ def _key(found: "MaterialDiagnosis") -> str:
 
 
 def _charts(found: "MaterialDiagnosis") -> list[str]:
-    """Return one chart a mode: all of its curves, measured and said."""
+    """Return one chart for each mode, with all of its curves, measured and modelled."""
     curves = found.experiment.curves
     believed = [stress_of(found.outcome.believed.model, curve) for curve in curves]
     after = predicted_stresses(found.extended) if found.answer["causes"] else None
@@ -126,7 +128,7 @@ def _charts(found: "MaterialDiagnosis") -> list[str]:
 
 def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | None]]) -> str:
     amounts = np.concatenate([curve.amounts for curve, *_ in drawn])
-    stresses = np.concatenate([row for curve, *said in drawn for row in (curve.stress, *said) if row is not None])
+    stresses = np.concatenate([row for curve, *models in drawn for row in (curve.stress, *models) if row is not None])
     known = stresses[np.isfinite(stresses)]
     low, high = float(known.min()), float(known.max())
     across = svg.Scale(float(amounts.min()), float(amounts.max()), _LEFT, _WIDTH - _RIGHT)
@@ -142,12 +144,12 @@ def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | No
     parts.append(svg.text(_LEFT, 12.0, "nominal stress, kPa", more="font-size='12'"))
     what = "amount of shear" if mode == "simple-shear" else "stretch"
     parts.append(svg.text(_WIDTH - _RIGHT, _HEIGHT - 6.0, what, "end", more="font-size='12'"))
-    for curve, *said in drawn:
+    for curve, *models in drawn:
         rows = slice(None, None, -(-len(curve.amounts) // _MOST_POINTS))
         x = np.array([across(amount) for amount in curve.amounts[rows]])
         dots = zip(x, (up(stress) for stress in curve.stress[rows]), strict=True)
         parts += [f"<circle cx='{a:.1f}' cy='{b:.1f}' r='1.6' fill='{_MEASURED}'/>" for a, b in dots if np.isfinite(b)]
-        for stress, colour in zip(said, (svg.BEFORE, svg.AFTER), strict=True):
+        for stress, colour in zip(models, (svg.BEFORE, svg.AFTER), strict=True):
             if stress is not None:
                 y = np.array([up(value) for value in stress[rows]])
                 parts.append(svg.line(x, y, colour, "stroke-width='1.6'"))
@@ -168,13 +170,13 @@ def _held_out(held: dict[str, Any]) -> str:
     rows = [(escape(case), *(cell(by[f"rms_{key}_kpa"]) for key, _ in _MODELS)) for case, by in held["by_case"].items()]
     rows.append(("all", *(cell(held[f"rms_{key}_kpa"]) for key, _ in _MODELS)))
     rows.append(("all, over their uncertainty", *(cell(held[f"chi_{key}"]) for key, _ in _MODELS)))
-    head = (f"{held['unit']} left out, rms kPa", *(name for _, name in _MODELS))
+    head = (f"{held['unit']} held out, rms kPa", *(name for _, name in _MODELS))
     return table(head, rows) + f"<p>Noise of a stress: {held['noise_kpa']:.2g} kPa (rms).</p>"
 
 
 def _advice(advice: dict[str, Any] | None) -> str:
     if advice is None:
-        return "No tie is left that a further test of the usual kinds would resolve."
+        return "There is no tie that a further test of the usual kinds would resolve."
     if not advice["separates"]:
         return f"Next: {advice['action']}."
     return f"{advice['action']}: it separates {separated(advice)} by {advice['separability']:.1f} noise deviations."
@@ -184,9 +186,9 @@ def _assumed(answer: dict[str, Any]) -> str:
     noise = answer["noise"]
     items = [f"{name}: noise of one stress {std:.2g} kPa." for name, std in noise["std_kpa"].items()]
     items.append(
-        f"Specimens differ by {100 * noise['specimen_factor']:.1f} %; errors that last along a curve: "
+        f"Specimens differ by {100 * noise['specimen_factor']:.1f} %; correlated errors along a curve: "
         f"{100 * noise['along_curve']:.1f} %; curves that repeat another: {noise['repeats']}."
     )
-    items.append(f"Seed of all chance: {answer['seed']}.")
+    items.append(f"Seed of all random draws: {answer['seed']}.")
     items.append("Versions: " + ", ".join(f"{name} {version}" for name, version in answer["versions"].items()) + ".")
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"

@@ -1,4 +1,4 @@
-"""What a set of curves can show: modes, strains, times, unloading."""
+"""The scope of a set of curves: tested modes, strains, times and unloading, which decide what causes can be seen."""
 
 from dataclasses import dataclass
 
@@ -10,26 +10,27 @@ from tissuereg.material_experiment import Curve, MaterialExperiment
 
 @dataclass(frozen=True)
 class Scene:
-    """Ranges of an experiment, for priors and for what is visible.
+    """Scope of an experiment, for priors and for the choice of causes.
 
     Attributes
     ----------
     modes : tuple of str
-        That were tested.
+        Tested modes.
     poisson : float
-        Believed.
+        Believed Poisson's ratio.
     invariant : float
-        Largest ``I1 - 3`` of a body that keeps its volume.
+        Largest ``I1 - 3``, volume preserved.
     pulled, pushed : bool
-        Whether a bar was stretched and compressed, each by a hundredth at least.
+        Whether a bar was stretched and compressed, each by at least 1 %.
     timed : bool
         Whether times or rates are known.
     paced : bool
-        Whether time can be told from strain: holds, unloading, or two rates that differ by a fifth.
+        Whether effects of time can be distinguished from those of strain: holds, unloading, or two rates that differ by
+        a fifth.
     unloaded : bool
-        Whether strain falls below nine tenths of its largest so far.
+        Whether the strain falls below nine tenths of its largest so far.
     shortest_s, longest_s : float
-        Range of times that a history can resolve.
+        Range of time constants that the curves can resolve.
     peak : float
         Largest stress, kPa.
     peak_energy : float
@@ -54,12 +55,12 @@ class Scene:
 
     @property
     def two_sided(self) -> bool:
-        """Whether pull and push were both tested."""
+        """Whether tension and compression were both tested."""
         return self.pulled and self.pushed
 
 
 def scene_of(experiment: MaterialExperiment) -> Scene:
-    """Return what the curves of an experiment can show.
+    """Return the scope of an experiment's curves.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def scene_of(experiment: MaterialExperiment) -> Scene:
     Returns
     -------
     Scene
-        Ranges and what is visible.
+        Ranges, and which kinds of loading there are.
     """
     curves = experiment.curves
     bars = np.concatenate([np.zeros(1), *(c.strains for c in curves if c.mode != "simple-shear")])
@@ -108,7 +109,7 @@ def _invariant(curve: Curve) -> FloatArray:
 def _unloaded(curve: Curve) -> bool:
     sizes = np.abs(curve.strains)
     falls = sizes < 0.9 * np.maximum.accumulate(sizes)
-    # A sweep from one side through zero to the other is no unloading.
+    # A sweep from tension through zero to compression is no unloading.
     return bool((falls & (np.sign(curve.strains) == np.sign(_of_largest(curve)))).any()) and not _sweeps(curve)
 
 

@@ -1,4 +1,4 @@
-"""The whole diagnosis of a material test: base fit, race, proof, groups, verdict."""
+"""The sequence of steps of a material diagnosis: fit of the believed law, threshold, search, proof, verdict."""
 
 import math
 from collections.abc import Callable
@@ -21,48 +21,48 @@ from tissuereg.diagnose.material.search import Candidate, Finding, Search, visib
 from tissuereg.diagnose.material.weights import generic_covariance, weights_of
 from tissuereg.material_experiment import MaterialExperiment
 
-#: Standard deviation of the logarithm of a modulus that is given without one.
+#: Default standard deviation of the logarithm of the modulus.
 USUAL_YOUNG = 0.3
-#: Structure in the residual that noise leaves less often than this is a misfit.
+#: Level of the misfit test: a residual with a smaller p-value is a misfit.
 MISFIT = 0.01
-#: Share of the misfit that findings must explain where they leave a misfit.
+#: Share of the misfit that findings must explain where a misfit remains.
 EXPLAINED = 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """All that was found out.
+    """The result of all steps.
 
     Attributes
     ----------
     verdict : {"named", "group", "consistent", "unexplained"}
-        In a word.
+        Verdict.
     known : Hypothesis
-        What is believed with the causes found.
+        The believed law with the causes found.
     believed : Fit
-        What is believed, fitted as a user would.
+        The believed law, fitted with independent rows.
     refined : Refined or None
-        Form and numbers of the findings that are handed on.
+        The reported fit of the findings; None without findings.
     findings : tuple of Finding
-        None where the verdict is consistent or unexplained.
+        Empty where the verdict is consistent or unexplained.
     candidates : tuple of Candidate
-        The race of single causes, unknown among them.
+        The race of single causes, the generic rival included.
     threshold : float
-        Evidence that a cause must exceed.
+        Log Bayes factor that a cause must exceed, nats.
     p_misfit : float
-        Global p-value after the findings.
+        p-value of the residual after the findings.
     explained : float
         Share of the misfit (in squared units of noise) that the findings explain; NaN without findings.
     before, after, patch : HeldOutErrors
-        Held-out data foretold by what is believed, with the findings, with a generic patch.
+        Of the believed law, with the findings, and with a generic patch.
     unit : str
-        What was held out.
+        Unit that was held out.
     noise : Noise
-        Of the curves.
+        Noise of the curves.
     bench : Bench
         Rows, covariances and folds.
     scene : Scene
-        What the curves can show.
+        Scope of the curves.
     """
 
     verdict: str
@@ -84,43 +84,43 @@ class Outcome:
 
 
 def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str], None]) -> Outcome:
-    """Find out what the believed law of an experiment gets wrong.
+    """Return the result of all steps of a material diagnosis.
 
     Parameters
     ----------
     experiment : MaterialExperiment
-        Beliefs and curves.
+        Believed law and measured curves.
     seed : int
-        Of simulated nulls.
+        Seed of the simulated null experiments.
     progress : callable
-        Told what is done.
+        Called with the name of the step that begins.
 
     Returns
     -------
     Outcome
-        With all figures of the answer.
+        Everything that the answer is made from.
     """
     rng = np.random.default_rng(seed)
     bench, noise = bench_of(experiment)
     problem, scene = bench.problem, scene_of(experiment)
     none = null_hypothesis(problem)
     forms = visible({id: cause.forms(scene) for id, cause in CAUSES.items()})
-    progress("thresholds from simulated nulls")
+    progress("threshold from null experiments")
     limit = threshold(problem, none.fit, forms, rng)
     search = Search(bench, forms, limit, progress)
     known = _without_near_modulus(search, none, search.run(none))
     data = problem.data
     believed = plain_fit(problem, bench.noise)
-    left = data.stress - data.modelled(known.fit.model)
-    p_misfit = misfit_probability(problem.weights, left, rng)
-    explained = _explained(bench, data.stress - data.modelled(believed.model), left) if known.ids else math.nan
+    residual = data.stress - data.modelled(known.fit.model)
+    p_misfit = misfit_probability(problem.weights, residual, rng)
+    explained = _explained(bench, data.stress - data.modelled(believed.model), residual) if known.ids else math.nan
     generic = unknown(problem, none)
     verdict = "consistent" if p_misfit > MISFIT else "unexplained"
     findings: tuple[Finding, ...] = ()
     if known.ids and (p_misfit > MISFIT or explained > EXPLAINED):
         findings = tuple(search.finding(none, known, cause) for cause in known.ids)
         verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
-    progress("form and weights that foretell best")
+    progress("form and weights that predict best")
     reported = refined(search, none, known, noise) if findings else None
     before = held_out_errors(bench, believed)
     after = before if reported is None else reported.held_out
@@ -146,19 +146,19 @@ def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str]
 
 
 def bench_of(experiment: MaterialExperiment) -> tuple[Bench, Noise]:
-    """Return all that fits and proofs of an experiment need.
+    """Return everything that fits and held-out proofs of an experiment need.
 
     Parameters
     ----------
     experiment : MaterialExperiment
-        Beliefs and curves.
+        Believed law and measured curves.
 
     Returns
     -------
     bench : Bench
         Rows, covariances and folds.
     noise : Noise
-        Of the curves.
+        Noise of the curves.
     """
     data, noise = data_of(experiment), noise_of(experiment)
     own, generic = covariance(data, noise), generic_covariance(data)
@@ -171,12 +171,12 @@ def bench_of(experiment: MaterialExperiment) -> tuple[Bench, Noise]:
 
 
 def _without_near_modulus(search: Search, none: Hypothesis, known: Hypothesis) -> Hypothesis:
-    """Return the answer less a modulus that lies within its belief."""
+    """Return the hypothesis without a finding of the modulus where that lies within its prior."""
     if "stiffness" not in known.ids:
         return known
     return known if search.far_modulus(known.fit) else search.without(none, known, "stiffness")
 
 
 def _explained(bench: Bench, before: FloatArray, after: FloatArray) -> float:
-    sizes = [float(np.sum(bench.problem.weights.whitened(left) ** 2)) - len(left) for left in (before, after)]
+    sizes = [float(np.sum(bench.problem.weights.whitened(error) ** 2)) - len(error) for error in (before, after)]
     return 1.0 - max(sizes[1], 0.0) / sizes[0] if sizes[0] > 0 else 0.0

@@ -1,7 +1,8 @@
-"""Residuals in units of their noise, with or without a smooth misfit that no cause explains.
+"""Whitening of residuals by the noise covariance, with or without a generic misfit.
 
-The generic misfit is a Gaussian process in mode, strain, progress and rate, shared by all curves of a mode, of size
-`share` of the stress. In the eigenvectors of its covariance, whitened by the noise, every size costs one division:
+The generic misfit is a Gaussian process in strain, progress and rate, common to all curves of a mode, whose standard
+deviation is `share` times the stress. In the eigenvectors of its covariance, whitened by the noise, the whitening for
+any share is a division:
 
     C(share) = L U (1 + share^2 Lambda) U^T L^T,      L L^T = noise
 """
@@ -16,7 +17,7 @@ from tissuereg.diagnose.material.noise import ROUGH
 
 #: Sizes of a generic misfit over the stress.
 SHARES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
-#: Lengths of a generic misfit: strain over the largest, progress (long and short), decades of rate.
+#: Correlation lengths of a generic misfit: strain over the largest, progress (long and short), decades of rate.
 _STRAIN, _ARC, _SHORT_ARC, _RATE = 0.5, 0.25, 0.06, 1.0
 
 
@@ -36,7 +37,7 @@ class Weights:
     spectrum: FloatArray
 
     def whitened(self, residual: FloatArray, share: float = 0.0) -> FloatArray:
-        """Return residuals in units of their standard deviation.
+        """Return whitened residuals.
 
         Parameters
         ----------
@@ -55,7 +56,7 @@ class Weights:
         return np.asarray(turned / (size if turned.ndim == 1 else size[:, None]))
 
     def log_size(self, share: float) -> float:
-        """Return half the logarithm of the determinant that a generic misfit adds."""
+        """Return half the log determinant of the covariance with a generic misfit over that of the noise."""
         return 0.5 * float(np.log1p(share**2 * self.spectrum).sum())
 
 
@@ -65,12 +66,12 @@ def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
     Parameters
     ----------
     noise, generic : ndarray of float64, shape (n, n)
-        kPa^2, `generic` of size 1.
+        kPa^2; `generic` for a share of 1.
 
     Returns
     -------
     Weights
-        One Cholesky factor and one eigenvalue problem.
+        Costs one Cholesky factor and one eigenvalue problem.
     """
     factor = np.linalg.cholesky(noise)
     inverse = np.linalg.inv(factor)
@@ -94,7 +95,7 @@ def generic_covariance(data: Data) -> FloatArray:
 def patched(
     noise: FloatArray, generic: FloatArray, share: float, known: IntArray, left_out: IntArray, residual: FloatArray
 ) -> FloatArray:
-    """Return what a generic misfit, learnt from some rows, says of others.
+    """Return the posterior mean of a generic misfit at some rows, given the residual at others.
 
     Parameters
     ----------
@@ -118,5 +119,5 @@ def patched(
 
 
 def block(matrix: FloatArray, rows: IntArray) -> FloatArray:
-    """Return the square of a matrix that belongs to some rows."""
+    """Return the submatrix of some rows and the same columns."""
     return np.asarray(matrix[np.ix_(rows, rows)])

@@ -1,4 +1,4 @@
-"""Causes that a material test can find, in the order of the effects' application."""
+"""The catalogue of causes of material tests, in the order in which their effects are applied."""
 
 from tissuereg.diagnose.material.causes.base import Cause, Form
 from tissuereg.diagnose.material.causes.fibre import FIBRE

@@ -1,4 +1,4 @@
-"""What every cause is: forms that a fit can take, and a sentence."""
+"""Definition of a cause of material tests: the forms in which it is fitted, and its sentence."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,18 +12,18 @@ from tissuereg.effects import Effect
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """One way in which a cause may act: an effect with numbers that are fitted.
+    """One form of a cause: an effect with fitted parameters.
 
     Attributes
     ----------
     label : str
-        Such as ``yeoh``.
+        Name, for instance ``yeoh``.
     mean, std : ndarray of float64, shape (n,)
-        Gaussian prior of the fitted numbers.
+        Gaussian prior of the fitted parameters.
     starts : tuple of tuple of float
-        Where searches begin.
+        First guesses.
     effect : callable
-        Effect of given numbers; None for the modulus, which every fit has.
+        Returns the effect for parameters; None for the modulus, which every fit has.
     """
 
     label: str
@@ -35,20 +35,20 @@ class Form:
 
 @dataclass(frozen=True)
 class Cause:
-    """One id that a material test can find.
+    """One cause that a material test can show.
 
     Attributes
     ----------
     id : str
         As in the effect's table.
     slot : str
-        What it takes up; causes of one slot exclude each other.
+        Part of the model that it replaces; causes with the same slot exclude each other.
     forms : callable
-        Forms that the curves of a scene can show; none where the cause cannot be seen.
+        Returns the forms that curves of a scope can show; none where the cause cannot be seen.
     sentence : callable
-        What is found, from the effect's table.
+        Returns the finding in words, from the effect's table.
     parameters : mapping of str to str
-        Names of its numbers in the answer, by key of the table.
+        Names of its parameters in the answer, by key of the table.
     """
 
     id: str
@@ -64,18 +64,18 @@ def form(
     starts: Sequence[tuple[float, ...]],
     effect: Callable[[FloatArray], Effect],
 ) -> Form:
-    """Return a form from means and standard deviations of its numbers.
+    """Return a form from the prior means and standard deviations of its parameters.
 
     Parameters
     ----------
     label : str
         Name.
     prior : sequence of (mean, std)
-        One a number.
+        One for each parameter.
     starts : sequence of tuple of float
-        Empty: the means.
+        First guesses; the means where empty.
     effect : callable
-        Effect of given numbers.
+        Returns the effect for parameters.
 
     Returns
     -------
@@ -87,10 +87,10 @@ def form(
 
 
 def sigmoid(x: float) -> float:
-    """Return a number from 0 to 1 that grows with any number, kept off both ends."""
+    """Return the logistic function, kept within (0, 1) by a margin of 1e-6."""
     return float(1e-6 + (1.0 - 2e-6) / (1.0 + np.exp(-np.clip(x, -40.0, 40.0))))
 
 
 def exponential(x: float) -> float:
-    """Return a positive number that stays finite."""
+    """Return the exponential function of a clipped argument, so that it is finite."""
     return float(np.exp(np.clip(x, -40.0, 40.0)))

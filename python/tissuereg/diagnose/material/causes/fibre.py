@@ -1,4 +1,4 @@
-"""Fibres: one direction is stiffer in tension."""
+"""Fibre reinforcement: one direction is stiffer in tension."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ _DIRECTIONS = {"along the pull": (1.0, 0.0, 0.0), "across the pull": (0.0, 1.0, 
 
 
 def _forms(scene: Scene) -> list[Form]:
-    # One mode cannot tell fibres from a stiffer law.
+    # One mode alone cannot distinguish fibres from a stiffer law.
     if len(scene.modes) < 2:
         return []
     return [form(label, [(0.0, 1.5), (0.0, 1.5)], [], _effect(towards)) for label, towards in _DIRECTIONS.items()]

@@ -1,4 +1,4 @@
-"""Other elastic laws: stiffening, a share of the second invariant, pull and push that are no mirror images."""
+"""Other elastic laws: stiffening, Mooney-Rivlin, tension-compression asymmetry."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from tissuereg.diagnose.material.causes.base import Cause, Form, exponential, fo
 from tissuereg.diagnose.material.scene import Scene
 from tissuereg.effects.elastic import Asymmetry, Mooney, OtherLaw, Stiffening
 
-#: Spread of Ogden's exponents about 0: rubber has some -5 to 10, brain -20.
+#: Prior standard deviation of Ogden's exponents about 0: rubber has some -5 to 10, brain -20.
 _ALPHA = 15.0
 _LARGEST_ALPHA = 80.0
 
@@ -21,7 +21,7 @@ def _ogden(kind: type[OtherLaw], x: FloatArray) -> OtherLaw:
 
 
 def _alpha(value: float) -> float:
-    """Return an exponent that is not zero, where the law is a logarithm."""
+    """Return an exponent within bounds and not zero, where Ogden's law is a logarithm."""
     value = min(max(value, -_LARGEST_ALPHA), _LARGEST_ALPHA)
     return value if abs(value) > 1e-3 else 1e-3
 
@@ -48,12 +48,12 @@ def _stiffening_forms(scene: Scene) -> list[Form]:
             lambda x: Stiffening(law="yeoh", c2_over_c1=float(x[0]) / a, c3_over_c1=float(x[1]) / a**2),
         ),
     ]
-    # Where pull or push alone was tested an exponent says no more than how the tangent changes.
+    # In tension or compression alone Ogden's exponent describes how the tangent modulus changes, like other laws.
     return forms if scene.two_sided else [*forms, *_ogden_forms(Stiffening)]
 
 
 def _mooney_forms(scene: Scene) -> list[Form]:
-    # In simple shear both invariants are one.
+    # In simple shear both invariants are equal.
     if scene.modes == ("simple-shear",):
         return []
     share = [(-1.5,), (1.5,)]
@@ -68,21 +68,21 @@ def _asymmetry_forms(scene: Scene) -> list[Form]:
 
 def _stiffening_sentence(table: Mapping[str, Any]) -> str:
     law = f"a law of the kind {table['law']} ({_shape(table)})"
-    return f"The material does not keep its modulus as it deforms, but follows {law}."
+    return f"The modulus changes with strain; the stress follows {law}."
 
 
 def _asymmetry_sentence(table: Mapping[str, Any]) -> str:
     return (
-        "Pull and push are no mirror images, and stiffness changes with strain in each its own way: "
+        "Tension and compression are asymmetric, with different changes of stiffness with strain: "
         f"an Ogden law ({_shape(table)}) fits all modes at once."
     )
 
 
 def _shape(table: Mapping[str, Any]) -> str:
-    def said(value: Any) -> str:
+    def text(value: Any) -> str:
         return f"{value:.3g}" if isinstance(value, float) else ", ".join(f"{v:.3g}" for v in value)
 
-    return "; ".join(f"{key} {said(value)}" for key, value in table.items() if key not in ("id", "law"))
+    return "; ".join(f"{key} {text(value)}" for key, value in table.items() if key not in ("id", "law"))
 
 
 STIFFENING = Cause("stiffening", "law", _stiffening_forms, _stiffening_sentence)

@@ -1,4 +1,4 @@
-"""What depends on time and on earlier load: relaxation, rate, softening, set."""
+"""Effects of time and load history: relaxation, viscosity, softening, permanent set."""
 
 import math
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from tissuereg.diagnose.material.causes.base import Cause, Form, exponential, fo
 from tissuereg.diagnose.material.scene import Scene
 from tissuereg.effects.history import Rate, Relaxation, Set, Softening
 
-#: Terms of a relaxation at most.
+#: Number of Prony terms of a relaxation, at most.
 _MAX_TERMS = 3
 
 
@@ -21,7 +21,7 @@ def _relaxation_forms(scene: Scene) -> list[Form]:
     low, high = math.log(scene.shortest_s), math.log(scene.longest_s)
     forms = []
     for n in range(1, _MAX_TERMS + 1):
-        # Times spread evenly over the decades that the test resolves, each free to take its own share of them.
+        # Prior means of the time constants are spread evenly over the decades that the test resolves.
         times = low + (high - low) * (np.arange(n) + 0.5) / n
         spread = (high - low) / (2.0 * n) + 0.3
         prior = [(-0.7, 1.5)] * n + [(float(t), spread) for t in times]
@@ -84,5 +84,5 @@ SET = Cause(
     "set",
     "set",
     _set_forms,
-    lambda table: f"A share of {table['fraction']:.2g} of the largest strain so far stays when the load is gone.",
+    lambda table: f"A share of {table['fraction']:.2g} of the largest strain so far remains after unloading.",
 )

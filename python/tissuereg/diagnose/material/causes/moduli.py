@@ -1,4 +1,4 @@
-"""Stiffness and Poisson's ratio: another modulus than is believed."""
+"""Young's modulus and Poisson's ratio other than believed."""
 
 import math
 
@@ -8,7 +8,7 @@ from tissuereg.diagnose.material.causes.base import Cause, Form, form, sigmoid
 from tissuereg.diagnose.material.scene import Scene
 from tissuereg.effects.elastic import Poisson
 
-#: Standard deviation of the logarithm of a modulus that may be anything.
+#: Prior standard deviation of the logarithm of the modulus where it is a cause.
 WIDE_YOUNG = 1.5
 
 
@@ -18,7 +18,7 @@ def _stiffness_forms(scene: Scene) -> list[Form]:
 
 
 def _poisson_forms(scene: Scene) -> list[Form]:
-    # A bar tells E, shear tells E / (1 + nu).
+    # A bar determines E, shear determines E / (1 + nu).
     if "simple-shear" not in scene.modes or len(scene.modes) < 2:
         return []
     believed = min(max(2.0 * scene.poisson, 0.02), 0.999)
@@ -31,7 +31,7 @@ STIFFNESS = Cause(
     "stiffness",
     "young",
     _stiffness_forms,
-    lambda table: f"The modulus at small strain is {table['young_kpa']:.3g} kPa, not what is believed.",
+    lambda table: f"The modulus at small strain is {table['young_kpa']:.3g} kPa, far from the believed one.",
     {"young_kpa": "young_kpa"},
 )
 
@@ -40,7 +40,7 @@ POISSON = Cause(
     "poisson",
     _poisson_forms,
     lambda table: (
-        f"Poisson's ratio is {table['poisson']:.3g}: bars and shear do not agree on one modulus at the ratio believed."
+        f"Poisson's ratio is {table['poisson']:.3g}: at the believed ratio bars and shear give different moduli."
     ),
     {"poisson": "poisson"},
 )
