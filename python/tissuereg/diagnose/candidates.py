@@ -49,7 +49,7 @@ class Candidate:
     gain: float
     target: Target
 
-    def as_mate(self) -> tuple[Part, FloatArray]:
+    def as_rival(self) -> tuple[Part, FloatArray]:
         """Return the cause, the last one of the fit, with its fitted parameters."""
         return self.fit.parts[-1], self.fit.x[self.fit.slices()[-1]]
 

@@ -93,8 +93,8 @@ def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple
     top = step.found
     assert top is not None  # required above
     as_likely = step.close(-TEMPER * np.log(AS_LIKELY))
-    mates = (c for c in step.close(0.5 * SEPARABLE**2) if c.id not in named)
-    close = [c.id for c in mates if c.gain > threshold or c in as_likely]
+    others = (c for c in step.close(0.5 * SEPARABLE**2) if c.id not in named)
+    close = [c.id for c in others if c.gain > threshold or c in as_likely]
     return (top.id, *close)[:MOST_IN_GROUP]
 
 

@@ -77,7 +77,7 @@ def without_redundant(target: Target, current: Fit, thresholds: Mapping[str, flo
     return target, current, kept
 
 
-def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Part, FloatArray]]) -> tuple[Target, Fit]:
+def exchanged(target: Target, current: Fit, part: int, rivals: Sequence[tuple[Part, FloatArray]]) -> tuple[Target, Fit]:
     """Return the fit with the best of some rivals in place of one cause, where that gains `BETTER` nats.
 
     The discretisation error of the causes is corrected in every fit.
@@ -90,7 +90,7 @@ def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Par
         With all causes.
     part : int
         Number of the cause that may be replaced.
-    mates : sequence of (Part, ndarray of float64, shape (k,))
+    rivals : sequence of (Part, ndarray of float64, shape (k,))
         Rivals, with the parameters at which their fits begin.
 
     Returns
@@ -100,8 +100,8 @@ def exchanged(target: Target, current: Fit, part: int, mates: Sequence[tuple[Par
     """
     mine = current.slices()[part]
     best, of_best = current, target
-    for mate, knobs in mates:
-        parts = [*current.parts[:part], mate, *current.parts[part + 1 :]]
+    for rival, knobs in rivals:
+        parts = [*current.parts[:part], rival, *current.parts[part + 1 :]]
         start = np.concatenate([current.x[: mine.start], knobs, current.x[mine.stop :]])
         least = max(best.log_evidence, current.log_evidence + BETTER)
         reached = _reaching(least, target, fit(target, parts, start=start, hopeless=CORRECTION_GAIN - least))

@@ -45,7 +45,7 @@ PROVED = 4.0
 CLEAR = 100.0
 
 #: Rivals that are tried in place of one of several causes: their number, and nats within which they come to it.
-MOST_MATES, MATES_WITHIN = 2, 40.0
+MOST_RIVALS, RIVALS_WITHIN = 2, 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,8 +217,8 @@ def _revised(
     found = [found[part] for part in kept]
     steps = [step if number in found else replace(step, found=None) for number, step in enumerate(steps)]
     for part, number in enumerate(found):
-        mates = [c.as_mate() for c in steps[number].close(MATES_WITHIN) if c.id not in current.ids]
-        target, current = exchanged(target, current, part, mates[:MOST_MATES])
+        rivals = [c.as_rival() for c in steps[number].close(RIVALS_WITHIN) if c.id not in current.ids]
+        target, current = exchanged(target, current, part, rivals[:MOST_RIVALS])
     for part, number in enumerate(found):
         # The gain of a finding is the evidence that its removal costs.
         before = without(target, current, part)

@@ -78,7 +78,7 @@ def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[
     experiment : Experiment
         Mesh and patches, with their deviations where stated.
     given : Mesh, optional
-        The mesh whose facets the experiment's own mesh divides; facets lie beside the smooth surface as those of it do.
+        The mesh whose facets the experiment's own mesh subdivides; gaps to the smooth surface are those of its facets.
 
     Returns
     -------

@@ -50,8 +50,8 @@ class FibreCause(Cause):
     def sentence(self, values: Values) -> str:
         """Return the finding in words."""
         along = values["direction"]
-        said = ", ".join(f"{x:.2f}" for x in along)
-        return f"Fibres along ({said}) stiffen the body, with {values['k1_over_mu']:.2g} times its shear modulus."
+        axis = ", ".join(f"{x:.2f}" for x in along)
+        return f"Fibres along ({axis}) stiffen the body, with {values['k1_over_mu']:.2g} times its shear modulus."
 
 
 def _effect(size: float, direction: FloatArray) -> Effect:

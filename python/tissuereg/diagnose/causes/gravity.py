@@ -54,9 +54,9 @@ class GravityCause(Cause):
     def sentence(self, values: Values) -> str:
         """Return the finding in words."""
         along, size = values["direction"], values["g_mm_per_s2"]
-        said = ", ".join(f"{x:.2f}" for x in along)
+        axis = ", ".join(f"{x:.2f}" for x in along)
         over = size / GRAVITY_MM_PER_S2
-        return f"Gravity acts along ({said}) with {over:.2g} g, unlike in the simulation."
+        return f"Gravity acts along ({axis}) with {over:.2g} g, unlike in the simulation."
 
     def _by_tangents(self, bench: Bench) -> FloatArray:
         """Return derivatives by the weight; pads are attached to the sagged shape and move with it."""
