@@ -8,7 +8,7 @@ brain        ``REGION_tension.txt``, ``REGION_compression.txt``, ``REGION_simple
              shear, nominal stress in kPa, no header. One diagnosis a region; modes are left out in turn.
 silicone     ``NAME_SPECIMEN.csv``: time s, compression, load, engineering strain, engineering stress kPa, ...; lines
              with ``#`` are skipped. SPECIMEN is a letter and the number of a test of it. One diagnosis a silicone (same
-             NAME), whole specimens left out, and one a file.
+             NAME), whole specimens left out, and one per file.
 shear-rates  ``*_RATE_per_s.csv`` with the header time_s, shear, nominal shear stress in kPa. One diagnosis of all
              rates, and one without each rate, which it then foretells.
 

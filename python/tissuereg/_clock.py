@@ -1,4 +1,4 @@
-"""Wall time a stage."""
+"""Wall time per stage."""
 
 import time
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ class Clock:
     Attributes
     ----------
     seconds : dict of str to float
-        Wall time a stage, in the order in which the stages ended.
+        Wall time per stage, in the order in which the stages ended.
     """
 
     def __init__(self) -> None:

@@ -83,7 +83,7 @@ def bench_solve(settings: BenchSettings) -> list[Row]:
     Returns
     -------
     list of dict
-        One row a problem and element; nothing is kept from one repeat to the next.
+        One row per problem and element; nothing is kept from one repeat to the next.
     """
     rows = []
     for name, problem in _problems(settings):
@@ -125,7 +125,7 @@ def bench_esmda(settings: BenchSettings) -> list[Row]:
     Returns
     -------
     list of dict
-        One row a size of `ESMDA_SIZES` and kind of noise.
+        One row per size of `ESMDA_SIZES` and kind of noise.
     """
     rows = []
     for sizes in ESMDA_SIZES:

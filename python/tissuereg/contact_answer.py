@@ -1,4 +1,4 @@
-"""The answer of a registration by contacts, put together from its fit."""
+"""The result of a registration by contacts, assembled from its fit."""
 
 from dataclasses import dataclass
 
@@ -19,28 +19,28 @@ from tissuereg.mesh import det_f
 from tissuereg.result import MarkerFit, Registration, Target
 from tissuereg.trust import LEVEL, Trust, judge
 
-#: A target is flagged where the markers take away less than this share of its variance under unseen contacts.
+#: A target is flagged if the markers remove less than this share of its variance under unseen contacts.
 LEAST_CONSTRAINED = 0.8
 
-#: What a flagged target is told.
+#: Flag of such a target.
 NO_MARKER = "no marker tells"
 
-#: A marker that is wrong with at least this probability does not count.
+#: A marker that is wrong with at least this probability is dropped.
 _WRONG = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of targets and markers.
+    """Registered targets and markers.
 
     Attributes
     ----------
     used, lost : ndarray of int64
-        Markers that count, and those that were not seen or are wrong.
+        Markers that were used, and those that were not seen or are wrong.
     displacement : ndarray of float64, shape (n_targets + n_markers, 3)
         In the tracker's frame, targets first, mm.
     points : Points
-        Uncertainty of the targets, then of the markers that are lost.
+        Uncertainty of the targets, then of the lost markers.
     """
 
     used: IntArray
@@ -50,7 +50,7 @@ class Known:
 
 
 def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
-    """Return what is known of targets and markers."""
+    """Return the registered targets and markers."""
     moment, observed, inner = fit.moment, given.observed, given.targets
     n_targets = len(inner.names)
     seen = np.isfinite(given.markers.measured).any(axis=1)
@@ -68,7 +68,7 @@ def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Everything that a registration by contacts found.
+    """All parts of a registration by contacts.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Answer:
     draw : Draws
         Posterior fields.
     surface : SurfaceFit or None
-        How points of the surface fared.
+        Fit of the points of the surface.
     """
 
     given: RegisterInput
@@ -139,7 +139,7 @@ class Answer:
         )
 
     def _of_markers(self, both: FloatArray) -> FloatArray:
-        """Return the markers' part of what holds targets first."""
+        """Return the markers' part of an array with the targets first."""
         return both[len(self.given.targets.names) :]
 
     def _begun(self) -> FloatArray:
@@ -158,7 +158,7 @@ class Answer:
         }
 
     def _unseen(self, position: int, begun: FloatArray) -> Target:
-        """Return where a tracker would see a marker that does not count; `position` is that among the lost ones."""
+        """Return the predicted measurement of a lost marker, given its position among the lost ones."""
         markers, marker = self.given.markers, int(self.known.lost[position])
         index = len(self.given.targets.names) + position
         covariance = self.known.points.covariance[index] + np.diag(markers.axis_std[marker] ** 2)
@@ -180,9 +180,9 @@ class Answer:
         )
 
     def _wrong(self, unseen: list[Target]) -> list[str]:
-        """Return a reason for every marker that was dropped and lies outside the region that the others leave it.
+        """Return a reason for every dropped marker outside the region that is predicted from the others.
 
-        One that lies inside contradicts nothing: the contacts tried did not reach it, and its region says so.
+        A dropped marker inside its region contradicts nothing: no sampled contact reaches it, and the region is wide.
         """
         markers, limit = self.given.markers, LEVEL / max(len(self.given.markers), 1)
         return [
@@ -192,10 +192,10 @@ class Answer:
         ]
 
     def _residual_variance(self, moved: FloatArray) -> FloatArray:
-        """Return the variance of what is left at markers, (n_markers, 3) in mm^2: the tracker's and the model's.
+        """Return the variance of the markers' residuals, (n_markers, 3) in mm^2: that of the tracker and of the model.
 
-        Where the motion differs much across an element, at the rim of a contact, the mesh cannot follow it: the model's
-        share grows there, in the test alone. `moved` is how far each marker moved, mm.
+        At the rim of a contact the motion varies strongly across an element and the mesh cannot resolve it: the model's
+        part grows there, in this test alone. `moved` is the length of each marker's motion, mm.
         """
         settings, observed = self.given.settings.contacts, self.given.observed
         local = observed.variation(self.fit.moment.displacement[observed.nodes])
@@ -211,16 +211,16 @@ class Answer:
         left = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
         moved = SeenMarkers(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
         variance = self._residual_variance(moved)[used].ravel()
-        # Whether a marker is wrong is decided with the contacts; here its residual is held against its noise alone.
+        # Wrong markers were detected with the contacts; here each residual is compared with its noise alone.
         spread = np.zeros((3 * len(used), 3 * len(used)))
         names = tuple(markers.names[i] for i in used)
-        # The innovation's misfit counts the data term once more: what it has beyond that is the prior's.
+        # The misfit of the innovation contains the data term; the rest is the prior's.
         prior_term = max(0.0, fit.misfit - float(np.nansum(left.ravel() ** 2 / variance)))
         return judge(names, left, np.diag(variance), spread, prior_term, min_det_f, notes, points)
 
 
 def _chance(left: FloatArray, covariance: FloatArray) -> float:
-    """Return the chance of an offset at least this unlikely; components that are not numbers say nothing."""
+    """Return the p-value of an offset; components that are NaN are ignored."""
     from scipy.stats import chi2
 
     seen = np.flatnonzero(np.isfinite(left))
@@ -229,7 +229,7 @@ def _chance(left: FloatArray, covariance: FloatArray) -> float:
 
 
 def surface_fit(given: RegisterInput, points: SeenPoints | None, start: Moment, end: Moment) -> SurfaceFit | None:
-    """Return how points of the surface fared; None where there are none."""
+    """Return the fit of the points of the surface; None if there are none."""
     if given.surface is None or points is None:
         return None
     return SurfaceFit.of(points, given.surface, start, end)

@@ -1,4 +1,4 @@
-"""Registration without a known load: contacts found by their traces at the markers."""
+"""Registration with an unknown load: the contacts that explain the markers, and the equilibrium under them."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -33,32 +33,32 @@ from tissuereg.result import Registration
 from tissuereg.simulate.sensitivity import Cause, Field, Parameter
 from tissuereg.simulate.solve import LoadParts
 
-#: Meshes of at most so many nodes get averaged elements, and so do Poisson's ratios above this.
+#: Meshes with at most this many nodes get averaged elements, and so do materials with a larger Poisson's ratio.
 COARSE_NODES, STIFF_POISSON = 3000, 0.475
 
-#: A belief is doubted where it leaves the markers at more than this many standard deviations (root mean square), and
-#: left out where a fit without it leaves less than this share of that.
+#: The fit is repeated without the believed load if the markers' root mean square residual exceeds this many standard
+#: deviations; the belief is dropped if the residual is then less than this share.
 _UNMET, _MUCH_LESS = 3.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class ContactInput:
-    """What is believed of the moment.
+    """Believed load, material and supports.
 
     Attributes
     ----------
     load : Load or None
-        What acts.
+        Believed load.
     simulation : ndarray of float64, shape (n_nodes, 3), or None
-        A displacement whose holding forces act.
+        A displacement; the forces that hold it in equilibrium are the believed load.
     material : Material
-        What the body is made of.
+        Material of the body.
     element : str
         Elements of the solver.
     held : str
         How the node set ``fixed`` is taken.
     held_nodes : array_like of int or None
-        Nodes in its place.
+        Nodes to use instead.
     frame : str
         Whether the tracker drifts.
     stiffness : str
@@ -66,7 +66,7 @@ class ContactInput:
     progress : callable or None
         Called with passes finished and passes at most.
     ensemble : int
-        Posterior loads solved for the covariance of nodes; 0: draws to first order.
+        Number of posterior loads solved for the covariance of nodes; 0: linear draws.
     """
 
     load: Load | None
@@ -82,7 +82,7 @@ class ContactInput:
 
     @property
     def any_load(self) -> bool:
-        """Whether anything is believed to act."""
+        """Whether there is a believed load."""
         return self.load is not None or self.simulation is not None
 
 
@@ -94,25 +94,25 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     given : RegisterInput
         Checked input.
     believed : ContactInput
-        What is believed of the moment.
+        Believed load, material and supports.
     clock : Clock
-        Gets the stages' times.
+        Records the times of the stages.
 
     Returns
     -------
     Registration
-        The equilibrium under the mean of the loads that the markers suggest.
+        The equilibrium under the posterior mean of the load.
 
     Raises
     ------
     ConvergenceError
         If no equilibrium is found.
     SupportError, LoadError, MaterialError
-        If what is believed does not fit the body.
+        If a believed quantity does not fit the body.
     """
     settings = given.settings.contacts
     if given.suspicions:
-        # Input that is misread is not worth many passes: the answer will not be trusted.
+        # Misread input is not worth many passes: the answer will not be trusted.
         settings = replace(settings, max_passes=1)
     with clock.stage("body"):
         supports = Supports.of(given.mesh, believed.held, believed.held_nodes)
@@ -137,7 +137,7 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A fit with the body from which its passes began, and what was found of material and supports before."""
+    """A fit with the state from which its passes began, and the material and supports estimated before."""
 
     fit: ContactFit
     start: Moment
@@ -147,7 +147,7 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What is searched whatever is believed to act."""
+    """The search for contacts, for any believed load."""
 
     given: RegisterInput
     body: ContactBody
@@ -156,7 +156,7 @@ class _Search:
     clock: Clock
 
     def least_left(self, believed: ContactInput) -> tuple[_Found, str]:
-        """Return the fit about what is believed; or one without, and why, where the first leaves the markers."""
+        """Return the fit with the believed load; or, if that leaves large residuals, one without it, and the reason."""
         if not believed.any_load:
             return self.found(believed), ""
         found = None
@@ -171,13 +171,13 @@ class _Search:
                 raise
             return found, ""
         if found is None:
-            return without, "what was believed to act was left out: under it no equilibrium is found"
+            return without, "the believed load was left out: no equilibrium is found under it"
         if min(without.fit.residual_rms) < _MUCH_LESS * min(found.fit.residual_rms):
-            return without, "what was believed to act was left out: about it no contacts explain the markers"
+            return without, "the believed load was left out: no contacts added to it explain the markers"
         return found, ""
 
     def found(self, believed: ContactInput) -> _Found:
-        """Return the fit about what is believed."""
+        """Return the fit with the believed load."""
         given, body, settings, clock, material = self.given, self.body, self.settings, self.clock, believed.material
         with clock.stage("simulate"):
             parts, field = _believed(body, believed, settings)
@@ -203,7 +203,7 @@ def fitting_element(mesh: Mesh, material: Material) -> str:
 
 
 def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, float]]]:
-    """Return the passes on supports as stiff as the markers suggest, and what is left uncertain of that."""
+    """Return the passes with supports of the stiffness of highest evidence, and its remaining uncertainty."""
     found = support_stiffness(passes, frame)
     columns = passes.columns.on_springs(found.best)
     springs = np.zeros((0, 2)) if columns.springs is None else columns.springs
@@ -215,7 +215,7 @@ def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, 
 
 
 def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tuple[Passes, list[tuple[Cause, float]]]:
-    """Return the passes with the stiffness that the markers suggest, and what is left uncertain of it."""
+    """Return the passes with the graded stiffness of highest evidence, and its remaining uncertainty."""
     if simulation is not None:
         message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
         raise MaterialError(message, where="stiffness")
@@ -231,7 +231,7 @@ def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tupl
 def _believed(
     body: ContactBody, believed: ContactInput, settings: ContactSettings
 ) -> tuple[LoadParts, FloatArray | None]:
-    """Return the parts of the believed load and, where it is known, the displacement that it holds."""
+    """Return the parts of the believed load and, if it is known, the displacement under it."""
     simulator = body.simulator
     if believed.simulation is None:
         return simulator.load_parts(believed.load or Load()), None
@@ -248,7 +248,7 @@ def _believed(
 
 
 def _first_frame(given: RegisterInput, supports: Supports) -> Frame:
-    """Return the rigid motion of the markers, or else of the points, where nothing is held for sure."""
+    """Return the initial rigid motion, from the markers or else the points, if nothing is surely held."""
     if not supports.moves or supports.holds:
         return Frame.still()
     whole = given.markers.seen

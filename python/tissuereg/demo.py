@@ -1,4 +1,4 @@
-"""The main job on the embedded phantom, end to end, with the errors that only a made-up truth can tell."""
+"""A registration of the embedded phantom, end to end, with the errors against its simulated truth."""
 
 import os
 from pathlib import Path
@@ -27,7 +27,7 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
         ``report.html``, and ``input/`` with the mesh, markers, targets and simulation that the command ``register``
         takes.
     seed : int
-        Of markers, noise and ensemble.
+        Seed of markers, noise and ensemble.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
 
@@ -35,7 +35,7 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
     -------
     dict
         The registration's JSON with ``truth``: errors in mm (mean Euclidean) before and after, at the markers, at
-        the lesion and over the body, and whether the lesion's 90 % region holds the truth.
+        the lesion and over the body, and whether the lesion's 90 % region contains the truth.
     """
     clock = Clock()
     with clock.stage("measure"):
@@ -62,7 +62,7 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
 
 
 def _write_input(folder: Path, event: PhantomEvent, simulation: FloatArray) -> None:
-    """Write what was given to `register`, as files that the `register` command takes."""
+    """Write the input of `register` as files that the command `register` takes."""
     folder.mkdir()
     held = np.zeros(event.mesh.n_nodes, dtype=np.int8)
     held[event.mesh.fixed_nodes] = 1

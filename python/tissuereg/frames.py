@@ -1,4 +1,4 @@
-"""One frame of an experiment, registered: what is believed of the rig becomes the prior."""
+"""Registration of one frame of an experiment: the believed rig becomes the prior."""
 
 from dataclasses import replace
 from typing import Any
@@ -21,29 +21,29 @@ from tissuereg.simulate.solve import ELEMENTS
 def frame_input(
     experiment: Experiment, case: str, time: float, *, element: str = "tet4", threads: int = 0
 ) -> dict[str, Any]:
-    """Return the arguments of `register` that a frame of an experiment stands for.
+    """Return the arguments of `register` for a frame of an experiment.
 
-    Body, supports and actuators act with their effects; what the measuring chain does to the markers is undone.
+    Body, supports and actuators include their effects; effects of the measuring chain on the markers are undone.
 
     Parameters
     ----------
     experiment : Experiment
-        What is believed and what was measured.
+        Believed model and measurements.
     case : str
         Name of the case.
     time : float
         Time in s on the experiment's clock.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Elements of our own simulations.
+        Elements of the package's own simulations.
     threads : int
         Threads to use; 0 takes all cores.
 
     Returns
     -------
     dict
-        ``mesh``, ``markers``, ``targets``, ``load`` (gravity and actuators), ``material``, ``held_nodes``; with
-        memory, sliding supports, or a mesh that hangs already ``simulation`` as well: the prior around it is elastic
-        and held.
+        ``mesh``, ``markers``, ``targets``, ``load`` (gravity and actuators), ``material``, ``held_nodes``. With memory,
+        sliding supports, or a mesh that was imaged under gravity also ``simulation``; the prior around it is elastic
+        with held supports.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def register_frame(
     time : float
         Time in s on the experiment's clock.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Elements of our own simulations.
+        Elements of the package's own simulations.
     threads : int
         Threads to use; 0 takes all cores.
     **options
@@ -110,7 +110,7 @@ def register_frame(
 
 
 def _through_time(experiment: Experiment, case: Case, frame: int, element: str, threads: int) -> FloatArray:
-    """Return the displacement of a frame, its case solved from the begin, or all cases from the first one's."""
+    """Return the displacement of a frame, by solving its case, or all cases, from the start."""
     carried = is_carried(experiment)
     before = [other for other in experiment.cases.values() if carried and other.times[0] < case.times[0]]
     solved = solve_through_time(experiment, [*before, case], element=element, threads=threads)[case.name]

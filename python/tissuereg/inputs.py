@@ -1,4 +1,4 @@
-"""What a registration is given, checked once, and the settings that it runs with."""
+"""Input of a registration, checked once, and its settings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ class RegisterSettings:
     Raises
     ------
     ArgumentError
-        If a number is none or out of its range.
+        If a value is not a number or out of its range.
     """
 
     n_members: int = 200
@@ -60,13 +60,13 @@ class RegisterInput:
     markers : Markers
         What was measured.
     observed : MarkerObservation
-        How markers follow the mesh.
+        Attachment of the markers to the mesh.
     targets : TargetObservation
         Inner points.
     settings : RegisterSettings
         How to run.
     seed, threads : int
-        Of all chance; to use.
+        Seed of all random numbers; threads to use.
     suspicions : tuple of str
         Why the input may be misread, in sentences.
     surface : SurfacePoints or None
@@ -118,13 +118,13 @@ class RegisterInput:
 
 
 def _attached(mesh: Mesh, markers: Markers, held: str) -> tuple[MarkerObservation, tuple[str, ...]]:
-    """Return how markers follow the mesh, and why they may be misread."""
+    """Return the attachment of markers to the mesh, and reasons why they may be misread."""
     if not len(markers):
         return MarkerObservation.of(mesh, markers), ()
     try:
         observed = MarkerObservation.of(mesh, markers)
     except MarkerError as error:
-        # Refused; say which other reading would fit.
+        # Refused; state which other reading would fit.
         found = suspect(mesh, markers)
         if found:
             error.args = (f"{error}; {found[0].sentence}",)
@@ -134,7 +134,7 @@ def _attached(mesh: Mesh, markers: Markers, held: str) -> tuple[MarkerObservatio
 
 
 def _points_suspected(mesh: Mesh, surface: SurfacePoints, held: str) -> tuple[str, ...]:
-    """Return why points of the surface may be misread; refuse those that belong to no body here."""
+    """Return reasons why points of the surface may be misread; refuse points far from the body."""
     free = held == "free" or not any(len(mesh.node_sets.get(name, ())) for name in ("fixed", "perhaps_fixed"))
     found = suspect_points(mesh, surface.places, free=free)
     if found and found[0].kind in ("unit", "far from the surface"):
@@ -143,7 +143,7 @@ def _points_suspected(mesh: Mesh, surface: SurfacePoints, held: str) -> tuple[st
 
 
 def as_mesh(mesh: Any) -> Mesh:
-    """Return a mesh, made of (nodes, tets, fixed_nodes) where it is not one already."""
+    """Return a mesh, made from (nodes, tets, fixed_nodes) if necessary."""
     if isinstance(mesh, Mesh):
         return mesh
     if not isinstance(mesh, tuple) or len(mesh) != 3:
@@ -153,7 +153,7 @@ def as_mesh(mesh: Any) -> Mesh:
 
 
 def as_markers(markers: Any) -> Markers:
-    """Return markers, made of (reference, measured) where they are not markers already; None holds none."""
+    """Return markers, made from (reference, measured) if necessary; None gives an empty set."""
     if markers is None:
         return Markers(np.empty((0, 3)), np.empty((0, 3)))
     if isinstance(markers, Markers):
@@ -175,7 +175,7 @@ def finite_field(simulation: Any, mesh: Mesh) -> FloatArray:
 
 
 def rms_length(vectors: FloatArray) -> float:
-    """Return the root mean square length of vectors (n, 3); components that are NaN do not count."""
+    """Return the root mean square length of vectors (n, 3); components that are NaN are ignored."""
     squares = np.where(np.isfinite(vectors), vectors, 0.0) ** 2
     seen = np.isfinite(vectors).any(axis=1)
     return float(np.sqrt(squares.sum() / max(1, int(seen.sum()))))

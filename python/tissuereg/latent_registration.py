@@ -1,7 +1,7 @@
 """Registration with a trained model: Algorithm 1 of the paper.
 
-A simulation of the moment is encoded, an ensemble drawn around its code, and ES-MDA moves the ensemble until what it
-decodes to agrees with the markers.
+A simulation of the moment is encoded, an ensemble is drawn around its code, and ES-MDA updates the ensemble until the
+decoded fields agree with the markers.
 """
 
 import os
@@ -40,19 +40,19 @@ def register_by_model(
     model : path-like or LatentModel
         Folder of a trained model, or the model.
     simulation : ndarray of float64, shape (n_nodes, 3), or None
-        What a simulation says of the moment, mm.
+        Displacement of the moment by a simulation, mm.
     clock : Clock
-        Gets the stages' times.
+        Records the times of the stages.
 
     Returns
     -------
     Registration
-        What was found.
+        The result.
 
     Raises
     ------
     ModelError
-        If the model was trained for another mesh, or a file of it is spoilt.
+        If the model was trained for another mesh, or a file of it is corrupt.
     EnsembleError
         If too few ensemble members survive.
     """
@@ -70,7 +70,7 @@ def register_by_model(
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A posterior ensemble with the prior and the noise that gave it."""
+    """A posterior ensemble with its prior and noise."""
 
     prior: Gaussian
     widening: float
@@ -79,7 +79,7 @@ class _Fit:
 
 
 def _fit(latent: LatentModel, simulation: FloatArray | None, given: RegisterInput, seen: Any) -> _Fit:
-    """Return the posterior ensemble: once to find the place, once with the model's error of that place."""
+    """Return the posterior ensemble: fitted once to locate the state, and again with the model's error there."""
     observed, markers, settings = given.observed, given.markers, given.settings
     measured = markers.displacement[seen].ravel()
     predict = _predictor(latent, observed, seen)
@@ -113,7 +113,7 @@ def _result(
     posterior: Posterior,
     clock: Clock,
 ) -> Registration:
-    """Put everything that was found in its place."""
+    """Assemble the result."""
     mesh, markers, inner = given.mesh, given.markers, given.targets
     before = np.zeros((mesh.n_nodes, 3)) if simulation is None else simulation
     observed = posterior.markers
@@ -154,7 +154,7 @@ def _result(
             markers.names[i]: Target(
                 markers.reference[i],
                 markers.reference[i] + posterior.marker_mean[i],
-                # What a tracker would see: the body's spread and the tracker's own.
+                # Predicted measurement: the body's spread and the tracker's noise.
                 posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
                 + posterior.marker_error[i]
                 + np.diag(markers.axis_std[i] ** 2),

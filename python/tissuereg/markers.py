@@ -1,4 +1,4 @@
-"""Tracked markers: where each sits on the undeformed body, where it was seen, how well."""
+"""Tracked markers: reference position on the undeformed body, measured position, and its standard deviation."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from tissuereg._arguments import found
 from tissuereg._arrays import FloatArray, IntArray, depth, float_array, frozen
 from tissuereg.errors import MarkerError
 
-#: A finite standard deviation of so many mm says nothing: it overflows when it is squared.
+#: Upper limit of a finite standard deviation, mm: its square must not overflow.
 _MOST_STD = 1e9
 
 
@@ -21,12 +21,12 @@ class Markers:
     reference : array_like of float, shape (n_markers, 3)
         Place on or near the undeformed surface in mm.
     measured : array_like of float, shape (n_markers, 3)
-        Place where the marker was seen in mm; NaN = not seen.
+        Measured place in mm; NaN = not seen.
     std : float or array_like of float, shape (n_markers,) or (n_markers, 3)
-        Standard deviation of a measured coordinate in mm, along x, y and z of the tracker where they differ. Infinite
+        Standard deviation of a measured coordinate in mm, along x, y and z of the tracker if they differ. Infinite
         along an axis = that coordinate was not seen.
     names : sequence of str, optional
-        One a marker, no repeats; ``M1``, ``M2``, ... where absent.
+        One per marker, no repeats; by default ``M1``, ``M2``, ...
 
     Raises
     ------
@@ -40,8 +40,8 @@ class Markers:
     std : ndarray of float64, shape (n_markers,)
         Root mean square over a marker's axes of their standard deviations, mm.
     axis_std : ndarray of float64, shape (n_markers, 3)
-        Standard deviation along each axis, mm. An axis that was said to be infinite has that of the marker's others
-        and its coordinate is NaN.
+        Standard deviation along each axis, mm. An axis given as infinite has that of the marker's other axes, and its
+        coordinate is NaN.
     """
 
     def __init__(self, reference: Any, measured: Any, std: Any = 0.1, names: Sequence[str] | None = None) -> None:
@@ -113,7 +113,7 @@ def _kept(keep: Any, n_markers: int) -> IntArray:
 
 
 def _spread(std: Any, n_markers: int) -> FloatArray:
-    """Return standard deviations (n_markers, 3) of one for all, one a marker, or one an axis."""
+    """Return standard deviations (n_markers, 3) of one for all, one per marker, or one an axis."""
     if depth("std", std) == 2:
         return float_array("std", std, (n_markers, 3))
     by_marker = (
@@ -132,7 +132,7 @@ def _as_given(spread: FloatArray) -> FloatArray:
 def _titles(names: Any) -> tuple[str, ...]:
     """Return names as texts."""
     if isinstance(names, str | bytes) or not isinstance(names, Iterable):
-        message = f"`names` must be a list of texts, one a marker, got {found(names)}"
+        message = f"`names` must be a list of texts, one per marker, got {found(names)}"
         raise MarkerError(message, where="names")
     return tuple(str(name) for name in names)
 

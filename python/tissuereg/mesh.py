@@ -30,10 +30,10 @@ class Mesh:
     tets : array_like of int, shape (n_tets, 4)
         Node indices; positive volume in the order (a, b, c, d) with d on the side of (b-a) x (c-a).
     node_sets : mapping of str to array_like of int, optional
-        Named sets of nodes. The set ``fixed`` is what is held.
+        Named sets of nodes. The set ``fixed`` is held.
     frame : {"LPS", "RAS"}, optional
-        Frame of a patient that the coordinates are declared to be in; nothing is computed from it, and files that state
-        a frame are written in it.
+        Declared patient frame of the coordinates; nothing is computed from it, and files that state a frame are written
+        in it.
 
     Raises
     ------
@@ -205,7 +205,7 @@ class Mesh:
         Returns
         -------
         str
-            SHA-256, hexadecimal. Coordinates count to 1e-6 mm, so that text formats keep it.
+            SHA-256, hexadecimal. Coordinates are rounded to 1e-6 mm, so that text formats preserve it.
         """
         digest = hashlib.sha256()
         digest.update(np.round(self.nodes * 1e6).astype("<i8").tobytes())

@@ -1,11 +1,11 @@
-r"""From displacement fields to what a tracker sees: markers on the surface, targets inside.
+r"""From displacement fields to tracked points: markers on the surface, targets inside.
 
-A marker off the facets moves rigidly with its patch of surface,
+A marker that is not on the facets moves rigidly with its patch of surface,
 
     u(marker) = u(foot) + (R - I) offset,      offset = reference place - foot,
 
 where the foot is the closest point of the surface and R the best rotation of the patch's nodes (Kabsch).
-An inner target moves with the tetrahedron that holds it. Fields are interpolated linearly between corner nodes, or
+An inner target moves with the tetrahedron that contains it. Fields are interpolated linearly between corner nodes, or
 quadratically where the mid-edge nodes of ten-node elements are given too.
 """
 
@@ -24,16 +24,16 @@ from tissuereg.mesh import Mesh
 #: A marker farther from the surface than this share of the body's extent is refused: another frame or unit.
 FARTHEST_SHARE = 0.5
 
-#: A target this far outside the body, as a share of its extent, is refused; nearer ones ride on the closest tet.
+#: A target this far outside the body, as a share of its extent, is refused; nearer ones move with the closest tet.
 FARTHEST_TARGET_SHARE = 0.1
 
-#: Nearer than this no word is lost: the facets of a curved surface lie a little inside it.
+#: No warning below this distance: the facets of a curved surface lie slightly inside it.
 WARN_TARGET_SHARE = 0.01
 
 #: Offsets below this many mm need no rotation.
 _ON_SURFACE_MM = 1e-3
 
-#: A place lies beyond an edge of a triangle where its weight of the corner across is less than minus this.
+#: A place is beyond an edge of a triangle if its weight of the opposite corner is less than minus this.
 _BEYOND = 1e-6
 
 
@@ -45,16 +45,16 @@ class MarkerObservation:
     mesh : Mesh
         Reference shape.
     reference : array_like of float, shape (n_markers, 3)
-        Places of the markers beside the undeformed body, mm.
+        Places of the markers on or near the undeformed body, mm.
     names : sequence of str
-        For messages.
+        Used in messages.
     quadratic : bool
         Whether fields are those of ten-node elements: nodes in the middle of `mesh.edges`, in their order, follow those
         of the mesh.
     like : MarkerObservation, optional
-        Of the same markers on a mesh of the same tets: feet lie in the same triangles, or on the same edges where they
-        are the closest points of convex ones. For derivatives by the shape of a mesh: the closest triangle of a marker
-        on an edge may change with any step.
+        Observation of the same markers on a mesh of the same tets: feet stay in the same triangles, or on the same
+        edges if they are the closest points of convex ones. Needed for derivatives with respect to the shape of a mesh,
+        because the closest triangle of a marker on an edge may change with any step.
 
     Raises
     ------
@@ -64,7 +64,7 @@ class MarkerObservation:
     Attributes
     ----------
     nodes : ndarray of int64, shape (n_needed,)
-        Nodes whose displacement `predict` wants.
+        Nodes whose displacement `predict` needs.
     distance : ndarray of float64, shape (n_markers,)
         Distance of every marker from the surface, mm.
     """
@@ -131,7 +131,7 @@ class MarkerObservation:
         return np.asarray(moved)
 
     def variation(self, displacement: FloatArray) -> FloatArray:
-        """Return by how much the motion differs across the element under every marker.
+        """Return the variation of the motion across the element under every marker.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class MarkerObservation:
         return np.asarray((1.0 + self._height) * differences)
 
     def jacobian(self, displacement: FloatArray) -> FloatArray:
-        """Return how the displacement of every marker follows that of `nodes`.
+        """Return the derivative of the displacement of every marker by that of `nodes`.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class MarkerObservation:
         return slopes
 
     def rows(self, displacement: FloatArray) -> list[tuple[IntArray, FloatArray]]:
-        """Return the same, three rows a marker, each with only the nodes that it follows.
+        """Return the same, three rows per marker, each with only the nodes on which it depends.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class MarkerObservation:
         return found
 
     def _slopes(self, displacement: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
-        """Yield, for every marker, members (k,) of `nodes` and how its displacement follows theirs, (3, k, 3)."""
+        """Yield, for every marker, the members (k,) of `nodes` it depends on and its derivative, (3, k, 3)."""
         turned = {int(marker): row for row, marker in enumerate(self._turned)}
         for marker in range(self.n_markers):
             members = self._foot_nodes[marker]
@@ -205,7 +205,7 @@ class MarkerObservation:
 
 
 class TargetObservation:
-    """Displacement of inner points, linear in the nodes of the tets that hold them.
+    """Displacement of inner points, linear in the nodes of the tets that contain them.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ class TargetObservation:
 
 
 def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic: bool) -> tuple[IntArray, FloatArray]:
-    """Return nodes and weights of points from the corners and weights (n, 3) or (n, 4) of what holds them.
+    """Return nodes and weights of points from the corners and weights (n, 3) or (n, 4) of their triangles or tets.
 
     The same, or nodes and shape functions of second order: ``l_a (2 l_a - 1)`` at corners, ``4 l_a l_b`` between.
     """
@@ -287,7 +287,7 @@ def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatA
 
 
 def _free_corners(corners: FloatArray, places: FloatArray, weights: FloatArray) -> BoolArray:
-    """Return which corners (n, 3) span what feet may slide on: a plane, or the edge beyond which a place lies."""
+    """Return which corners (n, 3) span the plane of each foot, or the edge beyond which its place lies."""
     beyond = (_barycentric(corners, places) < -_BEYOND).any(axis=1, keepdims=True)
     return np.logical_or(~beyond, weights > 0.0)
 
@@ -337,7 +337,7 @@ def _padded(patches: list[IntArray], places: FloatArray) -> tuple[IntArray, Floa
 
 def _rotations(arms: FloatArray, displacement: FloatArray) -> FloatArray:
     """Return the rotations (..., m, 3, 3) that best carry patches of arms (m, p, 3) into displaced ones."""
-    # Arms have no mean, and so that of the displacement says nothing.
+    # Arms have zero mean, so the mean displacement cancels.
     correlation = np.einsum("...mpi,mpj->...mij", arms + displacement, arms)
     # A failed member is rejected later; here it must not spoil the others' factorisation.
     bad = ~np.isfinite(correlation).all(axis=(-1, -2))
@@ -358,7 +358,7 @@ def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float)
 
 
 class _Locator:
-    """Finds the tet that holds a point; boxes and inverses of all tets are formed once."""
+    """Finds the tet that contains a point; boxes and inverses of all tets are formed once."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._corners = mesh.nodes[mesh.tets]
@@ -367,7 +367,7 @@ class _Locator:
         self._inverse = np.linalg.inv(np.moveaxis(self._corners[:, 1:] - self._corners[:, :1], 1, 2))
 
     def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
-        """Return the tet that holds a point, or the closest one, and the barycentric weights (4,)."""
+        """Return the tet that contains a point, or the closest one, and the barycentric weights (4,)."""
         if not np.isfinite(point).all():
             message = f"target '{name}' must be finite, got {point.tolist()}"
             raise MarkerError(message, where=name)
@@ -387,7 +387,7 @@ class _Locator:
             message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap[tet]:.1f} mm outside"
             raise MarkerError(message, where=name)
         if gap[tet] > WARN_TARGET_SHARE * self._extent:
-            text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it rides on the closest tet"
+            text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it moves with the closest tet"
             warnings.warn(text, stacklevel=4)
         return tet, weights[tet]
 

@@ -15,7 +15,7 @@ _BATCH = 50
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What the posterior ensemble says; lengths in mm.
+    """Moments of the posterior ensemble; lengths in mm.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Posterior:
     std : ndarray of float64, shape (n_nodes,)
         Root of the trace of a node's covariance.
     markers : MarkerObservation
-        How markers follow from nodes.
+        Attachment of the markers to the mesh.
     marker_mean : ndarray of float64, shape (n_markers, 3)
         Displacement of every marker, seen or not.
     marker_covariance : ndarray of float64, shape (3 n_markers, 3 n_markers)
@@ -59,7 +59,7 @@ class Posterior:
         Parameters
         ----------
         model : LatentModel
-            Decodes it.
+            Its decoder.
         ensemble : Assimilation
             Posterior latents.
         markers : MarkerObservation
@@ -70,7 +70,7 @@ class Posterior:
         Returns
         -------
         Posterior
-            Cost: one full decode a member, in batches.
+            Cost: one full decode per member, in batches.
         """
         latents, factor = ensemble.latents, ensemble.spread_factor
         displacement = model.decode(ensemble.mean[:, None])[0]

@@ -1,4 +1,4 @@
-"""What a registration found: the moved body, its spread, targets with regions, and whether to trust it."""
+"""The result of a registration: the displaced body, its spread, targets with regions, and whether to trust it."""
 
 import os
 from collections.abc import Callable
@@ -21,14 +21,14 @@ from tissuereg.trust import Trust
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The ellipsoid that holds a given share of a Gaussian.
+    """The ellipsoid that contains a given share of a Gaussian.
 
     Attributes
     ----------
     centre : ndarray of float64, shape (3,)
         mm.
     axes : ndarray of float64, shape (3, 3)
-        Unit half-axes, one a row, in the order of `radii`.
+        Unit half-axes, one per row, in the order of `radii`.
     radii : ndarray of float64, shape (3,)
         Half-axes in mm, largest last.
     share : float
@@ -59,11 +59,11 @@ class Target:
     covariance : ndarray of float64, shape (3, 3)
         mm^2: posterior ensemble and the model's own error.
     simulation : ndarray of float64, shape (3,), or None
-        Place that the simulation alone says, mm.
+        Place by the simulation alone, mm.
     constrained : float or None
-        Share of its variance under unseen contacts that the markers take away, 0 to 1; None with a trained model.
+        Share of its variance under unseen contacts that the markers remove, 0 to 1; None with a trained model.
     flag : str or None
-        ``"no marker tells"`` where that is too little to rely on the region.
+        ``"no marker tells"`` if that share is too small to rely on the region.
     """
 
     reference: FloatArray
@@ -74,7 +74,7 @@ class Target:
     flag: str | None = None
 
     def region(self, share: float = 0.90) -> Region:
-        """Return the ellipsoid that holds `share` of the Gaussian with this mean and covariance.
+        """Return the ellipsoid that contains `share` of the Gaussian with this mean and covariance.
 
         Parameters
         ----------
@@ -98,14 +98,14 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class MarkerFit:
-    """How the markers fared.
+    """Fit of the markers.
 
     Attributes
     ----------
     used : tuple of str
         Markers that entered the fit.
     dropped : tuple of (str, str)
-        Those that did not, each with the reason.
+        Markers that did not, each with the reason.
     before_rms_mm, after_rms_mm : float
         Root mean square over markers of the Euclidean distance to the measurement: simulation (or rest), registration.
     residual_mm : dict of str to ndarray of float64, shape (3,)
@@ -134,36 +134,36 @@ class Registration:
     targets : dict of str to Target
         Inner points.
     unseen : dict of str to Target
-        Where a tracker would see the markers that were not seen; the covariance includes the tracker's own.
+        Predicted measurements of the markers that were not seen or are wrong; the covariance includes tracker noise.
     markers : MarkerFit
         Residuals, used and dropped markers.
     all_markers : Markers
         What was measured.
     start_markers : ndarray of float64, shape (n_markers, 3)
-        Where the simulation, or the rest shape, puts every marker, mm.
+        Places of the markers by the simulation, or at rest, mm.
     min_det_f : float
         Smallest volume ratio of a tet.
     inverted_tets : int
         Tets with det F <= 0.
     trust : Trust
-        Can this be trusted?
+        Whether the result can be trusted, and the reasons if not.
     model : dict
         Kind, source, members and test errors of the latent model.
     seconds : dict of str to float
-        Wall time a stage.
+        Wall time per stage.
     seed : int
-        Of all chance.
+        Seed of all random numbers.
     dropped_members : list of (int, str)
         Ensemble members that were lost, with the reason.
     contacts : tuple of FoundContact
-        Where the body is believed to be pushed or pulled; empty with a trained model.
+        Places where the body is probably pushed or pulled; empty with a trained model.
     surface : SurfaceFit or None
-        How points of the surface fared; None where none were given.
+        Fit of the points of the surface; None if none were given.
     work : dict of str to int
         Factorisations, right-hand sides, solves, sweeps; empty with a trained model.
     forces : ndarray of float64, shape (n_nodes, 3), or None
-        Nodal forces in mN at the believed modulus of the load that holds the body, the believed one included, its body
-        force not; None with a trained model.
+        Nodal forces of the estimated load in mN at the believed modulus, including the believed load but not its body
+        force; None with a trained model.
     draw : callable of int, optional
         Returns posterior displacement fields; see `draws`.
     """
@@ -214,17 +214,17 @@ class Registration:
         Parameters
         ----------
         count : int
-            How many.
+            Number of fields.
 
         Returns
         -------
         ndarray of float64, shape (count, n_nodes, 3)
-            mm. The same at every call. Cost: one solve each, from the registered state.
+            mm. The same at every call. Cost: one solve each, started from the registered state.
 
         Raises
         ------
         ModelError
-            If the registration used a trained model, whose ensemble is no equilibrium.
+            If the registration used a trained model, whose ensemble is not in equilibrium.
         ConvergenceError
             If a drawn load finds no equilibrium.
         """
@@ -293,17 +293,17 @@ class Registration:
         """Write the result, all files or none.
 
         ``registered.vtu``, ``targets.csv``, ``targets.mrk.json`` (registered places for 3D Slicer, in the frame of the
-        mesh; LPS, which Slicer takes for granted, where the mesh declares none), ``registration.json`` and
+        mesh; LPS, Slicer's default, if the mesh declares none), ``registration.json`` and
         ``registered.png``.
 
         Parameters
         ----------
         folder : path-like
-            Made where absent.
+            Created if absent.
         extra : dict, optional
-            Entries added to the JSON, or put over its own.
+            Entries added to the JSON; they override its own.
         deformed : bool
-            Write ``registered_deformed.vtu`` too: the body with its nodes where they are now, the same point data.
+            Write ``registered_deformed.vtu`` too: the body with displaced nodes and the same point data.
 
         Returns
         -------

@@ -1,13 +1,13 @@
-r"""Can I trust this? Tests of one registration against what it assumed.
+r"""Tests of one registration against its assumptions, to decide whether it can be trusted.
 
 The misfit of a registration is
 
     J = (z - z0)' P^-1 (z - z0)  +  r' C_d^-1 r,
 
-prior and data terms at the posterior mean. Where prior and noise are what they claim and the model is linear,
-J equals the chi-square of the innovation and follows a chi-square law with one degree a measured coordinate.
-Each marker is tested on its own with its fitted residual, whose covariance is smaller than the noise by what
-the fit has absorbed: C_d - H P+ H'.
+prior and data terms at the posterior mean. If prior and noise are as stated and the model is linear, J equals the
+chi-square of the innovation and follows a chi-square law with one degree of freedom per measured coordinate.
+Each marker is tested separately by its fitted residual, whose covariance is smaller than the noise because the fit
+absorbs a part of it: C_d - H P+ H'.
 """
 
 from dataclasses import dataclass, field
@@ -16,29 +16,29 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 
-#: Level below which a global misfit is not chance.
+#: Significance level of the tests.
 LEVEL = 0.01
 
 
 @dataclass(frozen=True)
 class Trust:
-    """The answer.
+    """Whether a registration can be trusted, and why not.
 
     Attributes
     ----------
     ok : bool
-        Nothing speaks against the result.
+        True if there is no reason against it.
     p_value : float
-        Chance of a misfit this large if prior and noise are what they claim.
+        Probability of a misfit at least this large if prior and noise are as stated.
     reasons : list of str
-        What speaks against it, in sentences that start with their kind: ``misfit``, ``wrong marker``,
+        Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``wrong marker``,
         ``inverted tets``, ``simulation``, or a kind of `tissuereg.readings.Suspicion`.
     chi_square : float
         J above.
     residual_chi_square : float
         Data term of J alone.
     n_obs : int
-        Measured coordinates.
+        Number of measured coordinates.
     """
 
     ok: bool
@@ -66,7 +66,7 @@ def judge(
     names : tuple of str
         Markers that were used.
     residual : ndarray of float64, shape (n_markers, 3)
-        Measured minus fitted, mm; NaN = not seen, which says nothing and is no observation.
+        Measured minus fitted, mm; NaN = not seen, ignored.
     noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
         Covariance C_d, mm^2.
     posterior_spread : ndarray of float64, shape (3 n_markers, 3 n_markers)
@@ -76,14 +76,14 @@ def judge(
     min_det_f : float
         Smallest volume ratio of the registered body.
     notes : list of str
-        What the registration noticed on its way.
+        Reasons found earlier in the registration.
     points : (float, int)
-        Data term of points of the surface, and how many there are.
+        Data term of the points of the surface, and their number.
 
     Returns
     -------
     Trust
-        With one reason a finding.
+        With one reason per failed test.
     """
     from scipy.stats import chi2
 

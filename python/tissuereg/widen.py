@@ -7,13 +7,13 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.latent.model import Gaussian
 
-#: Members that estimate what the prior predicts.
+#: Number of members that estimate the prior's prediction.
 _N_MEMBERS = 100
 
 #: No prior is widened beyond this factor on its covariance.
 MOST = 400.0
 
-#: Upper tail of the chi-square below which an innovation is left to chance.
+#: Significance level at which an innovation is too large for the prior.
 _LEVEL = 0.05
 
 
@@ -25,14 +25,14 @@ def widened(
     noise: FloatArray,
     rng: np.random.Generator,
 ) -> tuple[Gaussian, float]:
-    """Return the prior, widened where the innovation is too large for it, and the factor.
+    """Return the prior, widened if the innovation is too large for it, and the factor.
 
     Parameters
     ----------
     prior : Gaussian
-        Where the latents are expected.
+        Prior of the latents.
     family : Gaussian
-        Where the latents of all fields that the model was made from lie; no direction is widened beyond its spread.
+        Distribution of the latents of all training fields; no direction is widened beyond its spread.
     predict : callable
         Latents (n_latent, n_members) to predictions (n_obs, n_members) in mm.
     observed : ndarray of float64, shape (n_obs,)
@@ -40,13 +40,13 @@ def widened(
     noise : ndarray of float64, shape (n_obs, n_obs)
         Covariance C_d, mm^2.
     rng : numpy.random.Generator
-        Source of chance.
+        Source of random numbers.
 
     Returns
     -------
     prior : Gaussian
-        The same mean; covariance ``((s C)^-1 + L^-1)^-1`` with the prior's C and the family's L, which is s C where
-        that is small beside L and L where it is large. Untouched where s = 1.
+        The same mean; covariance ``((s C)^-1 + L^-1)^-1`` with the prior's C and the family's L: about s C where that
+        is small compared with L, and L where it is large. Unchanged if s = 1.
     factor : float
         Smallest s >= 1 with ``v' (H C(s) H' + C_d)^-1 v = n_obs`` for the innovation v, if ``s = 1`` misses the 95 %
         quantile of its chi-square law; 1 otherwise, and at most `MOST`.
@@ -55,8 +55,8 @@ def widened(
     -----
     The maximum-likelihood inflation of data assimilation, J. L. Anderson, "An adaptive covariance inflation error
     correction algorithm for ensemble filters", Tellus A 59, 210-224, 2007, with one factor for the whole prior. The
-    bound matters: on 80 pairs of the phantom, widening without it sent some codes where the decoder had never been,
-    and those bodies ended farther off than they began.
+    bound matters: on 80 pairs of the phantom, widening without it moved some codes outside the decoder's training data,
+    and those bodies ended with larger errors than they began with.
     """
     from scipy.optimize import brentq
     from scipy.stats import chi2

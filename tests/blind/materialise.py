@@ -73,7 +73,7 @@ def _numbers(whole: np.ndarray, step: float) -> np.ndarray:
 
 
 def _write(path, what, unit, labels, times, names, values, digits) -> None:
-    """Write a table; names are those of the columns of values, or one a row where there is one column."""
+    """Write a table; names are those of the columns of values, or one per row where there is one column."""
     lines = [f"case,time_s,{what},x_{unit},y_{unit},z_{unit}"]
     for row, (label, time) in enumerate(zip(labels, times, strict=True)):
         for column in range(values.shape[1]):

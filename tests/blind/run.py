@@ -229,7 +229,7 @@ def main() -> None:
     """Run a tier and print its progress."""
     parser = argparse.ArgumentParser(prog="python -m blind.run", description=__doc__)
     parser.add_argument("--tier", choices=("quick", "full", "fine", "all"), default="quick")
-    parser.add_argument("--cases", help="file with names of cases, one a line, in place of a tier")
+    parser.add_argument("--cases", help="file with names of cases, one per line, in place of a tier")
     parser.add_argument("--diagnoser", default=OURS)
     parser.add_argument("--methods", nargs="+", default=[], help=f"in place of the diagnoser: {', '.join(METHODS)}")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time; more than one: one thread each")

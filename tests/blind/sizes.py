@@ -93,7 +93,7 @@ def force_errors(layout: Layout, predicted: np.ndarray, base: np.ndarray, std: f
     Returns
     -------
     ndarray of float64, shape (n, 3)
-        One row a case and pad: mean error along the pad's force over the frames under more than half of the load, the
+        One row per case and pad: mean error along the pad's force over the frames under more than half of the load, the
         same across it (per direction), and the standard deviation of such a mean by noise alone.
     """
     rows = []

@@ -109,7 +109,7 @@ def _events(bench: Bench, rows: dict[str, list[dict]]) -> list[dict]:
 
 
 def _compact(answer: dict) -> str:
-    """Return JSON with one line an event and one a row."""
+    """Return JSON with one line an event and one per row."""
     head = {key: value for key, value in answer.items() if key not in ("events", "rows")}
     parts = [json.dumps(head, indent=1)[:-2] + ',\n "events": [\n' + _lines(answer["events"]) + '\n ],\n "rows": {\n']
     parts.append(",\n".join(f'  "{name}": [\n{_lines(rows)}\n  ]' for name, rows in sorted(answer["rows"].items())))

@@ -51,7 +51,7 @@ def main(words: list[str] | None = None, bench: Bench = LOADFREE) -> None:
 
 
 def answer_event(task: tuple[str, str, int, list[str]], bench: Bench = LOADFREE) -> list[dict]:
-    """Return the rows of one method on one event, one a layout."""
+    """Return the rows of one method on one event, one per layout."""
     method, name, number, layouts = task
     body = bench.read(name)
     event = next(event for event in body.events if event.number == number)

@@ -7,7 +7,7 @@ import tissuereg as tr
 from support.pushes import MATERIAL, push
 from tissuereg.errors import ConvergenceError
 
-LEFT_OUT = "what was believed to act was left out: "
+LEFT_OUT = "the believed load was left out: "
 
 
 def registered(**options):
@@ -21,7 +21,7 @@ def moved():
 
 def test_a_belief_without_an_equilibrium_is_left_out():
     result = registered(load=tr.Load(body_force=(0.0, 0.0, -40.0)))
-    assert f"{LEFT_OUT}under it no equilibrium is found" in result.trust.reasons
+    assert f"{LEFT_OUT}no equilibrium is found under it" in result.trust.reasons
     assert not result.trust.ok
     assert push().errors(result).mean() < 0.1 * moved()
 
@@ -38,7 +38,7 @@ def test_a_belief_is_left_out_where_the_markers_stay_unmet_and_are_met_without(m
     monkeypatch.setattr("tissuereg.contact_registration._UNMET", unmet)
     monkeypatch.setattr("tissuereg.contact_registration._MUCH_LESS", less)
     result = registered(load=tr.Load(body_force=(0.0, 0.0, -1e-3)))
-    assert (f"{LEFT_OUT}about it no contacts explain the markers" in result.trust.reasons) == leaves
+    assert (f"{LEFT_OUT}no contacts added to it explain the markers" in result.trust.reasons) == leaves
     alone = registered()
     assert np.array_equal(result.displacement, alone.displacement) == leaves
 

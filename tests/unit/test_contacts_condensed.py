@@ -83,10 +83,10 @@ def test_motions_on_other_springs_balance_the_pull_of_these():
 
 def test_innovations_follow_the_stiffness_as_solves_do():
     found, passes, start = condensed()
-    before = passes.seen.read(start).left
+    before = passes.seen.read(start).residual
     assert found.on([3.0, 3.0]).innovation == pytest.approx(before)
     for other in ([6.0, 6.0], [6.0, 2.0]):
-        solved = passes.seen.read(start_of(found.columns.on_springs(other), MATERIAL, None, Frame.still(), 1)).left
+        solved = passes.seen.read(start_of(found.columns.on_springs(other), MATERIAL, None, Frame.still(), 1)).residual
         change = found.on(other).innovation - before
         assert np.linalg.norm(change - (solved - before)) < 0.15 * np.linalg.norm(solved - before)
 

@@ -131,7 +131,7 @@ def test_the_skin_follows_the_set_of_held_nodes():
 def test_a_step_that_came_out_otherwise_than_foretold_is_linearised_anew(monkeypatch):
     def fit(margin):
         forget_rest()
-        monkeypatch.setattr("tissuereg.contacts.fit._FORETOLD", margin)
+        monkeypatch.setattr("tissuereg.contacts.fit._AS_PREDICTED", margin)
         return tr.register(push().mesh, push().markers(), material=MATERIAL, element="tet4", threads=1)
 
     kept, anew = fit(100.0), fit(-100.0)

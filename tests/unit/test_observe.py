@@ -52,7 +52,7 @@ def test_a_target_is_linear_in_its_tet(block_mesh):
 def test_a_target_outside_is_refused_a_close_one_warned_of(block_mesh):
     with pytest.raises(MarkerError, match=r"target 'out' must lie in the undeformed body; .* mm outside"):
         TargetObservation(block_mesh, {"out": (20.0, 10.0, 60.0)})
-    with pytest.warns(UserWarning, match="rides on the closest tet"):
+    with pytest.warns(UserWarning, match="moves with the closest tet"):
         TargetObservation(block_mesh, {"near": (20.0, 10.0, 41.0)})
 
 

@@ -93,7 +93,7 @@ def code_spread(model: GraphVae, test: FieldArray, seed: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        A list with an entry a latent for each of ``codes_std`` (of the means), ``q_std`` (root of the mean variance),
+        A list with an entry per latent for each of ``codes_std`` (of the means), ``q_std`` (root of the mean variance),
         ``aggregate_std`` (both together; 1 under the prior N(0, 1)), ``kl_nats``, and ``round_trip_std``: how far
         encoder(decoder(z)) lies from z for draws of q, an independent measure of how exactly a field is coded.
         Numbers for all: ``active`` (latents that carry more than 0.1 nats), ``aggregate_std_mean``.

@@ -70,7 +70,7 @@ def versions() -> dict[str, str]:
 
 
 class Clock:
-    """Wall time a stage, in `seconds`."""
+    """Wall time per stage, in `seconds`."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

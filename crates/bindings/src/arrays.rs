@@ -158,7 +158,7 @@ where
     values.into_pyarray(py).reshape(shape)
 }
 
-/// Points, one a row.
+/// Points, one per row.
 pub(crate) fn from_points(
     py: Python<'_>,
     points: Vec<[f64; 3]>,
@@ -167,7 +167,7 @@ pub(crate) fn from_points(
     from_vec(py, points.into_flattened(), [n, 3])
 }
 
-/// Node numbers of triangles, one a row.
+/// Node numbers of triangles, one per row.
 pub(crate) fn from_triangles<'py>(
     py: Python<'py>,
     triangles: &[[usize; 3]],

@@ -66,7 +66,7 @@ impl Problem {
     }
 
     /// Moments of coefficients and of points over samples that count alike; `points` (`3 n_points`, `n_columns`) are the
-    /// responses of three rows a point.
+    /// responses of three rows per point.
     ///
     /// # Errors
     ///

@@ -62,7 +62,7 @@ impl Problem {
     ///
     /// # Shapes
     ///
-    /// `uniforms` (`n_chains`, [`n_uniforms`](Self::n_uniforms)), in [0, 1), one row a chain. `starts` is empty, or
+    /// `uniforms` (`n_chains`, [`n_uniforms`](Self::n_uniforms)), in [0, 1), one row per chain. `starts` is empty, or
     /// holds configurations that chains begin at in turn.
     ///
     /// # Errors

@@ -17,7 +17,7 @@ pub struct Contact {
 /// One configuration: what fills the slots, at which level each family is, which groups are wrong.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Configuration {
-    /// One entry a slot.
+    /// One entry per slot.
     pub slots: Vec<Option<Contact>>,
     /// Level of each family.
     pub levels: Vec<usize>,

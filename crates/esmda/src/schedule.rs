@@ -12,7 +12,7 @@ use crate::EsmdaError;
 /// How far the sum of the inverse coefficients may lie from what it must be.
 pub const SUM_TOLERANCE: f64 = 1e-9;
 
-/// Checked inflation coefficients, one a step, dimensionless.
+/// Checked inflation coefficients, one per step, dimensionless.
 ///
 /// # Examples
 ///

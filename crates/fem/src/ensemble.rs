@@ -20,7 +20,7 @@ pub struct Member<'a> {
     pub material: &'a Material,
     /// Its load.
     pub load: &'a Load,
-    /// Displacement to start from, mm, one row a node of the body; rest where none is given.
+    /// Displacement to start from, mm, one row per node of the body; rest where none is given.
     pub start: Option<&'a [[f64; 3]]>,
 }
 

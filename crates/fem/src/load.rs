@@ -22,7 +22,7 @@ use crate::surface::Springs;
 /// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Load {
-    /// Forces at nodes, mN: one row a node of the body, or one row a corner node. Rows of held
+    /// Forces at nodes, mN: one row per node of the body, or one row a corner node. Rows of held
     /// nodes only change the reactions.
     pub nodal_forces: Option<Vec<[f64; 3]>>,
     /// Force per undeformed volume, mN/mm³, the same everywhere.

@@ -48,7 +48,7 @@ impl Mesh {
     ///
     /// # Shapes
     ///
-    /// `nodes` one row a node; `tets` one row of four node indices a tetrahedron.
+    /// `nodes` one row per node; `tets` one row of four node indices a tetrahedron.
     ///
     /// # Errors
     ///

@@ -25,7 +25,7 @@ struct Story {
     behaviour: Behaviour,
     material: Material,
     springs: [f64; 2],
-    /// One a frame.
+    /// One per frame.
     loads: Vec<Load>,
     motions: Vec<Option<[f64; 3]>>,
 }

@@ -1,4 +1,4 @@
-"""What contacts need of a body, made once a mesh: the analysed solver, patches, fields of uncertain stiffness."""
+"""Everything of a body that depends on its mesh and supports alone: analysed solver, patches, stiffness fields."""
 
 import threading
 from collections import OrderedDict
@@ -14,10 +14,10 @@ from tissuereg.contacts.supports import Supports, springs_of
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.solve import Simulator
 
-#: Smooth fields of stiffness.
+#: Number of smooth fields of uncertain stiffness.
 _N_BLOBS = 60
 
-#: Bodies that are kept for the next call.
+#: Bodies cached for the next call, at most.
 _N_KEPT = 4
 
 _kept: "OrderedDict[tuple[str, str, str], ContactBody]" = OrderedDict()
@@ -39,7 +39,7 @@ class ContactBody:
     patches : Patches
         Where contacts may be.
     base : Patches or None
-        Patches of supports that are perhaps held.
+        Patches of the doubtful supports.
     springs : list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
         Sets of springs: see `springs_of`.
     blobs : ndarray of float64, shape (n_blobs, n_tets)
@@ -73,7 +73,7 @@ class ContactBody:
 
     @classmethod
     def of(cls, mesh: Mesh, supports: Supports, element: str = "tet4") -> "ContactBody":
-        """Return the body of a mesh, from those kept or made anew.
+        """Return the body of a mesh, from the cache or made anew.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class ContactBody:
         Returns
         -------
         ContactBody
-            Cost where it is new: about half a second on 4,000 nodes.
+            Cost if it is not cached: about half a second on 4,000 nodes.
         """
         key = (mesh.digest(), supports.digest(), element)
         with _lock:
@@ -123,6 +123,6 @@ class ContactBody:
 
 
 def forget_bodies() -> None:
-    """Forget the bodies that are kept for the next call."""
+    """Empty the cache of bodies."""
     with _lock:
         _kept.clear()

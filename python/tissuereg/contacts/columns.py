@@ -1,8 +1,8 @@
-"""All causes of a registration as columns: their loads, their priors, and how observations follow them.
+"""All causes of a registration as columns: their loads, their priors, and the response of observations to them.
 
-Columns come in blocks: three directions a patch first, since slots choose among these; then a body force, the error
-of a believed load, the motion of supports that are perhaps held, and a rigid motion. Every block but the first has one
-family of its own; the first has the background.
+Columns come in blocks. The first holds three directions per patch; slots choose among these. Then follow a body force,
+the error of a believed load, the tractions of doubtful supports, and a rigid motion. The background is the family of
+the first block; every other block has one family of its own.
 """
 
 from collections.abc import Sequence
@@ -29,18 +29,18 @@ _BACKGROUND = 0.55
 
 @dataclass(frozen=True)
 class Family:
-    """Causes with one unknown size.
+    """Causes that share one unknown standard deviation.
 
     Attributes
     ----------
     name : str
-        What they are.
+        Name of the block.
     columns : slice
-        Which columns.
+        Columns of the block.
     variance : float
         Variance of each coefficient at factor one.
     factors : ndarray of float64, shape (n_levels,)
-        Factors on the variance.
+        Candidate factors on the variance.
     log_prior : ndarray of float64, shape (n_levels,)
         Logarithm of each level's prior probability, up to a constant.
     """
@@ -61,24 +61,24 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Causes of one registration.
+    """All causes of one registration.
 
     Attributes
     ----------
     body : ContactBody
-        What they act on.
+        The body they act on.
     young : ndarray of float64, shape (n_patches,)
-        Young's modulus about every patch in kPa: the unit of its forces.
+        Mean Young's modulus near every patch in kPa; scales its forces.
     base_young : float
-        The same about supports that are perhaps held, of all of them.
+        The same near the doubtful supports, one value for all.
     springs : ndarray of float64, shape (n_sets, 2), or None
-        Stiffness of the springs in kPa/mm, those of supports that are perhaps held or of a soft bed.
+        Stiffness in kPa/mm of the springs under doubtful supports or of the soft bed of a free body.
     believed : LoadParts
-        The load that is believed to act; zero coefficients mean this load.
+        The believed load; zero coefficients mean that it acts exactly.
     families : tuple of Family
-        One a block, the background first.
+        One per block, the background first.
     rigid : ndarray of float64, shape (2, 3)
-        Pivot and length of rigid motions; a rotation's coefficient is the motion at that length.
+        Pivot and length of rigid motions; the coefficient of a rotation is the displacement at that length.
     """
 
     body: ContactBody
@@ -100,7 +100,7 @@ class Columns:
         *,
         drifts: bool = False,
     ) -> "Columns":
-        """Return the columns of a body under a believed load; `drifts`: the tracker may have moved a little."""
+        """Return the columns of a body under a believed load; `drifts` allows a small rigid motion of the tracker."""
         n_patches = 3 * body.patches.n_patches
         extent = body.mesh.extent
         families = [Family.of("background", slice(0, n_patches), _BACKGROUND**2, _in_mm(settings.background, extent))]
@@ -137,7 +137,7 @@ class Columns:
         return replace(self, young=_patch_young(self.body, material))
 
     def on_springs(self, stiffness: Sequence[float]) -> "Columns":
-        """Return the same columns on supports of another stiffness a set, over Young's modulus and extent."""
+        """Return the same columns with other spring stiffnesses, one per set, in Young's modulus over extent."""
         springs = [unit * self.base_young * one for (_, unit), one in zip(self.body.springs, stiffness, strict=True)]
         return replace(self, springs=np.array(springs))
 
@@ -151,21 +151,21 @@ class Columns:
         return 2.0 * float(np.mean(self.young)) / (0.5 * self.body.mesh.extent) ** 2
 
     def responses(self, compliance: Compliance, places: FloatArray, rigid: FloatArray | None = None) -> FloatArray:
-        """Return how observations follow the columns.
+        """Return the responses of observations to unit coefficients.
 
         Parameters
         ----------
         compliance : Compliance
-            Of the observations.
+            Sensitivities of the observations to nodal forces.
         places : ndarray of float64, shape (n_points, 3)
-            Deformed places of the points, mm, for rigid motions; three rows a point.
+            Deformed positions of the points, mm, for rigid motions; three rows per point.
         rigid : ndarray of float64, shape (n_rows, 6), optional
-            How rows follow rigid motions, where they are not three a point.
+            Responses of the rows to rigid motions, if they are not three per point.
 
         Returns
         -------
         ndarray of float64, shape (n_rows, n_columns)
-            mm a unit.
+            mm per unit coefficient.
         """
         n_nodes = self.body.mesh.n_nodes
         out = np.zeros((len(compliance.forces), self.n_columns))
@@ -186,7 +186,7 @@ class Columns:
         return out
 
     def rigid_rows(self, places: FloatArray, directions: FloatArray) -> FloatArray:
-        """Return how places (n, 3), read along unit vectors (n, 3), follow unit rigid motions, (n, 6), mm."""
+        """Return the motion (n, 6) of places (n, 3) along unit vectors (n, 3) by unit rigid motions, mm."""
         return np.asarray(np.einsum("kpx,px->pk", self.rigid_field(places), directions))
 
     def rigid_field(self, places: FloatArray) -> FloatArray:
@@ -231,7 +231,7 @@ class Columns:
     def forces(self, changes: FloatArray) -> FloatArray:
         """Return the nodal forces (n, n_element_nodes, 3) of many changes of coefficients (n, n_columns), mN.
 
-        Weight is spread over the nodes; motion of held nodes is left out.
+        Weight is distributed over the nodes; prescribed motion of held nodes is not included.
         """
         forces, weights = self._forces_and_weights(changes)
         return np.asarray(forces + self.weight_forces(weights))
@@ -266,7 +266,7 @@ class Columns:
         return out
 
     def core_families(self) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return the families as the compiled sampler takes them."""
+        """Return the families in the form that the compiled sampler takes."""
         found = []
         for family in self.families:
             variances = np.zeros(self.n_columns)
@@ -287,21 +287,21 @@ def _in_mm(size: tuple[float, float], extent: float) -> tuple[float, float]:
 
 
 def contact_sizes(columns: Columns, settings: ContactSettings) -> FloatArray:
-    """Return the sizes of a contact that are tried, mm, shape (n_sizes,)."""
+    """Return the candidate sizes of a contact, mm, shape (n_sizes,)."""
     return np.array(settings.sizes) * columns.body.mesh.extent
 
 
 def spring_stiffness(body: ContactBody, material: Material, stiffness: float) -> FloatArray | None:
-    """Return the stiffness (n_sets, 2) of a body's springs in kPa/mm; a soft bed has its own.
+    """Return the stiffness (n_sets, 2) of a body's springs in kPa/mm; that of a soft bed is fixed.
 
     Parameters
     ----------
     body : ContactBody
-        With what holds it.
+        With its supports.
     material : Material
         Its mean modulus is the unit.
     stiffness : float
-        Of supports that are perhaps held, over Young's modulus and extent.
+        Of doubtful supports, in Young's modulus over extent.
     """
     young = float(np.mean(material.young_array)) * (stiffness if body.base is not None else 1.0)
     return np.array([unit * young for _, unit in body.springs]) if body.springs else None
@@ -325,7 +325,7 @@ def _patch_young(body: ContactBody, material: Material) -> FloatArray:
 def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:
     """Return the logarithm of the prior probability of a slot's patch and size, shape (n_patches, n_sizes).
 
-    The odds are spread evenly over radii, then over centres; sizes above a share of the radius become unlikely.
+    All radii are equally likely, and so are all centres of one radius; sizes above a share of the radius are unlikely.
     """
     patches = columns.body.patches
     sizes = contact_sizes(columns, settings)
@@ -337,7 +337,7 @@ def log_filled(columns: Columns, settings: ContactSettings) -> FloatArray:
 
 
 def sampler(columns: Columns, settings: ContactSettings, responses: FloatArray, data: dict[str, Any]) -> Any:
-    """Return the compiled problem of one linearisation.
+    """Return the compiled sampling problem of one linearisation.
 
     Parameters
     ----------
@@ -346,14 +346,14 @@ def sampler(columns: Columns, settings: ContactSettings, responses: FloatArray, 
     settings : ContactSettings
         Prior.
     responses : ndarray of float64, shape (n_obs, n_columns)
-        How the observations follow them.
+        Responses of the observations to the columns.
     data : dict
         ``innovation`` (n_obs,), ``noise`` (n_obs, n_obs), ``groups``: rows of each marker.
 
     Returns
     -------
     _core.Contacts
-        What samples, and what turns samples into moments.
+        Runs the sampler, and computes moments from its samples.
     """
     from tissuereg import _core
 

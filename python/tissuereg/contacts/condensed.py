@@ -1,12 +1,12 @@
-r"""A body on springs of any stiffness, to first order, from one factorisation on springs of a middling one.
+r"""A linearised body on springs of any stiffness, from one factorisation at a medium stiffness.
 
-Springs of cell q with the stiffness k_q more (or less, k_q < 0) pull the body back by k_q times the mean motion of the
-cell. With the compliance of cells among each other C, that of observations by forces on cells D, and K = diag(k),
-motions m of observations and u of cells become
+The springs are divided into cells. Raising the stiffness of cell q by k_q (or lowering it, k_q < 0) adds a restoring
+force of k_q times the mean motion of the cell. With the compliance C of cells to forces on cells, that of observations
+to forces on cells D, and K = diag(k), the motions m of observations and u of cells become
 
     u' = (I + C K)^-1 u,    m' = m + W u,    W = -D K (I + C K)^-1,
 
-so that whatever is normal in m and u is normal in m', with a covariance from products of small matrices alone.
+so that if m and u are jointly normal, m' is normal too, with a covariance from products of small matrices.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from tissuereg.contacts.frame import Frame
 from tissuereg.contacts.places import gathered
 from tissuereg.contacts.tangent import Row
 
-#: Cells of all springs together.
+#: Number of cells of all springs together.
 N_CELLS = 60
 
 
@@ -39,7 +39,7 @@ class Cells:
     centres : ndarray of float64, shape (n_cells, 3)
         mm.
     of_set : ndarray of int64, shape (n_cells,)
-        Which set of springs each belongs to.
+        Set of springs of each cell.
     """
 
     weights: FloatArray
@@ -78,30 +78,30 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Observations and cells as they follow all causes on springs of one stiffness.
+    """Responses of observations and cells to all causes, on springs of one stiffness.
 
     Attributes
     ----------
     columns : Columns
         Causes, on these springs.
     cells : Cells
-        What rests on springs.
+        Cells of the springs.
     known : float
-        Stiffness of these springs, over Young's modulus and extent.
+        Stiffness of these springs, in Young's modulus over extent.
     stiffness : ndarray of float64, shape (n_cells,)
-        Force of a cell a mm at stiffness one, mN/mm.
+        Force per mm of each cell at stiffness one, mN/mm.
     innovation : ndarray of float64, shape (n_obs,)
         Measured minus predicted at zero coefficients, mm.
     variances : ndarray of float64, shape (n_obs,)
-        Of the noise, mm^2.
+        Noise variances, mm^2.
     responses : ndarray of float64, shape (n_obs + 3 n_cells, n_columns)
-        How observations and motions of cells follow the causes.
+        Of observations and motions of cells to the causes.
     rest : ndarray of float64, shape (3 n_cells,)
         Motions of cells at zero coefficients, mm.
     by_cells : ndarray of float64, shape (n_obs, 3 n_cells)
-        Observations by forces on cells, mm/mN.
+        Responses of observations to forces on cells, mm/mN.
     among : ndarray of float64, shape (3 n_cells, 3 n_cells)
-        Motions of cells by forces on cells, mm/mN.
+        Responses of cells to forces on cells, mm/mN.
     """
 
     columns: Columns
@@ -126,12 +126,12 @@ class Condensed:
         frame : Frame
             Rigid motion to begin with.
         known : float
-            Stiffness of the springs there, over Young's modulus and extent.
+            Stiffness of the springs there, in Young's modulus over extent.
 
         Returns
         -------
         Condensed
-            Cost: a factorisation, one right-hand side an observation and three a cell.
+            Cost: a factorisation, one right-hand side per observation and three per cell.
         """
         body = passes.columns.body
         columns = passes.columns.on_springs([known] * len(body.springs))
@@ -166,7 +166,7 @@ class Condensed:
         )
 
     def on(self, stiffness: Sequence[float]) -> "OnSprings":
-        """Return what observations become on springs of another stiffness a set, over modulus and extent."""
+        """Return the observations on springs of other stiffnesses, one per set, in modulus over extent."""
         more = np.array(stiffness)[self.cells.of_set] - self.known
         return OnSprings(self, np.repeat(more * self.stiffness, 3))
 
@@ -178,9 +178,9 @@ class OnSprings:
     Attributes
     ----------
     condensed : Condensed
-        On those of the known stiffness.
+        On springs of the known stiffness.
     pull : ndarray of float64, shape (3 n_cells,)
-        Force a mm of every cell beyond that of the known springs, mN/mm.
+        Force per mm of every cell in excess of the known springs, mN/mm.
     """
 
     condensed: Condensed
@@ -193,7 +193,7 @@ class OnSprings:
 
     @cached_property
     def by_motion(self) -> FloatArray:
-        """W, (n_obs, 3 n_cells): what motions of cells on the known springs take from observations."""
+        """W, (n_obs, 3 n_cells): change of the observations by motions of cells on the known springs."""
         return np.asarray(-np.linalg.solve(self._kept.T, (self.condensed.by_cells * self.pull).T).T)
 
     @cached_property
@@ -202,7 +202,7 @@ class OnSprings:
         return self.condensed.innovation - self.by_motion @ self.condensed.rest
 
     def observed(self, covariance: FloatArray) -> FloatArray:
-        """Return the covariance (n_obs, n_obs) of observations where that of all on the known springs is given."""
+        """Return the covariance (n_obs, n_obs) of observations, given that of all motions on the known springs."""
         n_obs = len(self.condensed.innovation)
         mixed = self.by_motion @ covariance[n_obs:, :n_obs]
         inner = self.by_motion @ covariance[n_obs:, n_obs:] @ self.by_motion.T

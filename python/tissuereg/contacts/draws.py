@@ -23,7 +23,7 @@ class Draws:
     spread : Spread
         Its uncertainty.
     material : Material
-        What the body is made of.
+        Material of the body.
     seed, threads : int
         Of the registration.
     """
@@ -72,7 +72,7 @@ class Draws:
 
 @dataclass(frozen=True, eq=False)
 class NodesOfContacts:
-    """The covariance of every node, computed by a call.
+    """The covariance of every node, computed on call.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class NodesOfContacts:
     seed : int
         Of the registration.
     fields : ndarray of float64, shape (n_draws, n_nodes, 3), or None
-        Posterior fields in equilibrium, where they have been solved; else draws to first order serve.
+        Posterior fields in equilibrium, if they have been solved; else linear draws are used.
     """
 
     spread: Spread

@@ -1,7 +1,8 @@
-"""How well a body explains the markers before any contact is sought: the evidence of a stiffness or of supports.
+"""Evidence of a stiffness or of supports: how well a body explains the markers, before contacts are sampled.
 
-Contacts of all radii count as one Gaussian. Its size and those of all families are the best ones. That costs one
-factorisation and one right-hand side a marker component; of supports of any stiffness three more a cell of them.
+The contacts of all radii are approximated by one Gaussian; its size and those of all families are maximised over. The
+cost is one factorisation and one right-hand side per marker component; for supports of any stiffness, three more per
+cell of them.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from tissuereg.contacts.condensed import Condensed
 from tissuereg.contacts.fit import Passes, start_of
 from tissuereg.contacts.frame import Frame
 
-#: Sizes of contacts that are tried, mm.
+#: Candidate sizes of contacts, mm.
 _SIZES_MM = 10.0 ** np.arange(-2.0, 2.01, 0.25)
 
 #: Rounds over all sizes at most, and the gain that ends them.
@@ -44,14 +45,14 @@ def log_evidence(passes: Passes, frame: Frame) -> float:
 
 @dataclass(frozen=True)
 class SupportStiffness:
-    """Stiffness of supports that are perhaps held, one number a set of springs, over Young's modulus and extent.
+    """Stiffness of doubtful supports, one number per set of springs, in Young's modulus over extent.
 
     Attributes
     ----------
     best : tuple of float
         Of the highest evidence.
     log_std : tuple of float
-        Standard deviation of the logarithm of each, the others kept.
+        Standard deviation of the logarithm of each, with the others fixed.
     """
 
     best: tuple[float, ...]
@@ -59,7 +60,7 @@ class SupportStiffness:
 
 
 def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
-    """Return the stiffness of supports that are perhaps held which explains the markers best.
+    """Return the stiffness of doubtful supports that has the highest evidence.
 
     Parameters
     ----------
@@ -71,8 +72,8 @@ def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
     Returns
     -------
     SupportStiffness
-        The best for all sets of springs, then for one set after the other, twice. Cost: one factorisation, one
-        right-hand side a marker component and three a cell, whatever is tried.
+        The best common value for all sets of springs, then the best for one set after the other, twice. Cost: one
+        factorisation, one right-hand side per marker component and three per cell, for any number of candidates.
     """
     tried = passes.settings.stiffness_tried
     n_sets = len(passes.columns.body.springs)
@@ -119,7 +120,7 @@ def _parts(columns: Columns, responses: FloatArray) -> list[tuple[FloatArray, Fl
 def _best_over_sizes(
     innovation: FloatArray, noise: FloatArray, parts: list[tuple[FloatArray, FloatArray, FloatArray]]
 ) -> float:
-    """Return the log evidence at the best sizes of all parts, sought one part after the other."""
+    """Return the log evidence maximised over the sizes of all parts, one part after the other."""
     levels = [int(np.argmin(np.abs(np.log(factors)))) for _, factors, _ in parts]
     total = noise + sum(part[0] * part[1][level] for part, level in zip(parts, levels, strict=True))
     best = -np.inf

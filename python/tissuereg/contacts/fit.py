@@ -1,8 +1,8 @@
-"""From data to contacts: linearise, sample, solve, until the body meets what was seen.
+"""From data to contacts: linearise, sample, solve, until the body meets the measurements.
 
-A pass takes the sensitivities of all observations at the present equilibrium, samples which contacts explain what is
-left, and solves the equilibrium under the mean load. What the model gets wrong enters the samples through the noise of
-the data alone: as unknowns of its own it would explain away motion that the equilibrium then lacks. Points without
+A pass takes the sensitivities of all observations at the present equilibrium, samples which contacts explain the
+residual, and solves the equilibrium under the mean load. Model error enters the sampling only as noise of the data: as
+unknowns of its own it would explain part of the motion, which the solved equilibrium would then lack. Points without
 labels are matched anew in every pass: first fewer of them, in more passes, then all.
 """
 
@@ -28,41 +28,41 @@ from tissuereg.errors import ConvergenceError
 from tissuereg.load import Load
 from tissuereg.material import Material
 
-#: Residual of an equilibrium that is linearised, over its load.
+#: Relative residual of an equilibrium that is linearised.
 _TOLERANCE = 3e-7
 
 #: Shortest share of a step towards the mean load.
 _SHORTEST_STEP = 0.02
 
-#: A load that takes more iterations than this is not worth the wait: a shorter step is tried.
+#: A load that takes more iterations than this is abandoned: a shorter step is tried.
 _MOST_ITERATIONS = 150
 
-#: A step must take away this part of what it promises, or leave the markers within this many times the limit.
+#: A step must reduce the residual by this share of the predicted reduction, or to within this many times the limit.
 _DECREASE, _GOOD_ENOUGH = 0.3, 1.5
 
-#: The same where points without labels are matched anew: the first part of the way is the slowest.
+#: The same share if points without labels are matched anew: the first steps gain least.
 _DECREASE_UNMATCHED = 0.01
 
-#: And a step that is not shorter than this is taken where it brings anything.
+#: In that case a step of at least this length is accepted if it reduces the residual at all.
 _SHORTEST_UNMATCHED = 0.2
 
-#: First passes that are made in any case, while the points are not met.
+#: Least number of first passes while the residual of the points is above the limit.
 _LEAST_ROUGH = 4
 
-#: Passes with markers alone, where there are any beside points.
+#: Passes with markers alone, if there are markers as well as points.
 _MARKER_PASSES = 2
 
-#: Passes with few points at most, and with all of them.
+#: Most passes with few points, and with all of them.
 _COARSE_PASSES, _FINE_PASSES = 8, 5
 
-#: Shares of the extent within which first matches go wrong alike: the second is tried where the first leaves more
-#: than this share of the points as outliers.
+#: Shares of the extent within which the errors of first matches are correlated: the second is tried if the first
+#: leaves more than this share of the points as outliers.
 _WIDTHS, _MOST_OUTLIERS = (0.12, 0.2), 0.13
 
-#: A step came out as foretold where the residual is above the promised one by no more than this.
-_FORETOLD = 0.2
+#: A step ended as predicted if its residual exceeds the predicted one by no more than this.
+_AS_PREDICTED = 0.2
 
-#: Matches have settled where a pass takes away less than this share.
+#: Matches have settled if a pass reduces the residual by less than this share.
 _SETTLED = 0.05
 
 Samples = tuple[Any, Any, Any]
@@ -70,36 +70,36 @@ Samples = tuple[Any, Any, Any]
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """One pass: where it led, under which samples, and the linear problem in which it began.
+    """One pass: its end, its samples, and the linear problem at its start.
 
-    `left` is the root mean square residual over standard deviations, `promised` what the linear model foretold of it,
-    `misfit` the mean over samples of the squared Mahalanobis length of the innovation.
+    `residual` is the root mean square residual over standard deviations, `predicted` the linear model's prediction of
+    it, `misfit` the mean over samples of the squared Mahalanobis length of the innovation.
     """
 
     moment: Moment
     samples: Samples
     at: AtBody
-    left: float
-    promised: float
+    residual: float
+    predicted: float
     misfit: float
 
     @property
-    def foretold(self) -> bool:
-        """Whether the linear model was right about the step: it then holds at its end as well."""
-        return self.left < self.promised + _FORETOLD
+    def as_predicted(self) -> bool:
+        """Whether the step ended as the linear model predicted, so that the linearisation also holds at its end."""
+        return self.residual < self.predicted + _AS_PREDICTED
 
 
 @dataclass(frozen=True)
-class _Left:
-    """What is remembered of every pass: see `_Pass`."""
+class _Residuals:
+    """The numbers that are kept of every pass: see `_Pass`."""
 
-    left: float
-    promised: float
+    residual: float
+    predicted: float
 
 
 @dataclass(frozen=True, eq=False)
 class ContactFit:
-    """What the passes came to.
+    """The result of the passes.
 
     Attributes
     ----------
@@ -108,21 +108,21 @@ class ContactFit:
     moment : Moment
         The equilibrium under the mean load.
     tangent : Tangent
-        The tangent there, or where the last step towards it began, if that step came out as linearly foretold.
+        The tangent there, or at the start of the last step if that step ended as its linear model predicted.
     posed : Posed
-        Data at that tangent, as the sampler has them.
+        Data at that tangent, in the sampler's form.
     sampler : _core.Contacts
         Dictionary, prior and data there.
     samples : tuple of ndarray
         Slots, levels and wrong groups of every sample.
     wrong : ndarray of float64, shape (n_markers,)
-        Probability that a marker is wrong; zero where it was not seen.
+        Probability that each marker is wrong; zero for markers that were not seen.
     misfit : float
         Mean over samples of the squared Mahalanobis length of the innovation at the end.
     residual_rms : list of float
         Root mean square residual after each pass, over standard deviations.
     counters : collections.Counter
-        Work.
+        Work counters.
     """
 
     columns: Columns
@@ -139,7 +139,7 @@ class ContactFit:
 
 @dataclass(eq=False)
 class Passes:
-    """The loop with what it needs.
+    """The loop over passes with its data and settings.
 
     Parameters
     ----------
@@ -148,15 +148,15 @@ class Passes:
     seen : Seen
         Data.
     material : Material
-        What the body is made of.
+        Material of the body.
     settings : ContactSettings
         Prior and chains.
     rng : numpy.random.Generator
-        All chance.
+        Source of all random numbers.
     threads : int
         Threads to use; 0 takes all cores.
     clock : Clock
-        Gets the stages' times.
+        Records the times of the stages.
     progress : callable of (int, int), optional
         Called with passes finished and passes at most.
     """
@@ -173,7 +173,7 @@ class Passes:
 
     @cached_property
     def linear(self) -> Linear:
-        """What linearises; its work is counted with that of the passes."""
+        """The linearisation; its work is counted with that of the passes."""
         return Linear(self.columns, self.material, self.settings, self.threads, self.clock, self.counters)
 
     def run(self, start: Moment) -> ContactFit:
@@ -198,7 +198,7 @@ class Passes:
         best: tuple[_Pass, list[float]] | None = None
         for width in _WIDTHS if full.rematches else (0.0,):
             found = self._from(start, self._stages(full, width))
-            if best is None or found[0].left < best[0].left:
+            if best is None or found[0].residual < best[0].residual:
                 best = found
             if full.outliers(found[0].moment) < _MOST_OUTLIERS:
                 break
@@ -210,8 +210,8 @@ class Passes:
         return self._fit(last, self._at_end(last, full), history)
 
     def _at_end(self, last: "_Pass", full: Seen) -> AtBody:
-        """Return the linear problem at the end of a pass, or that of its beginning where it serves."""
-        if last.foretold and not full.rematches:
+        """Return the linear problem at the end of a pass, or that at its start if the step ended as predicted."""
+        if last.as_predicted and not full.rematches:
             return last.at
         try:
             return self.linear.at(last.moment, full)
@@ -235,37 +235,37 @@ class Passes:
         return last, history
 
     def _stages(self, full: Seen, width: float) -> list[tuple[Seen, int]]:
-        """Return the data of each stage with its passes at most."""
+        """Return the data of each stage with its largest number of passes."""
         if not full.rematches:
             return [(full, self.settings.max_passes)]
         stages = [(full.coarser(width), _COARSE_PASSES), (full, _FINE_PASSES)]
-        # Markers have labels: they bring the body near before anything is matched.
+        # Markers have labels: they bring the body close before points are matched.
         return stages if full.markers is None else [(Seen.of(full.markers), _MARKER_PASSES), *stages]
 
     def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
-        """Return the closest of at most so many passes, and what each of them left."""
-        reached: list[_Left] = []
+        """Return the pass with the smallest residual of at most `most` passes, and all residuals."""
+        reached: list[_Residuals] = []
         closest: _Pass | None = None
         while len(reached) < max(most, 1) and not self._ended(reached):
             try:
                 made = self._one_pass(moment, samples)
             except ConvergenceError:
-                # A limit point has no tangent: the passes that led there count.
+                # There is no tangent at a limit point: use the passes so far.
                 if closest is None:
                     raise
                 break
             moment, samples = made.moment, made.samples
-            reached.append(_Left(made.left, made.promised))
-            # Past a limit point of the load passes may lead away again: the closest one counts. The others go, since
+            reached.append(_Residuals(made.residual, made.predicted))
+            # Past a limit point of the load passes may lead away again: the best one is kept, and only that one, since
             # each holds a factor.
-            if closest is None or made.left < closest.left:
+            if closest is None or made.residual < closest.residual:
                 closest = made
             del made
             if self.progress is not None:
                 most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
                 self.progress(min(self.counters["passes"], most_passes), most_passes)
         assert closest is not None  # the loop runs once at least
-        return closest, [one.left for one in reached]
+        return closest, [one.residual for one in reached]
 
     def _one_pass(self, moment: Moment, samples: Samples | None) -> "_Pass":
         """Return the pass that begins at a body, with samples that go on from those before."""
@@ -273,12 +273,12 @@ class Passes:
         drawn = self._sample(at.sampler, samples)
         with self.clock.stage("solve"):
             wanted, misfit = self._mean(at, drawn)
-            promised = _promised(at.posed, wanted, drawn)
+            predicted = _predicted_residual(at.posed, wanted, drawn)
             reached = self._solve(at, drawn, moment, wanted)
-        return _Pass(reached, drawn, at, self.residual_rms(reached, drawn), promised, misfit)
+        return _Pass(reached, drawn, at, self.residual_rms(reached, drawn), predicted, misfit)
 
     def posed(self, moment: Moment) -> Posed:
-        """Return the data at a body with how they follow the columns."""
+        """Return the data at a body with their responses to the columns."""
         tangent = self.linear.tangent(moment)
         return self.linear.posed(tangent, self.seen.read(moment), moment.coefficients, self.seen)
 
@@ -314,25 +314,25 @@ class Passes:
         return found[0], float(found[5])
 
     def _solve(self, at: AtBody, samples: Samples, moment: Moment, wanted: FloatArray) -> Moment:
-        """Return the equilibrium under the load of coefficients, or as far towards it as the markers come closer."""
+        """Return the equilibrium under the wanted coefficients, or after the longest step that reduces the residual."""
         share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
-        # Points are matched anew, but weighed as they were for this step: it promises no more than that.
+        # Points are matched anew, but keep the weights for which the step was predicted.
         std = self.seen.read(moment).std if self.seen.rough else None
         before = self.residual_rms(moment, samples, std)
         best: tuple[float, Moment] | None = None
         while share > (_SHORTEST_UNMATCHED if self.seen.rematches and best is not None else _SHORTEST_STEP):
             found = self._towards(at.tangent, moment, moment.coefficients + share * (wanted - moment.coefficients))
             if found is not None:
-                left = self.residual_rms(found, samples, std)
-                if best is None or left < best[0]:
-                    best = (left, found)
+                residual = self.residual_rms(found, samples, std)
+                if best is None or residual < best[0]:
+                    best = (residual, found)
                 enough = 0.0 if self.seen.rematches else _GOOD_ENOUGH * self.settings.fit_limit
-                if left < max((1.0 - decrease * share) * before, enough):
+                if residual < max((1.0 - decrease * share) * before, enough):
                     return found
             share *= 0.5
             self.counters["halved_steps"] += 1
         if best is None or (best[0] >= before and self.seen.rematches):
-            # No load on the way has an equilibrium, or none brings the points nearer: the next samples may.
+            # No load on the way has an equilibrium, or none reduces the residual: the next samples may.
             self.counters["stuck_passes"] += 1
             return moment
         return best[1]
@@ -350,32 +350,32 @@ class Passes:
         self.counters["iterations"] += int(found.report["iterations"])
         turned = self.columns.frame(coefficients)
         if not self.columns.body.supports.moves:
-            # A drift is small and keeps its prior: its coefficients count from no motion.
+            # A drift is small and keeps its prior: its coefficients are relative to no motion.
             return Moment(coefficients, found.all_displacement, Frame.still().followed_by(turned, self.columns.rigid))
         frame = moment.frame.followed_by(turned, self.columns.rigid)
         return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
 
     def residual_rms(self, moment: Moment, samples: Samples, std: FloatArray | None = None) -> float:
-        """Return the root mean square residual of what is not wrong, over given standard deviations or its own."""
+        """Return the root mean square residual over standard deviations, observations weighted by not being wrong."""
         reading = self.seen.read(moment)
         if std is not None:
-            return float(np.sqrt(np.mean((reading.left / std) ** 2)))
+            return float(np.sqrt(np.mean((reading.residual / std) ** 2)))
         weights = np.ones(len(reading.cost))
         for group, wrong in zip(reading.groups, samples[2].mean(axis=0), strict=True):
             weights[group] = max(1.0 - wrong, 1e-6)
         return float(np.sqrt(np.average(reading.cost, weights=weights)))
 
-    def _ended(self, reached: list["_Left"]) -> bool:
-        """Return whether the data are met as well as the linear model promised, or the last passes brought nothing."""
+    def _ended(self, reached: list["_Residuals"]) -> bool:
+        """Return whether the data are met as well as the linear model predicted, or the last passes brought nothing."""
         if len(reached) < 2:
             return False
-        left, before = reached[-1].left, reached[-2].left
+        residual, before = reached[-1].residual, reached[-2].residual
         if self.seen.rematches:
-            few = len(reached) < _LEAST_ROUGH and self.seen.rough and left > self.settings.fit_limit
-            return not few and left > (1.0 - _SETTLED) * before
-        met = left < self.settings.fit_limit and left < reached[-1].promised + self.settings.promise_margin
-        all_left = [one.left for one in reached]
-        return met or (len(reached) > 3 and min(all_left[-2:]) > 0.95 * min(all_left[:-2]))
+            few = len(reached) < _LEAST_ROUGH and self.seen.rough and residual > self.settings.fit_limit
+            return not few and residual > (1.0 - _SETTLED) * before
+        met = residual < self.settings.fit_limit and residual < reached[-1].predicted + self.settings.promise_margin
+        residuals = [one.residual for one in reached]
+        return met or (len(reached) > 3 and min(residuals[-2:]) > 0.95 * min(residuals[:-2]))
 
     def _fit(self, last: "_Pass", at: AtBody, history: list[float]) -> ContactFit:
         misfit = last.misfit if at is last.at else self._mean(at, last.samples)[1]
@@ -394,7 +394,7 @@ class Passes:
         )
 
     def _wrong(self, moment: Moment, samples: Samples) -> FloatArray:
-        """Return the probability that each marker is wrong, (n_markers,); zero where it was not seen."""
+        """Return the probability that each marker is wrong, (n_markers,); zero for markers that were not seen."""
         markers = self.seen.markers
         if markers is None:
             return np.zeros(0)
@@ -407,13 +407,13 @@ class Passes:
         return wrong
 
 
-def _promised(problem: Posed, coefficients: FloatArray, samples: Samples) -> float:
-    """Return the root mean square residual that the linear model promises, over standard deviations."""
-    left = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
-    weights = np.ones(len(left))
+def _predicted_residual(problem: Posed, coefficients: FloatArray, samples: Samples) -> float:
+    """Return the root mean square residual that the linear model predicts, over standard deviations."""
+    residual = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
+    weights = np.ones(len(residual))
     for group, wrong in zip(problem.groups, samples[2].mean(axis=0), strict=True):
         weights[group] = max(1.0 - wrong, 1e-6)
-    return float(np.sqrt(np.average(left, weights=weights)))
+    return float(np.sqrt(np.average(residual, weights=weights)))
 
 
 def start_of(columns: Columns, material: Material, simulation: FloatArray | None, frame: Frame, threads: int) -> Moment:
@@ -424,11 +424,11 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
     columns : Columns
         Causes.
     material : Material
-        What the body is made of.
+        Material of the body.
     simulation : ndarray of float64, shape (n_element_nodes, 3), or None
-        The displacement that the believed load holds, where it is known.
+        The displacement under the believed load, if it is known.
     frame : Frame
-        Rigid motion to begin with.
+        Initial rigid motion.
     threads : int
         Threads to use.
 

@@ -1,4 +1,4 @@
-"""Contacts that samples agree on: where, how large, with what force, and how probable."""
+"""Contacts on which samples agree: position, size, force and probability."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,13 +11,13 @@ from tissuereg.contacts.fit import ContactFit
 #: Contacts less probable than this are not listed.
 _LEAST_PROBABILITY = 0.2
 
-#: At most so many are listed.
+#: Largest number of contacts that are listed.
 _MOST = 4
 
 
 @dataclass(frozen=True, eq=False)
 class FoundContact:
-    """One place where the body is believed to be pushed or pulled.
+    """One place where the body is probably pushed or pulled.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class FoundContact:
     direction : ndarray of float64, shape (3,)
         Unit vector of the force on the registered body.
     size_mm : float
-        How far the surface there has moved.
+        Displacement of the surface there.
     force_mN : float
         Size of the force at the believed modulus.
     probability : float
@@ -65,7 +65,7 @@ def find_contacts(fit: ContactFit) -> tuple[FoundContact, ...]:
     Returns
     -------
     tuple of FoundContact
-        Patches of all samples, gathered about the one that occurs most.
+        Patches of all samples, clustered around the most frequent one.
     """
     slots = np.asarray(fit.samples[0])[:, :, 0]
     left = slots >= 0
@@ -81,10 +81,10 @@ def find_contacts(fit: ContactFit) -> tuple[FoundContact, ...]:
 
 
 def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, BoolArray]:
-    """Return the contact about the commonest patch among those left, and the slots that it takes."""
+    """Return the contact around the most frequent patch that remains, and the slots that belong to it."""
     patches = fit.columns.body.patches
     count = np.bincount(slots[left], minlength=patches.n_patches)
-    # Patches close by say the same: weigh each by all within its radius.
+    # Nearby patches are the same contact: weigh each by all within its radius.
     occurring = np.flatnonzero(count)
     gaps = np.linalg.norm(patches.centres[occurring][:, None] - patches.centres[occurring][None], axis=2)
     reach = np.maximum(patches.radii[occurring][:, None], patches.radii[occurring][None])

@@ -8,7 +8,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg._choice import check_choice
 from tissuereg.errors import SupportError
 
-#: What a tracker's frame may do beside a body that is held.
+#: How the tracker's frame may behave relative to a body that is held.
 FRAMES = ("known", "drifts")
 
 
@@ -29,7 +29,7 @@ class Frame:
 
     @classmethod
     def still(cls) -> "Frame":
-        """Return no motion."""
+        """Return the identity."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
@@ -43,7 +43,7 @@ class Frame:
 
     @property
     def moves(self) -> bool:
-        """Whether this is a motion at all."""
+        """Whether this motion is not the identity."""
         return not (np.array_equal(self.rotation, np.eye(3)) and not self.shift.any())
 
     def apply(self, places: FloatArray) -> FloatArray:

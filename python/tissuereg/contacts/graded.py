@@ -1,12 +1,12 @@
-r"""A stiffness that changes across the body, found from the markers before contacts are.
+r"""A stiffness that changes across the body, estimated from the markers before contacts are sampled.
 
-Gels, scars and organs with a capsule are softer on one side. The logarithm of Young's modulus is then taken as that of
-the material plus a function that is linear across the body,
+Gels, scars and organs with a capsule are softer on one side. The logarithm of Young's modulus is then modelled as that
+of the material plus a function that is linear across the body,
 
     ln E = ln E_0 + sum_a g_a xi_a,      xi_a from -1 to 1 along principal axis a, g_a ~ N(0, s^2).
 
-The rates g are those of the highest evidence (`tissuereg.contacts.evidence`), which does not oscillate as stiffness and
-loads fitted in turns do.
+The rates g maximise the evidence (`tissuereg.contacts.evidence`); fitting stiffness and loads alternately would
+oscillate.
 """
 
 from dataclasses import dataclass, replace
@@ -22,21 +22,21 @@ from tissuereg.errors import MaterialError
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
 
-#: How the stiffness of a body may be taken.
+#: Values of `stiffness`.
 STIFFNESS = ("believed", "graded")
 
-#: First and shortest step of a trial, in units of the prior's standard deviation.
+#: First and shortest step of the search, in units of the prior's standard deviation.
 _FIRST_STEP, _LAST_STEP = 1.0, 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Grading:
-    """What was found of a graded stiffness.
+    """An estimated graded stiffness.
 
     Attributes
     ----------
     material : Material
-        With a modulus a tet.
+        With one modulus per tet.
     rates : ndarray of float64, shape (3,)
         g along the principal axes.
     std : ndarray of float64, shape (3,)
@@ -78,14 +78,14 @@ def grade(passes: Passes, frame: Frame) -> Grading:
     Parameters
     ----------
     passes : Passes
-        Causes, data, what is believed of the material.
+        Causes, data and believed material.
     frame : Frame
-        Rigid motion to begin with.
+        Initial rigid motion.
 
     Returns
     -------
     Grading
-        About twenty trials.
+        Cost: about twenty evaluations of the evidence.
     """
     trial = _Trial(passes, frame, profiles_of(passes.columns.body.mesh))
     prior = passes.settings.graded_log_std
@@ -100,7 +100,7 @@ def grade(passes: Passes, frame: Frame) -> Grading:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """What every trial needs."""
+    """Inputs of every evaluation."""
 
     passes: Passes
     frame: Frame

@@ -1,4 +1,4 @@
-"""The rigid motion of a body that brings its surface closest to points without labels (iterated closest points)."""
+"""The rigid motion of a body that brings its surface closest to unlabelled points (iterated closest points)."""
 
 import numpy as np
 
@@ -14,13 +14,13 @@ _N_POINTS = 150
 #: Iterations from each start, and from the best of them.
 _N_FIRST, _N_LAST = 12, 40
 
-#: Share of the points, the closest ones, that count: a deformed part must not turn the body.
+#: Share of the points, the closest ones, that are used: a deformed part must not rotate the body.
 _SHARE = 0.8
 
-#: Weight of distances along the surface: none lets a round body turn without end.
+#: Weight of distances along the surface: with zero weight a round body could rotate indefinitely.
 _ALONG = 0.05
 
-#: Another start must leave less than this share of what the frame as given leaves.
+#: Another start is preferred if its residual is less than this share of that from the frame as given.
 _CLEARLY = 0.7
 
 
@@ -32,7 +32,7 @@ def closest_frame(mesh: Mesh, points: FloatArray) -> Frame:
     mesh : Mesh
         Undeformed body.
     points : ndarray of float64, shape (n, 3)
-        Of its deformed surface or of a part of it, in the tracker's frame, mm.
+        Points of all or part of its deformed surface, in the tracker's frame, mm.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def _starts(mesh: Mesh, points: FloatArray) -> list[Frame]:
 
 
 def _iterated(mesh: Mesh, points: FloatArray, frame: Frame, count: int) -> tuple[Frame, float]:
-    """Return the frame after some iterations and the root mean square distance of the points that count, mm."""
+    """Return the frame after some iterations and the root mean square distance of the points that are used, mm."""
     length = 0.5 * mesh.extent
     for _ in range(count):
         places = frame.undo(points)

@@ -1,4 +1,4 @@
-"""The data at one body: its tangent, how observations follow the causes there, and the sampler's problem."""
+"""The linearisation at one body: tangent, responses of the observations to the causes, and the sampler's problem."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -19,14 +19,14 @@ from tissuereg.material import Material
 
 @dataclass(frozen=True, eq=False)
 class AtBody:
-    """Everything that is linear about one body.
+    """Everything that is linearised at one body.
 
     Attributes
     ----------
     tangent : Tangent
         The linearised equilibrium.
     posed : Posed
-        Observations with how they follow the columns.
+        Observations with their responses to the columns.
     sampler : _core.Contacts
         Dictionary, prior and data.
     """
@@ -38,22 +38,22 @@ class AtBody:
 
 @dataclass(eq=False)
 class Linear:
-    """What linearises; it counts its work and keeps the projection of many observations while the data stay the same.
+    """Linearises; counts its work and caches the projection of many observations while the data stay the same.
 
     Parameters
     ----------
     columns : Columns
         Causes.
     material : Material
-        What the body is made of.
+        Material of the body.
     settings : ContactSettings
         Prior.
     threads : int
         Threads to use.
     clock : Clock
-        Gets the stages' times.
+        Records the times of the stages.
     counters : collections.Counter
-        Gets the work.
+        Records the work.
     """
 
     columns: Columns
@@ -82,7 +82,7 @@ class Linear:
         return found
 
     def posed(self, tangent: Tangent, reading: Reading, coefficients: FloatArray, seen: Seen) -> Posed:
-        """Return observations as they are, or, where they are many, as few that say nearly the same."""
+        """Return observations as they are, or, if they are many, a projection that keeps nearly all information."""
         rigid = self.columns.rigid_rows(reading.places, reading.directions)
         if not seen.weighed:
             return plain(reading, self._responses(tangent, reading.rows, rigid), coefficients)
@@ -98,7 +98,7 @@ class Linear:
         return projected(reading, basis, few, coefficients)
 
     def _responses(self, tangent: Tangent, rows: list[Row], rigid: FloatArray) -> FloatArray:
-        """Return how rows of nodes and weights follow the columns, (n_rows, n_columns)."""
+        """Return the responses of rows of nodes and weights to the columns, (n_rows, n_columns)."""
         with self.clock.stage("sensitivities"):
             compliance, solved = tangent.compliance(rows)
             self.counters["right_hand_sides"] += solved

@@ -1,4 +1,4 @@
-"""A deformed body on the way from rest to what was measured."""
+"""A state of the body between rest and the measured deformation."""
 
 from dataclasses import dataclass
 

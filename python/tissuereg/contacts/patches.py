@@ -1,10 +1,10 @@
-r"""Patches of contact on the free surface of a mesh: what may push, before anything is known of who does.
+r"""Patches on the free surface of a mesh at which contacts may act.
 
-A patch of centre c and radius r has the nodal force of one unit
+One unit of a patch with centre c and radius r is the nodal force
 
     A_n (1 - |x_n - c|^2 / r^2)_+ E / (1.6 r)
 
-along each axis, with A_n the share of the surface of node n, so that a unit moves its patch by about 1 mm and Young's
+along each axis, where A_n is the surface area of node n. One unit moves its patch by about 1 mm, so that Young's
 modulus cancels from everything but the forces.
 """
 
@@ -25,8 +25,8 @@ _LEAST_EDGES = 1.2
 #: Centres of one radius are thinned to this share of it.
 _THINNING = 0.7
 
-#: Nodes whose normal turns away from the centre's by more (cosine) are on the other side of a sheet: they do not belong
-#: to a patch, nor make way for its centre.
+#: Nodes whose normal differs from the centre's by more (cosine) are on the other side of a sheet: they do not belong to
+#: the patch, and do not exclude other centres.
 _LEAST_COSINE = 0.1
 
 
@@ -49,7 +49,7 @@ class Patches:
     texture : tuple of ndarray
         For each patch the next smaller ones inside, as first entries, entries, and ratios of standard deviations.
     neighbours : tuple of ndarray
-        For each patch those much alike, as first entries and entries.
+        For each patch the similar ones, as first entries and entries.
     """
 
     centres: FloatArray
@@ -74,14 +74,14 @@ def make_patches(mesh: Mesh, free: IntArray, *, by_area: bool = True) -> Patches
     mesh : Mesh
         Undeformed body.
     free : ndarray of int64, shape (n_free,)
-        Nodes of the surface that patches may hold.
+        Nodes of the surface that patches may contain.
     by_area : bool
         Whether shapes are forces, as above; else the profile alone, for supports that move.
 
     Returns
     -------
     Patches
-        Largest radii have the fewest centres; about a thousand in all.
+        About a thousand; larger radii have fewer centres.
     """
     areas, normals = surface_of_nodes(mesh)
     places = mesh.nodes[free]
@@ -136,7 +136,7 @@ def _thinned(places: FloatArray, normals: FloatArray, gap: float) -> IntArray:
         if left[index]:
             kept.append(index)
             near = np.asarray(tree.query_ball_point(places[index], gap))
-            # The other side of a sheet has centres of its own.
+            # The other side of a sheet has its own centres.
             left[near[normals[near] @ normals[index] > _LEAST_COSINE]] = False
             left[index] = False
     return np.array(kept, np.int64)
@@ -203,7 +203,7 @@ def _pairs(
 ) -> tuple[IntArray, IntArray]:
     """Return patches of one level and, of another, those on the same side nearer than the first one's reach."""
     (own, of), (theirs, tree) = trees[levels[0]], trees[levels[1]]
-    # Not those exactly at the reach.
+    # Exclude those exactly at the reach.
     found = tree.query_ball_point(of.data, np.nextafter(reach[own], 0.0))
     patches = np.repeat(own, [len(one) for one in found])
     others = theirs[np.concatenate([np.asarray(one, np.int64) for one in found])]

@@ -1,4 +1,4 @@
-"""Places that lie far from each other, and smooth fields about them."""
+"""Farthest-point sampling, smooth fields around the sampled places, and compact groups of places."""
 
 import numpy as np
 
@@ -6,19 +6,19 @@ from tissuereg._arrays import FloatArray, IntArray
 
 
 def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
-    """Return Gaussian fields about places that lie far from each other.
+    """Return Gaussian fields centred at places far from each other.
 
     Parameters
     ----------
     middles : ndarray of float64, shape (n, 3)
-        Where the fields are wanted, mm.
+        Places at which the fields are evaluated, mm.
     count : int
-        Fields at most.
+        Largest number of fields.
 
     Returns
     -------
     ndarray of float64, shape (n_fields, n)
-        Their squares add up to one at every place.
+        Their squares sum to one at every place.
     """
     from scipy.spatial import cKDTree
 
@@ -40,7 +40,7 @@ def smooth_fields(middles: FloatArray, count: int) -> FloatArray:
 
 def far_apart(places: FloatArray, count: int) -> IntArray:
     """Return indices (count,) of places (n, 3), each the farthest from those before it; the first is in the middle."""
-    # Axis by axis: sums over three neighbouring numbers are slow.
+    # Axis by axis: reductions over an axis of length three are slow.
     x, y, z = (np.ascontiguousarray(places[:, axis]) for axis in range(3))
 
     def away(place: FloatArray) -> FloatArray:
@@ -55,23 +55,23 @@ def far_apart(places: FloatArray, count: int) -> IntArray:
 
 
 def gathered(places: FloatArray, weights: FloatArray, count: int, rounds: int = 5) -> IntArray:
-    """Return which of a few compact groups each place belongs to (Lloyd's rounds from places far apart).
+    """Return the compact group of each place (Lloyd's algorithm, started from places far apart).
 
     Parameters
     ----------
     places : ndarray of float64, shape (n, 3)
         mm.
     weights : ndarray of float64, shape (n,)
-        Of each place in the middle of its group.
+        Weight of each place in the centre of its group.
     count : int
-        Groups at most.
+        Largest number of groups.
     rounds : int
-        How often the middles are moved.
+        Number of iterations.
 
     Returns
     -------
     ndarray of int64, shape (n,)
-        0 to the number of groups less one; none is empty.
+        0 to the number of groups minus one; none is empty.
     """
     from scipy.spatial import cKDTree
 

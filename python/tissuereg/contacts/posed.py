@@ -1,14 +1,14 @@
-r"""What the sampler is given: observations as they are, or, where they are many, their projection.
+r"""Input of the sampler: the observations as they are, or, if they are many, a projection of them.
 
-The cost of sampling grows with the square of the number of observations. Hundreds of points of one surface say few
-different things: with rows J, noise C and prior variances D of the columns, the eigenvectors of
+The cost of sampling grows with the square of the number of observations. Hundreds of points of one surface hold little
+independent information: with responses J, noise C and prior variances D of the columns, the eigenvectors of
 
     G = C^{-1/2} J D J' C^{-1/2}
 
-with large eigenvalues hold nearly all that any cause can do to the observations. D is the variance that each patch has
-once it is pushed, summed over patches, so that in a direction with the eigenvalue s no single contact has a signal of
-more than sqrt(s) standard deviations. What is projected has the noise of the identity. The eigenvectors of one pass
-serve the next ones with the same points, whose sensitivities are then taken of the projection alone.
+with large eigenvalues span nearly everything that any cause can do to the observations. D is the variance of each patch
+if it is pushed, summed over patches, so that in a direction with eigenvalue s no single contact has a signal of more
+than sqrt(s) standard deviations. The projection has the identity as noise covariance. The eigenvectors of one pass are
+reused in later passes with the same points, so that only the sensitivities of the projection are needed there.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from tissuereg.contacts.settings import ContactSettings
 #: Directions with a smaller signal (squared, over the noise) are dropped.
 LEAST_SIGNAL = 0.3
 
-#: At most so many are kept; in first passes, whose answer is rough, fewer.
+#: Largest number of directions kept; fewer in first passes, whose answer is rough.
 MOST_KEPT, MOST_KEPT_COARSE = 80, 36
 
 
@@ -34,17 +34,17 @@ class Posed:
     Attributes
     ----------
     responses : ndarray of float64, shape (n_kept, n_columns)
-        How they follow the causes.
+        Their responses to the causes.
     innovation : ndarray of float64, shape (n_kept,)
         Measured minus predicted at zero coefficients.
     variances : ndarray of float64, shape (n_kept,)
-        Of their independent noise.
+        Variances of their independent noise.
     groups : list of list of int
         Observations that may be wrong together.
     rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
-        Nodes and weights of each.
+        Nodes and weights of each observation.
     dropped_signal : float
-        Largest signal of a direction that was dropped.
+        Largest signal of a dropped direction.
     """
 
     responses: FloatArray
@@ -57,7 +57,7 @@ class Posed:
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Directions among whitened observations that hold what causes can do to them.
+    """Directions of whitened observations that span the effects of all causes.
 
     Attributes
     ----------
@@ -90,24 +90,24 @@ class Basis:
 
     @staticmethod
     def nodes(reading: Reading) -> IntArray:
-        """Return all nodes that observations follow, sorted."""
+        """Return all nodes on which observations depend, sorted."""
         return np.unique(np.concatenate([own for own, _ in reading.rows]))
 
 
 def plain(reading: Reading, responses: FloatArray, coefficients: FloatArray) -> Posed:
     """Return observations as they are, with their responses (n_obs, n_columns) at the present coefficients."""
-    return Posed(responses, reading.left + responses @ coefficients, reading.std**2, reading.groups, reading.rows)
+    return Posed(responses, reading.residual + responses @ coefficients, reading.std**2, reading.groups, reading.rows)
 
 
 def projected(reading: Reading, basis: Basis, responses: FloatArray, coefficients: FloatArray) -> Posed:
     """Return projected observations with their responses (n_kept, n_columns) at the present coefficients."""
     root = basis.vectors / reading.std
-    innovation = root @ reading.left + responses @ coefficients
+    innovation = root @ reading.residual + responses @ coefficients
     return Posed(responses, innovation, np.ones(len(root)), [], basis.rows(reading), basis.dropped_signal)
 
 
 def moving_variances(columns: Columns, settings: ContactSettings) -> FloatArray:
-    """Return the variance (n_columns,) that each coefficient has once its cause acts."""
+    """Return the variance (n_columns,) of each coefficient if its cause acts."""
     patches = columns.body.patches
     sizes = contact_sizes(columns, settings)
     weights = np.exp(-0.5 * (sizes / (settings.largest_share * patches.radii[:, None])) ** 2)

@@ -1,7 +1,7 @@
-"""What was seen of a moment, as the passes take it: markers, points of the surface, or both.
+"""The data of a registration, in the form that the passes use: markers, points of the surface, or both.
 
-Each kind of data answers `read`: at a deformed body, which rows of sensitivities its observations have, what is left
-of them, and how uncertain they are. Nothing else of it is known to the passes.
+Each kind of data has one method, `read`: it returns, at a deformed body, the sensitivity rows of the observations,
+their residuals and their standard deviations. The passes use nothing else.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from tissuereg.observe import MarkerObservation
 #: Degrees of freedom of the heavy-tailed noise of observations that have no indicator of their own.
 TAIL = 5.0
 
-#: Above this number of observations the sampler is given a projection of them.
+#: Above this number of observations the sampler receives a projection of them.
 MOST_PLAIN = 120
 
 
@@ -32,29 +32,29 @@ class Reading:
     rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
         Nodes and weights of each observation.
     places : ndarray of float64, shape (n_obs, 3)
-        Where each is read, in the body's frame, mm.
+        Position of each, in the body's frame, mm.
     directions : ndarray of float64, shape (n_obs, 3)
-        Unit vector along which it is read.
-    left : ndarray of float64, shape (n_obs,)
+        Unit vector along which it is measured.
+    residual : ndarray of float64, shape (n_obs,)
         Measured minus predicted, mm.
     std : ndarray of float64, shape (n_obs,)
-        Standard deviation, larger where a heavy tail has to take what is left, mm.
+        Standard deviation, enlarged by a heavy tail for large residuals, mm.
     cost : ndarray of float64, shape (n_obs,)
-        Minus twice the logarithm of each observation's likelihood, up to a constant: 1 where noise alone is left.
+        Minus twice the logarithm of each observation's likelihood, up to a constant: 1 for residuals of pure noise.
     groups : list of list of int
-        Observations that may be wrong together, one group a marker; empty where weights take the place of indicators.
+        Observations that may be wrong together, one group per marker; empty if weights replace indicators.
     """
 
     rows: list[tuple[IntArray, FloatArray]]
     places: FloatArray
     directions: FloatArray
-    left: FloatArray
+    residual: FloatArray
     std: FloatArray
     cost: FloatArray
     groups: list[list[int]]
 
     def followed_by(self, other: "Reading") -> "Reading":
-        """Return these observations and others behind them."""
+        """Return these observations followed by others."""
 
         def joined(mine: FloatArray, theirs: FloatArray) -> FloatArray:
             return np.concatenate([mine, theirs])
@@ -63,10 +63,10 @@ class Reading:
             [*self.rows, *other.rows],
             joined(self.places, other.places),
             joined(self.directions, other.directions),
-            joined(self.left, other.left),
+            joined(self.residual, other.residual),
             joined(self.std, other.std),
             joined(self.cost, other.cost),
-            [*self.groups, *([i + len(self.left) for i in group] for group in other.groups)],
+            [*self.groups, *([i + len(self.residual) for i in group] for group in other.groups)],
         )
 
 
@@ -78,7 +78,7 @@ class Part(Protocol):
         """Number of observations."""
 
     def read(self, moment: Moment, *, weighed: bool) -> Reading:
-        """Return the observations at a deformed body; `weighed` asks for weights instead of groups."""
+        """Return the observations at a deformed body, with weights instead of groups if `weighed`."""
 
     def coarser(self, width: float) -> "Part":
         """Return the same data with fewer observations, for first passes; `width` is a share of the extent."""
@@ -100,18 +100,18 @@ def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> li
 
 @dataclass(frozen=True, eq=False)
 class SeenMarkers:
-    """What was seen of the markers.
+    """The markers as data.
 
     Attributes
     ----------
     observation : MarkerObservation
-        How markers follow the mesh.
+        Attachment of the markers to the mesh.
     markers : Markers
         As given.
     model_error : float
-        Standard deviation of what the model gets wrong at a marker, over the marker's motion.
+        Standard deviation of the model's error at a marker, over the marker's motion.
     rough : bool
-        Whether points without labels are still far off: markers then lead, without a tail.
+        Whether unlabelled points are still far from the surface: markers then have no heavy tail, and lead.
     """
 
     observation: MarkerObservation
@@ -136,12 +136,12 @@ class SeenMarkers:
 
     @property
     def groups(self) -> list[list[int]]:
-        """Places among `rows` of each marker that was seen."""
+        """Indices among `rows` of each marker that was seen."""
         owner = self.rows // 3
         return [np.flatnonzero(owner == marker).tolist() for marker in np.unique(owner)]
 
     def moved(self, frame: Frame) -> FloatArray:
-        """Return how far each marker moved beside a rigid motion, (n_markers,) in mm; unseen components stay."""
+        """Return each marker's motion relative to a rigid motion, (n_markers,) in mm; unseen components are zero."""
         places = frame.apply(self.markers.reference)
         return np.asarray(np.linalg.norm(np.where(self.mask, self.markers.measured - places, 0.0), axis=1))
 
@@ -155,10 +155,10 @@ class SeenMarkers:
         observation, reference = self.observation, self.markers.reference
         here = moment.displacement[observation.nodes]
         places = reference + observation.predict(here)
-        left = (self.markers.measured - moment.frame.apply(places)).ravel()[self.rows]
+        residual = (self.markers.measured - moment.frame.apply(places)).ravel()[self.rows]
         all_rows = _turned(observation.rows(here), moment.frame.rotation)
         std = self.std(moment.frame)
-        scaled = (left / std) ** 2
+        scaled = (residual / std) ** 2
         cost = scaled
         if weighed and not self.rough:
             std, cost = std.copy(), cost.copy()
@@ -169,7 +169,7 @@ class SeenMarkers:
             [all_rows[row] for row in self.rows],
             np.repeat(places, 3, axis=0)[self.rows],
             np.tile(moment.frame.rotation, (len(reference), 1))[self.rows],
-            left,
+            residual,
             std,
             cost,
             [] if weighed else self.groups,
@@ -185,12 +185,12 @@ class SeenMarkers:
         log_odds : float
             Logarithm of the odds that a marker is wrong.
         wrong_std : float
-            Standard deviation that a wrong marker has besides, mm.
+            Additional standard deviation of a wrong marker, mm.
         """
-        left = self.read(moment, weighed=False).left
+        residual = self.read(moment, weighed=False).residual
         narrow = self.std(moment.frame)
         wide = np.hypot(narrow, wrong_std)
-        gain = 0.5 * left**2 * (1.0 / narrow**2 - 1.0 / wide**2) - np.log(wide / narrow)
+        gain = 0.5 * residual**2 * (1.0 / narrow**2 - 1.0 / wide**2) - np.log(wide / narrow)
         logs = log_odds + np.array([gain[group].sum() for group in self.groups])
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logs, -700.0, 700.0))))
 
@@ -200,7 +200,7 @@ class SeenMarkers:
         return 0.0
 
     def coarser(self, width: float) -> "SeenMarkers":
-        """Return the same markers, which have labels and so lead in the first passes."""
+        """Return the same markers; having labels, they lead in the first passes."""
         del width
         return replace(self, rough=True)
 
@@ -214,7 +214,7 @@ class Seen:
     parts : tuple of Part
         Markers first.
     weighed : bool
-        Whether markers, too, have a heavy tail instead of indicators: data are then projected.
+        Whether markers, too, have a heavy tail instead of indicators; data are then projected.
     rough : bool
         Whether these are data of first passes.
     """
@@ -225,13 +225,13 @@ class Seen:
 
     @classmethod
     def of(cls, *parts: Part | None) -> "Seen":
-        """Return the data of those parts that hold observations."""
+        """Return the data of the parts that have observations."""
         kept = tuple(part for part in parts if part is not None and part.n_obs)
         return cls(kept, sum(part.n_obs for part in kept) > MOST_PLAIN)
 
     @property
     def markers(self) -> SeenMarkers | None:
-        """The markers, where there are any."""
+        """The markers, if there are any."""
         return next((part for part in self.parts if isinstance(part, SeenMarkers)), None)
 
     @property
@@ -261,7 +261,7 @@ class Seen:
 
 
 def tail_variance(squares: FloatArray | float, count: int) -> FloatArray:
-    """Return the factor on the variance of `count` observations by which Student's tail takes their scaled squares."""
+    """Return the factor on the variance of `count` observations that a Student tail gives for their scaled squares."""
     return np.asarray((TAIL + squares) / (TAIL + count), np.float64)
 
 

@@ -1,4 +1,4 @@
-"""What is believed about contacts before any marker is seen, and how the posterior is sampled."""
+"""Prior of contacts, and how the posterior is sampled."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -14,67 +14,67 @@ class ContactSettings:
     Parameters
     ----------
     n_slots : int
-        Contacts at most.
+        Largest number of contacts.
     odds : float
-        Odds of a slot being filled.
+        Prior odds that a slot is filled.
     sizes : tuple of float
-        Sizes of a contact that are tried: motion of its patch by itself, over the body's extent.
+        Candidate sizes of a contact: motion of its patch under this contact alone, over the body's extent.
     largest_share : float
-        A patch is not pushed by more than about this share of its radius.
+        Sizes above this share of the patch's radius become unlikely.
     background : tuple of float
         Median of the size of a background on all patches, over the body's extent, and standard deviation of its
         logarithm.
     weight : tuple of float
-        The same of a body force, by the motion that it makes.
+        The same for a body force, measured by the motion it causes.
     believed : tuple of float
-        The same of the error of a believed load, over the load.
+        The same for the error of a believed load, over the load.
     supports : tuple of float
-        The same of tractions of supports that are perhaps held.
+        The same for tractions of doubtful supports.
     support_stiffness : float
-        Their stiffness where the markers do not tell, in Young's modulus over the extent of the body.
+        Default stiffness of doubtful supports, in Young's modulus over the extent of the body.
     stiffness_tried : tuple of float
-        The stiffnesses among which the markers choose.
+        Candidate stiffnesses, among which the evidence of the markers decides.
     support_log_std : float
         Standard deviation of the logarithm of their stiffness from place to place.
     frame : tuple of float
-        The same of a rigid motion of a body that nothing holds for sure.
+        The same as `weight` for a rigid motion of a body that nothing surely holds.
     drift : tuple of float
-        The same of a drift of the tracker beside a body that is held (``frame="drifts"``).
+        The same for a drift of the tracker relative to a body that is held (``frame="drifts"``).
     wrong_odds : float
-        Odds that a marker is wrong.
+        Prior odds that a marker is wrong.
     wrong_share : float
-        Standard deviation of a wrong marker, over the extent of the body.
+        Additional standard deviation of a wrong marker, over the extent of the body.
     model_error : float
-        Standard deviation of what the model gets wrong at a marker, over the marker's motion.
+        Standard deviation of the model's error at a marker, over the marker's motion.
     local_error : float
-        The same, over how much the motion differs across the element under the marker; in tests of residuals alone.
+        The same, over the variation of the motion across the element under the marker; used in tests of residuals only.
     young_log_std, poisson_std : float
         Uncertainty of the stiffness (smooth fields of its logarithm) and of Poisson's ratio.
     graded_log_std : float
         Standard deviation of the logarithm of the stiffness at the ends of the body against its middle
         (``stiffness="graded"``).
     unseen_chance, unseen_share : float
-        Chance that one more contact acts where no marker tells, and its size over its radius.
+        Probability of one more contact that no marker detects, and its size over its radius.
     n_chains : int
         Independent chains.
     n_chains_first : int
-        The same in the first pass, which has only to come near.
+        The same in the first pass, which need only come close.
     powers : tuple of float
         Power of the likelihood in each sweep of the first pass.
     powers_again : tuple of float
-        The same in later passes, which go on from the samples before.
+        The same in later passes, which start from the previous samples.
     n_kept : int
-        Sweeps of each chain whose samples count.
+        Number of final sweeps of each chain whose samples are kept.
     sharpness, n_local, n_level : float, int, int
         See ``tissuereg_contacts::ChainSettings``.
     max_passes : int
-        Linearisations at most.
+        Largest number of linearisations.
     fit_limit : float
-        Passes end when the markers' root mean square residual is below this many standard deviations.
+        Passes end when the markers' root mean square residual is below this many standard deviations,
     promise_margin : float
-        They go on as well while that residual is above what the linear model promised by more than this.
+        and exceeds the linear model's prediction by less than this.
     n_draws : int
-        Draws behind the spread of nodes.
+        Number of draws for the spread of nodes.
     """
 
     n_slots: int = 3
@@ -113,7 +113,7 @@ class ContactSettings:
     n_draws: int = 64
 
     def __post_init__(self) -> None:
-        # What a field must be is what its default is: a count, a number, a pair, or a list of numbers.
+        # A field must have the type of its default: a count, a number, a pair, or a list of numbers.
         for one in fields(self):
             value, usual = getattr(self, one.name), one.default
             if isinstance(usual, int):

@@ -1,9 +1,9 @@
-"""How uncertain a registration is: regions of points, spread of nodes, and how much the markers constrain a point.
+"""Uncertainty of a registration: regions of points, spread of nodes, and how much the markers constrain a point.
 
-The covariance of a point has three parts. That of the contacts is the mixture over samples. That of the model is what
-an error of stiffness or of Poisson's ratio would do to the answer: such an error moves the point and the markers, and
-what it does to the markers reaches the point once more, through the gain. The last keeps room for one more contact,
-anywhere, of which the samples know nothing because no marker saw it: its variance given the markers, times a chance.
+The covariance of a point has three parts. The first, from the contacts, is the mixture over samples. The second is the
+effect of errors in stiffness and Poisson's ratio on the answer: such an error moves the point and the markers, and the
+fit's reaction to the markers moves the point once more, through the gain. The third allows for one more contact,
+anywhere, that no sample contains because no marker detected it: its variance given the markers, times a probability.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from tissuereg.contacts.tangent import Row
 from tissuereg.material import Material
 from tissuereg.simulate.sensitivity import Cause, Compliance, Field
 
-#: Smooth fields of the stiffness of supports that are perhaps held.
+#: Number of smooth fields of the stiffness of doubtful supports.
 _N_SUPPORT_FIELDS = 12
 
 #: Fields of the whole body that are made at the same time: whole blocks of the solver, the same at any thread count.
@@ -30,16 +30,16 @@ _AT_ONCE = 32
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points of the body with what is known of them.
+    """Uncertainty of points of the body.
 
     Attributes
     ----------
     covariance : ndarray of float64, shape (n_points, 3, 3)
         mm^2, contacts and model.
     constrained : ndarray of float64, shape (n_points,)
-        Share of the variance under unseen contacts that the markers take away, 0 to 1.
+        Share of the variance under unseen contacts that the markers remove, 0 to 1.
     unseen_std : ndarray of float64, shape (n_points,)
-        Standard deviation that an unseen contact leaves, mm.
+        Standard deviation due to an unseen contact, given the markers, mm.
     """
 
     covariance: FloatArray
@@ -55,13 +55,13 @@ class Spread:
     fit : ContactFit
         Where the passes ended.
     material : Material
-        What the body is made of.
+        Material of the body.
     settings : ContactSettings
         Uncertainty of the model.
     threads : int
         Threads to use.
     further : sequence of (Cause, float)
-        What else is uncertain of the model, each with its standard deviation.
+        Other uncertain parameters of the model, each with its standard deviation.
     """
 
     def __init__(
@@ -87,9 +87,9 @@ class Spread:
         return found
 
     def _moments(self, responses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return means and covariances of points, and what errors of the model make the markers suggest.
+        """Return means and covariances of points, and the spurious loads by which the fit compensates model errors.
 
-        The last, (n_columns, n_errors), are loads that are not there; they do not depend on the points.
+        The last, (n_columns, n_errors), do not depend on the points.
         """
         fit = self._fit
         _, gain, means, covariance, *_ = fit.sampler.moments(
@@ -99,7 +99,7 @@ class Spread:
         return means, covariance, self._suggested
 
     def _by_model(self, compliance: Compliance) -> FloatArray:
-        """Return what errors of the model do to observations, (n_rows, n_errors), mm."""
+        """Return the effects of model errors on observations, (n_rows, n_errors), mm."""
         n_errors = len(self._model_forces)
         return np.asarray(
             compliance.forces.reshape(len(compliance.forces), self._model_forces[0].size)
@@ -107,25 +107,25 @@ class Spread:
         )
 
     def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
-        """Return what is known of points.
+        """Return the uncertainty of points.
 
         Parameters
         ----------
         rows : list of (ndarray, ndarray)
-            Nodes and weights, three rows a point.
+            Nodes and weights, three rows per point.
         places : ndarray of float64, shape (n_points, 3)
-            Where they are in the body's frame, mm.
+            Their positions in the body's frame, mm.
 
         Returns
         -------
         Points
-            Cost: one right-hand side a row.
+            Cost: one right-hand side per row.
         """
         fit = self._fit
         compliance = self._compliance(rows)
         responses = fit.columns.responses(compliance, places)
         means, covariance, suggested = self._moments(responses)
-        # About the answer: passes end where the markers are met, short of the mean of the last linearisation.
+        # Second moment about the answer, which is not quite the mean of the last linearisation.
         off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
         covariance = covariance + np.einsum("pa,pb->pab", off, off)
         left = self._by_model(compliance) - responses @ suggested
@@ -146,7 +146,7 @@ class Spread:
         )
 
     def _unseen(self, responses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the covariance (n, 3, 3) that one more contact leaves at points, and the share of its trace taken."""
+        """Return the covariance (n, 3, 3) of points under one more contact given the markers, and the share removed."""
         cross = (responses * self._unseen_variances) @ self._fit.posed.responses.T
         taken = np.linalg.solve(self._under_unseen, cross.T).T.reshape(len(cross) // 3, 3, cross.shape[1])
         scaled = (responses * np.sqrt(self._unseen_variances)).reshape(len(taken), 3, responses.shape[1])
@@ -169,14 +169,14 @@ class Spread:
         Parameters
         ----------
         rng : numpy.random.Generator
-            All chance.
+            Source of all random numbers.
         fields : ndarray of float64, shape (n_draws, n_nodes, 3), optional
-            Posterior fields in equilibrium, tracker's frame, mm; draws to first order where absent.
+            Posterior fields in equilibrium, tracker's frame, mm; linear draws if absent.
 
         Returns
         -------
         ndarray of float64, shape (n_nodes, 3, 3)
-            mm^2, contacts and model, tracker's frame. Cost: one right-hand side a draw.
+            mm^2, contacts and model, tracker's frame. Cost: one right-hand side per draw.
         """
         fit = self._fit
         turn = fit.moment.frame.rotation
@@ -255,7 +255,7 @@ def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> Fl
 
 
 def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings) -> list[Cause]:
-    """Return stiffness along smooth fields and Poisson's ratio, each moved by one standard deviation."""
+    """Return stiffness along smooth fields and Poisson's ratio, each perturbed by one standard deviation."""
     simulator = fit.columns.body.simulator
     young = simulator.moduli(material)[0]
     by_tet = young if young.ndim == 1 else young.mean(axis=1)
@@ -265,7 +265,7 @@ def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings
 
 
 def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
-    """Return the forces (n_fields, n_element_nodes, 3) of supports stiffer here and softer there, in mN."""
+    """Return the forces (n_fields, n_element_nodes, 3) by smooth variations of the supports' stiffness, in mN."""
     columns = fit.columns
     simulator = columns.body.simulator
     if columns.body.base is None or columns.springs is None:

@@ -1,4 +1,4 @@
-"""What holds a body: nodes held for sure, nodes perhaps held, or nothing but what lies around it."""
+"""Supports of a body: nodes that are surely held, nodes that may be held, or only a soft bed around it."""
 
 import hashlib
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from tissuereg._choice import check_choice
 from tissuereg.errors import SupportError
 from tissuereg.mesh import Mesh
 
-#: Node set of nodes that are perhaps held.
+#: Name of the node set that may or may not be held.
 PERHAPS = "perhaps_fixed"
 
 #: Ways to take the node set ``fixed``.
 HELD = ("sure", "perhaps", "free")
 
-#: Stiffness of what lies around a free body, over Young's modulus of one kPa and the body's extent.
+#: Stiffness of the bed around a free body, in Young's modulus over extent.
 _BED = 0.1
 
 
@@ -28,9 +28,9 @@ class Supports:
     Attributes
     ----------
     sure : ndarray of int64, shape (n,)
-        Held for sure.
+        Surely held.
     perhaps : ndarray of int64, shape (m,)
-        Perhaps held: on springs of unknown stiffness, with unknown tractions.
+        Doubtful: on springs of unknown stiffness, with unknown tractions.
     """
 
     sure: IntArray
@@ -38,7 +38,7 @@ class Supports:
 
     @property
     def holds(self) -> bool:
-        """Whether any node is held, for sure or perhaps."""
+        """Whether any node is held, surely or perhaps."""
         return bool(len(self.sure) + len(self.perhaps))
 
     @property
@@ -58,16 +58,16 @@ class Supports:
         Parameters
         ----------
         mesh : Mesh
-            Its node sets ``fixed`` and ``perhaps_fixed`` count; a mesh without either is free.
+            Its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free.
         held : {"sure", "perhaps", "free"}
             How the set ``fixed`` is taken.
         held_nodes : array_like of int, optional
-            Nodes in place of the set ``fixed``.
+            Nodes instead of the set ``fixed``.
 
         Returns
         -------
         Supports
-            Without nodes in both parts.
+            No node is in both parts.
 
         Raises
         ------
@@ -85,7 +85,7 @@ class Supports:
 
 
 def _held(mesh: Mesh, nodes: Any) -> IntArray:
-    """Return the nodes that a user names, sorted; refuse those that the mesh has not."""
+    """Return the nodes that a user names, sorted; refuse those that are not in the mesh."""
     held = np.unique(index_array("held_nodes", nodes, (None,)))
     if held.size and (held[0] < 0 or held[-1] >= mesh.n_nodes):
         bad = held[0] if held[0] < 0 else held[-1]
@@ -95,20 +95,20 @@ def _held(mesh: Mesh, nodes: Any) -> IntArray:
 
 
 def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArray]]:
-    """Return springs under nodes that are perhaps held, or the soft bed of a body that nothing holds.
+    """Return the springs under doubtful supports, or the soft bed of a free body.
 
     Parameters
     ----------
     mesh : Mesh
         Undeformed body.
     supports : Supports
-        What holds it.
+        Its supports.
 
     Returns
     -------
     list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
-        Surface triangles with the stiffness at which one kPa of Young's modulus counts as one, kPa/mm: the rim of what
-        is perhaps held and what lies within it, or the bed; empty where all is held for sure.
+        Sets of surface triangles, each with the unit of its stiffness per kPa of Young's modulus (normal, tangential):
+        the rim of the doubtful supports and their inside, or the bed; empty if all supports are sure.
     """
     if not supports.holds:
         return [(mesh.surface, np.full(2, _BED / mesh.extent))]
@@ -118,7 +118,7 @@ def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArra
 
 
 def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the rim of a part of the surface and what lies within it, about half of its triangles each."""
+    """Return the rim of a part of the surface and its inside, about half of its triangles each."""
     from scipy.spatial import cKDTree
 
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -133,7 +133,7 @@ def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _covering(mesh: Mesh, nodes: IntArray) -> IntArray:
-    """Return the surface triangles of a set of nodes: those all of its nodes, and those that touch the rest of them."""
+    """Return the surface triangles of a set of nodes: those within the set, and those that touch its other nodes."""
     count = np.isin(mesh.surface, nodes).sum(axis=1)
     within = count == 3
     left = np.setdiff1d(nodes, mesh.surface[within])

@@ -1,4 +1,4 @@
-"""How the points of a surface fared in a registration."""
+"""Fit of the unlabelled surface points after a registration."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +10,10 @@ from tissuereg.contacts.moment import Moment
 from tissuereg.contacts.surface_points import OUTLIER, SeenPoints
 from tissuereg.surface import SurfacePoints
 
-#: A typical point farther off than this many standard deviations speaks against the result.
+#: A larger ratio of the median distance to its expected value is a reason not to trust the result.
 _MOST_OFF = 2.0
 
-#: So does a larger share of outliers.
+#: A larger share of outliers is one, too.
 _MOST_OUTLIERS = 0.3
 
 
@@ -24,16 +24,16 @@ class SurfaceFit:
     Attributes
     ----------
     points : int
-        Points that took part.
+        Number of points that took part.
     used : int
-        Those of them that are no outliers.
+        Number of them that are not outliers.
     thinned_from : int or None
-        Points given, where they were more than took part.
+        Number of points given, if more than took part.
     before_rms_mm, after_rms_mm : float
         Root mean square distance of the used points from the surface along its normal: simulation (or rest),
         registration.
     outliers : ndarray of int64, shape (n_outliers,)
-        Rows of the given points that belong to something else: more than four standard deviations off.
+        Rows of the given points more than four standard deviations from the surface.
     typical : float
         Median distance over its value under the stated noise; about 1.
     misfit : float
@@ -54,7 +54,7 @@ class SurfaceFit:
 
     @classmethod
     def of(cls, seen: SeenPoints, given: SurfacePoints, start: Moment, end: Moment) -> "SurfaceFit":
-        """Return how points fared between two moments."""
+        """Return the fit of the points at the start and the end of a registration."""
         before, after = seen.distances(start)[0], seen.distances(end)
         good = after[1] <= OUTLIER
         return cls(
@@ -81,7 +81,7 @@ class SurfaceFit:
         }
 
     def reasons(self) -> list[str]:
-        """Return what speaks against the result, in sentences."""
+        """Return the reasons not to trust the result, in sentences."""
         found = []
         if self.typical > _MOST_OFF:
             found.append(

@@ -1,11 +1,11 @@
 r"""Unlabelled points of a deformed surface: each pass matches every point to the closest place of the body's surface.
 
-Sliding along the surface is not seen: a point with the foot x on a triangle with the normal n says only
+Sliding along the surface is not observed: a point p with the closest place (foot) x on a triangle with normal n gives
 
     n . (p - x) = 0  +  noise,        row:  n times the barycentric weights of the foot's corners.
 
-Its noise grows with what is left of it (Student's tail). A point whose match is unsure, since the body is still far
-off, counts little in the first passes, and one that belongs to something else counts little to the end.
+Its noise grows with its residual (Student's tail). Points whose match is uncertain, because the body is still far away,
+count little in the first passes; points that belong to something else count little throughout.
 """
 
 from dataclasses import dataclass, replace
@@ -21,22 +21,22 @@ from tissuereg.mesh import Mesh
 from tissuereg.readings.skin import closest_on_triangles
 from tissuereg.surface import SurfacePoints, evenly
 
-#: Points of first passes.
+#: Number of points in first passes.
 N_COARSE = 150
 
-#: Errors of the model are alike within this share of the body's extent: points so close do not count apart.
+#: Model errors are correlated within this share of the body's extent: points so close are not independent.
 _ALIKE_SHARE = 0.08
 
-#: Edges across which the surface turns by more (cosine) are edges of the body, not of the mesh.
+#: Edges with a larger angle between their triangles (cosine) are edges of the body, not of the mesh.
 _LEAST_COSINE = 0.8
 
-#: A point is far off beyond this many standard deviations of its noise.
+#: A point is far from the surface beyond this many standard deviations of its noise.
 _FAR = 3.0
 
 #: A point counts as an outlier beyond this many standard deviations.
 OUTLIER = 4.0
 
-#: Closest samples of the surface whose triangles are measured exactly.
+#: Number of closest surface samples whose triangles are tested exactly.
 _N_CLOSEST = 8
 
 
@@ -47,7 +47,7 @@ class Feet:
     Attributes
     ----------
     corners : ndarray of int64, shape (n_points, 3)
-        Nodes of the triangle that holds each foot.
+        Nodes of the triangle that contains each foot.
     weights : ndarray of float64, shape (n_points, 3)
         Barycentric.
     places : ndarray of float64, shape (n_points, 3)
@@ -65,10 +65,10 @@ class Feet:
     triangles: IntArray
 
     def off(self, points: FloatArray, near: float) -> tuple[FloatArray, FloatArray]:
-        """Return how far points are off along the normal, (n_points,), mm, and along which direction, (n_points, 3).
+        """Return the signed distances of points from the surface, (n_points,), mm, and their gradients, (n_points, 3).
 
-        That is the slope of the distance: the normal within a triangle, and the way to the point from an edge of the
-        body, for points farther off than `near` mm.
+        The gradient is the normal within a triangle; at an edge of the body, for points farther away than `near` mm,
+        it is the direction from the edge to the point.
         """
         away = points - self.places
         along = np.einsum("px,px->p", away, self.normals)
@@ -80,7 +80,7 @@ class Feet:
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints:
-    """What was seen of the surface.
+    """The points of the surface as data.
 
     Attributes
     ----------
@@ -91,9 +91,9 @@ class SeenPoints:
     noise : float
         Standard deviation along the normal, mm.
     model_error : float
-        Standard deviation of what the model gets wrong at a point, over its motion.
+        Standard deviation of the model's error at a point, over its motion.
     rough : float
-        Share of the extent within which points are mismatched alike, and so count less, while the body is far off.
+        Share of the extent within which matching errors are correlated, while the body is far away; 0 once it is near.
     """
 
     mesh: Mesh
@@ -114,12 +114,12 @@ class SeenPoints:
 
     @cached_property
     def _alike(self) -> FloatArray:
-        """Return how many points share the model's error with each, itself included, shape (n_points,)."""
+        """Return the number of points with the same model error as each, itself included, shape (n_points,)."""
         return self._within(_ALIKE_SHARE)
 
     @cached_property
     def _matched(self) -> FloatArray:
-        """Return how many points share the error of its match with each, itself included, shape (n_points,)."""
+        """Return the number of points with the same matching error as each, itself included, shape (n_points,)."""
         return self._within(self.rough) if self.rough else np.ones(self.n_obs)
 
     def _within(self, share: float) -> FloatArray:
@@ -138,18 +138,18 @@ class SeenPoints:
         return closest_feet(moved, self.mesh.surface, moment.frame.undo(self.places))
 
     def read(self, moment: Moment, *, weighed: bool = True) -> Reading:
-        """Return one observation a point; points have weights in any case."""
+        """Return one observation per point; points always have weights."""
         del weighed
         feet = self.feet(moment)
         std = self.std(moment, feet)
-        left, directions = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
-        scaled = (left / std) ** 2
+        residual, directions = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
+        scaled = (residual / std) ** 2
         across = feet.weights[:, :, None] * directions[:, None, :]
         return Reading(
             list(zip(feet.corners, across, strict=True)),
             feet.places,
             directions,
-            left,
+            residual,
             std * np.sqrt(tail_variance(self._matched * scaled, 1)),
             tail_cost(scaled, 1),
             [],
@@ -158,8 +158,8 @@ class SeenPoints:
     def std(self, moment: Moment, feet: Feet) -> FloatArray:
         """Return the standard deviation of each point before its tail, (n_points,), mm.
 
-        That of the instrument, and what the model and the facets get wrong. The latter is the same at points close to
-        each other, so that its variance is multiplied by their number.
+        It combines the instrument's noise with errors of the model and of the facets. Nearby points share the latter,
+        so that their variance is multiplied by the number of such points.
         """
         motion = moment.displacement[feet.corners]
         size = self.model_error * np.linalg.norm(np.einsum("pc,pcx->px", feet.weights, motion), axis=1)
@@ -169,15 +169,15 @@ class SeenPoints:
     def distances(self, moment: Moment) -> tuple[FloatArray, FloatArray]:
         """Return the distance of every point from the surface along the normal, mm, and over its standard deviation."""
         feet = self.feet(moment)
-        left, _ = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
-        return np.abs(left), np.abs(left) / self.std(moment, feet)
+        residual, _ = feet.off(moment.frame.undo(self.places), _FAR * self.noise)
+        return np.abs(residual), np.abs(residual) / self.std(moment, feet)
 
     def outliers(self, moment: Moment) -> float:
         """Return the share of points that a body does not explain."""
         return float(np.mean(self.distances(moment)[1] > OUTLIER))
 
     def coarser(self, width: float) -> "SeenPoints":
-        """Return fewer points, spread evenly; those within a share `width` of the extent are mismatched alike."""
+        """Return fewer points, spread evenly; matching errors are correlated within a share `width` of the extent."""
         return replace(self, places=self.places[evenly(self.places, N_COARSE)], rough=width)
 
 
@@ -219,17 +219,17 @@ def closest_feet(nodes: FloatArray, triangles: IntArray, points: FloatArray) -> 
 
 
 def facet_errors(mesh: Mesh) -> FloatArray:
-    """Return how far each flat triangle may lie from the curved surface that it stands for, (n_triangles,), mm.
+    """Return the estimated distance of each flat triangle from the curved surface it approximates, (n_triangles,), mm.
 
-    A third of the largest arrow height ``1.7 edge x angle / 8`` of its edges, with the angle to the triangle beyond;
-    on a ball normals turn 1.7 times as much between the ends of an edge as between the middles of two triangles. Edges
-    across which the surface turns sharply are edges of the body and count as flat.
+    A third of the largest sagitta ``1.7 edge x angle / 8`` of its edges, with the angle to the adjacent triangle; on a
+    ball normals turn 1.7 times as much between the ends of an edge as between the centres of two triangles. Sharp edges
+    belong to the body and count as flat.
     """
     corners = mesh.nodes[mesh.surface]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     own = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
     edges = np.sort(mesh.surface[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    # Every edge of a closed surface stands twice: sorted, its two triangles follow each other.
+    # Every edge of a closed surface occurs twice: sorted, its two triangles are adjacent.
     order = np.lexsort((edges[:, 1], edges[:, 0]))
     first, second = order[:-1], order[1:]
     pairs = np.flatnonzero((edges[first] == edges[second]).all(axis=1))

@@ -1,4 +1,4 @@
-"""The tangent at a body, which remembers how observations follow forces there; that at rest is kept between calls."""
+"""The tangent at a body, with a cache of sensitivities of observations; the tangent at rest is kept between calls."""
 
 import threading
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ from tissuereg.contacts.moment import Moment
 from tissuereg.material import Material
 from tissuereg.simulate.sensitivity import Compliance, Linearised, Observation
 
-#: Observations that a tangent remembers: more of them are those of points, which no later call repeats.
+#: Largest number of observations that are cached: more belong to points, which no later call repeats.
 MOST_REMEMBERED = 400
 
 Row = tuple[IntArray, FloatArray]
 
 
 class Tangent:
-    """A linearised equilibrium with the observations that it has been asked for.
+    """A linearised equilibrium with the sensitivities computed so far.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Tangent:
         self._lock = threading.Lock()
 
     def compliance(self, rows: Sequence[Row]) -> tuple[Compliance, int]:
-        """Return how observations follow forces, and how many of them had to be solved.
+        """Return the sensitivities of observations to nodal forces, and how many of them had to be solved.
 
         Parameters
         ----------
@@ -46,7 +46,7 @@ class Tangent:
         Returns
         -------
         Compliance
-            One entry a row. The same bits whether remembered or not.
+            One entry per row. The same bits whether cached or not.
         int
             Right-hand sides solved.
         """
@@ -86,20 +86,20 @@ def _together(parts: list[Compliance]) -> Compliance:
     )
 
 
-#: The last tangent at rest, with what it belongs to.
+#: The last tangent at rest, with its key.
 _rest: tuple[tuple[object, ...], Tangent] | None = None
 _lock = threading.Lock()
 
 
 def tangent_at(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[Tangent, int]:
-    """Return the tangent at a body, and how often the stiffness was factored for it.
+    """Return the tangent at a body, and the number of factorisations it took.
 
     Parameters
     ----------
     columns : Columns
-        Causes, with what holds the body.
+        Causes, with the supports of the body.
     material : Material
-        What it is made of.
+        Material of the body.
     moment : Moment
         An equilibrium.
     threads : int
@@ -108,8 +108,8 @@ def tangent_at(columns: Columns, material: Material, moment: Moment, threads: in
     Returns
     -------
     Tangent
-        That of a body at rest is kept: the next call on the same mesh and material finds it, with the observations
-        of markers at the same places.
+        The tangent at rest is cached: the next call on the same mesh and material reuses it, with the sensitivities
+        of markers at the same positions.
     int
         Factorisations: 0 or 1.
     """
@@ -136,17 +136,17 @@ def tangent_at(columns: Columns, material: Material, moment: Moment, threads: in
 
 
 def forget_rest() -> None:
-    """Forget the tangent that is kept for the next call."""
+    """Empty the cache of the tangent at rest."""
     global _rest
     with _lock:
         _rest = None
 
 
 def _rest_key(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[object, ...] | None:
-    """Return what a tangent at rest depends on; None where the body is not at rest."""
+    """Return the key of a tangent at rest; None if the body is not at rest."""
     loaded = any(part is not None for part in columns.believed.values())
     if loaded or moment.displacement.any() or moment.coefficients.any():
         return None
     springs = None if columns.springs is None else columns.springs.tobytes()
-    # The body itself, not its address: a body that is gone must not lend its place to another.
+    # The body itself, not its address: the address of a deleted body may be reused by another.
     return columns.body, material.digest(), springs, threads

@@ -129,7 +129,7 @@ def error_covariance(rows: FloatArray) -> FloatArray:
     Parameters
     ----------
     rows : ndarray of float64, shape (n_fields, n_components)
-        Errors in mm, one row a field.
+        Errors in mm, one row per field.
 
     Returns
     -------

@@ -123,7 +123,7 @@ class NetworkModel:
         return np.asarray(mean[0], np.float64), np.exp(np.asarray(log_variance[0], np.float64))
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields, one a column of `latents`; see `LatentModel.decode`."""
+        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
         batches = [latents[:, i : i + _BATCH] for i in range(0, latents.shape[1], _BATCH)]
         extra = {} if nodes is None or not self._has_nodes else {"nodes": np.asarray(nodes, np.int64)}
 
@@ -201,7 +201,7 @@ class AnchoredModel:
         return self._network.n_nodes
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields, one a column of `latents`; see `LatentModel.decode`."""
+        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
         remainder = self._remainder if nodes is None else self._remainder[nodes]
         return np.asarray(self._network.decode(latents, nodes) + remainder)
 

@@ -127,7 +127,7 @@ class PcaModel:
         return np.asarray((rows @ (field - self.centre).ravel()) / np.einsum("ij,ij->i", rows, rows))
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields, one a column of `latents`; see `LatentModel.decode`."""
+        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
         rows = self.components if nodes is None else self.components[:, nodes]
         centre = self.centre if nodes is None else self.centre[nodes]
         flat = latents.T @ rows.reshape(self.n_latent, -1)

@@ -1,8 +1,9 @@
-"""Is the input misread? Other units, frames, orders and motions weighed against it, from geometry alone.
+"""Detects misread input: other units, frames, orders and rigid motions, from geometry alone.
 
-`suspect` answers before anything is solved. All readings share one likelihood (`likelihood`): places on the skin, and
-a motion that one soft body can make. `frames`, `rigid` and `orders` propose readings, `weigh` compares them, `repeats`
-finds numbers that no measurement repeats, `words` says it.
+`suspect` runs before anything is solved. A reading is one interpretation of the input, such as "the markers are in
+metres". All readings are compared by one likelihood (`likelihood`) of the places on the skin and of the motion as that
+of one soft body. `frames`, `rigid` and `orders` propose readings, `weigh` compares them, `repeats` finds repeated
+numbers that no measurement would give, `words` writes the sentences.
 """
 
 from tissuereg.readings.judge import suspect

@@ -1,4 +1,4 @@
-"""Are points without labels misread? Their units and axes, from their distances to the undeformed surface alone."""
+"""Detects misread unlabelled points: units and axes, from their distances to the undeformed surface alone."""
 
 from itertools import permutations, product
 
@@ -9,23 +9,23 @@ from tissuereg.mesh import Mesh
 from tissuereg.readings.skin import Skin, skin_of
 from tissuereg.readings.words import Suspicion
 
-#: Units that lengths may be in by mistake: what they must be multiplied by to be millimetres.
+#: Units that lengths may be in by mistake, with the factor that converts them to millimetres.
 _UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
 
-#: Points typically farther from the undeformed surface than this share of the extent are odd, than this are lost.
+#: Median distances from the undeformed surface, as shares of the extent, above which points are suspicious or refused.
 _ODD, _LOST = 0.12, 0.5
 
-#: Another reading must bring the points this many times closer, and within this share of the extent.
+#: Another reading must bring the points closer by this factor, and within this share of the extent.
 _TIMES, _NEAR = 4.0, 0.06
 
-#: A cloud larger or smaller than the body by this factor is in other units where the body is free.
+#: If the body is free, a cloud larger or smaller than the body by this factor is in other units.
 _LARGER, _SMALLER = 2.0, 0.02
 
 _N_POINTS = 100
 
 
 def suspect_points(mesh: Mesh, points: FloatArray, *, free: bool) -> list[Suspicion]:
-    """Return what says that points of a surface are misread.
+    """Return the suspicion that points of a surface are misread.
 
     Parameters
     ----------
@@ -34,12 +34,12 @@ def suspect_points(mesh: Mesh, points: FloatArray, *, free: bool) -> list[Suspic
     points : ndarray of float64, shape (n, 3)
         As given, mm.
     free : bool
-        Whether the body may have moved rigidly: units can then be told from sizes alone.
+        Whether the body may have moved rigidly: units can then be recognised by sizes alone.
 
     Returns
     -------
     list of Suspicion
-        At most one; empty where nothing speaks against the input.
+        At most one; empty if the input is plausible.
     """
     few = points[:: max(1, len(points) // _N_POINTS)]
     ratio = float(np.max(np.ptp(points, axis=0))) / mesh.extent

@@ -1,4 +1,4 @@
-"""Readings in other units, axes and columns: of all markers, of their reference places or measured places alone."""
+"""Readings in other units, axes and columns: for all markers, or for their reference or measured places alone."""
 
 import itertools
 
@@ -7,7 +7,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.readings.reading import Given, Reading
 
-#: What turns a length into mm, and how the unit is called.
+#: Factor that converts a length to mm, and the name of the unit.
 UNITS = {
     1000.0: "metres",
     100.0: "decimetres",
@@ -16,12 +16,12 @@ UNITS = {
     0.001: "micrometres",
     0.1: "tenths of a mm",
 }
-#: A mesh in other units asks for the inverse.
+#: A mesh in other units needs the inverse factor.
 MESH_UNITS = {0.1: "centimetres", 1.0 / 25.4: "inches"}
 
 _UNIT_COST, _FLIP_COST, _AXES_COST, _COLUMN_COST = 7.0, 6.0, 10.0, 11.0
 
-#: In addition: one of the two triples alone; about the body's middle in place of the origin.
+#: Additional costs: one of the two triples alone; about the body's middle instead of the origin.
 _ALONE_COST, _MIDDLE_COST = 1.0, 2.0
 
 _ALL, _REFERENCE, _MEASURED = "all markers", "the reference places", "the measured places"
@@ -69,7 +69,7 @@ def frames(given: Given) -> list[Reading]:
 
 
 def columns(given: Given) -> list[Reading]:
-    """Return readings whose six columns, or the rows of one column, are moved by one; complete markers alone."""
+    """Return readings with the six columns, or the rows of one column, shifted by one; complete markers only."""
     if not given.complete.all() or len(given.names) < 2:
         return []
     x, y = given.reference, given.measured

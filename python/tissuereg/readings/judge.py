@@ -1,4 +1,4 @@
-"""What in the geometry of the markers says that the input is misread."""
+"""Suspicions that the input is misread, from the geometry of the markers."""
 
 import numpy as np
 
@@ -17,42 +17,43 @@ from tissuereg.readings.words import Suspicion, explained, far, held, unrelated
 from tissuereg.readings.words import repeated as said_twice
 from tissuereg.readings.words import stale as said_stale
 
-#: Places as near to the surface as this share of the extent (root mean square) are not moved onto it.
+#: Places nearer to the surface than this share of the extent (root mean square) need no rigid motion onto it.
 _NEAR_SHARE = 0.01
 
-#: A marker deeper inside the body than this share of its extent was not put there.
+#: A marker deeper inside the body than this share of its extent was not placed there on purpose.
 _DEEPEST_SHARE = 0.2
 
-#: Costs of the two statements that name no other reading.
+#: Costs of the two suspicions that name no other reading.
 _FAR_COST, _UNRELATED_COST = 5.0, 6.0
 
-#: A marker on held surface that moves by more is odd: mm and share of the extent, with noise on top.
+#: A marker on held surface that moves by more is suspicious: mm and share of the extent, plus noise.
 _HELD_MM, _HELD_SHARE = 3.0, 0.02
 
 
 def suspect(mesh: Mesh, markers: Markers, observation: MarkerObservation | None = None) -> list[Suspicion]:
-    """Return what in the geometry of the markers says that the input is misread, and the reading that explains it.
+    """Return suspicions that the input is misread, from the geometry of the markers, with the best other reading.
 
     Parameters
     ----------
     mesh : Mesh
-        Undeformed body, mm; its node set ``fixed``, where it has one, is held.
+        Undeformed body, mm; its node set ``fixed``, if it has one, is held.
     markers : Markers
-        Places and measured places, mm; coordinates that are NaN were not seen.
+        Reference and measured places, mm; coordinates that are NaN were not seen.
     observation : MarkerObservation, optional
-        Of these markers, for its distances; measured here where absent (it refuses markers that are far away).
+        Attachment of these markers, for its distances; computed here if absent (it refuses markers that are far away).
 
     Returns
     -------
     list of Suspicion
-        Another reading first; empty where nothing speaks against the input.
+        Another reading first; empty if the input is plausible.
 
     Notes
     -----
-    No mechanics: distances from the surface and smoothness of the motion, weighed for some 250 readings (units, axes,
-    rigid motions, columns, orders of rows) with prior odds each. A reading is reported where it is a thousand times
-    likelier than the input as given. What is alike under two readings cannot be told apart: a round body with two axes
-    negated. Cost: about 25 ms for 15 markers on 4,000 nodes; beyond 48 markers 48 of them are weighed.
+    No mechanics is involved: about 250 readings (units, axes, rigid motions, columns, orders of rows), each with prior
+    odds, are compared by distances from the surface and smoothness of the motion. A reading is reported if it is a
+    thousand times more likely than the input as given. Readings that leave distances and motion unchanged cannot be
+    distinguished, such as two negated axes of a round body. Cost: about 25 ms for 15 markers on 4,000 nodes; of more
+    than 48 markers 48 are used.
 
     Examples
     --------
@@ -79,7 +80,7 @@ def suspect(mesh: Mesh, markers: Markers, observation: MarkerObservation | None 
 
 
 def _repeats(markers: Markers, resting: BoolArray, extent: float) -> tuple[list[Suspicion], BoolArray]:
-    """Return stale and repeated markers, and which markers are left to be weighed."""
+    """Return stale and repeated markers, and the remaining markers."""
     found: list[Suspicion] = []
     left = np.ones(len(markers), dtype=bool)
     rows = stale(markers, resting)
@@ -98,7 +99,7 @@ def _other_reading(given: Given) -> list[Suspicion]:
     readings = [as_given(given), *units(given), *frames(given), *columns(given)]
     readings += [*measured_moved(given), *orders(given)]
     distance, near = given.skin.closest(given.reference).distance, _NEAR_SHARE * given.skin.extent
-    # Places that all lie inside the body were put there; a motion would have brought some out of it.
+    # Places that all lie inside the body were placed there on purpose; a rigid motion would have moved some outside.
     if float(np.mean(distance**2)) > near**2 and float(np.max(distance)) > 0.5 * near:
         readings += places_moved(given)
     plain, *others = weigh(given, readings, rows)
@@ -117,7 +118,7 @@ def _other_reading(given: Given) -> list[Suspicion]:
 
 
 def _lost(markers: Markers, distance: FloatArray, extent: float) -> list[Suspicion]:
-    """Return markers that lie farther off the surface (negative: inside) than any marker stands or is put."""
+    """Return markers farther from the surface (negative: inside) than any marker is plausibly mounted or placed."""
     outside = 1.5 * standoff(extent) + 0.03 * extent + 4.0 * markers.std
     rows = np.flatnonzero((distance > outside) | (-distance > np.maximum(outside, _DEEPEST_SHARE * extent)))
     return [far([markers.names[i] for i in rows], np.abs(distance[rows]).tolist(), extent)] if len(rows) else []

@@ -1,20 +1,21 @@
-r"""How likely markers are under a reading: their places on the skin, their motion as that of one soft body.
+r"""Likelihood of markers under a reading: their places on the skin, and their motion as that of one soft body.
 
-Places. A marker stands s above the skin, s shared by all, with an error of spread t; one in thirty may lie anywhere:
+Places. All markers are mounted at the same height s above the skin, with errors of standard deviation t; one in thirty
+may lie anywhere:
 
     p(d_i | s, t) = 0.97 N(d_i; s, t^2) + 0.03 N(d_i; 0, (extent / 5)^2),      d_i: distance from the surface, signed,
 
-averaged over four s and three t; or all were put inside the body, at depths up to a tenth or two of its extent. A
-layout that is a speck on the body, or far larger than it, is unlikely in itself, and so are markers on held surface.
+averaged over four s and three t. Alternatively all were placed inside the body, at depths up to one or two tenths of
+its extent. A layout much smaller or larger than the body is unlikely in itself, and so are markers on held surface.
 
 Motion. The displacements v (n,) of the seen coordinates are a sample of a Gaussian field that fades towards held nodes,
 
     v ~ N(0, a^2 W K_l W + B S B' + noise^2),    W: freedom of each place, K_l: Matern 3/2 of length l,
 
 where the columns B (n, 18) are translations and rotations that fade as well, within a layer or along the body; six
-more do not fade where nothing is held or where the reading allows a rigid motion. Averaged over sizes a from 0.2 to
-20 % of the body's extent, three lengths and three noises. K is diagonalised once a length, so that all sizes, noises
-and readings with the same places share one factorisation.
+more do not fade if nothing is held or the reading allows a rigid motion. The density is averaged over sizes a from 0.2
+to 20 % of the body's extent, three lengths and three noises. K is diagonalised once per length, so that all sizes,
+noises and readings with the same places share one factorisation.
 """
 
 from functools import cache
@@ -23,13 +24,13 @@ import numpy as np
 
 from tissuereg._arrays import BoolArray, FloatArray
 
-#: Highest stand-off of a marker's middle, mm, and as a share of the extent where that is less.
+#: Largest plausible height of a marker's centre above the skin: mm, and share of the extent if that is less.
 STANDOFF_MM, STANDOFF_SHARE = 6.0, 0.06
 
 #: Share of markers that may lie anywhere.
 _WRONG_SHARE = 0.03
 
-#: Depth of markers that were put inside the body, share of the extent, and log-odds that all were.
+#: Depth of markers that were placed inside the body, share of the extent, and log-odds that all were.
 _DEPTH, _INSIDE_ODDS = 0.1, -5.0
 
 #: Log-odds of a marker on held surface.
@@ -38,7 +39,7 @@ _HELD_ODDS = -1.5
 #: Spread of a layout over that of the skin, below and above which it becomes unlikely.
 _SPECK, _SPRAWL = 0.12, 1.3
 
-#: Fewest markers that have a spread worth the name.
+#: Fewest markers for which a spread is meaningful.
 _FEWEST_SPREAD = 3
 
 #: Sizes of a deformation and lengths over which it varies, as shares of the extent; log-weights of the sizes.
@@ -48,7 +49,7 @@ _SIZE_WEIGHTS = np.log([0.23, 0.23, 0.23, 0.23, 0.08])
 #: Sizes of a rigid motion that fades towards held nodes: that of the deformation, or larger (a tip that swings).
 _TOGETHER, _TOGETHER_WEIGHTS = np.array([0.0, 0.12]), np.log([0.6, 0.4])
 
-#: What is added to the tracker's noise, mm, with log-weights: nothing, small misfits of the model, a wrong marker.
+#: Additions to the tracker's noise, mm, with log-weights: nothing, small misfits of the model, a wrong marker.
 _EXTRA_NOISE_MM, _NOISE_WEIGHTS = np.array([0.05, 0.7, 3.0]), np.log([0.6, 0.3, 0.1])
 
 #: Standard deviations of a rigid motion: share of the extent, and radian.
@@ -56,7 +57,7 @@ _RIGID_SHARE, _RIGID_RADIAN = 0.3, 0.5
 
 
 def standoff(extent: float) -> float:
-    """Return the highest believable stand-off on a body of this extent, mm."""
+    """Return the largest plausible height above the skin for a body of this extent, mm."""
     return min(STANDOFF_MM, STANDOFF_SHARE * extent)
 
 
@@ -83,7 +84,7 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
             wide = np.where(distance < height, min(error, 2.0 * finest), error)
             good = np.exp(-0.5 * ((distance - height) / wide) ** 2) / error
             anywhere = np.exp(-0.5 * (distance / (0.2 * extent)) ** 2) / (0.2 * extent)
-            # Beyond the body's own size a marker costs no more: it is lost in any case.
+            # The cost is bounded: beyond the body's own size a marker is wrong in any case.
             anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
             parts.append(np.log((1 - _WRONG_SHARE) * good + _WRONG_SHARE * anywhere).sum(axis=1))
     deep = np.exp(-0.5 * (distance / _DEPTH / extent) ** 2) / (_DEPTH * extent)
@@ -92,13 +93,13 @@ def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
 
 
 def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
-    """Return the log-likelihood of places that have nothing to do with the surface."""
+    """Return the log-likelihood of places that are unrelated to the surface."""
     wide = 0.2 * extent
     return float(np.maximum(-0.5 * (distance / wide) ** 2, -8.0).sum() - len(distance) * np.log(wide))
 
 
 def layout_likelihood(places: FloatArray, held: BoolArray, skin_spread: float) -> FloatArray:
-    """Return the log-likelihood of layouts on the body: the more markers, the less a speck; few on held surface.
+    """Return the log-likelihood of layouts: many markers are spread over the body, and few are on held surface.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def motion_likelihood(
     arms : ndarray of float64, shape (n_markers, 3)
         Places, in the frame of the displacements, mm.
     freedom : ndarray of float64, shape (3, n_markers)
-        Of the body at each place, as `Skin.freedom`.
+        Freedom of the body at each place, as in `Skin.freedom`.
     motion : ndarray of float64, shape (n_readings, n_markers, 3)
         Displacements in mm; NaN = not seen, the same coordinates in all readings.
     noise : float
@@ -145,7 +146,7 @@ def motion_likelihood(
     Returns
     -------
     ndarray of float64, shape (n_readings,)
-        mm counts as unit: a reading in other units adds the logarithm of its volume change.
+        The density is per mm: a reading in other units adds the logarithm of its volume change.
     """
     seen = np.isfinite(motion[0])
     if not seen.any():
@@ -160,13 +161,13 @@ def motion_likelihood(
         values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, length * extent)
         variance = sizes[:, None] ** 2 * values + noises[:, None] ** 2
         parts.append(_gaussian(variance, turned, mixed, factors) + weights[:, None])
-    # Weights are shares of one for each length.
+    # Weights sum to one for each length.
     return np.asarray(log_mean_exp(np.concatenate(parts)) + np.log(len(sizes)))
 
 
 @cache
 def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return sizes of a deformation, of what markers move together, noises, all in mm, and log-weights: (h,) each."""
+    """Return sizes of the deformation, of the common motion, and noises, all in mm, and log-weights: (h,) each."""
     points = [
         (size * extent, max(size, common) * extent, float(np.hypot(noise, extra)), of_size + of_common + of_noise)
         for size, of_size in zip(_SIZES, _SIZE_WEIGHTS, strict=True)
@@ -184,7 +185,7 @@ def likeliest(noise: float) -> float:
 
 
 def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
-    """Return the log-likelihood of displacements (n_markers, 3) that no one body can have made."""
+    """Return the log-likelihood of displacements (n_markers, 3) that are independent of each other."""
     values = motion[np.isfinite(motion)]
     wide = 0.35 * extent
     return float(np.sum(-0.5 * (values / wide) ** 2) - len(values) * (np.log(wide) + 0.5 * np.log(2 * np.pi)))

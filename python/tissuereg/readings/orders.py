@@ -11,13 +11,13 @@ from tissuereg.readings.rigid import best_rigid, moved
 
 _SWAP_COST, _ORDER_COST = 6.0, 8.0
 
-#: All pairs are tried among this many markers; among more, those of the most unlike their neighbours.
+#: Up to this number of markers all pairs are tried; of more, the pairs of markers that differ most from neighbours.
 _ALL_PAIRS = 20
 
-#: Orders that are weighed: those after which the markers move the least, apart from what they move together.
+#: Number of orders that are evaluated: those with the least motion after a common motion is removed.
 _N_WEIGHED = 32
 
-#: Markers beside whose motion one is looked at.
+#: Number of neighbours with which a marker's motion is compared.
 _N_NEIGHBOURS = 5
 
 
@@ -68,13 +68,13 @@ def _pairs(x: FloatArray, y: FloatArray) -> list[tuple[IntArray, float]]:
 
 
 def _rolls(x: FloatArray, y: FloatArray, names: list[str]) -> list[tuple[IntArray, float]]:
-    """Return orders that a file can have: moved by some rows, reversed, sorted by name or by a coordinate."""
+    """Return orders that a file may have: shifted by some rows, reversed, sorted by name or by a coordinate."""
     n = len(x)
     found = [np.roll(np.arange(n), step) for step in (1, -1, 2, -2)] + [np.arange(n)[::-1].copy()]
     listed = np.array(sorted(range(n), key=lambda i: names[i]))
     found += [listed, np.argsort(listed)]
     for axis in range(3):
-        # The measured rows came sorted by a coordinate: their rank there is their rank along the reference.
+        # If the measured rows were sorted by a coordinate, their order is that of the reference along it.
         order = np.empty(n, np.int64)
         order[np.argsort(x[:, axis], kind="stable")] = np.argsort(y[:, axis], kind="stable")
         found.append(order)
@@ -117,7 +117,7 @@ def _cycles(order: IntArray) -> list[list[int]]:
 
 
 def oddness(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return how far the motion of every marker is from the median of its neighbours', mm."""
+    """Return the difference of every marker's motion from the median of its neighbours', mm."""
     from scipy.spatial import cKDTree
 
     neighbours = np.asarray(cKDTree(x).query(x, k=min(_N_NEIGHBOURS + 1, len(x)))[1])[:, 1:]

@@ -1,4 +1,4 @@
-"""One way to read the input: what the numbers would mean, and how unlikely such a mistake is beforehand."""
+"""A reading: one interpretation of the input, with the prior cost of the mistake it assumes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,13 +10,13 @@ from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.readings.skin import Skin, skin_of
 
-#: The noise of a coordinate is taken to be at most this many mm: beyond it a statement about units is likelier wrong.
+#: Upper limit on the noise of a coordinate, mm: a larger stated value is more likely an error of units.
 _LARGEST_NOISE_MM = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """The input as it was given, with what readings of it need.
+    """The input as given, with derived data that readings need.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Given:
     held_nodes : ndarray of float64, shape (n_held, 3)
         Places of the held nodes, mm.
     names : tuple of str
-        Of the markers.
+        Names of the markers.
     reference, measured : ndarray of float64, shape (n_markers, 3)
         mm; NaN = not seen.
     motion : ndarray of float64, shape (n_markers, 3)
@@ -64,20 +64,20 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One candidate.
+    """One candidate reading.
 
     Attributes
     ----------
     kind : str
         First word of the sentence.
     words : str
-        What to do with the input.
+        The change of the input that this reading makes.
     cost : float
-        Minus the logarithm of the odds of such a mistake beforehand.
+        Minus the logarithm of the prior odds of such a mistake.
     places : ndarray of float64, shape (n_markers, 3)
-        Places beside the undeformed body under this reading, mm.
+        Reference places under this reading, mm.
     motion : ndarray of float64, shape (n_markers, 3)
-        Displacements under this reading, mm, possibly in a turned frame; NaN = not seen.
+        Displacements under this reading, mm, possibly in a rotated frame; NaN = not seen.
     arms : ndarray of float64, shape (n_markers, 3)
         The places in that frame.
     log_scale : float
@@ -85,7 +85,7 @@ class Reading:
     rigid : bool
         Whether the body may move as a whole.
     rows : sequence of int
-        Markers that are read otherwise; empty = all.
+        Markers that are read differently; empty = all.
     """
 
     kind: str
@@ -100,5 +100,5 @@ class Reading:
 
 
 def as_given(given: Given) -> Reading:
-    """Return the input taken at its word."""
+    """Return the reading of the input as given."""
     return Reading("", "", 0.0, given.reference, given.motion, given.reference)

@@ -1,7 +1,7 @@
-"""Numbers that honest measurements do not repeat: stale poses and markers that are listed twice.
+"""Repeated numbers that real measurements do not give: stale poses and markers that are listed twice.
 
-Two coordinates agree bit for bit by chance with probability ``q / (sqrt(4 pi) sigma)`` where the file keeps steps of
-q mm and the noise is sigma; a finding is reported where chance is below one in a thousand.
+Two coordinates agree bit for bit by chance with probability ``q / (sqrt(4 pi) sigma)`` if the file keeps steps of
+q mm and the noise is sigma; a finding is reported if that probability is below one in a thousand.
 """
 
 import itertools
@@ -20,14 +20,14 @@ _FINEST_MM = 1e-6
 
 
 def stale(markers: Markers, resting: BoolArray) -> list[int]:
-    """Return the markers whose measured coordinates equal their reference places bit for bit; empty where by chance.
+    """Return the markers whose measured coordinates equal their reference places bit for bit, beyond chance.
 
     Parameters
     ----------
     markers : Markers
-        Given.
+        The input.
     resting : ndarray of bool, shape (n_markers,)
-        Markers on the held part of the surface, which may well rest.
+        Markers on the held part of the surface, which may be at rest.
     """
     seen = np.isfinite(markers.measured)
     same = (seen.any(axis=1) & ((markers.measured == markers.reference) | ~seen).all(axis=1)) & ~resting

@@ -1,25 +1,25 @@
-"""Readings in which a rigid motion lies between body and markers: of all, of reference or measured places alone."""
+"""Readings with a rigid motion between body and markers: of all places, or of reference or measured places alone."""
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.readings.reading import Given, Reading
 
-#: Costs: a measured triple that was moved (its six numbers are weighed by the likelihood); a fitted motion, whose six
-#: numbers are worth a factor of eight each.
+#: Costs: a moved measured triple, whose six parameters the likelihood integrates; a fitted motion, whose six parameters
+#: cost a factor of eight each.
 _MOVED_COST, _FITTED_COST = 13.0, 18.0
 
-#: Fewest markers whose places alone, or whose motion, say anything about six numbers.
+#: Fewest markers whose places alone, or whose motion, determine six parameters.
 _FEWEST_PLACES, _FEWEST_MOVED = 7, 4
 
-#: A rigid motion smaller than this at the held nodes is no misreading, mm and share of the extent.
+#: A rigid motion smaller than this at the held nodes is not a misreading, mm and share of the extent.
 _SMALLEST_MM, _SMALLEST_SHARE = 3.0, 0.03
 
 _N_ALIGN, _N_SLIDE = 8, 8
 
 
 def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (..., 3, 3) and shifts (..., 3) in mm that carry points onto others, few of which may be wrong.
+    """Return rotations (..., 3, 3) and shifts (..., 3) in mm that move points onto others, robust to a few wrong ones.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def best_rigid(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArr
 
     Notes
     -----
-    Kabsch's rotation with weights 1 / distance, iterated: the least sum of distances, not of their squares.
+    Kabsch's rotation with weights 1 / distance, iterated: it minimises the sum of distances, not of their squares.
     """
     weights = np.ones(end.shape[:-1])
     for _ in range(_N_ALIGN):
@@ -50,7 +50,7 @@ def moved(points: FloatArray, turn: FloatArray, shift: FloatArray) -> FloatArray
 
 
 def measured_moved(given: Given) -> list[Reading]:
-    """Return the reading in which the measured places are moved as a whole; none where the body is free to."""
+    """Return the reading in which all measured places were moved rigidly; none if the body may move rigidly."""
     rows = given.complete
     if rows.sum() < _FEWEST_MOVED or not len(given.held_nodes):
         return []
@@ -67,7 +67,7 @@ def measured_moved(given: Given) -> list[Reading]:
 
 
 def places_moved(given: Given) -> list[Reading]:
-    """Return readings in which reference places, alone or with the measured ones, slide onto the surface."""
+    """Return readings in which reference places, alone or with the measured ones, are moved onto the surface."""
     x, y, rows = given.reference, given.measured, given.complete
     starts, alone = [], []
     if rows.sum() >= _FEWEST_MOVED:
@@ -91,7 +91,7 @@ def places_moved(given: Given) -> list[Reading]:
 
 
 def _slid(given: Given, turn: FloatArray, shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return motions (s, 3, 3) and (s, 3) that also bring the reference places near the surface, point to plane."""
+    """Return motions (s, 3, 3) and (s, 3) that bring the reference places near the surface, point to plane."""
     extent = given.skin.extent
     size = np.concatenate([np.ones(3), np.full(3, (0.5 * extent) ** 2)])
     for _ in range(_N_SLIDE):

@@ -1,4 +1,4 @@
-"""Distances of points from a body's surface, and from what is held, for many points at once."""
+"""Distances of points from a body's surface, and from its held nodes, for many points at once."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from tissuereg._arrays import BoolArray, FloatArray, IntArray
 from tissuereg._per_mesh import per_mesh
 from tissuereg.mesh import Mesh
 
-#: Closest samples of the surface whose triangles are measured exactly.
+#: Number of closest surface samples whose triangles are tested exactly.
 _N_CLOSEST = 4
 
 
@@ -17,7 +17,7 @@ _FADING = (0.08, 0.25, 0.7)
 
 
 class Closest(NamedTuple):
-    """Where points are beside a surface; shapes as those of the points.
+    """Positions of points relative to a surface; shapes as those of the points.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Closest(NamedTuple):
     foot : ndarray of float64, shape (..., 3)
         Closest point of the surface, mm.
     normal : ndarray of float64, shape (..., 3)
-        Outward unit normal of the triangle that holds the foot.
+        Outward unit normal of the triangle that contains the foot.
     held : ndarray of bool, shape (...)
         Whether all its corners are held.
     """
@@ -54,7 +54,7 @@ class Skin:
     spread : float
         Root mean square distance of the surface nodes from their mean, mm.
     held : ndarray of int64, shape (n_held,)
-        Nodes that are held, none where the mesh has no set ``fixed``.
+        Held nodes; none if the mesh has no set ``fixed``.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -116,7 +116,7 @@ class Skin:
 
 
 def skin_of(mesh: Mesh) -> Skin:
-    """Return the skin of a mesh, made once while its set ``fixed`` stays the same."""
+    """Return the skin of a mesh, cached while its set ``fixed`` stays the same."""
     found = _skin(mesh)
     held = mesh.node_sets.get("fixed")
     return found if (held is None and not len(found.held)) or found.held is held else Skin(mesh)

@@ -1,4 +1,4 @@
-"""Readings weighed by one likelihood: cheap parts for all of them, the motion for those that are worth it."""
+"""Compares readings by one likelihood: its cheap parts for all of them, the motion for the promising ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,30 +19,30 @@ from tissuereg.readings.orders import oddness
 from tissuereg.readings.reading import Given, Reading
 from tissuereg.readings.rigid import best_rigid, moved
 
-#: At most this many markers are weighed: some spread over the body, some of the most unlike their neighbours.
+#: Largest number of markers that are used: some spread over the body, some that differ most from their neighbours.
 _SPREAD_MARKERS, _ODD_MARKERS = 32, 16
 
-#: Logarithm of the odds by which another reading must beat the input as given.
+#: Log-odds by which another reading must beat the input as given.
 MARGIN = log(1000.0)
 
-#: Readings with other places, and with measured places in other frames, whose motion is weighed.
+#: Number of readings with other places, and with measured places in other frames, whose motion is evaluated.
 _N_PLACES, _N_TURNED = 12, 4
 
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A reading with its log-likelihoods; constants that all readings share are left out.
+    """A reading with its log-likelihoods, without constants that all readings share.
 
     Attributes
     ----------
     reading : Reading
-        What was weighed.
+        The reading.
     distance : ndarray of float64, shape (n_weighed,)
         Of the markers' places from the surface, signed, mm.
     motion : ndarray of float64, shape (n_weighed, 3)
-        Displacements, mm, without the rigid motion of a body that nothing holds.
+        Displacements, mm, without the rigid motion of a free body.
     of_layout, of_places, of_motion : float
-        Log-likelihoods: of where on the body the markers are, of their distances from its surface, of their motion.
+        Log-likelihoods of the layout on the body, of the distances from its surface, and of the motion.
     """
 
     reading: Reading
@@ -58,7 +58,7 @@ class Weighed:
         return self.of_layout + self.of_places + self.of_motion - self.reading.cost
 
     def believable(self, extent: float) -> bool:
-        """Return whether places and motion are likelier than ones that have nothing to do with the body."""
+        """Return whether places and motion are more likely than ones unrelated to the body."""
         places = self.of_places > nowhere_likelihood(self.distance, extent)
         n_seen = int(np.isfinite(self.motion).sum())
         motion = self.of_motion - n_seen * self.reading.log_scale
@@ -66,7 +66,7 @@ class Weighed:
 
 
 def chosen_rows(given: Given) -> IntArray:
-    """Return the markers that are weighed: all, or those spread over the body and the odd ones among many."""
+    """Return the markers that are used: all, or of many those spread over the body and the unusual ones."""
     n = len(given.names)
     if n <= _SPREAD_MARKERS + _ODD_MARKERS:
         return np.arange(n)
@@ -81,7 +81,7 @@ def chosen_rows(given: Given) -> IntArray:
 
 
 def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed]:
-    """Return the readings worth weighing in full; the first of them, the input as given, stays first.
+    """Return the readings to evaluate in full; the input as given stays first.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
     readings : list of Reading
         Candidates, the input as given first.
     rows : ndarray of int64, shape (n_weighed,)
-        Markers that are weighed.
+        Markers that are used.
     """
     where: dict[int, int] = {}
     stacked: list[FloatArray] = []
@@ -126,9 +126,9 @@ def weigh(given: Given, readings: list[Reading], rows: IntArray) -> list[Weighed
 
 
 def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple[list[int], list[int]]:
-    """Return all readings with the given places and axes, and the likeliest of the others before their motion.
+    """Return all readings with the given places and axes, and the most likely of the others without their motion.
 
-    Measured places alone in other axes are worth it where the motion becomes smaller.
+    Readings with only the measured places in other axes are kept if the motion becomes smaller.
     """
     given = readings[0]
     same, turned, elsewhere = [0], [], []
@@ -148,7 +148,7 @@ def _worth(readings: list[Reading], likely: FloatArray, rows: IntArray) -> tuple
 def _hopeless(plain: Weighed, reading: Reading, likely: float, given: Given, rows: IntArray) -> bool:
     """Return whether a reading cannot beat the input as given, however well its motion fits.
 
-    Where the motion stays what it is, places must tell; else no motion is likelier than none at all.
+    If the motion is unchanged, the places decide; otherwise the bound is the likelihood of no motion at all.
     """
     if reading.motion is plain.reading.motion:
         return likely - reading.cost < plain.of_layout + plain.of_places + MARGIN

@@ -8,7 +8,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.readings.weigh import Weighed
 
-#: Odds are named up to this power of ten.
+#: Odds are stated up to this power of ten.
 _MOST_DIGITS = 9
 
 #: Readings whose log-odds differ by less fit equally well.
@@ -17,7 +17,7 @@ _TIE = 2.0
 
 @dataclass(frozen=True)
 class Suspicion:
-    """One thing that speaks against the input as it was given.
+    """One reason to suspect that the input is misread.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Suspicion:
     sentence : str
         Starts with the kind.
     markers : tuple of str
-        Markers that it is about; empty = all.
+        Markers concerned; empty = all.
     """
 
     kind: str
@@ -36,16 +36,16 @@ class Suspicion:
 
 
 def explained(plain: Weighed, best: Weighed, others: Sequence[Weighed], names: tuple[str, ...]) -> Suspicion:
-    """Return what another reading explains.
+    """Return the suspicion that another reading is right.
 
     Parameters
     ----------
     plain, best : Weighed
         The input as given, and the reading that beats it.
     others : sequence of Weighed
-        All that were weighed, for those that fit as well.
+        All readings that were evaluated, to list those that fit equally well.
     names : tuple of str
-        Of all markers.
+        Names of all markers.
     """
     reading = best.reading
     facts = []
@@ -66,7 +66,7 @@ def explained(plain: Weighed, best: Weighed, others: Sequence[Weighed], names: t
 
 
 def far(names: Sequence[str], distance: Sequence[float], extent: float) -> Suspicion:
-    """Return that markers lie off the surface and no reading explains it; distances in mm."""
+    """Return the suspicion that markers lie off the surface and no reading explains it; distances in mm."""
     farthest = int(np.argmax(distance))
     sentence = (
         f"far from the surface: {listed(names)} {_be(names)} up to {distance[farthest]:.1f} mm ({names[farthest]}) "
@@ -76,7 +76,7 @@ def far(names: Sequence[str], distance: Sequence[float], extent: float) -> Suspi
 
 
 def unrelated(motion: FloatArray) -> Suspicion:
-    """Return that the measured places have nothing to do with the reference places; motion in mm, NaN = not seen."""
+    """Return the suspicion that measured and reference places are unrelated; motion in mm, NaN = not seen."""
     sentence = (
         f"unrelated: neighbouring markers move by {_size(motion)} mm in directions of their own, as no one body can; "
         "measured and reference places belong to different markers or bodies"
@@ -85,7 +85,7 @@ def unrelated(motion: FloatArray) -> Suspicion:
 
 
 def stale(names: Sequence[str]) -> Suspicion:
-    """Return that measured places equal the reference places."""
+    """Return the suspicion that measured places are copies of the reference places."""
     sentence = (
         f"stale: {listed(names)} {_be(names)} measured exactly at the reference place, to the last digit; "
         "a tracker that sees a marker has noise, so this is an old or a copied value"
@@ -94,7 +94,7 @@ def stale(names: Sequence[str]) -> Suspicion:
 
 
 def repeated(names: Sequence[str], what: str) -> Suspicion:
-    """Return that two markers have the same numbers; `what` is "reference", "measured" or "both"."""
+    """Return the suspicion that two markers have the same numbers; `what` is "reference", "measured" or "both"."""
     places = {
         "both": "reference place and the same measured place",
         "reference": "reference place",
@@ -105,7 +105,7 @@ def repeated(names: Sequence[str], what: str) -> Suspicion:
 
 
 def held(names: Sequence[str], size: float) -> Suspicion:
-    """Return that markers on held surface move, by up to `size` mm."""
+    """Return the suspicion that markers on held surface move, by up to `size` mm."""
     sit, move = ("sit", "move") if len(names) > 1 else ("sits", "moves")
     sentence = (
         f"held: {listed(names)} {sit} on surface that is held and yet {move} by up to {size:.1f} mm; "

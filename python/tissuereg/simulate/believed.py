@@ -37,7 +37,7 @@ def simulate_experiment(
     Returns
     -------
     dict of str to CaseSimulation
-        One a case, in the experiment's order; displacements are those of the nodes of its mesh, mm.
+        One per case, in the experiment's order; displacements are those of the nodes of its mesh, mm.
 
     Raises
     ------

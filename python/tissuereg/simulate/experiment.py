@@ -30,7 +30,7 @@ class Believed:
     simulator : Simulator
         With fixed boundaries and bonded pads held.
     loads : list of Load
-        One a frame.
+        One per frame.
     """
 
     simulator: Simulator
@@ -148,7 +148,7 @@ def simulate_plain(
     Returns
     -------
     dict of str to CaseSimulation
-        One a case, in the experiment's order.
+        One per case, in the experiment's order.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def solve_cases(
     Returns
     -------
     dict of str to SolvedCase
-        One a case.
+        One per case.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""How the frames of a history follow their causes, and how an observation follows the stiffness of every point.
+"""Derivatives of the frames of a history by causes, and of observations by the stiffness of every point.
 
-Exact derivatives with one factor a step for all causes and all observations; what the material remembers is carried
-along. At a switch (softening under more load than ever before, slack fibres) a derivative is that of the side that a
-point is on. Frames are recorded by ``solve_frames(..., record=True)``.
+The derivatives are exact, with one factorisation per step for all causes and all observations; the material's memory is
+differentiated too. At a switch (first loading of a softening material, slack fibres) the derivative is one-sided.
+Frames are recorded by ``solve_frames(..., record=True)``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,12 +22,12 @@ from tissuereg.simulate.solve import stacked_parts
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """Loads along other ones, one a frame.
+    """Directional changes of the loads, one per frame.
 
     Parameters
     ----------
     rates : sequence of Load
-        Rates of the loads over the unit of the cause.
+        Changes of the loads per unit of the cause.
     """
 
     rates: Sequence[Load]
@@ -35,27 +35,27 @@ class Loads:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion of a pad along another one.
+    """A directional change of the motion of a pad.
 
     Parameters
     ----------
     pad : str
         Its name.
     rates : array_like of float, shape (n_frames, 3)
-        Rates of its translation, mm over the unit of the cause; those of frames in which it is absent do not count.
+        Changes of its translation, mm per unit of the cause; frames in which it is absent are ignored.
     """
 
     pad: str
     rates: Any
 
 
-#: What a derivative of frames may be taken by.
+#: Causes by which frames can be differentiated.
 FrameCause = Cause | Loads | Motion
 
 
 @dataclass(frozen=True, eq=False)
 class FrameObservation:
-    """A number read off one frame.
+    """A scalar observation of one frame.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class FrameObservation:
 
 @dataclass(frozen=True, eq=False)
 class FrameDerivatives:
-    """How frames follow each cause, over the cause's unit; those of frames that failed are NaN.
+    """Derivatives of frames by each cause, per unit of the cause; NaN for frames that failed.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class FrameDerivatives:
 
 @dataclass(frozen=True, eq=False)
 class FrameAdjoints:
-    """How each observation of a frame follows the stiffness of every point, through all frames before it.
+    """Derivatives of observations by the stiffness of every point, through all earlier frames.
 
     Attributes
     ----------
@@ -108,20 +108,20 @@ class FrameAdjoints:
 
 
 def frame_derivatives(frames: Frames, causes: Sequence[FrameCause]) -> FrameDerivatives:
-    """Return how all frames follow each cause.
+    """Return the derivatives of all frames by each cause.
 
     Parameters
     ----------
     frames : Frames
         Found by ``solve_frames(..., record=True)``.
     causes : sequence of Parameter, Field, Load, Loads or Motion
-        What is moved; one solution each a step.
+        Causes; the cost is one solution each per step.
 
     Returns
     -------
     FrameDerivatives
-        One entry a cause, in their order. The shape that pads are bonded to moves with the body; the unloaded shape of
-        a mesh that hangs in its weight already does not move.
+        One entry per cause, in their order. The shape that pads are bonded to moves with the body; the unloaded shape
+        of a mesh that was imaged under its weight is kept fixed.
 
     Raises
     ------
@@ -159,14 +159,14 @@ def frame_derivatives(frames: Frames, causes: Sequence[FrameCause]) -> FrameDeri
 
 
 def frame_adjoints(frames: Frames, observations: Sequence[FrameObservation]) -> FrameAdjoints:
-    """Return how each observation of a frame follows the stiffness of every point.
+    """Return the derivatives of observations of frames by the stiffness of every point.
 
     Parameters
     ----------
     frames : Frames
         Found by ``solve_frames(..., record=True)``.
     observations : sequence of FrameObservation
-        What is read off; one solution each a step.
+        Observations; the cost is one solution each per step.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def frame_adjoints(frames: Frames, observations: Sequence[FrameObservation]) -> 
 
 
 def _recorded(frames: Frames) -> tuple[Record, IntArray]:
-    """Return the record of frames, and which of them were found."""
+    """Return the record of frames, and the indices of those that were found."""
     if frames.record is None:
         message = "frames must be recorded for derivatives: `solve_frames(..., record=True)`"
         raise LoadError(message, where="frames")

@@ -61,7 +61,7 @@ class Frames:
     failed : list of (int, str)
         Frames without equilibrium, with the reason; the history goes on from the frame before.
     reports : list of dict
-        Work done, one a frame; empty for one that failed.
+        Work done, one per frame; empty for one that failed.
     record : Record or None
         What derivatives need, where `solve_frames` was asked to keep it (`tissuereg.simulate.sensitivity`).
     """
@@ -162,7 +162,7 @@ def solve_frames(
     times : array_like of float, shape (n_frames,)
         s, never decreasing.
     loads : Load or sequence of Load, optional
-        The same in all frames, or one a frame. Prescribed rows are those of the held nodes.
+        The same in all frames, or one per frame. Prescribed rows are those of the held nodes.
     pads : sequence of Pad
         Patches that are held in some frames.
     behaviour : Behaviour, optional

@@ -143,7 +143,7 @@ def solve_through_time(
     Returns
     -------
     dict of str to SolvedCase
-        One a case, in the order given.
+        One per case, in the order given.
 
     Raises
     ------

@@ -174,7 +174,7 @@ class Linearised:
         Returns
         -------
         Derivatives
-            One entry a cause, in their order.
+            One entry per cause, in their order.
 
         Raises
         ------

@@ -305,9 +305,9 @@ class Simulator:
         Parameters
         ----------
         loads : sequence of Load
-            One a member.
+            One per member.
         materials : sequence of Material
-            One a member.
+            One per member.
         progress : callable of int, optional
             Called with the number of members finished so far.
         **settings
@@ -352,7 +352,7 @@ class Simulator:
         Parameters
         ----------
         material : Material
-            One value for all tets, or one a tet.
+            One value for all tets, or one per tet.
 
         Returns
         -------
@@ -369,9 +369,9 @@ class Simulator:
         n_points = self.n_points
         for name, values in (("young", young), ("poisson", poisson)):
             if values.shape not in ((1,), (self.mesh.n_tets,), (self.mesh.n_tets, 1), (self.mesh.n_tets, n_points)):
-                points = f" or one a quadrature point ({self.mesh.n_tets}, {n_points})" if values.ndim == 2 else ""
+                points = f" or one per quadrature point ({self.mesh.n_tets}, {n_points})" if values.ndim == 2 else ""
                 got = values.shape if values.ndim == 2 else len(values)
-                message = f"`{name}` must hold one value or one a tet ({self.mesh.n_tets}){points}, got {got}"
+                message = f"`{name}` must hold one value or one per tet ({self.mesh.n_tets}){points}, got {got}"
                 raise MaterialError(message, where=name)
         young, poisson = (v[:, 0] if v.ndim == 2 and v.shape[1] == 1 else v for v in (young, poisson))
         young, poisson = _broadcast([young, poisson])

@@ -117,7 +117,7 @@ impl Law {
         }
     }
 
-    /// The law with one modulus for all, one a tet or one a quadrature point.
+    /// The law with one modulus for all, one per tet or one per quadrature point.
     pub(super) fn material(
         &self,
         element: Element,

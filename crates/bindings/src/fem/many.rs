@@ -25,7 +25,7 @@ pub(crate) struct ManySolutions {
     /// Members without equilibrium, each with its reason.
     #[pyo3(get)]
     failed: Py<PyList>,
-    /// Work done, one entry a member; empty for one that failed.
+    /// Work done, one entry per member; empty for one that failed.
     #[pyo3(get)]
     reports: Py<PyList>,
 }
@@ -42,7 +42,7 @@ impl ManySolutions {
 pub(super) struct Members {
     materials: Vec<Material>,
     loads: Vec<Load>,
-    /// Displacements to start from: none, one for all or one a member.
+    /// Displacements to start from: none, one for all or one per member.
     starts: Vec<Vec<[f64; 3]>>,
 }
 

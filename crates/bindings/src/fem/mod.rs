@@ -187,7 +187,7 @@ impl Body {
         arrays::from_points(py, forces.map_err(|error| errors::from_fem(py, &error, None))?)
     }
 
-    /// Equilibrium under one load. Moduli: one for all, float64 (1,), one a tet, (n_tets,), or one a quadrature point,
+    /// Equilibrium under one load. Moduli: one for all, float64 (1,), one per tet, (n_tets,), or one per quadrature point,
     /// (n_tets, n_points); without a law they are those of a neo-Hookean one.
     #[pyo3(signature = (young, poisson, *, law=None, forces=None, body_force=None, prescribed=None, springs=None, start=None,
                         tolerance=1e-9, max_iterations=1000, method="auto", load_steps=0, threads=0))]
@@ -458,7 +458,7 @@ impl Body {
         })
     }
 
-    /// One row a node.
+    /// One row per node.
     fn field(&self, name: &str, rows: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
         let wanted: [&[Option<usize>]; 1] = [&[Some(self.0.n_nodes()), Some(3)]];
         Ok(View::<f64>::new(name, rows, &wanted)?.rows::<3>().to_vec())

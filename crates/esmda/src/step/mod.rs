@@ -53,7 +53,7 @@ pub enum Side {
     Smaller,
     /// A matrix with a row an observation.
     Observations,
-    /// A matrix with a row a member.
+    /// A matrix with a row per member.
     Members,
 }
 

@@ -87,7 +87,7 @@ impl NodalGradients {
         all
     }
 
-    /// Write the deformation gradients `I + h_a` of a displacement to `out`, one a node.
+    /// Write the deformation gradients `I + h_a` of a displacement to `out`, one per node.
     ///
     /// # Shapes
     ///

@@ -62,7 +62,7 @@ impl PointMap {
     ///
     /// # Shapes
     ///
-    /// `stresses` one a quadrature point, kPa; `force` `(3 n_nodes)`, mN.
+    /// `stresses` one per quadrature point, kPa; `force` `(3 n_nodes)`, mN.
     pub(crate) fn add_forces(&self, geometry: &Geometry, stresses: &[Matrix3], force: &mut [f64]) {
         match (&geometry.patches, &self.averaged) {
             (Some(patches), Some(averages)) => {

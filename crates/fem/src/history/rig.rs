@@ -153,7 +153,7 @@ impl Rig {
     ///
     /// # Shapes
     ///
-    /// `motions` one entry a pad: its translation since it was bonded, mm, or none where it is gone.
+    /// `motions` one entry per pad: its translation since it was bonded, mm, or none where it is gone.
     /// Prescribed displacements of `load` are those of the body's own held nodes.
     ///
     /// # Errors
@@ -172,7 +172,7 @@ impl Rig {
     }
 
     /// The same with the change of the displacement since the last frame that is expected, as a
-    /// similar body showed it: one row a node of the body, mm.
+    /// similar body showed it: one row per node of the body, mm.
     ///
     /// The search begins there, and where that leads nowhere as without it. A good guess saves most
     /// iterations; what is found is the same up to the tolerance.

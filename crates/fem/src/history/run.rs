@@ -77,9 +77,9 @@ struct Now {
     displacement: Vec<f64>,
     /// Loads of the last frame, `(3 n_nodes)`, mN.
     force: Vec<f64>,
-    /// One a quadrature point; shared until the end of a step.
+    /// One per quadrature point; shared until the end of a step.
     states: Arc<Vec<PointState<f64>>>,
-    /// One a point of the springs that may slip; none before the first step with such.
+    /// One per point of the springs that may slip; none before the first step with such.
     slips: Vec<Slip>,
     /// Largest norm of a load so far, mN: a residual small beside it is no force.
     largest_load: f64,

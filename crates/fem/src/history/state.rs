@@ -57,7 +57,7 @@ impl StepState {
         &self.points[element * self.n_points + point]
     }
 
-    /// End the step at these displacement gradients (one a point); false where one is inverted.
+    /// End the step at these displacement gradients (one per point); false where one is inverted.
     pub(super) fn update<M: PointModel>(
         &self,
         elastic: &M,

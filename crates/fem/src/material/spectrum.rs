@@ -14,7 +14,7 @@ use super::{Matrix3, Tangent};
 
 /// Principal stretches of a displacement gradient.
 pub(super) struct Stretches {
-    /// Axes of `C`, one a column.
+    /// Axes of `C`, one per column.
     axes: Matrix3,
     /// Eigenvalues of `C`.
     pub(super) c: [f64; 3],

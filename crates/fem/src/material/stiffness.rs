@@ -145,7 +145,7 @@ pub enum Directions {
     Uniform([f64; 3]),
     /// One a tetrahedron.
     PerTet(Vec<[f64; 3]>),
-    /// One a quadrature point, as in [`Stiffness::PerPoint`].
+    /// One per quadrature point, as in [`Stiffness::PerPoint`].
     PerPoint {
         /// Points of a tetrahedron.
         n_points: usize,

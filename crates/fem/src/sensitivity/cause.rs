@@ -12,7 +12,7 @@ use crate::surface::{Skin, Springs, SurfaceTerms};
 pub enum Cause {
     /// A parameter of the law, moved alike everywhere (a field of moduli by the same amount).
     Parameter(Parameter),
-    /// Young's modulus along a field of rates, one a quadrature point (`n_tets * n_points`): an
+    /// Young's modulus along a field of rates, one per quadrature point (`n_tets * n_points`): an
     /// inclusion or a layer is 1 where it lies.
     YoungField(Vec<f64>),
     /// Poisson's ratio along such a field.

@@ -18,7 +18,7 @@ use crate::load::check_finite;
 /// How observations of displacements follow forces and supports.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compliance {
-    /// By the force at every node, per mN: one row a node of the body, observation after observation
+    /// By the force at every node, per mN: one row per node of the body, observation after observation
     /// (`n_obs * n_nodes`); zero at held components.
     pub nodal_forces: Vec<[f64; 3]>,
     /// By the body force, per mN/mm³, one row an observation.
@@ -92,7 +92,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
     ///
     /// # Shapes
     ///
-    /// `forces` one row a node of the body, mN, field after field (`n_fields * n_nodes`); the result
+    /// `forces` one row per node of the body, mN, field after field (`n_fields * n_nodes`); the result
     /// likewise, mm, zero at held components.
     ///
     /// # Errors
@@ -129,7 +129,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
     ///
     /// # Shapes
     ///
-    /// One row a node of the body, mN over the unit of the cause, cause after cause
+    /// One row per node of the body, mN over the unit of the cause, cause after cause
     /// (`n_causes * n_nodes`).
     ///
     /// # Errors

@@ -22,7 +22,7 @@ impl HeldRows {
         Some(Self { operator, parts: body.reaction_parts() })
     }
 
-    /// Products with displacements, one row a node, column after column, as reactions, one row a held
+    /// Products with displacements, one row per node, column after column, as reactions, one row a held
     /// node, column after column.
     pub(super) fn products(&self, body: &Body, columns: &[[f64; 3]], n: usize) -> Vec<[f64; 3]> {
         let mut reactions = Vec::with_capacity(n * body.held_nodes().len());
@@ -37,7 +37,7 @@ impl HeldRows {
         reactions
     }
 
-    /// [`Body::reactions`] of forces, one row a node.
+    /// [`Body::reactions`] of forces, one row per node.
     pub(super) fn gathered(&self, body: &Body, forces: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let mut rows = vec![[0.0; 3]; body.held_nodes().len()];
         for &(place, node, share) in &self.parts {

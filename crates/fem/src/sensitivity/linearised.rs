@@ -85,7 +85,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
     ///
     /// # Shapes
     ///
-    /// `displacement` one row a node of the body, mm: the answer of a solve with this material and
+    /// `displacement` one row per node of the body, mm: the answer of a solve with this material and
     /// load. Of the settings, threads and the cancel flag count.
     ///
     /// # Errors

@@ -14,7 +14,7 @@ const EQUILIBRIUM: f64 = 1e-6;
 /// How an equilibrium follows a cause.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Derivative {
-    /// Of the displacement, one row a node of the body, mm over the unit of the cause.
+    /// Of the displacement, one row per node of the body, mm over the unit of the cause.
     pub displacement: Vec<[f64; 3]>,
     /// Of the reactions, one row a held node, mN over the unit of the cause.
     pub reactions: Vec<[f64; 3]>,

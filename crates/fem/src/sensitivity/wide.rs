@@ -16,13 +16,13 @@ use crate::system::{WIDE, WIDE_SINGLE};
 pub(super) enum Columns<'a> {
     /// Components with their values, column by column.
     Sparse(&'a [Vec<(usize, f64)>]),
-    /// Rows of three, one a node of the body, column after column.
+    /// Rows of three, one per node of the body, column after column.
     Dense(&'a [[f64; 3]]),
 }
 
 /// What solutions for many right-hand sides are.
 pub(super) struct Solutions {
-    /// `K_ff⁻¹ b_f` at all nodes with zeros at held ones, one row a node, column after column.
+    /// `K_ff⁻¹ b_f` at all nodes with zeros at held ones, one row per node, column after column.
     pub(super) at_nodes: Vec<[f64; 3]>,
     /// `(K x)` at held nodes as reactions, one row a held node, column after column; empty where not
     /// wanted.

@@ -34,7 +34,7 @@ const LARGEST_SQUARE: f64 = 30.0;
 
 const IDENTITY: Matrix3 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-/// Maps from where a factor was made to where it is used, one a node.
+/// Maps from where a factor was made to where it is used, one per node.
 #[derive(Debug, Default)]
 pub(super) struct Carrier {
     maps: Vec<Matrix3>,

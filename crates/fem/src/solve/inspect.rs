@@ -13,7 +13,7 @@ use crate::system::factor::{Entries, Factor, Making};
 ///
 /// # Shapes
 ///
-/// `displacement` one row a node of the body, mm; the result one row a node, mN. At held nodes
+/// `displacement` one row per node of the body, mm; the result one row per node, mN. At held nodes
 /// they are the reactions of a body without load.
 ///
 /// # Errors
@@ -71,7 +71,7 @@ pub fn internal_forces(
 ///
 /// # Shapes
 ///
-/// `displacement` one row a node of the body, mm; the result likewise for each set of springs, mN.
+/// `displacement` one row per node of the body, mm; the result likewise for each set of springs, mN.
 ///
 /// # Errors
 ///
@@ -93,7 +93,7 @@ pub fn spring_forces(
 ///
 /// # Shapes
 ///
-/// `displacement` one row a node of the body, mm.
+/// `displacement` one row per node of the body, mm.
 ///
 /// # Errors
 ///

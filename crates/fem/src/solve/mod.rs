@@ -96,7 +96,7 @@ pub fn solve(
 ///
 /// # Shapes
 ///
-/// `start` one row a node of the body, mm. Its held nodes are moved to where the load has them.
+/// `start` one row per node of the body, mm. Its held nodes are moved to where the load has them.
 ///
 /// # Errors
 ///

@@ -11,7 +11,7 @@ pub struct Solution {
     /// Force that the support exerts at each held node, mN, in the order in which held nodes were
     /// given; zero along axes that are not held.
     pub reactions: Vec<[f64; 3]>,
-    /// Forces of each set of springs of the load on the body, mN: one row a node of the body.
+    /// Forces of each set of springs of the load on the body, mN: one row per node of the body.
     pub spring_forces: Vec<Vec<[f64; 3]>>,
     /// Work done.
     pub report: SolveReport,

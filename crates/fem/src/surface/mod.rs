@@ -126,7 +126,7 @@ impl SurfaceTerms {
         points.zip(slips).for_each(|(point, slip)| *point = *slip);
     }
 
-    /// Forces of each set of springs on the body, one row a node, mN.
+    /// Forces of each set of springs on the body, one row per node, mN.
     pub(crate) fn spring_forces(&self, displacement: &[f64]) -> Vec<Vec<[f64; 3]>> {
         self.springs
             .iter()

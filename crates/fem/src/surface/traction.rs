@@ -18,7 +18,7 @@ impl Body {
     /// # Shapes
     ///
     /// `triangles` one row of three corner nodes a facet, in any order; `traction` one row a
-    /// facet, kPa; the result one row a node of the body.
+    /// facet, kPa; the result one row per node of the body.
     ///
     /// # Errors
     ///

@@ -192,7 +192,7 @@ impl Fronts {
 ///
 /// # Shapes
 ///
-/// `free_axes` bits of the free axes of each vertex; `vertex_of_node` one entry a node, [`NONE`]
+/// `free_axes` bits of the free axes of each vertex; `vertex_of_node` one entry per node, [`NONE`]
 /// where all axes are held.
 pub(super) fn analyse(
     graph: &Graph,

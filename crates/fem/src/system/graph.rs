@@ -14,7 +14,7 @@ impl Graph {
     ///
     /// # Shapes
     ///
-    /// `vertex` one entry a node, `u32::MAX` for nodes that are no vertex.
+    /// `vertex` one entry per node, `u32::MAX` for nodes that are no vertex.
     pub(super) fn of_cliques(cliques: Cliques, vertex: &[u32], n_vertices: usize) -> Self {
         let mut own = vec![0usize; n_vertices + 1];
         for &node in cliques.nodes() {

@@ -19,7 +19,7 @@ impl Operator {
     ///
     /// # Shapes
     ///
-    /// `wanted` one entry a node.
+    /// `wanted` one entry per node.
     pub(crate) fn new(cliques: Cliques, matrix: &impl Blocks, wanted: &[bool]) -> Option<Self> {
         let mut own = Self::pattern(cliques, wanted);
         let mut row_of = vec![u32::MAX; wanted.len()];

@@ -21,7 +21,7 @@ impl Pattern {
     ///
     /// # Shapes
     ///
-    /// `points` and `held` one row a node.
+    /// `points` and `held` one row per node.
     ///
     /// # Errors
     ///

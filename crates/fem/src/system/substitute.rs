@@ -42,7 +42,7 @@ impl Factor {
         self.solve_wide_into(fronts, scale, rhs, out, scratch, parallel);
     }
 
-    /// The same for `W` right-hand sides, one a column. The bits of a column do not depend on the
+    /// The same for `W` right-hand sides, one per column. The bits of a column do not depend on the
     /// others, as long as there are others.
     pub(crate) fn solve_wide_into<const W: usize>(
         &self,

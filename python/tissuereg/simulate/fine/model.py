@@ -129,8 +129,8 @@ class FineModel:
         Returns
         -------
         dict of str to CaseSimulation
-            One a case, in the experiment's order: its frames, its markers, its targets. Displacements are those of the
-            nodes of the experiment's mesh, where they lie in it.
+            One per case, in the experiment's order, with its frames, markers and targets. Displacements are those of
+            the nodes of the experiment's mesh, at their places in it.
 
         Raises
         ------

@@ -10,7 +10,7 @@ use crate::material::Parameter;
 /// A cause, checked.
 pub(super) struct Followed<'a> {
     pub(super) cause: &'a FrameCause,
-    /// Rates of the load, one a frame or one for all.
+    /// Rates of the load, one per frame or one for all.
     loads: &'a [Load],
 }
 

@@ -23,7 +23,7 @@ impl Rig {
     ///
     /// # Shapes
     ///
-    /// One entry a cause, each with one a frame. Of the settings, threads and the cancel flag count.
+    /// One entry per cause, each with one per frame. Of the settings, threads and the cancel flag count.
     ///
     /// # Errors
     ///
@@ -145,7 +145,7 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// Nodal forces of `Ṗ` at fixed displacement, one a cause; empty where there are none.
+    /// Nodal forces of `Ṗ` at fixed displacement, one per cause; empty where there are none.
     fn point_forces(
         &self,
         causes: &[Followed],

@@ -38,10 +38,10 @@ pub enum FrameCause {
     Always(Cause),
     /// A number of the behaviour.
     Behaviour(BehaviourParameter),
-    /// Loads along other ones, one a frame: forces, body force and prescribed displacements as
+    /// Loads along other ones, one per frame: forces, body force and prescribed displacements as
     /// rates. Springs must be left out.
     Loads(Vec<Load>),
-    /// The motion of a pad along another one, one row a frame, mm over the unit of the cause. Rows of
+    /// The motion of a pad along another one, one row per frame, mm over the unit of the cause. Rows of
     /// frames in which it is gone do not count.
     Motion {
         /// Its number.
@@ -54,7 +54,7 @@ pub enum FrameCause {
 /// How one frame follows a cause.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameDerivative {
-    /// Of the displacement, one row a node of the body, mm over the unit of the cause.
+    /// Of the displacement, one row per node of the body, mm over the unit of the cause.
     pub displacement: Vec<[f64; 3]>,
     /// Of the reactions of the body's own held nodes, mN over the unit of the cause.
     pub reactions: Vec<[f64; 3]>,
