@@ -1,5 +1,6 @@
 """Tracked markers: reference position on the undeformed body, measured position, and its standard deviation."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -141,7 +142,7 @@ def _check_names(names: tuple[str, ...], n_markers: int) -> None:
     if len(names) != n_markers:
         message = f"`names` must hold one name a marker ({n_markers}), got {len(names)}"
         raise MarkerError(message, where="names")
-    repeated = sorted({name for name in names if names.count(name) > 1})
+    repeated = sorted(name for name, times in Counter(names).items() if times > 1)
     if repeated:
         message = f"marker names must be unique, repeated: {', '.join(repeated)}"
         raise MarkerError(message, where="names")

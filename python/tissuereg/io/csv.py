@@ -1,18 +1,20 @@
 """Checked reading of comma-separated tables: header, number of cells, numbers, each fault by line."""
 
 import csv
+import io
 import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tissuereg.errors import FormatError
 from tissuereg.io.atomic import atomic_file
-from tissuereg.io.npz import existing_file
+from tissuereg.io.bounds import TABLE_MB, bounded_stream, existing_file
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Row:
     """One line of a table.
 
@@ -109,7 +111,9 @@ class Row:
         return tuple(self.number(column, may_miss=may_miss) for column in columns)
 
 
-def read_table(path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()) -> list[Row]:
+def read_table(
+    path: str | os.PathLike[str], columns: Sequence[str], optional: Sequence[str] = (), *, most_rows: int | None = None
+) -> list[Row]:
     """Read a table with a header line.
 
     Parameters
@@ -120,6 +124,8 @@ def read_table(path: str | os.PathLike[str], columns: Sequence[str], optional: S
         Columns that must be there, in any order.
     optional : sequence of str
         Columns that may be there.
+    most_rows : int, optional
+        Rows that there may be; no further ones are read.
 
     Returns
     -------
@@ -129,23 +135,40 @@ def read_table(path: str | os.PathLike[str], columns: Sequence[str], optional: S
     Raises
     ------
     FormatError
-        If the file is missing, no text, has another header, a line of another length, or no line at all.
+        If the file is missing, too large or too long, no text, has another header, a line of another length, or no
+        line at all.
     """
-    file = existing_file(path)
+    file = existing_file(path, TABLE_MB)
     try:
-        with file.open(encoding="utf-8-sig", newline="") as handle:
-            reader = csv.reader(handle, strict=True)
-            lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+        with io.TextIOWrapper(bounded_stream(file, TABLE_MB), encoding="utf-8-sig", newline="") as handle:
+            return _rows(file, csv.reader(handle, strict=True), columns, optional, most_rows)
     except (UnicodeDecodeError, csv.Error, OSError) as error:
         message = f"{file} must be a table in comma-separated UTF-8 text; it cannot be read: {error}"
         raise FormatError(message, where=str(file)) from error
-    lines = [(number, cells) for number, cells in lines if any(cells)]
-    header = lines[0][1] if lines else []
-    _check_header(file, header, columns, optional)
-    if len(lines) == 1:
+
+
+def _rows(file: Path, reader: Any, columns: Sequence[str], optional: Sequence[str], most_rows: int | None) -> list[Row]:
+    """Return the rows; reading ends at the first that cannot be one."""
+    header: list[str] | None = None
+    rows: list[Row] = []
+    for line in reader:
+        cells = [cell.strip() for cell in line]
+        if not any(cells):
+            continue
+        if header is None:
+            header = cells
+            _check_header(file, header, columns, optional)
+        elif len(rows) == most_rows:
+            message = f"{file} must hold at most {most_rows} rows; more follow at line {reader.line_num}"
+            raise FormatError(message, where=f"{file}:{reader.line_num}")
+        else:
+            rows.append(_row(file, reader.line_num, header, cells))
+    if header is None:
+        _check_header(file, [], columns, optional)
+    if not rows:
         message = f"{file} must hold at least one row below its header"
         raise FormatError(message, where=str(file))
-    return [_row(file, number, header, cells) for number, cells in lines[1:]]
+    return rows
 
 
 def write_table(path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

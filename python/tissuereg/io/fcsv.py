@@ -1,13 +1,14 @@
 """Fiducials of 3D Slicer as text (``.fcsv``): comment lines with frame and columns, then one point a line, mm."""
 
 import csv
+import io
 import math
 import os
 import re
 from pathlib import Path
 
 from tissuereg.errors import FormatError
-from tissuereg.io.npz import existing_file
+from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
 from tissuereg.io.points import NamedPoints
 
 _COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
@@ -39,10 +40,9 @@ def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
     FormatError
         If the file is missing, does not say its frame, or a line is not a point; the message names the line.
     """
-    file = existing_file(path)
+    file = existing_file(path, TEXT_MB)
     try:
-        with file.open(encoding="utf-8-sig", newline="") as handle:
-            lines = [line.rstrip("\r\n") for line in handle]
+        lines = [line.rstrip("\r\n") for line in io.StringIO(read_text(file), newline="")]
     except (UnicodeDecodeError, OSError) as error:
         message = f"{file} must be fiducials in UTF-8 text; it cannot be read: {error}"
         raise FormatError(message, where=str(file)) from error

@@ -16,9 +16,10 @@ import numpy.typing as npt
 from tissuereg._arrays import IntArray, float_array
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
+from tissuereg.io.bounds import existing_file, mesh_file
 from tissuereg.io.foreign import MESHIO_MODULES, hushed, meshio_content
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule
-from tissuereg.io.npz import Archive, existing_file, open_npz
+from tissuereg.io.npz import Archive, open_npz
 from tissuereg.io.surfaces import SURFACE_READERS
 from tissuereg.mesh import Mesh
 
@@ -155,7 +156,7 @@ def _from_npz(file: Path) -> Mesh:
 
 
 def _from_meshio(file: Path) -> Mesh:
-    content = meshio_content(file, "a mesh")
+    content = meshio_content(mesh_file(file, "mesh"), "a mesh")
     _refuse_other_cells(file, [block.type for block in content.cells], np.asarray(content.points))
     corners = [_corners(block) for block in content.cells if block.type in _TET_CELLS]
     tets = np.concatenate(corners).astype(np.int64)

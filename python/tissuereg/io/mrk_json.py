@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 from tissuereg._arguments import place as path_of
 from tissuereg.errors import FormatError
 from tissuereg.io.atomic import OutputError
+from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
 from tissuereg.io.json import write_json
-from tissuereg.io.npz import existing_file
 from tissuereg.io.points import MM_PER_UNIT, NamedPoints
 from tissuereg.mesh import PATIENT_FRAMES
 
@@ -44,7 +44,7 @@ def read_mrk_json(path: str | os.PathLike[str]) -> NamedPoints:
     FormatError
         If the file is missing or no such list; the message names the place in it.
     """
-    file = existing_file(path)
+    file = existing_file(path, TEXT_MB)
     markup = _only_list(file, _content(file))
     frame = markup.get("coordinateSystem", "LPS")
     if frame not in PATIENT_FRAMES:
@@ -99,7 +99,7 @@ def write_mrk_json(
 def _content(file: Path) -> dict[str, Any]:
     try:
         # Whole numbers of any length become floats: none is counted here.
-        content = json.loads(file.read_text(encoding="utf-8-sig"), parse_int=float)
+        content = json.loads(read_text(file), parse_int=float)
     except json.JSONDecodeError as error:
         message = f"{file} must be JSON; it is not, at line {error.lineno} column {error.colno}: {error.msg}"
         raise FormatError(message, where=f"{file}:{error.lineno}") from error

@@ -11,10 +11,10 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._arguments import place
 from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
 from tissuereg.errors import FormatError, ShapeError
 from tissuereg.io.atomic import atomic_file
+from tissuereg.io.bounds import MESH_MB, existing_file, too_large
 
 #: What numpy and zipfile raise on spoilt archives.
 _SPOILT = (
@@ -153,10 +153,13 @@ def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
     Raises
     ------
     FormatError
-        If there is no such file, or if it is no archive of numpy arrays.
+        If there is no such file, if it is no archive of numpy arrays, or if it is too large as it is or unpacked.
     """
-    file = existing_file(path)
+    file = existing_file(path, MESH_MB)
     with file.open("rb") as handle, _loaded(file, handle) as arrays:
+        unpacked = sum(one.file_size for one in arrays.zip.infolist())
+        if unpacked > MESH_MB * 1_000_000:
+            raise too_large(file, MESH_MB, f"unpacked it has {unpacked / 1e6:.0f} MB")
         yield Archive(file, arrays)
 
 
@@ -187,34 +190,3 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
     with atomic_file(path) as temporary, temporary.open("wb") as handle:
         content: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
         np.savez(handle, **content)
-
-
-def existing_file(path: str | os.PathLike[str]) -> Path:
-    """Return `path` if it is a file that can be read.
-
-    Parameters
-    ----------
-    path : path-like
-        Name of the file.
-
-    Returns
-    -------
-    Path
-        The same.
-
-    Raises
-    ------
-    FormatError
-        If it does not exist, is a folder or may not be read.
-    """
-    file = place("path", path, error=FormatError)
-    if file.is_dir():
-        message = f"a file is needed, got the folder {file}"
-        raise FormatError(message, where=str(file))
-    if not file.exists():
-        message = f"no such file: {file}"
-        raise FormatError(message, where=str(file))
-    if not os.access(file, os.R_OK):
-        message = f"{file} must be readable; permission was denied"
-        raise FormatError(message, where=str(file))
-    return file

@@ -18,8 +18,8 @@ from tissuereg._arguments import place as path_of
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._choice import check_choice
 from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, UnitError
+from tissuereg.io.bounds import existing_file, mesh_file
 from tissuereg.io.foreign import MESHIO_MODULES, meshio_content, reading
-from tissuereg.io.npz import existing_file
 from tissuereg.triangles import Triangles
 
 #: What may be given as a surface: a file, or vertices (n, 3) and triangles (m, 3).
@@ -105,11 +105,13 @@ def _content(file: Path) -> tuple[FloatArray, IntArray]:
     if reader is None:
         message = f"a surface file must be one of {', '.join(SURFACE_READERS)}, got '{file.name}'"
         raise FormatError(message, where=str(file))
-    return reader(file)
+    return reader(mesh_file(file, "surface"))
 
 
 def _of_stl(file: Path) -> tuple[FloatArray, IntArray]:
-    return _joined(*_by_trimesh(file))
+    vertices, triangles = _by_trimesh(file)
+    # Coordinates that are not finite are refused by the caller; joining them would take long.
+    return _joined(vertices, triangles) if np.isfinite(vertices).all() else (vertices, triangles)
 
 
 def _by_trimesh(file: Path) -> tuple[FloatArray, IntArray]:

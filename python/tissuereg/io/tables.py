@@ -19,6 +19,9 @@ from tissuereg.mesh import PATIENT_FRAMES
 #: Standard deviation of a measured coordinate, mm, where nobody says one.
 DEFAULT_STD = 0.1
 
+#: Markers or targets of one moment that a table may hold; a cloud of points is a surface (`read_surface`).
+MOST_POINTS = 10_000
+
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _MOVED = ("moved_x_mm", "moved_y_mm", "moved_z_mm")
 _STD = ("std_x_mm", "std_y_mm", "std_z_mm")
@@ -74,7 +77,7 @@ def read_markers(
     if measured is not None:
         message = f"a table of markers holds where they were seen itself; {measured} must be left out beside {path}"
         raise FormatError(message, where=str(measured))
-    rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm", *_STD))
+    rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm", *_STD), most_rows=MOST_POINTS)
     names = _unique_names(rows, "marker")
     spread = [_own_std(row, usual) for row in rows]
     reference = np.array([row.numbers(_PLACE) for row in rows])
@@ -116,7 +119,7 @@ def read_targets(
     _check_frames(frame, table_frame)
     if is_point_file(path):
         return targets_of(path, frame)
-    rows = read_table(path, ("target", *_PLACE))
+    rows = read_table(path, ("target", *_PLACE), most_rows=MOST_POINTS)
     names = _unique_names(rows, "target")
     places = turned(np.array([row.numbers(_PLACE) for row in rows]), table_frame, frame)
     return dict(zip(names, places, strict=True))

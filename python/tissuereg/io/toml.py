@@ -12,7 +12,7 @@ import numpy as np
 from tissuereg._arguments import place
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import ExperimentError, FormatError
-from tissuereg.io.npz import existing_file
+from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -357,13 +357,12 @@ def read_toml(path: str | os.PathLike[str]) -> Table:
     ExperimentError
         If it is no TOML; the message has the line.
     FormatError
-        If there is no such file.
+        If there is no such file, or it is too large.
     """
-    file = existing_file(path)
+    file = existing_file(path, TEXT_MB)
     try:
-        with file.open("rb") as handle:
-            return Table(file, "", tomllib.load(handle))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        return Table(file, "", tomllib.loads(read_text(file)))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, RecursionError) as error:
         message = f"{file} must be a TOML file; it cannot be read: {error}"
         raise ExperimentError(message, where=str(file)) from error
 

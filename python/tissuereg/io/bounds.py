@@ -1,0 +1,185 @@
+"""What a file must be before it is read: there, no larger than its kind may be, and with the head of its kind.
+
+The sizes bound memory and time whatever a file holds; they stand in ``docs/files.md``. While it is read, a table takes
+up to forty times its size in memory, a mesh up to ten times.
+"""
+
+import io
+import os
+from pathlib import Path
+from typing import BinaryIO
+
+from tissuereg._arguments import place
+from tissuereg.errors import FormatError
+
+#: Largest sizes in MB (1e6 bytes): tables; lists of points, TOML and model cards; meshes, surfaces and archives.
+TABLE_MB, TEXT_MB, MESH_MB = 64, 16, 256
+
+#: How a file of each suffix begins, white space apart.
+_HEADS = {
+    ".vtu": (b"<?xml", b"<VTKFile", b"<!--"),
+    ".vtp": (b"<?xml", b"<VTKFile", b"<!--"),
+    ".vtk": (b"# vtk DataFile",),
+    ".msh": (b"$MeshFormat", b"$Comments"),
+    ".ply": (b"ply",),
+}
+_TEXT = (".obj", ".off")
+_HEAD_BYTES = 4096
+_BINARY_STL_HEAD, _BINARY_STL_ROW = 84, 50
+
+
+def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> Path:
+    """Return `path` if it is a file that can be read.
+
+    Parameters
+    ----------
+    path : path-like
+        Name of the file.
+    most_mb : int, optional
+        Largest size, MB.
+
+    Returns
+    -------
+    Path
+        The same.
+
+    Raises
+    ------
+    FormatError
+        If it does not exist, is a folder, may not be read or is larger.
+    """
+    file = place("path", path, error=FormatError)
+    if file.is_dir():
+        message = f"a file is needed, got the folder {file}"
+        raise FormatError(message, where=str(file))
+    if not file.exists():
+        message = f"no such file: {file}"
+        raise FormatError(message, where=str(file))
+    if not os.access(file, os.R_OK):
+        message = f"{file} must be readable; permission was denied"
+        raise FormatError(message, where=str(file))
+    if most_mb is not None and file.stat().st_size > most_mb * 1_000_000:
+        raise too_large(file, most_mb, f"it has {file.stat().st_size / 1e6:.0f} MB")
+    return file
+
+
+def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
+    """Return `path` if it is a mesh or surface of at most `MESH_MB` that begins as its suffix promises.
+
+    Parameters
+    ----------
+    path : path-like
+        Name of the file.
+    what : str
+        What it is read as, for messages: ``"mesh"`` or ``"surface"``.
+
+    Returns
+    -------
+    Path
+        The same.
+
+    Raises
+    ------
+    FormatError
+        If it is no file, too large, or begins otherwise; nothing but the head is read for that.
+    """
+    file = existing_file(path, MESH_MB)
+    suffix = file.suffix.lower()
+    with file.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    begin = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    rule = None
+    if suffix in _HEADS and not begin.startswith(_HEADS[suffix]):
+        rule = "begin with " + " or ".join(f"'{one.decode()}'" for one in _HEADS[suffix])
+    elif suffix == ".stl" and begin[:5].lower() != b"solid":
+        rule = _rule_of_binary_stl(head, file.stat().st_size)
+    elif suffix in _TEXT and not _is_text(head):
+        rule = "be text"
+    if rule is not None:
+        message = f"{file} must be a {what} of the kind that its name says ({suffix}) and {rule}, got {begin[:24]!r}"
+        raise FormatError(message, where=str(file))
+    return file
+
+
+def bounded_stream(file: Path, most_mb: int) -> BinaryIO:
+    """Open a file whose size cannot be known beforehand, such as a pipe, for reading up to a bound.
+
+    Parameters
+    ----------
+    file : Path
+        From `existing_file`.
+    most_mb : int
+        Largest size, MB.
+
+    Returns
+    -------
+    binary stream
+        Raises `FormatError` when it is read beyond the bound.
+    """
+    return io.BufferedReader(_Bounded(file, most_mb))
+
+
+def read_text(file: Path, most_mb: int = TEXT_MB) -> str:
+    """Return the whole text of a file.
+
+    Parameters
+    ----------
+    file : Path
+        UTF-8, with or without byte order mark.
+    most_mb : int
+        Largest size, MB.
+
+    Returns
+    -------
+    str
+        Line ends as they stand.
+
+    Raises
+    ------
+    FormatError
+        If it is larger.
+    UnicodeDecodeError, OSError
+        If it is no such text, or cannot be read.
+    """
+    with bounded_stream(file, most_mb) as stream:
+        return stream.read().decode("utf-8-sig")
+
+
+def too_large(file: Path, most_mb: int, found: str) -> FormatError:
+    """Return the error that says that a file is larger than its kind may be."""
+    message = f"{file} must have at most {most_mb} MB, {found}; docs/files.md states the sizes"
+    return FormatError(message, where=str(file))
+
+
+class _Bounded(io.RawIOBase):
+    def __init__(self, file: Path, most_mb: int) -> None:
+        super().__init__()
+        self._file, self._most_mb, self._left = file, most_mb, most_mb * 1_000_000
+        self._raw = io.FileIO(file)
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: "memoryview") -> int:  # type: ignore[override]
+        read = self._raw.readinto(buffer) or 0
+        self._left -= read
+        if self._left < 0:
+            raise too_large(self._file, self._most_mb, "it has more")
+        return read
+
+    def close(self) -> None:
+        self._raw.close()
+        super().close()
+
+
+def _rule_of_binary_stl(head: bytes, size: int) -> str | None:
+    """Return what a binary .stl must do that this one does not; its length follows from the number of triangles."""
+    n_triangles = int.from_bytes(head[_BINARY_STL_HEAD - 4 : _BINARY_STL_HEAD], "little")
+    whole = _BINARY_STL_HEAD + _BINARY_STL_ROW * n_triangles
+    if len(head) >= _BINARY_STL_HEAD and size == whole:
+        return None
+    return f"begin with 'solid', or be as long as its number of triangles asks ({whole} bytes, it has {size})"
+
+
+def _is_text(head: bytes) -> bool:
+    return not any(byte < 32 and byte not in b"\t\n\r\f\v" for byte in head) and 127 not in head
