@@ -90,7 +90,12 @@ impl Contacts {
         starts: Option<[Bound<'_, PyAny>; 3]>,
         threads: usize,
     ) -> PyResult<(Rows<'py>, Bound<'py, PyArray2<f64>>, Bound<'py, PyDict>)> {
-        let settings = ChainSettings { powers, n_kept, sharpness, n_local, n_level };
+        let settings = ChainSettings::default()
+            .with_powers(powers)
+            .with_n_kept(n_kept)
+            .with_sharpness(sharpness)
+            .with_n_local(n_local)
+            .with_n_level(n_level);
         let uniforms = View::<f64>::new("uniforms", uniforms, &[&[None, None]])?;
         let starts = starts.map(|rows| configurations(&rows)).transpose()?.unwrap_or_default();
         let uniforms = uniforms.matrix();
@@ -109,13 +114,12 @@ impl Contacts {
 
     /// Uniform numbers that a chain takes.
     fn n_uniforms(&self, n_sweeps: usize, n_local: usize, n_level: usize) -> usize {
-        let settings = ChainSettings {
-            powers: vec![1.0; n_sweeps],
-            n_kept: 1,
-            sharpness: 1.0,
-            n_local,
-            n_level,
-        };
+        let settings = ChainSettings::default()
+            .with_powers(vec![1.0; n_sweeps])
+            .with_n_kept(1)
+            .with_sharpness(1.0)
+            .with_n_local(n_local)
+            .with_n_level(n_level);
         self.0.n_uniforms(&settings)
     }
 

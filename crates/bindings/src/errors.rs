@@ -148,20 +148,7 @@ pub(crate) fn from_fem(py: Python<'_>, error: &FemError, member: Option<usize>) 
         }
         E::InvertedStart { tet, .. } => details.set_item("tet", tet),
         E::NoEquilibrium(failure) => details.set_item("report", report::of_failure(py, failure)?),
-        E::EmptyMesh { .. }
-        | E::SingularStiffness { .. }
-        | E::TooLarge { .. }
-        | E::BadLaw { .. }
-        | E::WrongLength { .. }
-        | E::BadSetting { .. }
-        | E::BadParameter { .. }
-        | E::TimeRunsBack { .. }
-        | E::NoRestShape { .. }
-        | E::NotInEquilibrium { .. }
-        | E::NotStable { .. }
-        | E::NothingRecorded
-        | E::NoSuchCause { .. }
-        | E::Cancelled => Ok(()),
+        _ => Ok(()),
     })
 }
 
@@ -212,6 +199,8 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
             (Class::Convergence, worst.map(|worst| format!("tet {}", worst.tet)))
         }
         E::NothingRecorded | E::Cancelled => (Class::Base, None),
+        // A variant that is newer than this list; `tests/layout` fails for it.
+        _ => (Class::Base, None),
     }
 }
 
@@ -242,6 +231,7 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
             (Class::Ensemble, Some(format!("predicted, member {column}")))
         }
         E::TooFewMembers { .. } | E::NoConvergence { .. } => (Class::Ensemble, None),
+        _ => (Class::Base, None),
     };
     raise_with(py, class, &error.to_string(), place.as_deref(), |details| match error {
         E::TooFewMembers { dropped, .. } => {
@@ -258,10 +248,11 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
 pub(crate) fn from_contacts(py: Python<'_>, error: &ContactsError) -> PyErr {
     use ContactsError as E;
     let (class, place) = match error {
-        E::Shape { argument, .. } | E::Index { argument, .. } => (Class::Shape, *argument),
-        E::NotFinite { argument: "innovation", .. } => (Class::Marker, "innovation"),
-        E::NotFinite { argument, .. } | E::Range { argument, .. } => (Class::Base, *argument),
-        E::NotPositiveDefinite { .. } => (Class::Noise, "noise"),
+        E::Shape { argument, .. } | E::Index { argument, .. } => (Class::Shape, Some(*argument)),
+        E::NotFinite { argument: "innovation", .. } => (Class::Marker, Some("innovation")),
+        E::NotFinite { argument, .. } | E::Range { argument, .. } => (Class::Base, Some(*argument)),
+        E::NotPositiveDefinite { .. } => (Class::Noise, Some("noise")),
+        _ => (Class::Base, None),
     };
-    raise(py, class, &error.to_string(), Some(place))
+    raise(py, class, &error.to_string(), place)
 }

@@ -127,7 +127,7 @@ impl Step {
         let (y, d, e, noise) =
             (predicted.matrix(), observed.slice(), draws.matrix(), &noise.get().0);
         let prepared = lock::run_released(py, threads, |par| {
-            let settings = StepSettings { par, ..StepSettings::default() };
+            let settings = StepSettings::default().with_par(par);
             step::Step::prepare(y, d, noise, alpha, e, &settings)
         });
         prepared.map(|step| Self { step, threads }).map_err(|error| errors::from_esmda(py, &error))
@@ -149,7 +149,7 @@ impl Step {
         let observed = View::<f64>::new("observed", observed, &[&[Some(n_obs)]])?;
         let (y, d, noise) = (predicted.matrix(), observed.slice(), &noise.get().0);
         let prepared = lock::run_released(py, threads, |par| {
-            let settings = StepSettings { par, ..StepSettings::default() };
+            let settings = StepSettings::default().with_par(par);
             step::Step::prepare_square_root(y, d, noise, alpha, &settings)
         });
         prepared.map(|step| Self { step, threads }).map_err(|error| errors::from_esmda(py, &error))

@@ -24,7 +24,12 @@ fn organ(criterion: &mut Criterion) {
         ("steps", vec![1.0], 20, 0),
         ("levels", vec![1.0], 0, 20),
     ] {
-        let alone = ChainSettings { powers, n_kept: 1, n_local, n_level, ..settings.clone() };
+        let alone = settings
+            .clone()
+            .with_powers(powers)
+            .with_n_kept(1)
+            .with_n_local(n_local)
+            .with_n_level(n_level);
         group.bench_function(name, |b| b.iter(|| run(black_box(&problem), &alone, 16, Par::Seq)));
     }
     group.bench_function("run", |b| b.iter(|| run(&problem, black_box(&settings), 16, Par::Seq)));

@@ -3,11 +3,7 @@
 //!
 //! `cargo run --example who_pushed`: dictionary, prior, chains and moments.
 
-#[path = "../tests/common/mod.rs"]
-mod common;
-
-use common::run;
-use faer::{Mat, Par};
+use tissuereg_contacts::faer::{Mat, Par};
 use tissuereg_contacts::{
     ChainSettings, Configuration, ContactsError, Dictionary, Observed, Patch, Prior, Problem, Wrong,
 };
@@ -16,6 +12,19 @@ const N_PLACES: usize = 30;
 const BEADS: [f64; 5] = [0.1, 0.3, 0.45, 0.7, 0.9];
 const STD: f64 = 0.02; // mm
 const PUSH: (usize, [f64; 3]) = (17, [0.0, 3.0, -1.0]);
+
+/// Numbers in [0, 1), the same in every run (SplitMix64).
+struct Uniforms(u64);
+
+impl Uniforms {
+    fn draw(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
 
 /// How far the cord moves at one place, mm, by a unit push at another.
 fn cord(at: f64, pushed: f64) -> f64 {
@@ -51,7 +60,11 @@ fn found() -> Result<(f64, [f64; 3], f64), ContactsError> {
     };
     let problem =
         Problem::new(Dictionary::new(columns, patches)?, prior, Observed { innovation, noise })?;
-    let samples = run(&problem, &ChainSettings::default(), 16, Par::Seq).samples;
+    let settings = ChainSettings::default();
+    // Chance is an argument: one row a chain, by any generator of uniform numbers.
+    let mut numbers = Uniforms(1);
+    let uniforms = Mat::from_fn(16, problem.n_uniforms(&settings), |_, _| numbers.draw());
+    let samples = problem.run(&settings, uniforms.as_ref(), &[], Par::Seq)?.samples;
     let samples: Vec<Configuration> = samples.into_iter().map(|s| s.configuration).collect();
     let near = samples.iter().filter(|s| s.slots[0].is_some_and(|c| c.patch.abs_diff(PUSH.0) <= 1));
     let share = near.count() as f64 / samples.len() as f64;

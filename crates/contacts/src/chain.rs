@@ -15,6 +15,7 @@ use crate::{ChainSettings, Problem};
 
 /// How often steps were tried and taken.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Counters {
     /// Tables of all contents of a slot.
     pub tables: usize,

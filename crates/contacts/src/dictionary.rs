@@ -26,7 +26,7 @@ pub struct Patch {
 /// # Examples
 ///
 /// ```
-/// use faer::Mat;
+/// use tissuereg_contacts::faer::Mat;
 /// use tissuereg_contacts::{Dictionary, Patch};
 ///
 /// let dictionary = Dictionary::new(Mat::identity(6, 6), vec![Patch::default(); 2])?;

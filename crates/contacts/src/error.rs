@@ -5,13 +5,14 @@
 /// # Examples
 ///
 /// ```
-/// use faer::Mat;
+/// use tissuereg_contacts::faer::Mat;
 /// use tissuereg_contacts::{ContactsError, Dictionary};
 ///
 /// let error = Dictionary::new(Mat::zeros(5, 4), vec![Default::default(); 2]).unwrap_err();
 /// assert_eq!(error, ContactsError::Shape { argument: "columns", wanted: 6, found: 4 });
 /// ```
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum ContactsError {
     /// An array does not have the size that the others ask for.
     #[error("`{argument}` must have {wanted} entries along its free axis, got {found}")]

@@ -15,7 +15,7 @@
 //! Two patches, six observations; the second patch has been moved by 2 along its first direction:
 //!
 //! ```
-//! use faer::{Mat, Par};
+//! use tissuereg_contacts::faer::{Mat, Par};
 //! use tissuereg_contacts::{ChainSettings, Dictionary, Observed, Patch, Prior, Problem, Wrong};
 //!
 //! let dictionary = Dictionary::new(Mat::identity(6, 6), vec![Patch::default(); 2])?;
@@ -41,6 +41,11 @@
 //! assert!(run.samples.iter().all(|s| s.configuration.slots[0].is_some_and(|c| c.patch == 1)));
 //! # Ok::<(), tissuereg_contacts::ContactsError>(())
 //! ```
+//!
+//! # Versions
+//!
+//! Matrices are those of [`faer`], re-exported here, so that no version of it need be guessed. Errors, settings, reports and
+//! lists of choices may grow in a minor version: they are `#[non_exhaustive]`, and settings are made from their default.
 #![forbid(unsafe_code)]
 
 mod chain;
@@ -54,6 +59,9 @@ mod prior;
 mod run;
 mod state;
 mod table;
+
+/// The linear algebra that this crate's arguments are made of, in the version that it takes.
+pub use faer;
 
 pub use chain::Counters;
 pub use dictionary::{Dictionary, Patch};

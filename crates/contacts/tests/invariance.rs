@@ -165,10 +165,10 @@ fn huge_noise_leaves_the_prior() {
 fn a_run_goes_on_from_where_it_was() {
     let case = Case::tiny(2);
     let problem = case.problem();
-    let settings = ChainSettings { powers: vec![1.0; 6], n_kept: 6, ..ChainSettings::default() };
+    let settings = ChainSettings::default().with_powers(vec![1.0; 6]).with_n_kept(6);
     let uniforms = Numbers::new(3).uniforms(2, problem.n_uniforms(&settings));
     let whole = problem.run(&settings, uniforms.as_ref(), &[], Par::Seq).unwrap().samples;
-    let half = ChainSettings { powers: vec![1.0; 3], n_kept: 3, ..settings };
+    let half = settings.with_powers(vec![1.0; 3]).with_n_kept(3);
     let n = problem.n_uniforms(&half);
     let first = problem.run(&half, uniforms.get(.., ..n), &[], Par::Seq).unwrap().samples;
     let starts = [first[2].configuration.clone(), first[5].configuration.clone()];

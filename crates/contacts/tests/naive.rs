@@ -25,7 +25,7 @@ fn distance(case: &Case, settings: &ChainSettings) -> f64 {
 }
 
 fn long(n_sweeps: usize) -> ChainSettings {
-    ChainSettings { powers: vec![1.0; n_sweeps + 20], n_kept: n_sweeps, ..ChainSettings::default() }
+    ChainSettings::default().with_powers(vec![1.0; n_sweeps + 20]).with_n_kept(n_sweeps)
 }
 
 #[test]
@@ -42,7 +42,7 @@ fn long_chains_visit_configurations_as_often_as_the_posterior_says() {
 fn every_move_alone_is_reversible() {
     // Jumps from the flattest and the sharpest table, without steps; then hardly anything but steps.
     for (sharpness, n_local, limit) in [(0.01, 0, 0.03), (1.0, 0, 0.03), (0.001, 20, 0.03)] {
-        let settings = ChainSettings { sharpness, n_local, ..long(6_000) };
+        let settings = long(6_000).with_sharpness(sharpness).with_n_local(n_local);
         let found = distance(&Case::tiny(1), &settings);
         assert!(found < limit, "sharpness {sharpness}, {n_local} steps: {found}");
     }
@@ -54,7 +54,7 @@ fn a_neighbour_without_a_way_back_is_never_stepped_to() {
     case.patches[0].neighbours = vec![1, 2, 2, 3];
     case.patches[2].neighbours = vec![0];
     case.patches[3].neighbours = Vec::new();
-    let settings = ChainSettings { sharpness: 0.001, n_local: 20, ..long(6_000) };
+    let settings = long(6_000).with_sharpness(0.001).with_n_local(20);
     let found = distance(&case, &settings);
     assert!(found < 0.03, "{found}");
 }
@@ -100,8 +100,8 @@ fn weigh_both_explanations(case: &Case, others: bool, sharpness: f64) {
     assert!(wanted[0][1] > 0.2 && wanted[1][0] > 0.2, "{wanted:?}");
     assert!(wanted[0][0] + wanted[1][1] < 0.01, "{wanted:?}");
     let problem = case.problem();
-    let short = ChainSettings { powers: vec![1.0; 30], n_kept: 5, ..ChainSettings::default() };
-    let settings = ChainSettings { sharpness, ..short };
+    let short = ChainSettings::default().with_powers(vec![1.0; 30]).with_n_kept(5);
+    let settings = short.with_sharpness(sharpness);
     let n_chains = 1000;
     let uniforms = Numbers::new(11).uniforms(n_chains, problem.n_uniforms(&settings));
     for contact in [None, Some(Contact { patch: 0, size: 1 })] {
@@ -147,7 +147,7 @@ fn another_group_that_is_wrong_for_sure_does_not_change_how_often_they_are_excha
 fn exchanges_of_two_groups_are_reversible() {
     // Jumps and exchanges from a flat table, and as they are; with groups of which either may lie above the contact.
     for sharpness in [0.01, 0.5] {
-        let settings = ChainSettings { sharpness, ..long(8_000) };
+        let settings = long(8_000).with_sharpness(sharpness);
         let found = distance(&beneath(), &settings);
         assert!(found < 0.03, "sharpness {sharpness}: {found}");
     }

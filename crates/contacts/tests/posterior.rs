@@ -109,7 +109,7 @@ fn trials() -> (Vec<f64>, Vec<usize>) {
     let mut numbers = Numbers::new(12);
     let mut powers = vec![0.1, 0.4];
     powers.resize(16, 1.0);
-    let settings = ChainSettings { powers, n_kept: 10, ..ChainSettings::default() };
+    let settings = ChainSettings::default().with_powers(powers).with_n_kept(10);
     let (mut distances, mut ranks) = (Vec::new(), Vec::new());
     for _ in 0..N_TRUTHS {
         let (coefficients, innovation) = truth(&case, &mut numbers);

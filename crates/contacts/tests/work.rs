@@ -15,7 +15,7 @@ fn near(found: usize, pinned: usize) -> bool {
 #[test]
 fn sixteen_chains_of_nine_sweeps_take_the_pinned_work() {
     let problem = Case::organ(15).problem();
-    let Counters { tables, jumps, factorisations, steps } =
+    let Counters { tables, jumps, factorisations, steps, .. } =
         run(&problem, &ChainSettings::default(), 16, Par::Seq).counters;
     // One table a chain, sweep and slot, and at most one more for an exchange: only for those that it may allow.
     assert!((16 * 9 * 3..=2 * 16 * 9 * 3).contains(&tables), "{tables}");
@@ -34,7 +34,8 @@ fn groups_that_fit_are_asked_without_a_factorisation() {
     // Nothing moved, and everything was seen as it is. Of 2,160 questions hardly any is worth a factorisation: those of
     // the first sweeps, whose likelihood hardly counts, at odds of one in two hundred, and their way back.
     case.observed.innovation = vec![0.05; 45];
-    let counters = run(&case.problem(), &ChainSettings::default(), 16, Par::Seq).counters;
+    let mut counters = run(&case.problem(), &ChainSettings::default(), 16, Par::Seq).counters;
     assert!(counters.factorisations < 30, "{counters:?}");
-    assert_eq!(Counters { factorisations: 0, ..counters }, Counters::default());
+    counters.factorisations = 0;
+    assert_eq!(counters, Counters::default());
 }

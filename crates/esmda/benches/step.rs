@@ -25,14 +25,14 @@ fn updates(criterion: &mut Criterion) {
                 step.apply(parameters.as_mut())
             });
         });
-        let threads = StepSettings { par: Par::rayon(0), ..settings };
+        let threads = settings.with_par(Par::rayon(0));
         group.bench_function("update_all_threads", |b| {
             b.iter(|| case.updated(black_box(4.0), &threads))
         });
-        let qr = StepSettings { factorisation: Factorisation::Qr, ..settings };
+        let qr = settings.with_factorisation(Factorisation::Qr);
         group.bench_function("update_qr", |b| b.iter(|| case.updated(black_box(4.0), &qr)));
         if name == "surgical" {
-            let svd = StepSettings { factorisation: Factorisation::Svd, ..settings };
+            let svd = settings.with_factorisation(Factorisation::Svd);
             group.bench_function("update_svd", |b| b.iter(|| case.updated(black_box(4.0), &svd)));
             group
                 .bench_function("update_square_root", |b| b.iter(|| square_root(&case, &settings)));

@@ -14,6 +14,7 @@ use crate::screening::Reason;
 /// assert!(!error.is_recoverable());
 /// ```
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum EsmdaError {
     /// A schedule without steps.
     #[error("a schedule must have at least one step, got none")]

@@ -10,7 +10,7 @@
 //! known: mean 3/2, variance 1/2. Three members can carry the prior exactly:
 //!
 //! ```
-//! use faer::{Mat, mat};
+//! use tissuereg_esmda::faer::{Mat, mat};
 //! use tissuereg_esmda::{NoiseCovariance, Schedule, Step, StepSettings, screen_members};
 //!
 //! let prior = mat![[-1.0, 0.0, 1.0]]; // (n_parameters, n_members): mean 0, variance 1
@@ -58,6 +58,11 @@
 //! A row is a parameter or an observation, a column a member. Observations, predictions and noise share one unit, any;
 //! parameters may have one each. All is `f64`. Bits depend on the input alone: there is no randomness in here, and
 //! threads ([`StepSettings::par`]) never change the order of a sum.
+//!
+//! # Versions
+//!
+//! Matrices are those of [`faer`], re-exported here, so that no version of it need be guessed. Errors, settings, reports and
+//! lists of choices may grow in a minor version: they are `#[non_exhaustive]`, and settings are made from their default.
 #![forbid(unsafe_code)]
 
 mod error;
@@ -66,6 +71,9 @@ pub mod noise;
 pub mod schedule;
 pub mod screening;
 pub mod step;
+
+/// The linear algebra that this crate's arguments are made of, in the version that it takes.
+pub use faer;
 
 pub use error::EsmdaError;
 pub use noise::NoiseCovariance;

@@ -16,7 +16,7 @@ const SYMMETRY_TOLERANCE: f64 = 1e-10;
 /// # Examples
 ///
 /// ```
-/// use faer::mat;
+/// use tissuereg_esmda::faer::mat;
 /// use tissuereg_esmda::{EsmdaError, NoiseCovariance};
 ///
 /// assert_eq!(NoiseCovariance::diagonal(&[0.1, 0.2, 0.1])?.n_obs(), 3);

@@ -12,6 +12,7 @@ use crate::EsmdaError;
 
 /// Why a member was dropped; `obs` is the first observation that shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum Reason {
     /// A prediction is not a number.
     NotANumber {
@@ -83,7 +84,7 @@ impl Screening {
 /// # Examples
 ///
 /// ```
-/// use faer::mat;
+/// use tissuereg_esmda::faer::mat;
 /// use tissuereg_esmda::{Reason, screen_members};
 ///
 /// let predicted = mat![[1.0, f64::NAN, 2.0, 1e19], [3.0, 1.0, 4.0, 0.0]];

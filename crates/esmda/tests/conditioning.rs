@@ -75,7 +75,7 @@ fn every_route_survives_tiny_noise() {
         for std in SWEEP {
             let case = Case::new(26, n_obs, n_members, std, 2);
             let run = |factorisation| {
-                let settings = StepSettings { factorisation, ..StepSettings::default() };
+                let settings = StepSettings::default().with_factorisation(factorisation);
                 case.updated(1.0, &settings).unwrap()
             };
             let (qr, svd) = (run(Factorisation::Qr), run(Factorisation::Svd));

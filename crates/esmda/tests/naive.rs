@@ -31,7 +31,7 @@ fn routes() -> Vec<StepSettings> {
     let mut routes = Vec::new();
     for factorisation in [Factorisation::Cholesky, Factorisation::Qr, Factorisation::Svd] {
         for side in [Side::Observations, Side::Members] {
-            routes.push(StepSettings { factorisation, side, ..StepSettings::default() });
+            routes.push(StepSettings::default().with_factorisation(factorisation).with_side(side));
         }
     }
     routes
@@ -55,7 +55,7 @@ fn data_space_ensemble_space_singular_values_and_qr_agree_where_the_noise_is_sma
     for (n_obs, n_members) in SIZES {
         // The condition number is near 1e5: Cholesky loses as many digits, the others half of them.
         let case = Case::new(7, n_obs, n_members, 1e-2, 11);
-        let svd = StepSettings { factorisation: Factorisation::Svd, ..StepSettings::default() };
+        let svd = StepSettings::default().with_factorisation(Factorisation::Svd);
         let wanted = case.updated(1.0, &svd).unwrap();
         for settings in routes() {
             let error = relative_difference(&case.updated(1.0, &settings).unwrap(), &wanted);
@@ -148,7 +148,7 @@ fn bits_do_not_depend_on_the_number_of_threads() {
         let alone = case.updated(2.0, &StepSettings::default()).unwrap();
         for n_threads in [1, 2, 3] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
-            let settings = StepSettings { par: Par::rayon(n_threads), ..StepSettings::default() };
+            let settings = StepSettings::default().with_par(Par::rayon(n_threads));
             let together = pool.install(|| case.updated(2.0, &settings)).unwrap();
             assert_eq!(alone, together, "{n_obs} x {n_members} on {n_threads} threads");
         }

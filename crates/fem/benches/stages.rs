@@ -35,8 +35,8 @@ fn stages(criterion: &mut Criterion) {
         group.bench_function("analyse", |b| {
             b.iter(|| Body::new(mesh.clone(), body.element(), body.supports().clone()));
         });
-        let one = SolveSettings { n_threads: 1, ..SolveSettings::default() };
-        let newton = SolveSettings { method: Method::Newton, ..one.clone() };
+        let one = SolveSettings::default().with_n_threads(1);
+        let newton = one.clone().with_method(Method::Newton);
         group.bench_function("solve_warm", |b| b.iter(|| solve(&body, &material, &load, &one)));
         group.bench_function("solve_newton", |b| {
             b.iter(|| solve(&body, &material, &load, &newton));

@@ -10,6 +10,7 @@ use crate::system::RigidModes;
 /// [`is_recoverable`](Self::is_recoverable) tells what concerns one member of an ensemble alone
 /// (its load was too large) from what concerns the input as such (a wrong length).
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum FemError {
     /// The mesh has no tetrahedra.
     #[error(
@@ -344,6 +345,7 @@ impl FemError {
      {min_det_f:.3e}, worst tetrahedra {}; {}",
     residual_clause(*.residual, *.tolerance), worst_list(.worst_tets), .reason.suggestion()
 )]
+#[non_exhaustive]
 pub struct NoEquilibrium {
     /// Largest fraction of the load for which an equilibrium was found.
     pub load_fraction: f64,
@@ -379,6 +381,7 @@ pub struct WorstTet {
 
 /// What stopped an equilibrium search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum StopReason {
     /// The iterations allowed were used up, or factorisations took the time of as many.
     IterationsUsedUp,

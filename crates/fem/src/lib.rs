@@ -62,7 +62,7 @@
 //! # Method
 //!
 //! Displacement elements ([`Element`]), among them linear tetrahedra with averaged volume ratios
-//! for nearly incompressible bodies ([`Element::Tet4Averaged`]), eight hyperelastic laws with or without fibres
+//! for nearly incompressible bodies ([`Element::Tet4Averaged`]), hyperelastic laws with or without fibres
 //! ([`material`]), dead loads. Equilibrium is the minimum of the potential energy;
 //! it is sought by L-BFGS in the metric of the undeformed stiffness, whose Cholesky factor is made
 //! in single precision: a multifrontal one, filled straight from the elements, on unknowns ordered
@@ -90,6 +90,12 @@
 //! The same input gives the same bits at any number of threads and in any batch (on one machine).
 //! No panic on any input; [`FemError`] names what must hold, what was found and where. No file, no
 //! network, no random number.
+//!
+//! # Versions
+//!
+//! Errors, settings, reports and lists of choices may grow in a minor version: they are
+//! `#[non_exhaustive]`. Settings are made from their default, plain inputs such as [`Load`] and
+//! [`Behaviour`] end with `..Default::default()`. No type of another crate is part of the interface.
 #![forbid(unsafe_code)]
 
 mod assembly;

@@ -171,12 +171,12 @@ fn wrong_loads_and_settings_are_named() {
     let moved = Load::from_prescribed(vec![[0.0; 3]; 3]);
     assert_says(&fail(&moved, &plain), &["prescribed", "4 rows", "found 3"]);
     for tolerance in [0.0, -1.0, 1.0, f64::NAN] {
-        let settings = SolveSettings { tolerance, ..SolveSettings::default() };
+        let settings = SolveSettings::default().with_tolerance(tolerance);
         assert_says(&fail(&Load::default(), &settings), &["`tolerance`", "above 0"]);
     }
-    let settings = SolveSettings { max_iterations: 0, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_max_iterations(0);
     assert_says(&fail(&Load::default(), &settings), &["`max_iterations`", "at least 1"]);
-    let settings = SolveSettings { load_steps: LoadSteps::Equal(0), ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_load_steps(LoadSteps::Equal(0));
     assert_says(&fail(&Load::default(), &settings), &["`load_steps`", "at least 1"]);
     let field = Stiffness::PerTet { young: vec![1.0; 3], poisson: vec![0.3] };
     let error = solve(&body, &Material::new(field).expect("sound"), &Load::default(), &plain);
@@ -243,11 +243,8 @@ fn the_last_equilibrium_of_a_failed_search_is_handed_back() {
         }
         Load::from_forces(forces)
     };
-    let settings = SolveSettings {
-        load_steps: LoadSteps::Equal(20),
-        max_iterations: 120,
-        ..SolveSettings::default()
-    };
+    let settings =
+        SolveSettings::default().with_load_steps(LoadSteps::Equal(20)).with_max_iterations(120);
     let error = solve(&body, &soft(), &load(1.0), &settings).expect_err("too few iterations");
     let FemError::NoEquilibrium(end) = &error else { panic!("{error}") };
     assert!(end.load_fraction >= 0.05 && end.load_fraction < end.tried_fraction, "{error}");
@@ -269,7 +266,7 @@ fn a_load_beyond_all_bounds_is_reported() {
     for tip in tips {
         forces[tip] = [-3e4, 0.0, 0.0];
     }
-    let settings = SolveSettings { max_iterations: 400, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_max_iterations(400);
     let error = solve(&body, &soft(), &Load::from_forces(forces), &settings).expect_err("crushed");
     assert!(error.is_recoverable());
     let FemError::NoEquilibrium(report) = &error else { panic!("{error}") };
@@ -286,7 +283,7 @@ fn a_load_beyond_the_range_of_squares_is_no_equilibrium_at_rest() {
     for force in [1e160, 1e200, -1e300] {
         let load = Load::from_forces(vec![[0.0, force, 0.0]; 12]);
         for load_steps in [LoadSteps::Auto, LoadSteps::Equal(2)] {
-            let settings = SolveSettings { load_steps, ..SolveSettings::default() };
+            let settings = SolveSettings::default().with_load_steps(load_steps);
             let error = solve(&body, &soft(), &load, &settings).expect_err("absurd");
             let FemError::NoEquilibrium(report) = &error else { panic!("{error}") };
             assert_eq!(report.load_fraction, 0.0, "{error}");
@@ -304,7 +301,7 @@ fn factorisations_of_a_hopeless_search_are_bounded() {
         .collect();
     let pull = vec![[200.0, 30.0, 0.0]; end.len()];
     let load = Load::from_forces(body.traction_forces(&end, &pull).expect("facets"));
-    let settings = SolveSettings { max_iterations: 600, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_max_iterations(600);
     let error = solve(&body, &soft(), &load, &settings).expect_err("twenty times its stiffness");
     let FemError::NoEquilibrium(report) = &error else { panic!("{error}") };
     assert_eq!(report.reason, StopReason::IterationsUsedUp, "{error}");
@@ -316,7 +313,7 @@ fn factorisations_of_a_hopeless_search_are_bounded() {
 fn too_few_iterations_are_reported() {
     let body = held_bar();
     let weight = Load { body_force: [0.0, 0.0, -0.01], ..Load::default() };
-    let settings = SolveSettings { max_iterations: 2, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_max_iterations(2);
     let error = solve(&body, &soft(), &weight, &settings).expect_err("too few");
     let FemError::NoEquilibrium(report) = &error else { panic!("{error}") };
     assert_eq!((report.reason, report.iterations), (StopReason::IterationsUsedUp, 2));
@@ -330,8 +327,7 @@ fn a_failed_member_leaves_the_others_alone() {
     let weight = Load { body_force: [0.0, 0.0, -0.001], ..Load::default() };
     let member = |load| Member { material: &material, load, start: None };
     let progress = Arc::new(AtomicUsize::new(0));
-    let settings =
-        SolveSettings { progress: Some(Arc::clone(&progress)), ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_progress(Arc::clone(&progress));
     let members = [member(&weight), member(&wrong), member(&weight)];
     let outcomes = solve_many(&body, &members, &settings);
     assert!(outcomes[0].solution().is_some() && outcomes[2].solution().is_some());
@@ -349,7 +345,7 @@ fn a_raised_flag_cancels_within_a_second() {
     let material = soft();
     let weight = Load { body_force: [0.0, 0.0, -0.01], ..Load::default() };
     let flag = Arc::new(AtomicBool::new(false));
-    let settings = SolveSettings { cancel: Some(Arc::clone(&flag)), ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_cancel(Arc::clone(&flag));
     let members = vec![Member { material: &material, load: &weight, start: None }; 400];
     let raised = std::thread::scope(|scope| {
         let solving = scope.spawn(|| solve_many(&body, &members, &settings));
@@ -392,7 +388,7 @@ proptest! {
             && let Ok(body) = Body::new(mesh, Element::Tet10, held)
             && let Ok(material) = Material::neo_hookean(young, poisson)
         {
-            let settings = SolveSettings { max_iterations: 50, ..SolveSettings::default() };
+            let settings = SolveSettings::default().with_max_iterations(50);
             let load = Load { body_force: [0.0, 0.0, 1e-3], ..Load::default() };
             let _ = solve(&body, &material, &load, &settings);
         }
@@ -417,7 +413,7 @@ proptest! {
         if let Ok(mesh) = Mesh::new(nodes, tets) && let Ok(body) = Body::new(mesh, Element::Tet4, held) {
             let mut forces = vec![[0.0; 3]; 12];
             forces[11] = force;
-            let settings = SolveSettings { max_iterations: 60, ..SolveSettings::default() };
+            let settings = SolveSettings::default().with_max_iterations(60);
             match solve(&body, &soft(), &Load::from_forces(forces), &settings) {
                 Ok(answer) => prop_assert!(answer.report.residual <= answer.report.tolerance),
                 Err(error) => prop_assert!(error.is_recoverable(), "{}", error),

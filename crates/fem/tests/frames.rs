@@ -15,7 +15,7 @@ use tissuereg_fem::{
 const ALL: [Element; 3] = [Element::Tet4, Element::Tet4Averaged, Element::Tet10];
 
 fn tight() -> SolveSettings {
-    SolveSettings { tolerance: 1e-12, method: Method::Newton, ..SolveSettings::default() }
+    SolveSettings::default().with_tolerance(1e-12).with_method(Method::Newton)
 }
 
 /// A bar that hangs at one end, sags, is pushed by a pad that comes, goes and comes again.
@@ -241,6 +241,7 @@ fn with_number(behaviour: &Behaviour, parameter: BehaviourParameter, by: f64) ->
         P::SwellingStrain => &mut swelling.as_mut().expect("swells").linear_strain,
         P::SwellingFrom => &mut swelling.as_mut().expect("swells").from_time_s,
         P::SwellingTo => &mut swelling.as_mut().expect("swells").to_time_s,
+        other => panic!("{other:?} is not tested"),
     };
     *number += by;
     other
@@ -446,7 +447,7 @@ fn threads_change_no_bit() {
         FrameCause::Always(Cause::Parameter(Parameter::Young)),
         FrameCause::Behaviour(BehaviourParameter::Viscosity),
     ];
-    let run = |n_threads| rig.derivatives(&causes, &SolveSettings { n_threads, ..tight() });
+    let run = |n_threads| rig.derivatives(&causes, &tight().with_n_threads(n_threads));
     assert_eq!(run(1), run(2));
     let seen = FrameObservation {
         frame: 5,
@@ -454,7 +455,7 @@ fn threads_change_no_bit() {
         pads: vec![],
     };
     let seen = std::slice::from_ref(&seen);
-    let back = |n_threads| rig.adjoints(seen, &SolveSettings { n_threads, ..tight() });
+    let back = |n_threads| rig.adjoints(seen, &tight().with_n_threads(n_threads));
     assert_eq!(back(1), back(2));
 }
 
@@ -473,7 +474,7 @@ fn frames_that_are_reached_in_parts_agree_with_differences() {
         let history = History::recorded(&body, material, behaviour.clone()).expect("sound");
         let pads = vec![Pad { nodes: end.clone() }];
         let mut rig = Rig::new(held(), history, pads).expect("sound");
-        let few = SolveSettings { max_iterations: 8, ..tight() };
+        let few = tight().with_max_iterations(8);
         let weight = |share: f64| Load { body_force: [0.0, share * force, 0.0], ..Load::default() };
         rig.advance(&weight(0.2), &[None], 0.0, &tight()).expect("stands");
         let motion = Some([-0.4 * lift, 0.0, lift]);

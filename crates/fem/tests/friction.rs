@@ -15,7 +15,7 @@ const STICK: f64 = 1.5;
 const AREA: f64 = 600.0;
 
 fn settings() -> SolveSettings {
-    SolveSettings { tolerance: 1e-10, ..SolveSettings::default() }
+    SolveSettings::default().with_tolerance(1e-10)
 }
 
 fn bed(mesh: &Mesh, friction: Option<Friction>) -> Springs {

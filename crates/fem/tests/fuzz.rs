@@ -128,13 +128,13 @@ fn input(seed: u64, decades: f64) -> Input {
             .filter(|_| random.below(3) == 0),
         ..Load::default()
     };
-    let settings = SolveSettings {
-        n_threads: 1,
-        max_iterations: MAX_ITERATIONS,
-        method: [Method::Auto, Method::Auto, Method::Newton, Method::QuasiNewton][random.below(4)],
-        load_steps: [LoadSteps::Auto, LoadSteps::Auto, LoadSteps::Equal(3)][random.below(3)],
-        ..SolveSettings::default()
-    };
+    let settings = SolveSettings::default()
+        .with_n_threads(1)
+        .with_max_iterations(MAX_ITERATIONS)
+        .with_method(
+            [Method::Auto, Method::Auto, Method::Newton, Method::QuasiNewton][random.below(4)],
+        )
+        .with_load_steps([LoadSteps::Auto, LoadSteps::Auto, LoadSteps::Equal(3)][random.below(3)]);
     let law = random.below(LAWS.len());
     Input { nodes, tets, element, held, law, stiffness, load, settings }
 }

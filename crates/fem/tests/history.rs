@@ -53,7 +53,7 @@ fn history(body: &Body, behaviour: Behaviour) -> History {
 }
 
 fn settings() -> SolveSettings {
-    SolveSettings { tolerance: 1e-11, ..SolveSettings::default() }
+    SolveSettings::default().with_tolerance(1e-11)
 }
 
 const STRETCHED: [[f64; 3]; 3] = [[0.3, 0.1, 0.0], [0.0, -0.1, 0.0], [0.0, 0.05, -0.05]];
@@ -322,7 +322,7 @@ fn steps_are_halved_where_one_does_not_do() {
     };
     let mut history = history(&body, Behaviour { viscosity_kpa_s: 0.1, ..Behaviour::default() });
     history.advance(&body, &bend(0.0), 0.0, &settings()).expect("at rest");
-    let few = SolveSettings { max_iterations: 11, ..SolveSettings::default() };
+    let few = SolveSettings::default().with_max_iterations(11);
     let answer = history.advance(&body, &bend(40.0), 1.0, &few).expect("in parts");
     assert!(answer.report.load_steps > 1, "{:?}", answer.report);
     assert_eq!(history.time_s(), Some(1.0));

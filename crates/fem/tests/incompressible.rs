@@ -1,5 +1,5 @@
 //! Near incompressibility: linear tets whose volume ratios are averaged at the nodes, and quadratic
-//! ones, beside published values. `examples/incompressible.rs` has the whole tables.
+//! ones, beside published values. `measure/incompressible.rs` has the whole tables.
 #![allow(clippy::expect_used)]
 
 mod common;
@@ -73,7 +73,7 @@ fn forces_are_the_derivative_of_the_reported_energy() {
             })
             .collect::<Vec<_>>();
         let load = Load::from_forces(internal_forces(&body, &material, &u).expect("upright"));
-        let settings = SolveSettings { tolerance: 1e-11, ..SolveSettings::default() };
+        let settings = SolveSettings::default().with_tolerance(1e-11);
         let answer = solve(&body, &material, &load, &settings).expect("an equilibrium");
         assert!(largest_difference(&answer.displacement, &u) < 1e-6, "{}", recipe.name);
         let (own, integrated) = (answer.report.strain_energy, work(&body, &material, &u, 3));
@@ -89,8 +89,7 @@ fn newtons_method_converges_quadratically_for_every_law() {
     for recipe in recipes() {
         let material = recipe.material().expect("valid");
         let load = Load { body_force: [0.05, 0.0, -0.1], ..Load::default() };
-        let settings =
-            SolveSettings { method: Method::Newton, tolerance: 1e-11, ..SolveSettings::default() };
+        let settings = SolveSettings::default().with_method(Method::Newton).with_tolerance(1e-11);
         let answer = solve(&body, &material, &load, &settings).expect("an equilibrium");
         assert!(answer.report.iterations <= 8, "{}: {:?}", recipe.name, answer.report);
         assert!(is_stable(&body, &material, &answer.displacement).expect("upright"));
@@ -189,7 +188,7 @@ fn springs_and_histories_work_on_patches() {
     let springs = Springs { triangles: top, normal: 3.0, tangential: 1.0, friction: None };
     let weight = Load { body_force: [0.02, 0.0, -0.05], ..Load::default() };
     let held = Load { springs: vec![springs], ..weight.clone() };
-    let newton = SolveSettings { method: Method::Newton, ..SolveSettings::default() };
+    let newton = SolveSettings::default().with_method(Method::Newton);
     let answer = solve(&body, &material, &held, &newton).expect("an equilibrium");
     assert!(answer.report.iterations <= 6, "{:?}", answer.report);
 
@@ -210,7 +209,7 @@ fn linear_tets_are_said_to_lock_from_where_they_do() {
 /// Displacement of a published problem where it is measured, mm, and the answer.
 fn measured(problem: &Problem) -> (f64, Vec<[f64; 3]>) {
     let Problem { body, material, load, node, axis } = problem;
-    let settings = SolveSettings { tolerance: 1e-6, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_tolerance(1e-6);
     let answer = solve(body, material, load, &settings).expect("an equilibrium");
     (answer.displacement[*node][*axis].abs(), answer.displacement)
 }

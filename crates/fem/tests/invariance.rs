@@ -99,8 +99,9 @@ fn methods_steps_and_starts_lead_to_the_same_equilibrium() {
     let body = clamped_at_x0(bar([6, 2, 2], [30.0, 10.0, 10.0]), Element::Tet4);
     let material = Material::neo_hookean(10.0, 0.45).expect("sound");
     let load = tip_load(&body, [5.0, 5.0, -30.0]);
-    let with =
-        |method, load_steps| SolveSettings { method, load_steps, ..SolveSettings::default() };
+    let with = |method, load_steps| {
+        SolveSettings::default().with_method(method).with_load_steps(load_steps)
+    };
     let reference =
         solve(&body, &material, &load, &with(Method::Auto, LoadSteps::Auto)).expect("bends");
     assert!(largest(&reference.displacement) > 5.0, "{}", largest(&reference.displacement));
@@ -130,7 +131,7 @@ fn the_number_of_threads_changes_no_bit() {
         let answers: Vec<_> = [1, 2, 3]
             .map(|n_threads| {
                 let body = Body::new(mesh.clone(), element, &held).expect("held");
-                let settings = SolveSettings { n_threads, ..SolveSettings::default() };
+                let settings = SolveSettings::default().with_n_threads(n_threads);
                 solve(&body, &material, &load, &settings).expect("sinks")
             })
             .into();
@@ -164,7 +165,7 @@ fn a_member_depends_neither_on_its_batch_nor_on_the_threads() {
         .map(|(material, load)| Member { material, load, start: None })
         .collect();
     let run = |n_threads, members: &[Member]| {
-        let settings = SolveSettings { n_threads, ..SolveSettings::default() };
+        let settings = SolveSettings::default().with_n_threads(n_threads);
         solve_many(&body, members, &settings)
             .into_iter()
             .map(|o| o.solution().expect("bends").displacement.clone())
@@ -215,7 +216,7 @@ fn a_bar_can_be_twisted_by_its_ends() {
     let load = Load::from_prescribed(rows.collect());
     let material = Material::neo_hookean(10.0, 0.4).expect("sound");
     let moment = |method, load_steps| {
-        let settings = SolveSettings { method, load_steps, ..SolveSettings::default() };
+        let settings = SolveSettings::default().with_method(method).with_load_steps(load_steps);
         let answer = solve(&body, &material, &load, &settings).expect("twists");
         let moment: f64 = ends
             .iter()

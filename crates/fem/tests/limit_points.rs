@@ -52,7 +52,7 @@ const FORCES: [f64; 6] = [5.0, 20.0, 60.0, 200.0, 800.0, 1600.0];
 
 fn assert_found(body: &Body, load: &Load, most_iterations: usize, what: &str) {
     let material = Material::neo_hookean(10.0, 0.45).expect("sound");
-    let settings = SolveSettings { n_threads: 1, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_n_threads(1);
     let answer = match solve(body, &material, load, &settings) {
         Ok(answer) => answer,
         Err(error) => panic!("{what}: {error}"),
@@ -78,7 +78,7 @@ fn an_arch_snaps_through() {
 #[test]
 fn a_column_buckles() {
     let material = Material::neo_hookean(10.0, 0.45).expect("sound");
-    let settings = SolveSettings { n_threads: 1, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_n_threads(1);
     for (element, mean_iterations) in [(Element::Tet4, 100), (Element::Tet10, 300)] {
         let body = column(element);
         let (mut found, mut iterations) = (0, 0);

@@ -55,7 +55,7 @@ fn attempt(case: &Case, field: &Manufactured) -> Result<SolveReport, String> {
         prescribed: field.moves_supports.then_some(held),
         ..Load::default()
     };
-    let settings = SolveSettings { n_threads: 1, tolerance: 1e-11, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_n_threads(1).with_tolerance(1e-11);
     let answer =
         solve(&case.body, &case.material, &load, &settings).map_err(|error| error.to_string())?;
     let error = largest_difference(&answer.displacement, &field.displacement)

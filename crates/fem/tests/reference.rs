@@ -54,7 +54,7 @@ fn a_softening_bar_agrees_with_felupe_through_load_and_unload() {
     for (frame, factor) in reference["factors"].values.iter().enumerate() {
         let forces = bar["forces_mN"].rows3();
         let load = Load::from_forces(forces.iter().map(|f| f.map(|v| factor * v)).collect());
-        let settings = SolveSettings { tolerance: 1e-10, ..SolveSettings::default() };
+        let settings = SolveSettings::default().with_tolerance(1e-10);
         let answer = history.advance(&body, &load, frame as f64, &settings).expect("an answer");
         let wanted = &frames[frame * body.n_nodes()..(frame + 1) * body.n_nodes()];
         let error = largest_difference(&answer.displacement, wanted);

@@ -20,7 +20,7 @@ fn material() -> Material {
 }
 
 fn settings() -> SolveSettings {
-    SolveSettings { tolerance: 1e-11, ..SolveSettings::default() }
+    SolveSettings::default().with_tolerance(1e-11)
 }
 
 /// A dome on its base, and the nodes of its cap.
@@ -196,7 +196,7 @@ fn a_weight_that_has_no_rest_shape_is_an_error() {
     assert!(matches!(error, FemError::NoRestShape { .. }), "{error}");
     assert!(error.is_recoverable() && error.to_string().contains("no unloaded shape"), "{error}");
     let cancel = Some(Arc::new(AtomicBool::new(true)));
-    let settings = SolveSettings { cancel, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_cancel(cancel);
     assert_eq!(rest_shape(&body, &soft, &load, &settings).err(), Some(FemError::Cancelled));
 }
 
@@ -269,7 +269,7 @@ fn a_frame_that_fails_leaves_the_history_as_it_was() {
         rows[body.n_nodes() - 1][0] = f;
         Load::from_forces(rows)
     };
-    let settings = SolveSettings { max_iterations: 40, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_max_iterations(40);
     history.advance(&body, &push(5.0), 1.0, &settings).expect("stands");
     let before = (history.displacement().to_vec(), history.time_s());
     let fails = [
@@ -326,7 +326,7 @@ fn threads_change_no_bit() {
             ..Behaviour::default()
         };
         let mut rig = rig(body, behaviour, vec![cap]);
-        let settings = SolveSettings { n_threads, ..SolveSettings::default() };
+        let settings = SolveSettings::default().with_n_threads(n_threads);
         let mut last = Vec::new();
         for (time, z) in [(0.0, 0.0), (1.0, -4.0), (2.0, -1.0)] {
             let frame = rig.advance(&Load::default(), &[Some([0.0, 1.0, z])], time, &settings);

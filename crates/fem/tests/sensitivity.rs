@@ -13,7 +13,7 @@ use tissuereg_fem::{
 const ALL: [Element; 3] = [Element::Tet4, Element::Tet4Averaged, Element::Tet10];
 
 fn tight() -> SolveSettings {
-    SolveSettings { tolerance: 1e-12, method: Method::Newton, ..SolveSettings::default() }
+    SolveSettings::default().with_tolerance(1e-12).with_method(Method::Newton)
 }
 
 fn answer(body: &Body, material: &Material, load: &Load) -> Solution {

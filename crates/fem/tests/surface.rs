@@ -13,7 +13,7 @@ use tissuereg_fem::{
 const BOTH: [Element; 2] = [Element::Tet4, Element::Tet10];
 
 fn settings() -> SolveSettings {
-    SolveSettings { tolerance: 1e-11, ..SolveSettings::default() }
+    SolveSettings::default().with_tolerance(1e-11)
 }
 
 /// Facets of the surface all of whose corners satisfy a condition.
@@ -26,13 +26,12 @@ fn facets(mesh: &Mesh, holds: impl Fn(&[f64; 3]) -> bool) -> Vec<[usize; 3]> {
 fn mean_over(body: &Body, facets: &[[usize; 3]], u: &[[f64; 3]]) -> [f64; 3] {
     let carriers = |t: &[usize; 3]| -> Vec<usize> {
         let pairs = [[t[0], t[1]], [t[1], t[2]], [t[0], t[2]]].map(|[a, b]| [a.min(b), a.max(b)]);
-        match body.element() {
-            Element::Tet4 | Element::Tet4Averaged => t.to_vec(),
-            Element::Tet10 => (0..body.mid_edges().len())
-                .filter(|&e| pairs.contains(&body.mid_edges()[e]))
-                .map(|e| body.n_corner_nodes() + e)
-                .collect(),
+        let edges = body.mid_edges();
+        if edges.is_empty() {
+            return t.to_vec();
         }
+        let own = (0..edges.len()).filter(|&e| pairs.contains(&edges[e]));
+        own.map(|e| body.n_corner_nodes() + e).collect()
     };
     let nodes: Vec<usize> = facets.iter().flat_map(carriers).collect();
     std::array::from_fn(|i| nodes.iter().map(|&n| u[n][i]).sum::<f64>() / nodes.len() as f64)
@@ -240,7 +239,7 @@ fn newton_converges_on_skin_and_springs() {
             Material::neo_hookean(5.0, 0.45).and_then(|m| m.with_skin(skin)).expect("sound");
         let load =
             Load { body_force: [5e-3, 0.0, -9.81e-3], springs: vec![bed], ..Load::default() };
-        let newton = SolveSettings { method: tissuereg_fem::Method::Newton, ..settings() };
+        let newton = settings().with_method(tissuereg_fem::Method::Newton);
         let by_newton = solve(&body, &material, &load, &newton).expect("stands");
         assert!(by_newton.report.iterations <= 12, "{:?}", by_newton.report);
         let by_default = solve(&body, &material, &load, &settings()).expect("stands");

@@ -7,19 +7,18 @@ use common::{Random, bar, clamped_at_x0, dome, largest_difference, nodes_where};
 use tissuereg_fem::material::Parameter;
 use tissuereg_fem::{
     Body, Cause, Compliance, Element, FemError, Linearised, Load, Material, Method, Observation,
-    Precision, Skin, SolveSettings, Springs, Stiffness, Supports, TangentReport, solve,
-    spring_forces,
+    Precision, Skin, SolveSettings, Springs, Stiffness, Supports, solve, spring_forces,
 };
 
 const ALL: [Element; 3] = [Element::Tet4, Element::Tet4Averaged, Element::Tet10];
 const BOTH: [Precision; 2] = [Precision::Double, Precision::Single];
 
 fn tight() -> SolveSettings {
-    SolveSettings { tolerance: 1e-12, method: Method::Newton, ..SolveSettings::default() }
+    SolveSettings::default().with_tolerance(1e-12).with_method(Method::Newton)
 }
 
 fn on_threads(n_threads: usize) -> SolveSettings {
-    SolveSettings { n_threads, ..tight() }
+    tight().with_n_threads(n_threads)
 }
 
 fn at<'a>(
@@ -251,13 +250,8 @@ fn work_is_counted() {
     let double = at(&body, &material, &load, &tight(), Precision::Double);
     double.compliance(&seen).expect("a compliance");
     let report = double.report();
-    let wanted = TangentReport {
-        precision: Precision::Double,
-        factorisations: 1,
-        right_hand_sides: 20,
-        corrections: 0,
-    };
-    assert_eq!(report, wanted);
+    assert_eq!(report.precision, Precision::Double);
+    assert_eq!((report.factorisations, report.right_hand_sides, report.corrections), (1, 20, 0));
     let single = at(&body, &material, &load, &tight(), Precision::Single);
     single.compliance(&seen).expect("a compliance");
     single.responses(&vec![[1.0; 3]; body.n_nodes()]).expect("a response");
@@ -320,7 +314,7 @@ fn a_load_near_by_takes_few_iterations_and_no_factor() {
     let body = clamped_at_x0(bar([8, 4, 4], [40.0, 20.0, 20.0]), Element::Tet4);
     let material = Material::neo_hookean(10.0, 0.45).expect("sound");
     let pull = |by: f64| Load { body_force: [0.0, 0.0, -0.02 * by], ..Load::default() };
-    let settings = SolveSettings { n_threads: 1, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_n_threads(1);
     for precision in BOTH {
         let here = at(&body, &material, &pull(1.0), &settings, precision);
         for (by, most) in [(1.0, 0), (1.1, 8), (1.5, 13), (0.5, 13)] {

@@ -40,7 +40,7 @@ fn a_bar_bent_by_two_thirds_of_its_length_needs_no_new_factor() {
         forces[tip] = [0.0, 0.0, 30.0 / tips.len() as f64];
     }
     let material = Material::neo_hookean(10.0, 0.45).expect("sound");
-    let settings = SolveSettings { method: Method::QuasiNewton, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_method(Method::QuasiNewton);
     let answer = solve(&body, &material, &Load::from_forces(forces), &settings).expect("bends");
     let (report, deflection) = (answer.report, answer.displacement[tips[0]][2]);
     assert!(deflection > 39.0, "{deflection}");
@@ -52,7 +52,7 @@ fn a_bar_bent_by_two_thirds_of_its_length_needs_no_new_factor() {
 fn newton_takes_five_factors() {
     let (body, load) = pulled_bar(400.0);
     let material = Material::neo_hookean(10.0, 0.45).expect("sound");
-    let settings = SolveSettings { method: Method::Newton, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_method(Method::Newton);
     let report = solve(&body, &material, &load, &settings).expect("stretches").report;
     assert!((4..=6).contains(&report.iterations), "{report:?}");
     // The rest factor serves the linear start of moved supports and the rounding estimate.

@@ -136,11 +136,7 @@ impl Members {
     ) -> PyResult<ManySolutions> {
         let (cancel, finished) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicUsize::new(0)));
         let tolerance = settings.tolerance;
-        let settings = SolveSettings {
-            cancel: Some(cancel.clone()),
-            progress: Some(finished.clone()),
-            ..settings
-        };
+        let settings = settings.with_cancel(cancel.clone()).with_progress(finished.clone());
         let shared = body.clone();
         let work = move || {
             let start = |member: usize| {

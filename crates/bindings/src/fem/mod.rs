@@ -159,11 +159,7 @@ impl Body {
     /// "tet4", "tet4-averaged" or "tet10".
     #[getter]
     fn element(&self) -> &'static str {
-        match self.0.element() {
-            Element::Tet4 => "tet4",
-            Element::Tet4Averaged => "tet4-averaged",
-            Element::Tet10 => "tet10",
-        }
+        self.0.element().name()
     }
 
     /// Seconds that making it took.
@@ -217,7 +213,7 @@ impl Body {
         let start = start.map(|rows| rows.rows::<3>().to_vec());
         let body = self.0.clone();
         let cancel = Arc::new(AtomicBool::new(false));
-        let settings = SolveSettings { cancel: Some(cancel.clone()), ..settings };
+        let settings = settings.with_cancel(cancel.clone());
         let work = move || match start {
             None => tissuereg_fem::solve(&body, &material, &load, &settings),
             Some(start) => tissuereg_fem::solve_from(&body, &material, &load, &start, &settings),
@@ -252,7 +248,7 @@ impl Body {
             other => return Err(bad_choice(py, "precision", "`double` or `single`", other)),
         };
         let displacement = self.field("displacement", displacement)?;
-        let settings = SolveSettings { n_threads: threads, ..SolveSettings::default() };
+        let settings = SolveSettings::default().with_n_threads(threads);
         let problem = Problem {
             material: self.material([young, poisson], law)?,
             load: self.load(forces, body_force, prescribed, springs)?,
@@ -480,9 +476,12 @@ fn settings_of(
         other => return Err(bad_choice(py, "method", "`auto`, `newton` or `quasi-newton`", other)),
     };
     let load_steps = if load_steps == 0 { LoadSteps::Auto } else { LoadSteps::Equal(load_steps) };
-    let settings =
-        SolveSettings { tolerance, max_iterations, method, load_steps, ..SolveSettings::default() };
-    Ok(SolveSettings { n_threads: threads, ..settings })
+    let settings = SolveSettings::default()
+        .with_tolerance(tolerance)
+        .with_max_iterations(max_iterations)
+        .with_method(method)
+        .with_load_steps(load_steps);
+    Ok(settings.with_n_threads(threads))
 }
 
 fn bad_choice(py: Python<'_>, name: &str, wanted: &str, found: &str) -> PyErr {

@@ -123,7 +123,7 @@ impl Rig {
         let weight = weight.and_then(|view| view.rows::<3>().first().copied());
         let settings = settings_of(py, tolerance, max_iterations, "auto", 0, threads)?;
         let cancel = Arc::new(AtomicBool::new(false));
-        let watched = SolveSettings { cancel: Some(cancel.clone()), ..settings.clone() };
+        let watched = settings.clone().with_cancel(cancel.clone());
         let plan = Plan { mesh, element, supports, material, behaviour, pads, weight, record };
         let (own_springs, n_pads) = (springs.clone(), plan.pads.len());
         let work = move || plan.build(own_springs, &watched);
@@ -166,7 +166,7 @@ impl Rig {
         let motions: Vec<Option<[f64; 3]>> =
             motions.rows::<3>().iter().map(|row| (!absent(row)).then_some(*row)).collect();
         let cancel = Arc::new(AtomicBool::new(false));
-        let settings = SolveSettings { cancel: Some(cancel.clone()), ..self.settings.clone() };
+        let settings = self.settings.clone().with_cancel(cancel.clone());
         let rig = self.rig.clone();
         let work = move || {
             let mut rig = rig.lock().unwrap_or_else(PoisonError::into_inner);
@@ -313,7 +313,7 @@ impl Rig {
         work: impl FnOnce(&tissuereg_fem::Rig, &SolveSettings) -> Result<T, FemError> + Send + 'static,
     ) -> PyResult<T> {
         let cancel = Arc::new(AtomicBool::new(false));
-        let settings = SolveSettings { cancel: Some(cancel.clone()), ..self.settings.clone() };
+        let settings = self.settings.clone().with_cancel(cancel.clone());
         let rig = self.rig.clone();
         let watched = move || work(&rig.lock().unwrap_or_else(PoisonError::into_inner), &settings);
         lock::run_watched(py, &cancel, |_| Ok(()), watched)?

@@ -9,7 +9,6 @@ use pyo3::types::PyDict;
 use tissuereg_fem::material::Parameter;
 use tissuereg_fem::{
     self as fem, BehaviourParameter, FemError, FrameCause, Load, Observation, Precision,
-    SolveSettings,
 };
 
 use super::bad_choice;
@@ -143,6 +142,7 @@ impl Cause {
             FrameCause::Motion { pad, rates } => {
                 format!("Cause(Motion, pad={pad}, n_frames={})", rates.len())
             }
+            other => format!("Cause({other:?})"),
         }
     }
 }
@@ -195,7 +195,7 @@ impl Linearised {
         let super::Problem { material, load, displacement, precision, settings } = problem;
         let threads = settings.n_threads;
         let cancel = Arc::new(AtomicBool::new(false));
-        let settings = SolveSettings { cancel: Some(cancel.clone()), ..settings };
+        let settings = settings.with_cancel(cancel.clone());
         let own = body.0.clone();
         let work =
             move || Inner::in_precision(own, &material, &load, &displacement, &settings, precision);
@@ -317,7 +317,7 @@ impl Linearised {
         let load = self.body.load(forces, body_force, prescribed, springs)?;
         let settings = super::settings_of(py, tolerance, max_iterations, "auto", 0, self.threads)?;
         let answer = self.call(py, move |inner| {
-            let settings = SolveSettings { cancel: inner.cancel_flag(), ..settings };
+            let settings = settings.with_cancel(inner.cancel_flag());
             inner.solve_near(&load, &settings)
         })?;
         super::Solution::new(py, answer, tolerance)

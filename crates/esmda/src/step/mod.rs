@@ -35,6 +35,7 @@ use crate::{EsmdaError, NoiseCovariance, linalg};
 
 /// How the matrix of a step is factored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Factorisation {
     /// Cholesky where the condition number allows it, else QR.
     Auto,
@@ -48,6 +49,7 @@ pub enum Factorisation {
 
 /// On which side of `S` (`n_obs`, `n_members`) Cholesky and QR work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Side {
     /// The smaller one.
     Smaller,
@@ -58,7 +60,19 @@ pub enum Side {
 }
 
 /// What a caller may choose about a step; the answer depends on it by rounding only, on `par` not at all.
+///
+/// Further settings may come: start from the default and change what differs.
+///
+/// # Examples
+///
+/// ```
+/// use tissuereg_esmda::{Factorisation, StepSettings, faer::Par};
+///
+/// let settings = StepSettings::default().with_par(Par::rayon(0)).with_factorisation(Factorisation::Qr);
+/// assert_eq!(settings.condition_limit, 1e6);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct StepSettings {
     /// Threads: those of the current rayon pool, or none.
     pub par: Par,
@@ -84,8 +98,41 @@ impl Default for StepSettings {
     }
 }
 
+impl StepSettings {
+    /// The same on other threads: [`par`](Self::par).
+    #[must_use]
+    pub fn with_par(self, par: Par) -> Self {
+        Self { par, ..self }
+    }
+
+    /// The same with another [`factorisation`](Self::factorisation).
+    #[must_use]
+    pub fn with_factorisation(self, factorisation: Factorisation) -> Self {
+        Self { factorisation, ..self }
+    }
+
+    /// The same on another [`side`](Self::side).
+    #[must_use]
+    pub fn with_side(self, side: Side) -> Self {
+        Self { side, ..self }
+    }
+
+    /// The same with another [`condition_limit`](Self::condition_limit).
+    #[must_use]
+    pub fn with_condition_limit(self, condition_limit: f64) -> Self {
+        Self { condition_limit, ..self }
+    }
+
+    /// The same with another largest prediction: [`largest`](Self::largest).
+    #[must_use]
+    pub fn with_largest(self, largest: f64) -> Self {
+        Self { largest, ..self }
+    }
+}
+
 /// What was done to prepare a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct StepReport {
     /// The factorisation used; never [`Factorisation::Auto`].
     pub factorisation: Factorisation,

@@ -21,6 +21,7 @@ pub(crate) use geometry::{Geometry, PACK, Patches, cross, edges_of};
 
 /// Element type of a body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Element {
     /// Four nodes, linear displacement. Stiff in bending, and locks near incompressibility.
     #[default]
@@ -35,7 +36,7 @@ pub enum Element {
     ///
     /// # Accuracy
     ///
-    /// Displacements converge to published ones (`examples/incompressible.rs`; Schröder et al.,
+    /// Displacements converge to published ones (`measure/incompressible.rs`; Schröder et al.,
     /// Arch. Comput. Methods Eng. 28, 713, 2021): 0.8 % too little on Cook's membrane in three
     /// dimensions with 24 x 24 cells at `ν = 0.4995`, where [`Element::Tet4`] lacks 2.4 % and
     /// [`Element::Tet10`] with 8 x 8 cells 0.6 %; 0.2 % too much on a pressed block with 8³ cells,
@@ -62,6 +63,15 @@ pub enum Element {
 }
 
 impl Element {
+    /// "tet4", "tet4-averaged" or "tet10".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tet4 => "tet4",
+            Self::Tet4Averaged => "tet4-averaged",
+            Self::Tet10 => "tet10",
+        }
+    }
+
     /// Number of nodes of an element.
     pub fn n_nodes(self) -> usize {
         match self {

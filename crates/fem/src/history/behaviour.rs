@@ -4,6 +4,7 @@ use crate::error::FemError;
 
 /// Which part of the stress relaxes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Part {
     /// All of it.
     #[default]
@@ -50,6 +51,7 @@ pub struct Softening {
 
 /// How an energy softens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum SofteningForm {
     /// Mullins effect: loading for the first time is not softened, and below the largest isochoric
     /// energy so far the isochoric stress is multiplied by

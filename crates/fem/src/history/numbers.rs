@@ -10,6 +10,7 @@ use super::softening::Softness;
 /// A derivative by one that a behaviour does not have is an error; [`Viscosity`](Self::Viscosity)
 /// and those of a swelling of no strain may be 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum BehaviourParameter {
     /// Share of one term of the relaxation.
     RelaxationShare(usize),

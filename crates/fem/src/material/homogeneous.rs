@@ -9,6 +9,7 @@ use super::{Hyperelastic, Law, LawKind, Matrix3};
 
 /// Deformation of a material test; axis 0 is the one that is pulled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Mode {
     /// Stretch along one axis, free across it. Shears are held at zero, as they are anyway unless
     /// fibres lie oblique.
@@ -21,6 +22,7 @@ pub enum Mode {
 
 /// Whether a test uses the bulk modulus of the law or its limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Compressibility {
     /// As the law has it.
     #[default]

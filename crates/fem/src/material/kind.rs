@@ -34,6 +34,7 @@ use crate::error::FemError;
 /// Holzapfel, *Nonlinear Solid Mechanics*, Wiley, 2000, chapter 6; Veronda and Westmann, *Journal
 /// of Biomechanics* 3, 1970.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub enum LawKind {
     /// Coupled compressible neo-Hookean law.
     #[default]
@@ -105,6 +106,7 @@ impl OgdenTerms {
 /// Young's modulus is in kPa, all others are dimensionless. Moving Young's modulus or Poisson's
 /// ratio keeps the shape of the law, `k₁/μ` included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Parameter {
     /// Young's modulus.
     Young,

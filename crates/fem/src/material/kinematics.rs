@@ -84,6 +84,7 @@ impl Kinematics {
 /// is always coupled: all laws but Hooke's and St. Venant–Kirchhoff's are it where their shape
 /// parameters vanish (Ogden: an exponent of 2) if they are [`Coupled`](Self::Coupled).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Volumetric {
     /// `K/2 ln²J`
     #[default]

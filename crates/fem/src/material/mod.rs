@@ -40,7 +40,10 @@ pub type Matrix3 = [[f64; 3]; 3];
 /// Derivative of a stress by a displacement gradient: `[3 i + j][3 k + l] = ∂P_ij/∂h_kl`.
 pub type Tangent = [[f64; 9]; 9];
 
-/// A law that derives its stress from an energy.
+/// A law that derives its stress from an energy: how [`Law`] and [`NeoHookean`] are read at a point.
+///
+/// A solve takes the laws of [`LawKind`] alone, by [`Material::with_law`]: implementing this trait
+/// for a type of yours does not bring it into one.
 ///
 /// All methods take the displacement gradient `h[i][j] = ∂u_i/∂X_j` (dimensionless) instead of
 /// `F = I + h`, so that small strains keep their digits, and return `None` where `det F ≤ 0`

@@ -9,6 +9,7 @@ use crate::surface::{Skin, Springs, SurfaceTerms};
 
 /// What a derivative is taken by.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum Cause {
     /// A parameter of the law, moved alike everywhere (a field of moduli by the same amount).
     Parameter(Parameter),

@@ -69,6 +69,7 @@ pub struct Linearised<B> {
 
 /// Work of a [`Linearised`] so far; the same at any number of threads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct TangentReport {
     /// Precision of the factor: double also where a single one did not suffice.
     pub precision: Precision,

@@ -21,6 +21,7 @@ pub struct Solution {
 ///
 /// All but `seconds` is the same at any number of threads.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct SolveReport {
     /// Accepted steps towards equilibrium, in all load steps.
     pub iterations: usize,
@@ -62,6 +63,7 @@ impl SolveReport {
 
 /// Seconds by stage.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct StageSeconds {
     /// Assembling and factorising tangents.
     pub factor: f64,

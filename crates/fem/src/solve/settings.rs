@@ -7,6 +7,7 @@ use crate::error::FemError;
 
 /// Which iteration finds the equilibrium.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Method {
     /// Quasi-Newton on the factor of the undeformed stiffness, with a fresh factor where it
     /// converges slowly, and load steps where it fails.
@@ -20,6 +21,7 @@ pub enum Method {
 
 /// In how many steps the load is applied.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum LoadSteps {
     /// All at once; where that fails, in steps that grow and shrink by themselves.
     #[default]
@@ -42,15 +44,18 @@ pub enum Precision {
 
 /// Settings of [`solve`](crate::solve) and [`solve_many`](crate::solve_many).
 ///
+/// Further settings may come: start from the default and change what differs.
+///
 /// # Examples
 ///
 /// ```
 /// use tissuereg_fem::{Method, SolveSettings};
 ///
-/// let settings = SolveSettings { method: Method::Newton, ..SolveSettings::default() };
+/// let settings = SolveSettings::default().with_method(Method::Newton);
 /// assert_eq!(settings.tolerance, 1e-9);
 /// ```
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct SolveSettings {
     /// Largest admissible `|residual| / |load|`, both over free unknowns. Where supports are
     /// moved, the norm of the reactions counts as load if it is larger. A residual at the rounding
@@ -89,6 +94,48 @@ impl Default for SolveSettings {
 }
 
 impl SolveSettings {
+    /// The same with another [`tolerance`](Self::tolerance).
+    #[must_use]
+    pub fn with_tolerance(self, tolerance: f64) -> Self {
+        Self { tolerance, ..self }
+    }
+
+    /// The same with another [`max_iterations`](Self::max_iterations).
+    #[must_use]
+    pub fn with_max_iterations(self, max_iterations: usize) -> Self {
+        Self { max_iterations, ..self }
+    }
+
+    /// The same with another [`method`](Self::method).
+    #[must_use]
+    pub fn with_method(self, method: Method) -> Self {
+        Self { method, ..self }
+    }
+
+    /// The same with other [`load_steps`](Self::load_steps).
+    #[must_use]
+    pub fn with_load_steps(self, load_steps: LoadSteps) -> Self {
+        Self { load_steps, ..self }
+    }
+
+    /// The same on this many threads, see [`n_threads`](Self::n_threads).
+    #[must_use]
+    pub fn with_n_threads(self, n_threads: usize) -> Self {
+        Self { n_threads, ..self }
+    }
+
+    /// The same with a flag, or none, that ends the solve early: [`cancel`](Self::cancel).
+    #[must_use]
+    pub fn with_cancel(self, cancel: impl Into<Option<Arc<AtomicBool>>>) -> Self {
+        Self { cancel: cancel.into(), ..self }
+    }
+
+    /// The same with a counter, or none, of finished members: [`progress`](Self::progress).
+    #[must_use]
+    pub fn with_progress(self, progress: impl Into<Option<Arc<AtomicUsize>>>) -> Self {
+        Self { progress: progress.into(), ..self }
+    }
+
     /// Check ranges.
     pub(crate) fn check(&self) -> Result<(), FemError> {
         if !(self.tolerance > 0.0 && self.tolerance < 1.0) {

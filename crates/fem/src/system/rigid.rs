@@ -23,6 +23,7 @@ const NULL_LIMIT: f64 = 1e-12;
 
 /// How a body, or a loose part of it, can move without deforming.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct RigidModes {
     /// Names such as "translation x", "rotation about y".
     pub modes: Vec<String>,

@@ -32,6 +32,7 @@ pub use adjoint::{FrameAdjoint, FrameObservation};
 
 /// What the frames of a rig may follow.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum FrameCause {
     /// What the body is made of and what lies on its surface, in all frames alike. A
     /// [`Cause::Load`] acts in all frames.

@@ -68,7 +68,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             for by in [1.1, 1.5, 0.5] {
                 let near = load.nodal_forces.iter().flatten().map(|f| f.map(|v| by * v)).collect();
                 let near = Load::from_forces(near);
-                let loose = SolveSettings { tolerance: 1e-6, ..settings.clone() };
+                let loose = settings.clone().with_tolerance(1e-6);
                 let (ms, found) = fastest(repeat, || here.solve_near(&near, &loose));
                 let report = found?.report;
                 let (rest_ms, rest) = fastest(repeat, || solve(&body, &material, &near, &loose));

@@ -66,7 +66,7 @@ fn row(
 ) -> Result<(), Box<dyn Error>> {
     let start = Instant::now();
     let Problem { body, material, load, node, axis } = make();
-    let settings = SolveSettings { tolerance: 1e-6, ..SolveSettings::default() };
+    let settings = SolveSettings::default().with_tolerance(1e-6);
     let answer = solve(&body, &material, &load, &settings)?;
     let seconds = start.elapsed().as_secs_f64();
     let even = evenness(&body, &answer.displacement);

@@ -1,0 +1,98 @@
+"""What the three published crates hold: licences, metadata, examples that stand alone, and errors that Python knows."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[2]
+CRATES = ("fem", "contacts", "esmda")
+FIRST = {"fem": "first_solve", "contacts": "first_contact", "esmda": "first_update"}
+EXAMPLES = [path for crate in CRATES for path in sorted((ROOT / "crates" / crate / "examples").glob("*.rs"))]
+ERRORS = {"fem": "FemError", "contacts": "ContactsError", "esmda": "EsmdaError"}
+
+
+def manifest(crate: str) -> dict:
+    return tomllib.loads((ROOT / "crates" / crate / "Cargo.toml").read_text(encoding="utf-8"))
+
+
+def readme(crate: str) -> str:
+    return (ROOT / "crates" / crate / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("crate", CRATES)
+@pytest.mark.parametrize("licence", ["LICENSE-MIT", "LICENSE-APACHE"])
+def test_a_crate_carries_the_licences_of_the_repository(crate, licence):
+    assert (ROOT / "crates" / crate / licence).read_bytes() == (ROOT / licence).read_bytes()
+
+
+@pytest.mark.parametrize("crate", CRATES)
+def test_the_metadata_of_a_crate_is_complete(crate):
+    package = manifest(crate)["package"]
+    assert {"name", "version", "edition", "rust-version", "license", "authors", "description"} <= set(package)
+    assert package["readme"] == "README.md"
+    # At most five of each, as a registry demands.
+    assert 3 <= len(package["keywords"]) <= 5
+    assert all(re.fullmatch(r"[a-z][a-z0-9-]{0,19}", word) for word in package["keywords"])
+    assert 1 <= len(package["categories"]) <= 5
+    assert package.get("publish", True)
+
+
+@pytest.mark.parametrize("key", ["repository", "homepage", "documentation"])
+def test_a_link_that_the_workspace_has_stands_in_every_crate(key):
+    workspace = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]["package"]
+    for crate in CRATES:
+        assert (manifest(crate)["package"].get(key) == {"workspace": True}) == (key in workspace)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_needs_its_own_crate_alone(path):
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"#\[path|include(_str|_bytes)?!|^\s*mod \w+;", text, re.MULTILINE)
+    crate = f"tissuereg_{path.parents[1].name}"
+    used = re.findall(r"^use (\w+)", text, re.MULTILINE)
+    assert crate in used
+    assert set(used) <= {crate, "std"}
+
+
+@pytest.mark.parametrize("crate", CRATES)
+def test_the_first_code_of_a_readme_is_an_example(crate):
+    text = (ROOT / "crates" / crate / "examples" / f"{FIRST[crate]}.rs").read_text(encoding="utf-8")
+    code = re.sub(r"\A(//!.*\n)+\n", "", text)
+    assert re.search(r"```rust\n(.*?)```", readme(crate), re.DOTALL).group(1) == code
+    assert f"cargo add tissuereg-{crate}\n" in readme(crate)
+
+
+@pytest.mark.parametrize("crate", CRATES)
+def test_every_error_of_a_crate_has_an_exception(crate):
+    """Enums that may grow hide a forgotten variant from the compiler."""
+    source = (ROOT / "crates" / crate / "src/error.rs").read_text(encoding="utf-8")
+    body = re.search(rf"#\[non_exhaustive\]\npub enum {ERRORS[crate]} \{{\n(.*?)\n\}}\n", source, re.DOTALL).group(1)
+    variants = re.findall(r"^    ([A-Z]\w*)(?: \{|\(|,)", body, re.MULTILINE)
+    assert len(variants) >= 5
+    function = "fem_class" if crate == "fem" else f"from_{crate}"
+    binding = (ROOT / "crates/bindings/src/errors.rs").read_text(encoding="utf-8")
+    named = re.search(rf"fn {function}\(.*?\n\}}\n", binding, re.DOTALL).group(0)
+    assert [name for name in variants if not re.search(rf"E::{name}\b", named)] == []
+
+
+@pytest.mark.parametrize(
+    ("crate", "path", "name"),
+    [
+        ("fem", "solve/settings.rs", "SolveSettings"),
+        ("contacts", "run.rs", "ChainSettings"),
+        ("esmda", "step/mod.rs", "StepSettings"),
+    ],
+)
+def test_every_setting_can_be_set_outside_its_crate(crate, path, name):
+    source = (ROOT / "crates" / crate / "src" / path).read_text(encoding="utf-8")
+    body = re.search(rf"#\[non_exhaustive\]\npub struct {name} \{{\n(.*?)\n\}}\n", source, re.DOTALL).group(1)
+    fields = re.findall(r"^    pub (\w+):", body, re.MULTILINE)
+    assert fields
+    assert [field for field in fields if f"pub fn with_{field}(" not in source] == []
