@@ -14,7 +14,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -22,6 +22,8 @@ help:
 	@echo "make test-sturdy     a thousand known equilibria, two thousand random inputs"
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make docs            the documentation site, to be read from files -> build/site/index.html"
+	@echo "make crates          what would be published of each crate, built; its examples, outside the repository (DIRTY=--allow-dirty)"
+	@echo "make test-wheel      the wheel installed without a compiler, and another one built from the source archive"
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
 	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls -> docs/blind-quick.md"
@@ -77,6 +79,15 @@ test-python: $(VENV)/.installed-dev
 # Tests that take minutes.
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
+
+# What would be published, and what a stranger does with it. DIRTY=--allow-dirty: with what is not committed.
+crates: $(BIN)/python
+	$(BIN)/python tools/check_crates.py $(DIRTY)
+
+test-wheel: $(VENV)/.installed
+	rm -rf target/sdist
+	$(BIN)/maturin sdist --out target/sdist
+	$(BIN)/python tools/check_wheel.py target/wheels/tissuereg-*.whl --sdist target/sdist/tissuereg-*.tar.gz
 
 lint: $(VENV)/.installed-dev
 	$(CARGO) fmt --all --check
