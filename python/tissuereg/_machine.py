@@ -11,6 +11,9 @@ from typing import Any
 #: Packages whose versions are told, where they were used.
 _PACKAGES = ("scipy", "onnxruntime", "meshio", "trimesh", "matplotlib", "torch")
 
+#: Name in the environment of the memory in GB (1e9 bytes) that a process may take, where the system does not tell it.
+LIMIT = "TISSUEREG_MEMORY_GB"
+
 
 def peak_mib() -> float | None:
     """Return the largest memory that this process has held, in MiB; None where nobody knows."""
@@ -20,6 +23,70 @@ def peak_mib() -> float | None:
         return None
     size = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     return size / 2**20 if sys.platform == "darwin" else size / 2**10
+
+
+def resident_bytes() -> int | None:
+    """Return the memory that this process holds now; None where nobody knows."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return None
+
+
+def available_bytes() -> int | None:
+    """Return the memory that this process may still take; None where nobody knows.
+
+    The least of what the system has without swapping (``MemAvailable``), what the control groups of the process leave
+    of their limits, and what `LIMIT` leaves, where that is set.
+    """
+    left = [_system_left(), *_groups_left()]
+    said = os.environ.get(LIMIT)
+    if said is not None:
+        with contextlib.suppress(ValueError):
+            left.append(int(1e9 * float(said)) - (resident_bytes() or 0))
+    known = [max(0, one) for one in left if one is not None]
+    return min(known, default=None)
+
+
+def _system_left() -> int | None:
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024 * int(line.split()[1])
+    return None
+
+
+def _groups_left(root: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> list[int]:
+    """Return what every control group about this process leaves of its limit (versions 1 and 2).
+
+    Pages of files that nobody uses count as free: the kernel gives them up before it refuses memory.
+    """
+    found = []
+    with contextlib.suppress(OSError):
+        for line in own.read_text(encoding="utf-8").splitlines():
+            _, controllers, path = line.split(":", 2)
+            if controllers and "memory" not in controllers.split(","):
+                continue
+            names = (
+                ("memory.limit_in_bytes", "memory.usage_in_bytes") if controllers else ("memory.max", "memory.current")
+            )
+            top = root / "memory" if controllers else root
+            # A container sees its own group at the top, under whatever path the host gave it.
+            for folder in [top / path.strip("/"), *(top / path.strip("/")).parents]:
+                with contextlib.suppress(OSError, ValueError):
+                    limit, used = (int((folder / name).read_text(encoding="ascii")) for name in names)
+                    found.append(limit - used + _unused_pages(folder))
+                if folder == top:
+                    break
+    return found
+
+
+def _unused_pages(group: Path) -> int:
+    with contextlib.suppress(OSError, ValueError):
+        for line in (group / "memory.stat").read_text(encoding="ascii").splitlines():
+            name, value = line.split()
+            if name in ("total_inactive_file", "inactive_file"):
+                return int(value)
+    return 0
 
 
 def n_cores() -> int:

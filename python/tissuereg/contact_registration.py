@@ -21,6 +21,7 @@ from tissuereg.contacts.icp import closest_frame
 from tissuereg.contacts.moment import Moment
 from tissuereg.contacts.seen import Seen, SeenMarkers
 from tissuereg.contacts.settings import ContactSettings
+from tissuereg.contacts.size import announce
 from tissuereg.contacts.spread import Spread
 from tissuereg.contacts.supports import Supports
 from tissuereg.contacts.surface_points import SeenPoints
@@ -119,6 +120,7 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
         body = ContactBody.of(given.mesh, supports, believed.element)
     points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, settings.model_error)
     seen = Seen.of(SeenMarkers(given.observed, given.markers, settings.model_error), points)
+    announce(body, seen, given, clock)
     found, note = _Search(given, body, seen, settings, clock).least_left(believed)
     if note:
         given = replace(given, suspicions=(*given.suspicions, note))

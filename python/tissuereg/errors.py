@@ -39,6 +39,20 @@ class MeshError(TissueRegError, ValueError):
     """A mesh cannot carry a simulation: degenerate, inverted, out of range or not finite."""
 
 
+class LargeBodyError(MeshError):
+    """What a mesh needs would not fit into the memory that the process may take.
+
+    Attributes
+    ----------
+    needed_bytes, available_bytes : int
+        Further memory that is estimated, and what there is.
+    """
+
+    exit_code = 3
+    needed_bytes: int
+    available_bytes: int
+
+
 class UnitError(MeshError):
     """Lengths cannot be millimetres."""
 
@@ -129,6 +143,10 @@ class ParityError(TissueRegError, RuntimeError):
 
 class UnitWarning(UserWarning):
     """A number is plausible in another unit than the one it is taken in."""
+
+
+class LargeBodyWarning(UserWarning):
+    """What a mesh needs would take more than half of the memory that the process may take."""
 
 
 class LockingWarning(UserWarning):

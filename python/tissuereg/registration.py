@@ -53,6 +53,7 @@ def register(
     polish: bool = False,
     ensemble: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    tell: Callable[[str, str], None] | None = None,
 ) -> Registration:
     """Register a deformed body to a few measured markers, to points of its surface, or to both.
 
@@ -111,6 +112,10 @@ def register(
         draws; for large motions, where the posterior is not Gaussian.
     progress : callable of (int, int), optional
         Called with passes finished and passes at most.
+    tell : callable of (str, str), optional
+        Called with a kind and words: ``"stage"`` with the name of each stage that begins, as in `Registration.seconds`,
+        on large bodies also with how much of it is done. Without a model ``"size"`` with one line of size, time and
+        memory as soon as the mesh is analysed, and ``"warning"`` where it takes longer than a minute.
 
     Returns
     -------
@@ -129,6 +134,8 @@ def register(
         If an array does not fit the mesh, or `held` or `frame` is none of these.
     ArgumentError
         If another argument has the wrong type or is out of its range; the message names it.
+    LargeBodyError
+        If the body would not fit into memory (``docs/large-bodies.md``); nothing has been factored then.
     MaterialError
         If `stiffness` is none of these, or graded together with a `simulation`.
     ConvergenceError, EnsembleError
@@ -163,7 +170,8 @@ def register(
     flag("polish", polish)
     whole("ensemble", ensemble, most=MOST_COUNTED)
     called("progress", progress)
-    clock = Clock()
+    called("tell", tell)
+    clock = Clock(tell)
     with threadpool_limits(limits=1, user_api="blas"), clock.stage("total"):
         with clock.stage("attach"):
             if surface is not None and model is not None:

@@ -12,7 +12,7 @@ use crate::solve::RestCache;
 use crate::supports::Supports;
 use crate::surface::{FacetOwners, facet_owners};
 use crate::system::pattern::Pattern;
-use crate::system::{PlainOrder, check_rigid_modes};
+use crate::system::{FactorSize, PlainOrder, check_rigid_modes};
 
 /// A supported mesh with its element data, elimination order and symbolic factor.
 ///
@@ -202,6 +202,11 @@ impl Body {
     /// Number of unknown displacement components.
     pub fn n_unknowns(&self) -> usize {
         self.pattern.n_unknowns()
+    }
+
+    /// How large the factor of its stiffness is and what making it costs; no factor is made.
+    pub fn factor_size(&self) -> FactorSize {
+        self.pattern.fronts.size()
     }
 
     /// Corners of the edge whose middle is each node after the corner nodes; empty for

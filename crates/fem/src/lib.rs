@@ -139,7 +139,7 @@ pub use solve::{
 };
 pub use supports::Supports;
 pub use surface::{Friction, Skin, Springs};
-pub use system::RigidModes;
+pub use system::{FactorSize, RigidModes};
 
 /// Runs the examples of the README.
 #[cfg(doctest)]

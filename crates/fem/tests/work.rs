@@ -157,3 +157,26 @@ fn a_twist_by_nearly_half_a_turn_is_followed() {
         .sum();
     assert!(moment > 0.0, "the end resists by {moment} mN mm");
 }
+
+/// Every front that is made fits the size that was announced: the cubes of a bar grow as theory says.
+#[test]
+fn the_size_of_a_factor_is_known_before_it_is_made() {
+    let size = |n: usize| {
+        let body = clamped_at_x0(bar([n, n, n], [20.0, 20.0, 20.0]), Element::Tet4);
+        (body.n_unknowns() as f64, body.factor_size())
+    };
+    let (small_unknowns, small) = size(6);
+    let (large_unknowns, large) = size(12);
+    let growth = (large_unknowns / small_unknowns).ln();
+    // Nested dissection in space: entries grow as n^(4/3), operations as n^2, a little less where small.
+    let entries = (large.n_entries as f64 / small.n_entries as f64).ln() / growth;
+    let flops = (large.flops / small.flops).ln() / growth;
+    assert!((1.15..=1.45).contains(&entries), "{entries}");
+    assert!((1.7..=2.3).contains(&flops), "{flops}");
+    for (unknowns, one) in [(small_unknowns, small), (large_unknowns, large)] {
+        // A factor has its diagonal at least, and no more than a dense one with its filled-up blocks.
+        assert!(one.n_entries as f64 > unknowns);
+        assert!(one.flops <= (unknowns + 1.0).powi(3) / 3.0 + (unknowns + 1.0).powi(2));
+        assert!(one.n_working > 0 && one.n_working < 4 * one.n_entries);
+    }
+}

@@ -5,13 +5,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope, progress_bar
+from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope
 from tissuereg.cli.options import add_common, command_parser, refuse_overwriting, whole_number
 from tissuereg.cli.register_input import add_input_options, registration_input
 from tissuereg.cli.register_words import summary
+from tissuereg.cli.stages import Stages, stage_lines
 
 if TYPE_CHECKING:
     from tissuereg.registration import RegisterSettings
+    from tissuereg.result import Registration
 
 _DETAILS = (
     "Where is every point of a soft body now, given where a few markers were before and are after? Nothing need be "
@@ -76,7 +78,7 @@ def run(args: argparse.Namespace) -> Outcome:
     Outcome
         Schema ``tissuereg.registration/1``; exit code 4 where it is not to be trusted.
     """
-    from tissuereg.io.atomic import atomic_folder, check_folder_target
+    from tissuereg.io.atomic import check_folder_target
     from tissuereg.registration import register
     from tissuereg.report.files import DEFORMED, WRITTEN
 
@@ -88,7 +90,7 @@ def run(args: argparse.Namespace) -> Outcome:
     given = registration_input(args)
     reading = clock.lap("read")
     chosen = {"held": args.held, "frame": args.tracker, "stiffness": args.stiffness}
-    with progress_bar("passes", quiet=args.quiet) as progress:
+    with stage_lines(quiet=args.quiet) as shown:
         result = register(
             **{"element": args.element, **given},
             model=args.model,
@@ -97,18 +99,29 @@ def run(args: argparse.Namespace) -> Outcome:
             seed=args.seed or 0,
             threads=args.threads,
             settings=_settings(args),
-            progress=progress,
+            progress=shown.progress,
+            tell=shown.tell,
         )
-    clock.lap("register")
-    stages = {name: spent for name, spent in result.seconds.items() if name != "total"}
-    extra = {**envelope(args.threads), "seconds": {"read": reading, **stages, **_total(clock)}}
-    with atomic_folder(args.out) as draft:
-        result.save(draft, extra, deformed=args.deformed)
-        result.report(draft / "report.html")
+        clock.lap("register")
+        stages = {name: spent for name, spent in result.seconds.items() if name != "total"}
+        extra = {**envelope(args.threads), "seconds": {"read": reading, **stages, **_total(clock)}}
+        _write(result, args, extra, shown)
     writing = clock.lap("write")
     seconds = {"read": reading, **stages, "write": writing, **_total(clock)}
     content = {**result.to_json(), "seconds": seconds}
     return Outcome(content, summary(content, args.out), args.threads, 0 if result.trust.ok else UNTRUSTED)
+
+
+def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, Any], shown: Stages) -> None:
+    """Write all files or none."""
+    from tissuereg.io.atomic import atomic_folder
+
+    with atomic_folder(args.out) as draft:
+        shown.tell("stage", "draws")
+        _ = result.std  # made here, when it is first read
+        shown.tell("stage", "files")
+        result.save(draft, extra, deformed=args.deformed)
+        result.report(draft / "report.html")
 
 
 def _total(clock: Stopwatch) -> dict[str, float]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from tissuereg._machine import peak_mib
-from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
+from tissuereg.cli.common import Outcome, Stopwatch, note, seconds_line
 from tissuereg.cli.options import add_common, command_parser, positive_number, refuse_overwriting
 
 _DETAILS = (
@@ -53,6 +53,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
     from tissuereg.io.atomic import check_file_target
     from tissuereg.io.problems import read_problem, write_solution
+    from tissuereg.simulate.size import SOLVE, BodySize, Estimate
     from tissuereg.simulate.solve import Simulator
 
     refuse_overwriting([Path(args.out)], [args.problem])
@@ -61,6 +62,10 @@ def run(args: argparse.Namespace) -> Outcome:
     problem = read_problem(args.problem)
     clock.lap("read")
     simulator = Simulator(problem.mesh, element=args.element)
+    estimate = Estimate.of(BodySize.of(simulator), SOLVE, args.threads)
+    if not args.quiet:
+        note(estimate.sentence())
+    estimate.check()
     clock.lap("analyse")
     found = simulator.solve(problem.load, problem.material, tolerance=args.tol, threads=args.threads)
     solving = clock.lap("solve")

@@ -100,9 +100,12 @@ class Linear:
     def _responses(self, tangent: Tangent, rows: list[Row], rigid: FloatArray) -> FloatArray:
         """Return the responses of rows of nodes and weights to the columns, (n_rows, n_columns)."""
         with self.clock.stage("sensitivities"):
-            compliance, solved = tangent.compliance(rows)
+            compliance, solved = tangent.compliance(rows, self._solved)
             self.counters["right_hand_sides"] += solved
             return self.columns.responses(compliance, np.empty((0, 3)), rigid)
+
+    def _solved(self, done: int, in_all: int) -> None:
+        self.clock.tell("stage", f"sensitivities {done} of {in_all}")
 
 
 __all__ = ["AtBody", "Linear"]

@@ -1,11 +1,13 @@
 """The tangent at a body, with a cache of sensitivities of observations; the tangent at rest is kept between calls."""
 
+import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._machine import n_cores
 from tissuereg.contacts.columns import Columns
 from tissuereg.contacts.moment import Moment
 from tissuereg.material import Material
@@ -13,6 +15,12 @@ from tissuereg.simulate.sensitivity import Compliance, Linearised, Observation
 
 #: Largest number of observations that are cached: more belong to points, which no later call repeats.
 MOST_REMEMBERED = 400
+
+#: A tangent at rest with more entries than this (1 GB) is not kept: later passes need the memory.
+MOST_KEPT_ENTRIES = 250_000_000
+
+#: From so many unknowns on right-hand sides are solved in parts: a block of the solver a thread.
+_MANY_UNKNOWNS, _BLOCK = 100_000, 16
 
 Row = tuple[IntArray, FloatArray]
 
@@ -24,24 +32,32 @@ class Tangent:
     ----------
     linearised : Linearised
         The equilibrium.
+    threads : int
+        Threads that it uses; 0: all cores.
 
     Attributes
     ----------
     linearised : Linearised
     """
 
-    def __init__(self, linearised: Linearised) -> None:
+    def __init__(self, linearised: Linearised, threads: int = 0) -> None:
         self.linearised = linearised
+        body = linearised.simulator.body
+        self._at_once = _BLOCK * (threads or n_cores()) if body.n_unknowns >= _MANY_UNKNOWNS else sys.maxsize
         self._known: dict[bytes, Compliance] = {}
         self._lock = threading.Lock()
 
-    def compliance(self, rows: Sequence[Row]) -> tuple[Compliance, int]:
+    def compliance(
+        self, rows: Sequence[Row], progress: Callable[[int, int], None] | None = None
+    ) -> tuple[Compliance, int]:
         """Return the sensitivities of observations to nodal forces, and how many of them had to be solved.
 
         Parameters
         ----------
         rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
             Nodes and weights of each observation.
+        progress : callable of (int, int), optional
+            Called with right-hand sides solved and to solve, on large bodies.
 
         Returns
         -------
@@ -55,7 +71,7 @@ class Tangent:
             found = {key: self._known[key] for key in keys if key in self._known}
         missing = {key: row for key, row in zip(keys, rows, strict=True) if key not in found}
         if missing or not rows:
-            solved = self.linearised.compliance([Observation(*row) for row in missing.values()])
+            solved = self._solved(list(missing.values()), progress)
             new = dict(zip(missing, _apart(solved), strict=True))
             self._remember(new)
             if len(missing) == len(rows):
@@ -63,6 +79,16 @@ class Tangent:
             found |= new
         parts = [found[key] for key in keys]
         return _together(parts), len(missing)
+
+    def _solved(self, rows: list[Row], progress: Callable[[int, int], None] | None) -> Compliance:
+        """Return how rows follow forces; on a large body some at a time, so that it can be said how many are done."""
+        parts = []
+        for first in range(0, max(1, len(rows)), self._at_once):
+            if progress is not None and first > 0:
+                progress(first, len(rows))
+            some = rows[first : first + self._at_once]
+            parts.append(self.linearised.compliance([Observation(*row) for row in some]))
+        return parts[0] if len(parts) == 1 else _together(parts)
 
     def _remember(self, new: dict[bytes, Compliance]) -> None:
         with self._lock:
@@ -108,8 +134,8 @@ def tangent_at(columns: Columns, material: Material, moment: Moment, threads: in
     Returns
     -------
     Tangent
-        The tangent at rest is cached: the next call on the same mesh and material reuses it, with the sensitivities
-        of markers at the same positions.
+        The tangent at rest is cached, unless it is very large: the next call on the same mesh and material reuses it,
+        with the sensitivities of markers at the same positions.
     int
         Factorisations: 0 or 1.
     """
@@ -128,8 +154,8 @@ def tangent_at(columns: Columns, material: Material, moment: Moment, threads: in
         precision="single",
         threads=threads,
     )
-    made = Tangent(linearised)
-    if key is not None:
+    made = Tangent(linearised, threads)
+    if key is not None and columns.body.simulator.body.factor_size[0] <= MOST_KEPT_ENTRIES:
         with _lock:
             _rest = (key, made)
     return made, 1

@@ -15,6 +15,7 @@ from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.bed import core_springs, stiffness_array
+from tissuereg.simulate.size import check_fits
 
 #: Elements that the solver knows.
 ELEMENTS = ("tet4", "tet4-averaged", "tet10")
@@ -112,6 +113,8 @@ class Simulator:
         If held nodes and springs leave a rigid motion free.
     LoadError, ShapeError
         If springs do not lie on the surface.
+    LargeBodyError
+        If one factor of the stiffness would not fit into memory.
     """
 
     def __init__(
@@ -133,6 +136,7 @@ class Simulator:
         flag("rests", rests)
         self.n_springs = len(sets)
         self.body = _core.Body(mesh.nodes, mesh.tets, held, element=element, springs=sets, rests=rests and bool(sets))
+        check_fits(self)
 
     @property
     def n_points(self) -> int:

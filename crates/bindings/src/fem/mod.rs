@@ -156,6 +156,14 @@ impl Body {
         self.0.n_unknowns()
     }
 
+    /// Entries of the factor of its stiffness, floating-point operations of making it, and most entries that are held
+    /// besides while one thread makes it; known from the symbolic analysis, no factor is made.
+    #[getter]
+    fn factor_size(&self) -> (usize, f64, usize) {
+        let size = self.0.factor_size();
+        (size.n_entries, size.flops, size.n_working)
+    }
+
     /// "tet4", "tet4-averaged" or "tet10".
     #[getter]
     fn element(&self) -> &'static str {

@@ -16,6 +16,7 @@ pub(crate) mod pattern;
 mod plain_order;
 mod rigid;
 mod separator;
+mod size;
 mod substitute;
 mod wide_solve;
 
@@ -25,4 +26,5 @@ pub(crate) use operator::Operator;
 pub(crate) use plain_order::PlainOrder;
 pub use rigid::RigidModes;
 pub(crate) use rigid::check_rigid_modes;
+pub use size::FactorSize;
 pub(crate) use substitute::{SolveScratch, WIDE, WIDE_SINGLE};

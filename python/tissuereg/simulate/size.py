@@ -1,0 +1,278 @@
+"""How much memory and time a body will take, told from its symbolic analysis before anything is factored.
+
+The rule for large bodies (``docs/large-bodies.md``): a body is refused whose estimated memory is more than there is;
+above half of that a warning is given. Numbers of bytes and operations below are properties of the code, set by
+``benchmarks/large_bodies.py``; the speed is that of the machine, measured when it is first needed.
+"""
+
+import math
+import time
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tissuereg._machine import LIMIT, available_bytes, n_cores, resident_bytes
+from tissuereg.errors import LargeBodyError, LargeBodyWarning
+
+if TYPE_CHECKING:
+    from tissuereg.simulate.solve import Simulator
+
+#: A warning is given above this share of the available memory, and a word said above this time in seconds.
+WARNED_SHARE, LONG_SECONDS = 0.5, 60.0
+
+#: Entries that are held while a factor is made, over those that one thread holds: threads work on several fronts.
+_WORKING = 1.5
+
+#: What is imported and drawn later, in bytes.
+_LATER = 200e6
+
+#: A factor of so many entries is looked at in any case, whatever is done with the body.
+_LARGE_ENTRIES = 10_000_000
+
+#: Operations at the speed of products of matrices: an entry of the factor and right-hand side; a tet and factorisation.
+_PER_ENTRY, _PER_TET = 42.0, 4e5
+
+#: Order of the matrix product that measures the speed, and how often it is made.
+_ORDER, _REPEATS = 512, 5
+
+#: What a mesh that fits should leave free of the memory.
+_ROOM = 0.85
+
+
+@dataclass(frozen=True)
+class BodySize:
+    """What the symbolic analysis tells.
+
+    Attributes
+    ----------
+    n_nodes, n_tets, n_unknowns : int
+        Nodes of the mesh, elements, and displacement components that are not held.
+    n_entries : int
+        Entries of the factor of the stiffness.
+    flops : float
+        Floating-point operations of one factorisation.
+    n_working : int
+        Most entries that one thread holds besides while it makes the factor.
+    element : str
+        Elements of the solver.
+    """
+
+    n_nodes: int
+    n_tets: int
+    n_unknowns: int
+    n_entries: int
+    flops: float
+    n_working: int
+    element: str
+
+    @classmethod
+    def of(cls, simulator: "Simulator") -> "BodySize":
+        """Return the size of an analysed body."""
+        body, mesh = simulator.body, simulator.mesh
+        n_entries, flops, n_working = body.factor_size
+        return cls(mesh.n_nodes, mesh.n_tets, body.n_unknowns, n_entries, flops, n_working, simulator.element)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What will be done with a body.
+
+    Attributes
+    ----------
+    factorisations : int
+        Expected number.
+    factors_held : int
+        Factors that are held at the same time.
+    entry_bytes : int
+        Memory of an entry of a factor.
+    right_hand_sides : int
+        Expected number.
+    fields : int
+        Whole fields, three numbers a node, that are held at the same time.
+    tet_fields : int
+        Numbers a tet that are held at the same time.
+    """
+
+    factorisations: int
+    factors_held: int
+    entry_bytes: int
+    right_hand_sides: int
+    fields: int
+    tet_fields: int = 0
+
+
+#: One static solve: the metric at rest in whole numbers, and the iterations of a large deformation.
+SOLVE = Work(1, 1, 2, 60, 60, 60)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a body will need.
+
+    Attributes
+    ----------
+    size : BodySize
+        The body.
+    work : Work
+        What is done with it.
+    seconds : float
+        Wall time, while nothing else runs on the machine.
+    added_bytes : int
+        Memory in addition to what the process holds.
+    peak_bytes : int
+        Memory of the process at most.
+    available_bytes : int or None
+        Memory that the process may still take; None where nobody knows.
+    """
+
+    size: BodySize
+    work: Work
+    seconds: float
+    added_bytes: int
+    peak_bytes: int
+    available_bytes: int | None
+
+    @classmethod
+    def of(cls, size: BodySize, work: Work, threads: int) -> "Estimate":
+        """Return the estimate of some work on a body with so many threads (0: all cores).
+
+        Cost: two milliseconds or so, once a process.
+        """
+        n_threads = min(threads or n_cores(), n_cores())
+        flops = work.factorisations * (size.flops + _PER_TET * size.n_tets)
+        flops += _PER_ENTRY * size.n_entries * work.right_hand_sides
+        element_nodes = size.n_nodes if size.element != "tet10" else max(size.n_nodes, size.n_unknowns // 3)
+        # A factor that is kept in fewer bytes is made in single precision.
+        making = max(work.entry_bytes, 4) * _WORKING * size.n_working
+        added = _LATER + work.entry_bytes * work.factors_held * size.n_entries + making
+        added += 24.0 * work.fields * element_nodes + 8.0 * work.tet_fields * size.n_tets
+        held = resident_bytes() or 0
+        return cls(size, work, flops / (n_threads * product_rate()), int(added), int(added) + held, available_bytes())
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it will take longer than a minute or so."""
+        return self.seconds > LONG_SECONDS
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether it needs more memory than there is."""
+        return self.available_bytes is not None and self.added_bytes > self.available_bytes
+
+    def duration(self) -> str:
+        """Return the time in words."""
+        return _duration(self.seconds)
+
+    def sentence(self) -> str:
+        """Return size and need in one line.
+
+        Returns
+        -------
+        str
+            Nodes, tets, unknowns, the factor, how often it is made, time and memory.
+        """
+        size, work = self.size, self.work
+        there = "" if self.available_bytes is None else f", {_gb(self.available_bytes)} more are available"
+        return (
+            f"{size.n_nodes:,} nodes, {size.n_tets:,} {size.element}, {size.n_unknowns:,} unknowns; a factor has "
+            f"{size.n_entries / 1e6:,.1f} million entries ({_gb(work.entry_bytes * size.n_entries)}) and takes "
+            f"{size.flops / 1e9:,.1f} GFlop; about {work.factorisations} factorisation{_plural(work.factorisations)}, "
+            f"{self.duration()}, peak memory {_gb(self.peak_bytes)}{there}"
+        )
+
+    def check(self) -> None:
+        """Refuse a body that does not fit into memory, and warn of one that takes more than half of it.
+
+        Raises
+        ------
+        LargeBodyError
+            If the estimated memory is more than there is; the message says which mesh would fit.
+        """
+        there = self.available_bytes
+        if there is None or self.added_bytes <= WARNED_SHARE * there:
+            return
+        need = (
+            f"this body needs about {_gb(self.added_bytes)} more memory and {_gb(there)} are available "
+            f"({self.size.n_nodes:,} nodes, {self.size.element}; a factor has {self.size.n_entries / 1e6:,.1f} million "
+            "entries)"
+        )
+        if self.added_bytes > there:
+            message = f"a body must fit into memory; {need}: {self._advice(there)}"
+            raise LargeBodyError(
+                message, where="mesh", needed_bytes=self.added_bytes, available_bytes=self.available_bytes
+            )
+        warnings.warn(need, LargeBodyWarning, stacklevel=2)
+
+    def _advice(self, there: int) -> str:
+        """Return what to do where there is too little memory."""
+        # Entries of a factor grow with the power 4/3 of the nodes (nested dissection in space).
+        share = (_ROOM * there / self.added_bytes) ** 0.75
+        fits = int(float(f"{max(share * self.size.n_nodes, 1.0):.2g}"))
+        coarser = f"use a mesh of at most about {fits:,} nodes (edges {share ** (-1 / 3):.2g} times as long)"
+        linear = ", or element 'tet4', which has an eighth of the unknowns" if self.size.element == "tet10" else ""
+        return f"{coarser}{linear}, or a machine with more memory; {LIMIT} in the environment says otherwise"
+
+
+def check_fits(simulator: "Simulator") -> None:
+    """Refuse a body whose smallest factor would not fit into memory.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Analysed; nothing is looked up for a small one.
+
+    Raises
+    ------
+    LargeBodyError
+        If one factor in whole numbers, and what making it takes, is more than there is.
+    """
+    if simulator.body.factor_size[0] < _LARGE_ENTRIES:
+        return
+    estimate = Estimate.of(BodySize.of(simulator), SOLVE, 0)
+    if estimate.is_too_large:
+        estimate.check()
+
+
+@cache
+def product_rate() -> float:
+    """Return the speed of this machine in floating-point operations a second: products of matrices on one thread."""
+    from threadpoolctl import threadpool_limits
+
+    left = np.ones((_ORDER, _ORDER), np.float32)
+    out = np.empty_like(left)
+    spent = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        for _ in range(_REPEATS):
+            start = time.perf_counter()
+            np.matmul(left, left, out=out)
+            spent.append(time.perf_counter() - start)
+    return 2.0 * _ORDER**3 / max(sorted(spent)[_REPEATS // 2], 1e-9)
+
+
+def _plural(count: int) -> str:
+    return "" if count == 1 else "s"
+
+
+def _gb(size: float) -> str:
+    """Return bytes in GB (1e9), two digits."""
+    value = size / 1e9
+    return f"{value:.2g} GB" if value < 10.0 else f"{value:,.0f} GB"
+
+
+def _duration(seconds: float) -> str:
+    """Return a time in words, two digits at most.
+
+    Examples
+    --------
+    >>> _duration(0.2), _duration(33.0), _duration(400.0), _duration(9000.0)
+    ('under a second', 'about 33 s', 'about 7 minutes', 'about 2.5 hours')
+    """
+    if seconds < 1.0:
+        return "under a second"
+    if seconds < 100.0:
+        return f"about {seconds:.2g} s"
+    minutes = seconds / 60.0
+    return f"about {math.ceil(minutes)} minutes" if minutes < 100.0 else f"about {minutes / 60.0:.2g} hours"
