@@ -1,4 +1,4 @@
-"""Which action would tell tied causes apart, and by how much beside what is uncertain anyway."""
+"""Which action would distinguish tied causes, and by how much given noise and nuisance parameters."""
 
 from dataclasses import replace
 
@@ -37,21 +37,21 @@ def step_of(target, fits, found):
     return Step({}, candidates, next(c for c in candidates if c.id == found), None)
 
 
-def test_the_action_that_tells_the_tied_causes_best_apart_is_advised(target, fits):
+def test_the_action_that_separates_the_tied_causes_best_is_advised(target, fits):
     advice = advise(target, [step_of(target, fits, "poisson")], [tied("poisson", "scale")])
     assert advice["separates"] == [["poisson", "scale"]]
     each = []
     for action in _actions(target.bench.experiment):
         each.append((apart(target, action, fits["poisson"], fits["scale"]), action.words))
     assert (advice["separability"], advice["action"]) == max(each)
-    # Frame, modulus and forces take some of it.
+    # Frame, modulus and forces explain some of it.
     one, other = (_prediction(target, fits[name], action) for name in ("poisson", "scale"))
     plain = np.linalg.norm((one - other) / np.where(np.arange(len(one)) < 9 * 18, 0.01, 2.0))
     assert 0.0 < each[-1][0] < plain
 
 
 @pytest.mark.parametrize("scales", [True, False])
-def test_what_a_modulus_known_so_well_may_change_tells_nothing(target, fits, scales, monkeypatch):
+def test_a_difference_within_the_uncertainty_of_the_modulus_does_not_separate(target, fits, scales, monkeypatch):
     # Known to a third: forces that differ by as much are many noise deviations apart.
     one = replace(fits["poisson"], covariance=np.diag([0.35**2, 1e-4]))
     stiffer = replace(one, x=one.x + np.array([0.35, 0.0]))
@@ -62,7 +62,7 @@ def test_what_a_modulus_known_so_well_may_change_tells_nothing(target, fits, sca
     assert apart(target, action, surer, stiffer) > 20.0
 
 
-def test_mates_are_held_against_the_finding_of_their_own_round(target, fits):
+def test_members_of_a_group_are_compared_with_the_finding_of_their_own_round(target, fits):
     both = fit(target, [part(target, "poisson"), part(target, "latency")])
     later = {"latency": both, "scale": fit(target, [part(target, "poisson"), part(target, "scale")])}
     steps = [step_of(target, fits, "poisson"), step_of(target, later, "latency")]

@@ -91,14 +91,14 @@ def test_a_held_out_block_is_predicted_by_the_conditional_gaussian(rng):
     assert found.log_density[0, 0] == pytest.approx(density(x[mask] - mean, inner) + constant, rel=1e-9)
 
 
-def test_thresholds_share_the_false_alarms_and_ask_most_of_what_nulls_look_like(rng):
+def test_thresholds_share_the_false_alarms_and_are_highest_for_causes_that_null_draws_resemble(rng):
     n = 500
     mesh = rng.standard_exponential(n)
     # Two causes follow the error of the mesh, one the noise alone.
     drawn = {"gain": 5.0 * mesh, "layer": 2.0 * mesh, "latency": rng.standard_exponential(n) - 2.0}
-    asked = _thresholds(drawn)
-    assert asked["latency"] == LEAST_THRESHOLD
-    assert asked["gain"] > 2.0 * asked["layer"] > 2.0 * LEAST_THRESHOLD
-    alarms = np.any([drawn[name] > asked[name] for name in drawn], axis=0)
+    limits = _thresholds(drawn)
+    assert limits["latency"] == LEAST_THRESHOLD
+    assert limits["gain"] > 2.0 * limits["layer"] > 2.0 * LEAST_THRESHOLD
+    alarms = np.any([drawn[name] > limits[name] for name in drawn], axis=0)
     # The two pass together, so that neither pays for the other.
     assert 0.5 * LEVEL < alarms.mean() <= LEVEL

@@ -1,4 +1,4 @@
-"""Fits of known causes, second thoughts on several, and a search whose findings are taken back."""
+"""Fits of known causes, revision of several, and a search whose findings are withdrawn."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -37,7 +37,7 @@ def of_two():
 
 @pytest.mark.parametrize("form", ["coupled", "log"])
 def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
-    # Split invariants look like another Poisson's ratio: a mesh without errors tells the two apart.
+    # Split invariants resemble another Poisson's ratio; without discretisation error the two can be distinguished.
     target = target_of(Mooney(law="mooney-rivlin", share=0.5, volumetric=form), marker_std=1e-4, force_std=0.02)
     bank = {"mooney": list(CAUSES["mooney"].variants(target.bench))}
     screened = Screened(10.0, bank["mooney"][0], np.ones(1))
@@ -51,7 +51,7 @@ def test_the_form_of_a_law_is_the_one_that_the_data_have(form):
 
 
 def refitted(monkeypatch, cause, seen, fits, corrected_fit):
-    """Return what becomes of a cause's fits, beside a believed model of -100 nats, of which six are asked."""
+    """Return the candidate from a cause's fits, given a believed model of -100 nats and a threshold of six."""
     monkeypatch.setattr(candidates, "_fit_forms", lambda *_: fits)
     monkeypatch.setattr(candidates, "corrected_fit", lambda target, fitted, progress: corrected_fit(target, fitted))
     believed = SimpleNamespace(ids=(), parts=(), log_evidence=-100.0)
@@ -59,7 +59,7 @@ def refitted(monkeypatch, cause, seen, fits, corrected_fit):
     return found
 
 
-def test_of_several_forms_the_one_is_taken_that_is_likelier_with_the_mesh_put_right(monkeypatch):
+def test_of_several_forms_the_likeliest_after_correction_is_taken(monkeypatch):
     coarse = [SimpleNamespace(form="log", log_evidence=-10.0), SimpleNamespace(form="coupled", log_evidence=-17.0)]
     right = {"log": SimpleNamespace(log_evidence=-32.0), "coupled": SimpleNamespace(log_evidence=-2.0)}
     found = refitted(monkeypatch, "mooney", 70.0, coarse, lambda _, fitted: (fitted.form, right[fitted.form]))
@@ -67,7 +67,7 @@ def test_of_several_forms_the_one_is_taken_that_is_likelier_with_the_mesh_put_ri
 
 
 @pytest.mark.parametrize(("seen", "gain"), [(7.0, 30.0), (5.0, 1.0)])
-def test_what_screening_sees_and_a_fit_loses_has_its_mesh_put_right(monkeypatch, seen, gain):
+def test_a_cause_with_evidence_in_screening_but_not_in_its_fit_is_corrected(monkeypatch, seen, gain):
     lost, right = SimpleNamespace(log_evidence=-99.0), SimpleNamespace(log_evidence=-70.0)
     found = refitted(monkeypatch, "sliding", seen, [lost], lambda target, _: (target, right))
     assert found.gain == gain
@@ -80,11 +80,11 @@ def test_a_fit_finds_modulus_and_causes_within_their_deviations(of_two):
         values, deviations = found.values(number, 1.0)
         assert abs(values[key] - true) < 4.0 * deviations[key]
         assert deviations[key] < 0.05
-    # What is left is noise.
+    # The residual is noise.
     assert np.sqrt(np.mean(found.residual**2)) == pytest.approx(1.0, abs=0.1)
 
 
-def test_the_derivative_of_a_fit_is_that_at_its_end(of_two):
+def test_the_jacobian_of_a_fit_is_that_at_its_end(of_two):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     found = fit(of_two, parts)
     young = found.young(of_two.bench.young)
@@ -101,7 +101,7 @@ def test_the_derivative_of_a_fit_is_that_at_its_end(of_two):
         assert np.linalg.norm(found.jacobian[number] - slope) < 0.05 * np.linalg.norm(slope)
 
 
-def test_a_deviation_is_that_of_the_farther_side_where_a_knob_is_no_straight_line(of_two):
+def test_a_deviation_of_a_nonlinear_parameter_averages_both_sides(of_two):
     found = fit(of_two, [part(of_two, "latency")])
     bent = replace(found.parts[0].knobs, values=lambda x, young: {"late": float(np.exp(x[0])), "said": "so"})
     deviation = 0.5
@@ -113,7 +113,7 @@ def test_a_deviation_is_that_of_the_farther_side_where_a_knob_is_no_straight_lin
     assert set(deviations) == {"late"}
 
 
-def test_the_mesh_of_what_was_found_is_put_right(of_two):
+def test_the_discretisation_error_of_a_found_cause_is_corrected(of_two):
     found = fit(of_two, [part(of_two, "poisson"), part(of_two, "latency")])
     bench = of_two.bench
     better = recorrected(of_two, found)
@@ -121,12 +121,12 @@ def test_the_mesh_of_what_was_found_is_put_right(of_two):
     coarse = bench.predictor.predict(effects)
     assert np.allclose(better.correction.corrected(coarse), refined_effects(bench, effects))
     assert np.allclose(better.correction.corrected(bench.base), bench.base)
-    # The tracker has no mesh.
+    # The tracker has no discretisation error.
     assert recorrected(of_two, fit(of_two, [part(of_two, "latency")])) is of_two
 
 
 def of_finer_mesh(target, *effects) -> Target:
-    """Return what is fitted to data of the fine mesh, without noise; the believed model's mesh is put right."""
+    """Return the target for noise-free data of the fine mesh, the believed model corrected."""
     bench = target.bench
     correction = make_correction(bench.layout, bench.base, refined_effects(bench, []))
     layout = Layout(bench.experiment)
@@ -134,7 +134,7 @@ def of_finer_mesh(target, *effects) -> Target:
     return replace(target, bench=Bench(bench.experiment, layout), correction=replace(correction, layout=layout))
 
 
-def test_a_fit_to_data_of_a_finer_mesh_is_right_once_its_own_mesh_is_put_right(of_two):
+def test_a_fit_to_data_of_a_finer_mesh_is_right_once_its_own_error_is_corrected(of_two):
     bench = of_two.bench
     target = of_finer_mesh(of_two, Poisson(poisson=0.3))
     layout = target.bench.layout
@@ -143,7 +143,7 @@ def test_a_fit_to_data_of_a_finer_mesh_is_right_once_its_own_mesh_is_put_right(o
     errors = [abs(f.values(0, 1.0)[0]["poisson"] - 0.3) for f in (found, again)]
     assert errors[1] < 0.2 * errors[0]
     assert again.log_evidence > found.log_evidence + 10.0
-    # Most of the mesh's error is gone where the second fit ended, though it was taken where the first one did.
+    # The correction computed at the first fit removes most of the error at the second.
     effects = again.effects(bench.young)
     coarse, fine = bench.predictor.predict(effects), refined_effects(bench, effects)
     there, left = (
@@ -152,8 +152,8 @@ def test_a_fit_to_data_of_a_finer_mesh_is_right_once_its_own_mesh_is_put_right(o
     assert left < 0.15 * there
 
 
-def test_an_effect_that_becomes_another_one_is_put_right_again():
-    # Where friction lets slip hangs on how much it holds: the mesh's error is no multiple of its effect.
+def test_an_effect_that_becomes_another_one_is_corrected_again():
+    # The slipping region depends on the friction: the discretisation error is no multiple of the effect.
     slips = Sliding(boundary="base", friction=0.1, cohesion_kpa=0.2)
     target = of_finer_mesh(target_of(), slips)
     found = fit(target, [part(target, "sliding", amplitude=1.0, kind="friction")])
@@ -168,49 +168,49 @@ def test_an_effect_that_becomes_another_one_is_put_right_again():
 
     assert left(once, first) > 2.0 * UNCORRECTED
     assert left(better, again) < UNCORRECTED
-    # Effects that stay what they are need one fine solve.
-    asked = []
+    # Effects that only change in size need one fine solve.
+    calls = []
     fitted = fit(target, [part(target, "poisson")])
-    corrected_fit(target, fitted, progress=asked.append)
-    assert len(asked) == 1
+    corrected_fit(target, fitted, progress=calls.append)
+    assert len(calls) == 1
 
 
-def test_a_fine_mesh_is_not_asked_for_what_remembers(of_two):
+def test_a_fine_mesh_is_not_solved_for_effects_of_memory(of_two):
     assert refined_effects(of_two.bench, [Relaxation(g=(0.3,), tau_s=(2.0,))]) is None
 
 
 def predictions_of(target, monkeypatch, work):
-    """Return what some work gives, and how many models it asked for."""
-    asked = []
+    """Return the result of some work, and the number of predictions it needed."""
+    calls = []
     predict = target.bench.predictor.predict
     with monkeypatch.context() as patched:
-        patched.setattr(target.bench.predictor, "predict", lambda *a, **k: (asked.append(a), predict(*a, **k))[1])
+        patched.setattr(target.bench.predictor, "predict", lambda *a, **k: (calls.append(a), predict(*a, **k))[1])
         found = work()
-    return found, len(asked)
+    return found, len(calls)
 
 
-def test_a_fit_that_begins_at_its_end_asks_for_its_derivative_alone(of_two, monkeypatch):
+def test_a_fit_that_begins_at_its_end_needs_its_jacobian_alone(of_two, monkeypatch):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     found = fit(of_two, parts)
-    again, asked = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=found.x))
-    assert asked == 1 + len(found.x) - 1  # the start, and one a knob: the modulus scales forces
+    again, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, parts, start=found.x))
+    assert calls == 1 + len(found.x) - 1  # the start, and one for each parameter: the modulus scales forces
     np.testing.assert_array_equal(again.x, found.x)
 
 
 def test_a_fit_that_cannot_arrive_ends_early(of_two, monkeypatch):
     wrong = [part(of_two, "latency")]
     both = fit(of_two, [part(of_two, "poisson"), *wrong])
-    whole, asked = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong))
+    whole, calls = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong))
     assert whole.objective > both.objective + 100.0
     early, fewer = predictions_of(of_two, monkeypatch, lambda: fit(of_two, wrong, hopeless=both.objective + 30.0))
-    assert fewer < asked
+    assert fewer < calls
     assert early.objective > both.objective + 30.0
     # One that can arrive is not given up.
     right = fit(of_two, [part(of_two, "poisson"), *wrong], hopeless=both.objective + 1.0)
     assert abs(right.objective - both.objective) < 0.3
 
 
-def test_a_hopeless_fit_keeps_its_objective_and_saves_the_last_derivative(of_two):
+def test_a_hopeless_fit_keeps_its_objective_and_saves_the_last_jacobian(of_two):
     parts = [part(of_two, "poisson")]
     exact, saved = fit(of_two, parts), fit(of_two, parts, hopeless=-1.0)
     assert saved.objective == pytest.approx(exact.objective, abs=1.0)
@@ -243,7 +243,7 @@ def test_what_differs_in_the_tracker_alone_is_solved_once(of_two, monkeypatch):
 
 @pytest.fixture
 def of_the_same_mesh(monkeypatch):
-    """Data of the user's own mesh have no error of a mesh to be put right."""
+    """Data of the user's own mesh have no discretisation error to correct."""
     # The package's attribute of this name is a function.
     monkeypatch.setattr(
         import_module("tissuereg.diagnose.revise"), "corrected_fit", lambda target, found: (target, found)
@@ -251,7 +251,7 @@ def of_the_same_mesh(monkeypatch):
 
 
 @pytest.mark.usefixtures("of_the_same_mesh")
-def test_a_cause_that_is_not_needed_goes(of_two):
+def test_a_redundant_cause_is_removed(of_two):
     spare = part(of_two, "scale")
     found = fit(of_two, [part(of_two, "poisson"), spare, part(of_two, "latency")])
     target, kept, left = without_redundant(of_two, found, dict.fromkeys(found.ids, 8.0))
@@ -261,7 +261,7 @@ def test_a_cause_that_is_not_needed_goes(of_two):
 
 
 @pytest.mark.usefixtures("of_the_same_mesh")
-def test_a_mate_stands_in_where_it_is_better(of_two):
+def test_a_rival_replaces_a_cause_where_it_is_better(of_two):
     wrong = fit(of_two, [part(of_two, "scale"), part(of_two, "latency")])
     mate = part(of_two, "poisson")
     target, better = exchanged(of_two, wrong, 0, [(mate, mate.knobs.start)])
@@ -271,7 +271,7 @@ def test_a_mate_stands_in_where_it_is_better(of_two):
 
 
 def noise_patterns(target):
-    """Return a screen whose generic rival has eight patterns of noise: nothing of them foretells a case."""
+    """Return a screen whose generic rival has eight patterns of noise, which predict no held-out case."""
     return SimpleNamespace(generic_white=[np.random.default_rng(2).standard_normal((8, target.bench.layout.size))])
 
 
@@ -281,17 +281,17 @@ def test_a_modulus_far_beyond_its_prior_is_a_finding_that_is_proved():
     found = modulus_finding(target, noise_patterns(target), Search(base, base))
     assert found.parameters["young_kpa"] == pytest.approx(40.0, rel=0.02)
     assert found.probability > 0.9
-    told = found.held_out
-    # With its modulus the model leaves noise; the believed one misses more than half of every force.
-    assert told["chi_named"] == pytest.approx(1.0, abs=0.1)
-    assert told["chi_base"] > 5.0 * told["chi_named"]
-    assert told["chi_generic"] > 5.0 * told["chi_named"]
-    assert set(told["cases"]) == {"down", "in"}
+    held = found.held_out
+    # With its modulus the model leaves noise; the believed one is wrong by more than half of every force.
+    assert held["chi_named"] == pytest.approx(1.0, abs=0.1)
+    assert held["chi_base"] > 5.0 * held["chi_named"]
+    assert held["chi_generic"] > 5.0 * held["chi_named"]
+    assert set(held["cases"]) == {"down", "in"}
     # The bench keeps its own prior.
     assert target.bench.young_spread == pytest.approx(0.3)
 
 
-def test_a_modulus_is_as_far_off_at_a_third_as_at_three_times_of_the_believed_one():
+def test_a_third_of_the_believed_modulus_has_the_same_evidence_as_three_times_of_it():
     for young in (1.0 / 3.0, 3.0):
         target = target_of(young=young)
         base = fit(target, [])
@@ -307,16 +307,16 @@ def test_a_modulus_within_three_deviations_of_its_logarithm_is_no_finding(young)
 
 
 @pytest.mark.filterwarnings("ignore::tissuereg.errors.LockingWarning")  # the believed modulus wants it incompressible
-def test_a_modulus_is_proved_beside_the_causes_found_and_on_their_mesh():
+def test_a_modulus_is_proved_given_the_causes_found_and_their_correction():
     target = target_of(Poisson(poisson=0.3), young=2.5, marker_std=0.001, force_std=0.05)
     base, final = fit(target, []), fit(target, [part(target, "poisson")])
-    # The correction of the beginning is not that of the model with its causes.
+    # The first correction is not that of the model with its causes.
     first = replace(target, correction=replace(target.correction, difference=np.full(target.bench.layout.size, 5.0)))
     found = modulus_finding(first, noise_patterns(target), Search(base, final, target=target))
     assert found.parameters["young_kpa"] == pytest.approx(25.0, rel=0.01)
-    # The believed modulus beside the cause is fitted as well as it can be.
-    told = found.held_out
-    assert told["chi_named"] == pytest.approx(1.0, abs=0.1)
+    # The model with the cause and the believed modulus is fitted as well as possible.
+    held = found.held_out
+    assert held["chi_named"] == pytest.approx(1.0, abs=0.1)
     pinned = fit(replace(target, bench=_pinned(target.bench)), final.parts)
     again = fit(replace(target, bench=_pinned(target.bench)), final.parts, start=pinned.x)
     # The pin shortens no step: twelve more iterations, of a model that is far off, gain little.
@@ -328,7 +328,7 @@ def test_a_modulus_within_its_prior_is_no_finding(of_two):
     assert modulus_finding(of_two, None, Search(base, base)) is None
 
 
-def test_findings_that_are_taken_back_leave_the_believed_model(of_two):
+def test_a_search_with_withdrawn_findings_has_the_believed_model(of_two):
     base = fit(of_two, [])
     found = fit(of_two, [part(of_two, "poisson")])
     step = Step({}, [], Candidate("poisson", found, 9.0, of_two), None)
@@ -357,12 +357,12 @@ def test_a_group_holds_what_passes_the_threshold_or_is_a_tenth_as_likely():
     assert grouped(6.0, mooney=7.9, asymmetry=5.8, layer=3.4, fibre=3.2) == ("mooney", "asymmetry", "layer")
     assert grouped(6.0, latency=20.0, rate=14.0, softening=13.0, layer=11.9) == ("latency", "rate", "softening")
     assert grouped(15.0, latency=20.0, rate=14.0, scale=11.0) == ("latency",)
-    # What is found beside it is no mate, and takes no mate's place.
+    # Other findings are no members of a group, and take no member's place.
     found = {"latency", "rate"}
     assert grouped(6.0, found, latency=20.0, rate=14.0, softening=13.0, layer=12.5) == ("latency", "softening", "layer")
 
 
-def test_of_every_causes_probability_a_share_goes_to_what_looks_like_it():
+def test_a_share_of_every_causes_probability_is_assigned_to_effects_that_look_like_it():
     screened = {name: Screened(gain, None, np.empty(0)) for name, gain in (("layer", 1.0), (UNKNOWN, 0.0))}
     found = Candidate("mooney", None, 300.0, None)
     chances = _chances(Step(screened, [found], None, None))
@@ -371,28 +371,28 @@ def test_of_every_causes_probability_a_share_goes_to_what_looks_like_it():
     assert chances[UNKNOWN] == pytest.approx(LOOK_ALIKE)
 
 
-def test_figures_are_given_of_cases_where_the_others_tell_what_the_cause_does(of_two):
+def test_errors_are_stated_for_cases_whose_change_the_others_determine(of_two):
     layout = of_two.bench.layout
     first, second = (layout.of_case(part.name) for part in layout.parts[:2])
     shared, own = np.where(first | second, 5.0, 0.0), np.where(first, 5.0, 0.0)
-    # One knob that both cases tell.
+    # One parameter that both cases determine.
     assert list(figure_blocks(layout, shared[None], shared)) == [part.name for part in layout.parts[:2]]
-    # Further ones that nothing tells and that move nothing change neither; a proof wants knobs that are told.
+    # Undetermined parameters with zero columns change neither; a proof requires determined ones.
     idle = np.stack([shared, *np.zeros((2, layout.size))])
     assert len(figure_blocks(layout, idle, shared)) == 2
     assert len(proof_blocks(layout, idle)) > 2
-    # A knob of the first case alone: frames of that case are left out.
+    # A parameter of the first case alone: frames of that case are held out.
     alone = figure_blocks(layout, own[None], own)
     assert len(alone) > 2
     assert not any((mask & ~first).any() for mask in alone.values())
-    # What the first case alone shows of two knobs is told nowhere else; what the second shows is.
+    # One of two parameters is determined by the first case alone, which therefore cannot be held out; the second can.
     otherwise = 20.0 * own * np.resize([1.0, -1.0], layout.size)
     both = figure_blocks(layout, np.stack([shared, otherwise]), shared + otherwise)
     assert list(both) == [layout.parts[1].name]
 
 
-def test_a_shifted_patch_is_put_right_too():
-    # The user's mesh shifts a patch by whole nodes; the fine one cuts it out where it sits.
+def test_a_shifted_patch_is_corrected_too():
+    # The user's mesh shifts a patch by whole nodes; the fine one cuts it out at its place.
     shift = ActuatorOffset(actuator="side", shift_mm=(0.0, 8.0, 0.0))
     target = target_of(shift)
     column = target.bench.change(shift) / 8.0
@@ -429,7 +429,7 @@ def test_a_detachment_grows_without_jumps():
     assert effect.share == pytest.approx(1.0 / (1.0 + np.e))
 
 
-def test_a_fit_begins_where_least_is_left():
+def test_a_fit_begins_where_the_objective_is_least():
     torn = Detachment(boundary="base", azimuth_deg=100.0, share=0.3)
     target = target_of(torn)
     detached = part(target, "detachment", azimuth=90.0)
@@ -443,7 +443,7 @@ def test_a_fit_begins_where_least_is_left():
     assert abs(found.values(0, 1.0)[0]["share"] - 0.3) < 0.1
 
 
-def test_beside_an_error_of_the_tracker_a_cause_must_pass_its_own_threshold_and_beside_a_body_more():
+def test_after_an_error_of_the_tracker_a_cause_needs_its_own_threshold_and_after_one_of_the_body_more():
     thresholds = {"layer": 6.0, "inclusion": 30.0}
     assert required_thresholds(thresholds) == thresholds
     assert required_thresholds(thresholds, ("latency", "marker_slip")) == thresholds
@@ -454,7 +454,7 @@ def test_beside_an_error_of_the_tracker_a_cause_must_pass_its_own_threshold_and_
 
 
 def test_a_slip_is_found_to_begin_in_its_own_frame():
-    # Screened are four frames of a case; this is another one.
+    # Screening has four onsets in a case; this is another one.
     slip = MarkerSlip(marker="P2", offset_mm=(0.3, 0.0, -0.2), from_time_s=2.0)
     target = target_of(slip)
     cause = CAUSES["marker_slip"]
@@ -469,13 +469,13 @@ def test_a_slip_is_found_to_begin_in_its_own_frame():
     np.testing.assert_allclose(values["offset_mm"], slip.offset_mm, atol=4.0 * max(deviations["offset_mm"]))
 
 
-def test_what_another_form_of_a_cause_does_is_no_further_cause():
+def test_another_form_of_a_cause_is_no_further_cause():
     rng = np.random.default_rng(0)
     change, unlike = 40.0 * rng.standard_normal((2, 60))
     later = change + 10.0 * rng.standard_normal(60)
     columns = other_forms(np.stack([0.1 * later[None], 0.1 * unlike[None], 0.2 * change[None]]), change)
     covered = Null(columns)
-    # What the one form leaves of the other is expected, and another cause's change is not.
+    # The difference between the two forms is expected, another cause's change is not.
     left, other = (
         later * (change @ later) / (later @ later) - change,
         unlike - (unlike @ change) / (change @ change) * change,
@@ -483,13 +483,13 @@ def test_what_another_form_of_a_cause_does_is_no_further_cause():
     left -= (left @ change) / (change @ change) * change
     assert np.linalg.norm(covered.reduced(left)) < 0.2 * np.linalg.norm(left)
     assert np.linalg.norm(covered.reduced(other)) > 0.9 * np.linalg.norm(other)
-    # How much of the cause there is is left to its fit; the others are a share of it.
+    # The size of the cause is fitted; the other forms have a share of it.
     np.testing.assert_allclose(columns @ change, 0.0, atol=1e-6)
     assert 0.1 < np.linalg.norm(columns) / (FORM_ERROR * np.linalg.norm(change)) < 0.5
     assert other_forms(np.stack([unlike[None]]), change).shape == (0, 60)
 
 
-def test_the_forms_of_what_was_found_stand_beside_further_causes(of_two):
+def test_the_other_forms_of_a_found_cause_are_nuisances_for_further_causes(of_two):
     noise, layout = of_two.noise, of_two.bench.layout
     bank = {name: list(CAUSES[name].variants(of_two.bench)) for name in ("swelling",)}
     screen = Screen(bank, np.zeros((1, 1, layout.size)), noise, layout, of_two.correction, of_two.null)
@@ -503,7 +503,7 @@ def test_the_forms_of_what_was_found_stand_beside_further_causes(of_two):
     np.testing.assert_allclose(plain.null.nuisances[n:], expected)
     np.testing.assert_allclose(beyond.null.nuisances[: n + len(expected)], plain.null.nuisances)
     assert len(beyond.null.nuisances) > n + len(expected)
-    # Of a second cause it is what that one changes beside the first whose other forms count.
+    # For a second cause the other forms are those of its own change, given the first.
     both = fit(of_two, [*found.parts, part(of_two, "latency")], start=np.append(found.x, 0.1))
     screen = Screen(
         {"latency": list(CAUSES["latency"].variants(of_two.bench))},

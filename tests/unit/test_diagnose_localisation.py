@@ -1,4 +1,4 @@
-"""What to check next where nothing explains the data: the part of the rig beside which most is left."""
+"""What to check next where nothing explains the data: the component near which the residual is largest."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def noise(bench, seed=0):
 
 
 def spoilt(bench, wanted, seed=0, size=6.0):
-    """Noise, and more of it near one part."""
+    """Noise, and more of it near one component."""
     part = next(part for part in components_of(bench) if (part.kind, part.name) == wanted)
     return noise(bench, seed) + size * np.sqrt(part.proximity) * noise(bench, seed + 100)
 
@@ -39,28 +39,28 @@ PLACES = [
 
 
 @pytest.mark.parametrize("wanted", PLACES, ids=" ".join)
-def test_the_part_that_is_wrong_is_the_one_to_check(bench, wanted):
+def test_the_component_that_is_wrong_is_the_one_to_check(bench, wanted):
     hits = 0
     for seed in range(5):
-        told = next_check(bench, spoilt(bench, wanted, seed))
-        hits += (told["check"]["kind"], told["check"]["name"]) == wanted
+        advice = next_check(bench, spoilt(bench, wanted, seed))
+        hits += (advice["check"]["kind"], advice["check"]["name"]) == wanted
     assert hits >= 4
 
 
 def test_the_action_says_what_where_and_when(bench):
-    told = next_check(bench, spoilt(bench, ("marker", "P4"), size=20.0))
-    check = told["check"]
-    assert "marker P4" in told["action"]
+    advice = next_check(bench, spoilt(bench, ("marker", "P4"), size=20.0))
+    check = advice["check"]
+    assert "marker P4" in advice["action"]
     assert check["share"] > 0.9
     assert check["where"][0] == "P4"
-    assert f"{check['share']:.0%}" in told["action"]
-    assert f"{check['time_s']:.4g} s under case {check['case']}" in told["action"]
-    # The moment is that of the part, not the worst of all.
+    assert f"{check['share']:.0%}" in advice["action"]
+    assert f"{check['time_s']:.4g} s under case {check['case']}" in advice["action"]
+    # The moment is that of the component, not the worst of all.
     part = bench.layout[check["case"]]
     assert part.times[0] <= check["time_s"] <= part.times[-1]
 
 
-def test_the_moment_is_that_in_which_the_part_stands_out(bench):
+def test_the_moment_is_that_in_which_the_component_is_worst(bench):
     left, layout = noise(bench), bench.layout
     layout["down"].markers(left)[2, 3] += 30.0
     check = next_check(bench, left)["check"]
@@ -68,17 +68,17 @@ def test_the_moment_is_that_in_which_the_part_stands_out(bench):
     assert check["time_s"] == layout["down"].times[2]
 
 
-def test_the_nearest_cause_is_told_as_no_more_than_that(bench):
+def test_the_nearest_cause_is_named_as_no_more_than_that(bench):
     left = spoilt(bench, ("pad", "top"))
     assert "comes nearest is 'sliding'" in next_check(bench, left, "sliding")["action"]
     assert "comes nearest" not in next_check(bench, left, UNKNOWN)["action"]
 
 
 def test_the_answer_keeps_the_keys_of_advice_and_numbers_that_json_takes(bench):
-    told = next_check(bench, noise(bench))
-    assert told["separates"] == []
-    assert told["separability"] is None
-    assert 0.0 <= told["check"]["share"] <= 1.0
+    advice = next_check(bench, noise(bench))
+    assert advice["separates"] == []
+    assert advice["separability"] is None
+    assert 0.0 <= advice["check"]["share"] <= 1.0
 
 
 def test_names_are_kept_whatever_they_hold(bench):
@@ -88,12 +88,12 @@ def test_names_are_kept_whatever_they_hold(bench):
         assert 0.0 <= part.proximity.min() <= part.proximity.max() <= 1.0
 
 
-def test_an_unexplained_diagnosis_sends_to_the_case_that_is_unlike_the_others():
+def test_an_unexplained_diagnosis_advises_to_check_the_case_that_differs():
     believed = rig()
     case, rng = believed.cases["in"], np.random.default_rng(5)
     shaken = replace(case, markers=case.markers + rng.standard_normal(case.markers.shape))
     found = tr.diagnose(replace(believed, cases={**believed.cases, "in": shaken}), keep=False)
     assert found.verdict == "unexplained"
-    told = found.to_json()["next_experiment"]
-    assert (told["check"]["kind"], told["check"]["name"]) == ("case", "in")
-    assert "measure case in again" in told["action"]
+    advice = found.to_json()["next_experiment"]
+    assert (advice["check"]["kind"], advice["check"]["name"]) == ("case", "in")
+    assert "measure case in again" in advice["action"]

@@ -1,4 +1,4 @@
-"""Hidden laws in made-up material tests: named where they are, nothing where nothing is, no name where none fits."""
+"""Simulated material tests with hidden effects: named where there is one, no false alarm, no name where none fits."""
 
 import json
 
@@ -64,7 +64,7 @@ def relaxing(kernel, law=PLAIN):
 
 
 @pytest.mark.parametrize("hidden", HIDDEN)
-def test_a_hidden_cause_is_named_and_foretells_what_was_held_out(hidden):
+def test_a_hidden_cause_is_named_and_predicts_held_out_data(hidden):
     cause, curves_of = HIDDEN[hidden]
     diagnosis = diagnose_material(believed(curves_of(np.random.default_rng(7))))
     answer = diagnosis.answer
@@ -101,14 +101,14 @@ def test_an_effect_outside_the_catalogue_gets_no_name(way):
     assert diagnosis.answer["causes"] == []
     assert diagnosis.extended is diagnosis.experiment
     assert diagnosis.answer["p_misfit"] < 0.01
-    told, said = diagnosis.answer["next_experiment"], diagnosis.answer["discrepancy"]
-    assert said["under"].replace("-", " ") in told["action"]
-    assert said["when"] in told["action"]
+    answer, said = diagnosis.answer["next_experiment"], diagnosis.answer["discrepancy"]
+    assert said["under"].replace("-", " ") in answer["action"]
+    assert said["when"] in answer["action"]
 
 
 def test_causes_that_tie_are_a_group_and_a_further_test_is_advised():
     rng = np.random.default_rng(2)
-    # A weak I2 share in pull and push alone: an Ogden exponent does the same.
+    # A weak I2 share in tension and compression alone: an Ogden exponent has the same effect.
     curves = in_modes(rng, ("mooney", 0.5), modes=("tension", "compression"), noise=0.02)
     answer = diagnose_material(believed(curves)).answer
     assert answer["verdict"] == "group"
@@ -144,14 +144,14 @@ def test_the_answer_is_json_and_the_extended_model_is_read_and_run(tmp_path):
         assert f"Curves in {mode}" in page
     assert page.count("stroke='#c2571a'") == page.count("stroke='#1f5fa8'") == len(curves)
     assert "alpha" in page
-    told = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
-    assert told["schema"] == "tissuereg.diagnosis/1"
-    assert told["seconds"] == {"total": 1.0}
+    answer = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "tissuereg.diagnosis/1"
+    assert answer["seconds"] == {"total": 1.0}
     assert {"verdict", "causes", "candidates", "p_misfit", "discrepancy", "next_experiment", "seed", "versions"} <= set(
-        told
+        answer
     )
-    assert {c["id"] for c in told["candidates"]} >= {"asymmetry", "stiffening", "mooney", "unknown"}
-    extended = read_material_experiment(tmp_path / "out" / told["extended_model"])
+    assert {c["id"] for c in answer["candidates"]} >= {"asymmetry", "stiffening", "mooney", "unknown"}
+    extended = read_material_experiment(tmp_path / "out" / answer["extended_model"])
     for stress, curve in zip(predicted_stresses(extended), extended.curves, strict=True):
         # White noise of 1 % of the peak, and no more.
         assert np.sqrt(np.mean((stress - curve.stress) ** 2)) < 0.015 * np.abs(curve.stress).max()
@@ -159,7 +159,7 @@ def test_the_answer_is_json_and_the_extended_model_is_read_and_run(tmp_path):
     assert diagnose_material(extended).verdict == "consistent"
 
 
-def test_what_names_nothing_hands_on_what_is_believed(tmp_path):
+def test_without_findings_the_extended_model_is_the_believed_one(tmp_path):
     curves = in_modes(np.random.default_rng(12), PLAIN)
     write_test_table(tmp_path / "test.csv", curves)
     write_material_experiment(believed(curves, folder=tmp_path), tmp_path / "experiment.toml")

@@ -1,4 +1,4 @@
-"""The battery that tells what a model leaves from noise."""
+"""The battery of statistics that distinguishes a residual from noise."""
 
 from types import SimpleNamespace
 
@@ -39,7 +39,7 @@ def test_rows_of_a_subspace_are_orthonormal(subspaces):
         assert np.allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-9)
 
 
-def test_noise_is_a_misfit_as_rarely_as_is_said(subspaces, nulls):
+def test_noise_is_a_misfit_as_rarely_as_its_p_value_says(subspaces, nulls):
     layout, bases = subspaces
     battery = Battery(layout, bases)
     drawn = np.random.default_rng(5).standard_normal((300, layout.size))
@@ -49,7 +49,7 @@ def test_noise_is_a_misfit_as_rarely_as_is_said(subspaces, nulls):
     assert 0.3 < np.median(p) < 0.7
 
 
-def test_something_small_and_smooth_that_goes_with_the_load_is_seen(subspaces, nulls):
+def test_a_small_smooth_residual_in_phase_with_the_load_is_detected(subspaces, nulls):
     layout, bases = subspaces
     noise = np.random.default_rng(6).standard_normal(layout.size)
     pattern = bases[0].sum(axis=0) / np.sqrt(len(bases[0]))
@@ -59,7 +59,7 @@ def test_something_small_and_smooth_that_goes_with_the_load_is_seen(subspaces, n
     assert found[1] > 0.03
 
 
-def test_the_explained_share_is_that_where_the_rest_stands_out(subspaces, nulls):
+def test_the_explained_share_is_that_of_the_largest_statistic(subspaces, nulls):
     layout, bases = subspaces
     battery = Battery(layout, bases)
     noise = np.random.default_rng(7).standard_normal(layout.size)
@@ -84,7 +84,7 @@ def searched(gain=50.0, over_generic=10.0, over_others=10.0):
     ("p", "of_all", "there", "named"),
     [(0.02, 0.0, 0.0, True), (0.005, 0.9, 0.8, True), (0.005, 1.0, 0.3, False), (0.005, 0.4, 0.8, False)],
 )
-def test_what_leaves_a_misfit_is_named_where_it_explains_half_of_all_and_of_the_worst(p, of_all, there, named):
+def test_findings_with_a_misfit_are_named_where_they_explain_half_of_all_and_of_the_worst(p, of_all, there, named):
     assert _explains_enough(Misfit(p, of_all, there), searched()) == named
 
 
@@ -98,11 +98,11 @@ def test_what_leaves_a_misfit_is_named_where_it_explains_half_of_all_and_of_the_
         (searched(gain=2.0 * CLEAR, over_others=-1.0), 0.99, False),
     ],
 )
-def test_what_gains_far_more_than_its_rivals_is_named_though_something_is_left(search, of_all, named):
+def test_a_finding_far_ahead_of_its_rivals_is_named_despite_a_misfit(search, of_all, named):
     assert _explains_enough(Misfit(1e-9, of_all, 0.1), search) == named
 
 
-def test_what_was_taken_back_is_not_consistent_whatever_is_left_without_it():
+def test_a_diagnosis_with_withdrawn_findings_is_never_consistent():
     assert _verdict([], 0.3, withdrawn=False) == "consistent"
     assert _verdict([], 0.3, withdrawn=True) == "unexplained"
     assert _verdict([], 0.003, withdrawn=False) == "unexplained"

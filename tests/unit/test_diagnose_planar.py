@@ -42,12 +42,12 @@ def strip(pull=4.0, n_frames=6) -> Experiment:
 
 
 def measured_as(experiment, *effects) -> Experiment:
-    """Return the experiment with what a model with effects says in place of what was measured, as far as it was."""
+    """Return the experiment with predictions of a model with effects in place of its measured numbers."""
     layout = Layout(experiment)
-    part, told = layout.parts[0], Bench(experiment, layout).predictor.predict(effects)
+    part, predicted = layout.parts[0], Bench(experiment, layout).predictor.predict(effects)
     case = experiment.cases["pull"]
-    markers = np.where(np.isfinite(case.markers), experiment.marker_reference + part.markers(told), np.nan)
-    force = np.where(np.isfinite(case.forces["pad"]), part.forces(told)[:, 0], np.nan)
+    markers = np.where(np.isfinite(case.markers), experiment.marker_reference + part.markers(predicted), np.nan)
+    force = np.where(np.isfinite(case.forces["pad"]), part.forces(predicted)[:, 0], np.nan)
     return replace(experiment, cases={"pull": replace(case, markers=markers, forces={"pad": force})})
 
 
@@ -77,7 +77,7 @@ def test_whitened_noise_of_one_camera_is_white_in_its_plane_and_nothing_in_depth
     assert np.abs(seen.T @ seen / draws - np.eye(seen.shape[1])).max() < 0.13
 
 
-def test_rest_frames_of_one_camera_tell_its_noise():
+def test_rest_frames_of_one_camera_show_its_noise():
     experiment = strip()
     rng = np.random.default_rng(2)
     shape = (60, 12, 3)

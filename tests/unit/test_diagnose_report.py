@@ -1,4 +1,4 @@
-"""The page of a diagnosis, from made-up answers: does it hold what was found, and nothing that reaches out?"""
+"""The page of a diagnosis, from made-up answers: it holds the findings, and no external resources."""
 
 import json
 import math
@@ -62,7 +62,7 @@ def finding(**changes):
 
 
 def fitted(layout, noise, parts, left):
-    """Return a fit that misses what was measured by `left` mm and mN."""
+    """Return a fit with residuals of `left` mm and mN."""
     prediction = np.where(layout.seen, layout.measured - left, 0.0)
     residual = noise.whitened(np.where(layout.seen, left, 0.0), layout)
     one = np.ones(1)
@@ -179,12 +179,12 @@ def test_a_page_holds_every_finding_with_its_figures(rig, tmp_path):
     assert drawn["named"] == ["P1"]
 
 
-def test_what_was_believed_before_is_not_drawn_as_found(rig):
+def test_a_believed_inclusion_is_not_drawn_as_found(rig):
     answer = made_up(replace(rig, effects=(BALL,)))
     assert [one["found"] for one in scene(answer)["inclusions"]] == [False]
 
 
-def test_the_scene_holds_measured_less_predicted(rig):
+def test_the_scene_holds_measured_minus_predicted(rig):
     answer = made_up(rig, [finding()], [BALL])
     drawn, layout, search = scene(answer), answer.details["layout"], answer.details["search"]
     case = next(one for one in drawn["cases"] if one["name"] == "lean")
@@ -254,8 +254,8 @@ def test_no_findings(rig, tmp_path, verdict):
 
 
 def test_an_unexplained_answer_says_what_to_check(rig, tmp_path):
-    told = {"action": "check <marker> P7", "separates": [], "separability": None}
-    text = read_page(made_up(rig, verdict="unexplained", next_experiment=told), tmp_path / "report.html")
+    advice = {"action": "check <marker> P7", "separates": [], "separability": None}
+    text = read_page(made_up(rig, verdict="unexplained", next_experiment=advice), tmp_path / "report.html")
     assert "<b>Next:</b> check &lt;marker&gt; P7." in text
 
 
@@ -327,7 +327,7 @@ def test_large_bodies_are_drawn_with_fewer_triangles(tmp_path):
     assert np.ptp(few.nodes, axis=0) == pytest.approx(np.ptp(rig.mesh.nodes, axis=0), rel=0.5)
 
 
-def test_blocks_of_frames_are_said_in_one_go():
+def test_blocks_of_frames_are_named_together():
     blocks = [f"a, b, every 4th frame from {number}" for number in range(4)]
     assert blocks_words(["c", *blocks]) == "c, a, b, every 4th frame in turn"
 

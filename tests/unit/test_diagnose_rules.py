@@ -1,4 +1,4 @@
-"""What every part of a diagnosis stands for, each held by what it does to an answer."""
+"""Rules of a diagnosis, each tested by its effect on the answer."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -38,7 +38,7 @@ def screen_of(target, names, null=None):
     return Screen(bank, np.zeros((1, 1, layout.size)), target.noise, layout, target.correction, null or target.null)
 
 
-def test_effect_free_draws_have_the_error_of_another_mesh(of_two):
+def test_null_draws_have_the_error_of_another_mesh(of_two):
     layout = of_two.bench.layout
     screen = screen_of(of_two, ("latency",))
     error = np.zeros(layout.size)
@@ -48,22 +48,22 @@ def test_effect_free_draws_have_the_error_of_another_mesh(of_two):
     along = of_two.noise.whitened(error, layout)
     length = float(np.linalg.norm(along))
     sizes = np.abs(drawn @ along) / length
-    # Each is as large as what was found for the mesh, within a factor; noise alone has a length of one.
+    # Each has the norm computed for the mesh, within a factor; noise alone has a norm of one.
     assert sizes.min() > MESH_SHARE * length / MESH_SPREAD - 5.0
     assert np.median(sizes) == pytest.approx(MESH_SHARE * length, rel=0.15)
     assert np.abs(draw_nulls(screen, of_two.null, of_two.noise, layout, [], 0).residuals @ along).max() < 6.0 * length
 
 
-def test_a_mesh_error_that_looks_like_a_cause_raises_that_causes_threshold(of_two):
+def test_a_discretisation_error_that_resembles_a_cause_raises_its_threshold(of_two):
     layout = of_two.bench.layout
     screen = screen_of(of_two, ("latency", "poisson"))
     like = 2.0 * screen.bank["poisson"][0].columns[0].astype(float)
     plain = draw_nulls(screen, of_two.null, of_two.noise, layout, [], 0).thresholds
-    asked = draw_nulls(screen, of_two.null, of_two.noise, layout, [like], 0).thresholds
-    assert asked["poisson"] > 2.0 * plain["poisson"]
+    required = draw_nulls(screen, of_two.null, of_two.noise, layout, [like], 0).thresholds
+    assert required["poisson"] > 2.0 * plain["poisson"]
 
 
-def test_noise_that_lasts_from_frame_to_frame_is_seen_in_the_rest_case():
+def test_noise_that_is_correlated_in_time_is_seen_in_the_rest_case():
     experiment = rig()
     rng = np.random.default_rng(5)
     own = rng.standard_normal((200, 6, 3))
@@ -83,11 +83,11 @@ def test_a_linear_model_passes_through_its_fit(of_two):
     away = (found.x - found.mean) / found.deviation
     assert np.linalg.norm(away) > 0.5
     slopes = model.columns[len(of_two.null.nuisances) :]
-    # Its coordinates are those of the prior's mean; at those of the fit it leaves what the fit leaves.
+    # x = 0 is the prior mean; at the parameters of the fit its residual is that of the fit.
     np.testing.assert_allclose(model.residual - away @ slopes, found.residual, atol=1e-9)
 
 
-def test_what_was_found_has_an_error_of_its_own_beside_further_causes(of_two):
+def test_a_found_cause_has_a_model_error_when_further_causes_are_tested(of_two):
     bench = of_two.bench
     layout = bench.layout
     change = np.zeros(layout.size)
@@ -99,7 +99,7 @@ def test_what_was_found_has_an_error_of_its_own_beside_further_causes(of_two):
         # The change itself, and smooth patterns of the same size together.
         np.testing.assert_allclose(spread, EFFECT_ERROR * np.sqrt(2.0), rtol=0.2)
     assert not layout.parts[0].markers(covariance).any()
-    # A twentieth of it, here more and there less, is what another form of it does: hardly anything stands out.
+    # Another form of the cause differs by a twentieth of its change, which these nuisances explain.
     slope = (layout.reference[:, 0] - layout.reference[:, 0].mean()) / np.ptp(layout.reference[:, 0])
     wrong = np.zeros(layout.size)
     for p in layout.parts[1:]:
@@ -120,7 +120,7 @@ def test_figures_give_each_model_its_own_residuals():
     assert said["log_density_gain"] == NAMED - BEFORE
 
 
-def test_detectability_is_what_nuisances_do_not_hide(of_two):
+def test_detectability_is_the_change_that_nuisances_cannot_explain(of_two):
     layout = of_two.bench.layout
     bare = screen_of(of_two, ("poisson",))
     variant = bare.bank["poisson"][0]
@@ -132,7 +132,7 @@ def test_detectability_is_what_nuisances_do_not_hide(of_two):
     assert hidden.detectability("poisson", variant, np.ones(1)) < 0.11
 
 
-def test_what_cannot_be_told_apart_is_said():
+def test_causes_that_cannot_be_distinguished_are_a_group():
     tied = SimpleNamespace(group=("layer", "fibre"))
     said = ties(SimpleNamespace(findings=(tied,), next_experiment=None))
     assert said.count("<li>") == 2
@@ -141,7 +141,7 @@ def test_what_cannot_be_told_apart_is_said():
     assert "<li>" not in alone
 
 
-def test_second_thoughts_drop_what_a_later_cause_makes_needless(of_two, monkeypatch):
+def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch):
     # Two rounds find a cause that explains a part, then the one that explains all of it.
     monkeypatch.setattr(import_module("tissuereg.diagnose.recorrect"), "refined_effects", lambda *_: None)
     target = target_of(Latency(latency_s=0.15))
@@ -168,8 +168,8 @@ def test_second_thoughts_drop_what_a_later_cause_makes_needless(of_two, monkeypa
     assert base.parts == ()
 
 
-def test_a_cause_is_clear_only_if_no_rival_foretells_as_well_what_was_left_out(monkeypatch):
-    # Two causes explain about the same; the one with less evidence is told first.
+def test_a_cause_is_clear_only_if_no_rival_predicts_held_out_data_as_well(monkeypatch):
+    # Two causes explain about the same; the one with less evidence comes first.
     target = target_of(Latency(latency_s=0.15))
     base = fit(target, [])
     true, other = (
@@ -180,23 +180,23 @@ def test_a_cause_is_clear_only_if_no_rival_foretells_as_well_what_was_left_out(m
         )
     )
     screen = screen_of(target, ("latency", "scale"))
-    asked = {"latency": 6.0, "scale": 6.0}
+    required = {"latency": 6.0, "scale": 6.0}
     for candidates, clear in (([true], True), ([replace(true, gain=300.0), replace(other, gain=150.0)], True)):
         monkeypatch.setattr(search_module, "refitted", lambda *_, c=candidates: c)
-        step = search_module._round(target, screen, base, base, asked, None)
+        step = search_module._round(target, screen, base, base, required, None)
         assert step.found.id == "latency"
         assert step.is_clear == clear
-    # A rival that foretells better than the one that is named takes its clearness.
+    # With a rival that predicts better the named cause is not clear.
     wrong = replace(other, gain=300.0, fit=other.fit)
     monkeypatch.setattr(search_module, "refitted", lambda *_: [replace(wrong, id="latency"), true])
     monkeypatch.setattr(search_module, "PROVED", -1e9)
     monkeypatch.setattr(search_module, "GENERIC", BEFORE)
-    step = search_module._round(target, screen, base, base, asked, None)
+    step = search_module._round(target, screen, base, base, required, None)
     if step.found is not None and step.found.fit is wrong.fit:
         assert not step.is_clear
 
 
-def test_what_findings_leave_is_told_with_its_place_time_and_likeness():
+def test_the_residual_after_findings_has_a_place_a_time_and_a_nearest_cause():
     slip = MarkerSlip(marker="P3", offset_mm=(0.5, 0.0, 0.0), from_time_s=22.0)
     target = target_of(Latency(latency_s=0.1), slip)
     screen = screen_of(target, ("latency", "marker_slip"))
@@ -210,7 +210,7 @@ def test_what_findings_leave_is_told_with_its_place_time_and_likeness():
     assert "case in" in left["when"]
     assert left["looks_like"] == "marker_slip"
     assert "P3" in left["sentence"]
-    # What looks like nothing is said to.
+    # A residual may resemble no cause.
     nothing = residual_summary(
         target.bench.layout, screen, Search(base, found, [], 0.0 * found.residual), Misfit(0.001, 0.9, 0.2)
     )

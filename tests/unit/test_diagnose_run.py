@@ -12,7 +12,7 @@ from tissuereg.effects import Poisson, Stiffness
 
 
 def test_the_answer_depends_on_neither_threads_nor_the_call():
-    # Its markers do not move, though its pads meet the forces that they should: nothing explains that, all is tried.
+    # Its markers do not move, though forces at pads are as predicted: nothing explains that, all causes are tried.
     believed = rig()
     said = tr.simulate_experiment(believed)
     cases = {name: replace(case, forces=dict(said[name].forces)) for name, case in believed.cases.items()}
@@ -33,11 +33,11 @@ def test_a_modulus_that_an_effect_states_is_the_one_that_is_fitted():
 
 
 def test_an_extended_model_is_diagnosed_with_a_modulus_that_may_move():
-    told = tr.diagnose(replace(rig(), effects=(Stiffness(young_kpa=25.0),)), keep=False)
-    target, found = told.details["target"], told.details["search"].base
+    diagnosis = tr.diagnose(replace(rig(), effects=(Stiffness(young_kpa=25.0),)), keep=False)
+    target, found = diagnosis.details["target"], diagnosis.details["search"].base
     assert target.bench.young == 25.0
-    # Forces of noise alone ask for nothing: the body that they fit is softer.
+    # Forces of noise alone fit a softer body.
     assert found.x[0] < -0.01
     assert np.abs(found.jacobian[0]).max() > 0.0
-    stated = [effect for effect in told.extended.effects if isinstance(effect, Stiffness)]
+    stated = [effect for effect in diagnosis.extended.effects if isinstance(effect, Stiffness)]
     assert len(stated) <= 1

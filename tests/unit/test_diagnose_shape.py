@@ -1,4 +1,4 @@
-"""Other shapes of a body and its patches: what they move, how everything measured follows them, what they explain."""
+"""Shape nuisances: motions of the mesh, their sensitivity columns, and what they explain."""
 
 from dataclasses import replace
 
@@ -96,7 +96,7 @@ def test_a_pad_that_pulls_does_so_by_the_same_force_whatever_its_size():
     assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected)
 
 
-def test_a_body_that_remembers_follows_its_shape_as_its_elastic_twin_does():
+def test_shape_columns_of_a_body_with_memory_are_those_of_its_elastic_counterpart():
     believed = hill()
     remembers = replace(believed, effects=(Relaxation(g=(0.3,), tau_s=(1.0,)),))
     benches = [Bench(one, Layout(one)) for one in (believed, remembers)]
@@ -179,7 +179,7 @@ def _on_the_users_mesh(believed, layout, fine):
     return make_correction(layout, bench.base, fine).of_columns(bench.tangents.by_shapes(motions))
 
 
-def test_facets_that_a_fine_mesh_divides_lie_beside_the_smooth_surface_as_before():
+def test_facets_that_a_fine_mesh_subdivides_keep_their_gap_to_the_smooth_surface():
     believed = disc()
     fine = Bench(believed, Layout(believed)).fine.fine
     whole, divided = named(believed), {one.name: one for one in shape_directions(fine, believed.mesh)}
@@ -317,7 +317,7 @@ def test_other_nuisances_are_carried_into_the_fine_mesh_too():
     np.testing.assert_allclose(column, scale * bench.young_spread * bench.by_young[0], atol=1e-9)
 
 
-def test_nuisances_are_taken_at_the_modulus_that_forces_ask_for():
+def test_nuisances_are_taken_at_the_fitted_modulus():
     believed = rig()
     said = tr.simulate_experiment(believed)
     cases = {

@@ -1,4 +1,4 @@
-"""Flat vectors, noise and derivatives of what an experiment measures."""
+"""Flat vectors, noise and sensitivities of measured numbers."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def test_what_goes_in_comes_out_of_the_flat_vector():
 
 
 def test_the_file_of_forces_may_name_actuators_in_any_order():
-    # Banks are kept by what is believed and done: what is measured must come in the same places every time.
+    # Banks are cached by model and loads, so that measured numbers must have the same order every time.
     experiment = rig()
     case = experiment.cases["in"]
     both = {"side": case.forces["side"], "top": 2.0 * case.forces["side"]}
@@ -105,7 +105,7 @@ def test_whitened_noise_is_white(common, memory):
     assert np.abs(covariance - np.eye(len(covariance))).max() < 0.12
 
 
-def test_rest_frames_tell_noise_that_is_not_as_stated():
+def test_rest_frames_show_noise_that_is_not_as_stated():
     experiment = rig()
     rng = np.random.default_rng(2)
     cases = {}
@@ -191,7 +191,7 @@ def test_a_correction_with_an_effect_is_right_with_and_without_it(bench):
     both = plain.with_effect(bench.base, coarse, fine_with, std)
     assert np.allclose(both.corrected(bench.base), fine)
     assert np.allclose(both.corrected(coarse), fine_with)
-    # Half of an effect has half of its error, at any modulus.
+    # Half of an effect has half of its discretisation error, at any modulus.
     half = 0.5 * (bench.base + coarse)
     assert np.allclose(both.corrected(half), 0.5 * (fine + fine_with))
     forces = ~bench.layout.of_markers()
@@ -202,7 +202,7 @@ def test_a_correction_with_an_effect_is_right_with_and_without_it(bench):
     assert np.allclose(again.corrected(half), both.corrected(half))
 
 
-def test_forces_may_be_off_in_every_component_as_meshes_differ_in_any(bench):
+def test_forces_have_the_mean_mesh_error_in_all_components(bench):
     errors = np.zeros((2, bench.layout.size))
     pads = [(part, part.forces(bench.base)[:, 0]) for part in bench.layout.parts if part.pads]
     for part, force in pads:
@@ -222,7 +222,7 @@ def test_forces_may_be_off_in_every_component_as_meshes_differ_in_any(bench):
             assert np.allclose(bends, FORCE_BENT * strength**2 / strength.max())
 
 
-def test_an_inclusion_is_as_stiff_or_soft_as_its_knobs_say(bench):
+def test_an_inclusion_has_the_contrast_of_its_parameters(bench):
     variant = Variant("", np.zeros((1, bench.layout.size)), {"centre": (14.0, 9.0, 26.0), "radius": 8.0})
     stiff, soft = (CAUSES["inclusion"].knobs(bench, variant, np.array([a])) for a in (0.4, -0.4))
     for knobs, expected in ((stiff, 1.0 + 0.6 / 0.76), (soft, 1.0 - 0.6 / 1.24)):

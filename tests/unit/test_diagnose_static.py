@@ -58,12 +58,12 @@ def test_a_weight_that_was_left_out_is_named_where_nothing_else_moves_the_body()
     assert [finding.id for finding in found.findings] == ["gravity"]
     (weight,) = found.findings
     pull = np.array(weight.parameters["direction"]) * weight.parameters["g_mm_per_s2"] / GRAVITY_MM_PER_S2
-    # Weight and modulus, known to a tenth, are told apart by the one case with a load.
+    # The one case with a load distinguishes weight and modulus, which is known to a tenth.
     assert pull == pytest.approx(DOWN, abs=0.2)
     assert weight.held_out["rms_named_mm"] < 2.0 * STD < 0.2 * weight.held_out["rms_base_mm"]
 
 
-def test_a_slip_in_the_only_frame_of_the_last_case_is_named_beside_a_weight_that_is_known():
+def test_a_slip_in_the_only_frame_of_the_last_case_is_named_given_the_weight():
     slip = MarkerSlip(marker="P5", offset_mm=(0.9, 0.0, 0.2), from_time_s=20.0)
     found = diagnosed(shelf(slip, weight=Weight(np.array(DOWN), in_reference=False)))
     assert [finding.group for finding in found.findings] == [("marker_slip",)]
@@ -73,7 +73,7 @@ def test_a_slip_in_the_only_frame_of_the_last_case_is_named_beside_a_weight_that
     assert finding.parameters["offset_mm"] == pytest.approx((0.9, 0.0, 0.2), abs=4 * STD)
 
 
-def test_what_trials_differ_by_grows_with_the_motion_and_is_alike_in_a_neighbourhood():
+def test_the_difference_between_trials_grows_with_the_motion_and_is_smooth():
     experiment = shelf(weight=Weight(np.array(DOWN), in_reference=False), trial_share=0.04)
     layout = Layout(experiment)
     none = np.zeros((0, layout.size))
