@@ -78,7 +78,7 @@ class Layout:
     Attributes
     ----------
     parts : tuple of CasePart
-        One a case, in the experiment's order.
+        One for each case, in the experiment's order.
     size : int
         Length of the flat vector.
     measured : ndarray of float64, shape (size,)

@@ -40,7 +40,7 @@ class GainCause(Cause):
             yield Variant(pad.name, GAIN * columns, {"actuator": pad.name})
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
-        """Return the gain less one."""
+        """Return the gain minus one."""
         name = str(variant.settings["actuator"])
         return knobs(
             [(GAIN * float(amplitudes[0]), 0.0, GAIN, 0.01)],
