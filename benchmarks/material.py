@@ -1,4 +1,4 @@
-"""Counts behind docs/material.md: made-up material tests with and without hidden effects, many seeds.
+"""Counts behind docs/material.md: synthetic material tests with and without hidden effects, many seeds.
 
     python benchmarks/material.py [--seeds 4] [--null-seeds 40] [--only WORD] [--json FILE]
 

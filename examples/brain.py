@@ -1,4 +1,4 @@
-"""Brain tissue in three modes: which law holds in all of them, and which foretells a mode it has not seen.
+"""Brain tissue in three modes: which law holds in all of them, and which predicts a mode it has not seen.
 
     python examples/brain.py --data DIR [--json FILE]
 
@@ -50,7 +50,7 @@ def rms(test: MaterialTest, fit: LawFit) -> float:
 
 
 def study_law(tests: dict[str, MaterialTest], law: str, terms: int) -> dict[str, object]:
-    """Return the fit of one law to all modes and what it foretells of each mode left out."""
+    """Return the fit of one law to all modes and what it predicts of each mode left out."""
     everything = list(tests.values())
     fit, plain = (fit_law(everything, law, terms=terms, weighting=weighting) for weighting in ("mode", "plain"))
     held_out = {}

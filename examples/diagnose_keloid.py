@@ -9,7 +9,7 @@ which the pad moves as images show, and ``stroke``, in which it moves as the str
 
 Our choices: a slab 4 mm thick stands in for plane stress; pads grip both of its faces. The skin goes on beyond the
 mesh: its sides along the pull are held, its ends are free, for skin that is pushed together goes slack. Surroundings,
-thickness and nu were chosen after others had been tried on one recording, and what is named hangs on them
+thickness and nu were chosen after others had been tried on one recording, and what is named depends on them
 (docs/diagnose-real.md). Tracks say nothing of depth, so those cells stay empty. Believed is a neo-Hookean solid of one
 modulus, that of the first fifth of the force curve, known to a factor of e. Named regions of the mesh are hidden: they
 are only asked whether an inclusion that was found lies in them.

@@ -10,7 +10,7 @@ silicone     ``NAME_SPECIMEN.csv``: time s, compression, load, engineering strai
              with ``#`` are skipped. SPECIMEN is a letter and the number of a test of it. One diagnosis a silicone (same
              NAME), whole specimens left out, and one per file.
 shear-rates  ``*_RATE_per_s.csv`` with the header time_s, shear, nominal shear stress in kPa. One diagnosis of all
-             rates, and one without each rate, which it then foretells.
+             rates, and one without each rate, which it then predicts.
 
 Every diagnosis works on an experiment folder (``experiment.toml`` and ``test.csv``) that is written first, under --out
 where that is given. Believed is a neo-Hookean solid with the modulus that fits best, known to a half.
@@ -155,7 +155,7 @@ def study_file(name: str, curve: Curve, out: Path) -> dict[str, object]:
 
 
 def study_rates(data: Path, out: Path) -> list[dict[str, object]]:
-    """Diagnose all rates together, and all but one, which is then foretold."""
+    """Diagnose all rates together, and all but one, which is then predicted."""
     curves = [read_rate(path) for path in sorted(data.glob("*_per_s.csv"))]
     rows = [told("all rates", diagnosed("all-rates", curves, out))]
     for unseen in curves if len(curves) > 1 else []:
@@ -174,7 +174,7 @@ def study_rates(data: Path, out: Path) -> list[dict[str, object]]:
         for key, model in models.items():
             rms = float(np.sqrt(np.mean((predicted_stresses(model)[0] - unseen.stress) ** 2)))
             row["unseen"][f"rms_{key}_kpa"] = rms
-            print(f"  the unseen rate foretold by {key}: rms {rms:.3g} kPa, {rms / peak:.1%} of its peak")
+            print(f"  the unseen rate predicted by {key}: rms {rms:.3g} kPa, {rms / peak:.1%} of its peak")
         rows.append(row)
     return rows
 

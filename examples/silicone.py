@@ -5,7 +5,7 @@
 DIR holds recordings ``NAME_SPECIMEN.csv`` of uniaxial compression: lines that begin with ``#`` are skipped, column 4 is
 engineering strain, column 5 engineering stress in kPa, compression negative. Every law is fitted to each file alone,
 without volume change and by plain least squares, and to all files of one silicone (same NAME) but one specimen letter,
-which it then foretells.
+which it then predicts.
 """
 
 import argparse
@@ -39,7 +39,7 @@ def label(law: str, terms: int) -> str:
     return f"{law} {terms}" if terms > 1 else law
 
 
-def foretold(tests: dict[str, MaterialTest], law: str, terms: int) -> dict[str, float]:
+def predicted(tests: dict[str, MaterialTest], law: str, terms: int) -> dict[str, float]:
     """Return the rms in kPa on each specimen (first letter of the last part of a name) fitted to the others."""
     specimens: dict[str, list[MaterialTest]] = {}
     for name, test in tests.items():
@@ -86,7 +86,7 @@ def main() -> int:
                 for law, fit in fits.items()
             }
             files.append({"file": name, "laws": laws})
-        held_out = {label(law, terms): foretold(tests, law, terms) for law, terms in LAWS}
+        held_out = {label(law, terms): predicted(tests, law, terms) for law, terms in LAWS}
         answer.append({"silicone": silicone, "files": files, "specimen_left_out_rms_kpa": held_out})
     print("rms in kPa on the specimen left out")
     for entry in answer:

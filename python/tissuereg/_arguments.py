@@ -1,8 +1,7 @@
-"""The one place where arguments that are no arrays are checked: numbers, flags, texts, kinds, paths.
+"""Checks of all arguments other than arrays: numbers, flags, texts, types, paths.
 
-Every check takes the argument's name and value, returns the value as it is used from there on, and raises an error of
-ours that names the argument, what must hold and what was found. Arrays: `_arrays`; words of which one is chosen:
-`_choice`.
+Every check takes the argument's name and value, returns the value to use, and raises a typed error that names the
+argument, what must hold and what was found. Arrays are checked in `_arrays`, choices among words in `_choice`.
 """
 
 import math
@@ -18,16 +17,16 @@ from tissuereg.errors import ArgumentError, TissueRegError
 _T = TypeVar("_T")
 _Error = type[TissueRegError]
 
-#: More threads than this are a slip of the hand.
+#: A larger number of threads is taken for a typing error.
 MOST_THREADS = 1024
 
-#: More draws, members or steps than this are one as well.
+#: So is a larger number of draws, members or steps.
 MOST_COUNTED = 1_000_000
 
-#: Names longer than this are none.
+#: Largest length of a name.
 LONGEST_NAME = 200
 
-#: No file system takes a longer name of a file or folder.
+#: Largest length of a name in a file system.
 _LONGEST_PART, _LONGEST_PATH = 255, 4000
 
 #: Texts of found values are cut at about this many characters.
@@ -37,14 +36,14 @@ _short.maxstring = _short.maxother = _short.maxlong = _SHOWN
 
 
 def found(value: object) -> str:
-    """Return a value in a few words, for messages: itself where it is short, its type where it is not plain."""
+    """Return a short text for a value in messages: the value if it is short and plain, otherwise its type."""
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return _short.repr(value)[:_SHOWN]
     return type(value).__name__
 
 
 def whole(name: str, value: Any, *, least: int = 0, most: int = MOST_COUNTED, error: _Error = ArgumentError) -> int:
-    """Return a whole number in a range; numpy's count, booleans and floats do not."""
+    """Return a whole number in a range; numpy integers are accepted, booleans and floats are not."""
     try:
         number = None if isinstance(value, bool) else operator.index(value)
     except TypeError:
@@ -66,7 +65,7 @@ def real(
     unit: str = "",
     error: _Error = ArgumentError,
 ) -> float:
-    """Return a finite number in a range; texts, booleans and arrays are none."""
+    """Return a finite number in a range; texts, booleans and arrays are refused."""
     is_other = isinstance(value, bool | str | bytes) or bool(getattr(value, "shape", ()))
     try:
         number = math.nan if is_other else float(value)
@@ -85,7 +84,7 @@ def real(
 
 
 def flag(name: str, value: Any, *, error: _Error = ArgumentError) -> bool:
-    """Return true or false; nothing else is taken for either."""
+    """Return true or false; anything else is refused."""
     if type(value).__name__ not in ("bool", "bool_"):
         message = f"`{name}` must be True or False, got {found(value)}"
         raise error(message, where=name)
@@ -93,7 +92,7 @@ def flag(name: str, value: Any, *, error: _Error = ArgumentError) -> bool:
 
 
 def text(name: str, value: Any, *, error: _Error = ArgumentError) -> str:
-    """Return a text that is neither empty nor endless."""
+    """Return a text that is neither empty nor too long."""
     if not isinstance(value, str) or not value.strip() or len(value) > LONGEST_NAME:
         message = f"`{name}` must be a text of at most {LONGEST_NAME} characters, got {found(value)}"
         raise error(message, where=name)
@@ -132,7 +131,7 @@ def each(
 
 
 def called(name: str, value: Any) -> None:
-    """Refuse what cannot be called; None may be given in its place."""
+    """Refuse anything but a callable or None."""
     if value is not None and not callable(value):
         message = f"`{name}` must be a function or None, got {found(value)}"
         raise ArgumentError(message, where=name)

@@ -1,4 +1,4 @@
-"""The one place where a user's array is checked and, visibly, converted."""
+"""Checks and conversions of a user's arrays."""
 
 from collections.abc import Sequence
 from typing import Any, NoReturn, TypeVar

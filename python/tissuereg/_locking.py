@@ -1,4 +1,4 @@
-"""The warning that linear tets lock, at the line that asked for them."""
+"""The warning that linear tets lock, issued at the line that uses them."""
 
 import sys
 import warnings

@@ -1,4 +1,4 @@
-"""What this runs on, for the record beside every measured number."""
+"""Description of the machine and versions, recorded with every measurement."""
 
 import contextlib
 import os
@@ -8,7 +8,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-#: Packages whose versions are told, where they were used.
+#: Packages whose versions are reported if they were imported.
 _PACKAGES = ("scipy", "onnxruntime", "meshio", "trimesh", "matplotlib", "torch")
 
 #: Name in the environment of the memory in GB (1e9 bytes) that a process may take, where the system does not tell it.
@@ -16,7 +16,7 @@ LIMIT = "TISSUEREG_MEMORY_GB"
 
 
 def peak_mib() -> float | None:
-    """Return the largest memory that this process has held, in MiB; None where nobody knows."""
+    """Return the peak memory of this process in MiB; None if it is unknown."""
     try:
         import resource
     except ImportError:
@@ -95,7 +95,7 @@ def n_cores() -> int:
 
 
 def machine() -> dict[str, Any]:
-    """Return what this runs on: ``system``, ``processor``, ``cores``."""
+    """Return the machine: ``system``, ``processor``, ``cores``."""
     return {"system": platform.platform(), "processor": _processor(), "cores": n_cores()}
 
 

@@ -1,4 +1,4 @@
-"""What is made once a mesh and kept as long as the mesh lives."""
+"""Caches values per mesh, for as long as the mesh lives."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -11,9 +11,9 @@ Made = TypeVar("Made")
 
 
 def per_mesh(make: Callable[[Mesh], Made]) -> Callable[[Mesh], Made]:
-    """Return a function that makes its answer once for every mesh, whose arrays never change.
+    """Return a function that computes its value once for every mesh, whose arrays never change.
 
-    Two threads that ask at the same time may both make it; both answers are the same.
+    Two threads that call it at the same time may both compute it; both values are the same.
     """
     kept: WeakKeyDictionary[Mesh, Made] = WeakKeyDictionary()
 

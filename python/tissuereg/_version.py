@@ -1,4 +1,4 @@
-"""The version, read from the compiled core, so that it stands in one place."""
+"""The version, read from the compiled core, so that it is defined in one place."""
 
 from tissuereg._core import __version__
 

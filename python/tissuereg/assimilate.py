@@ -1,6 +1,6 @@
 """The ES-MDA loop: draw, decode, compare, update; Algorithm 1 of the paper, lines 3 to 10.
 
-The update itself is `tissuereg-esmda`'s; chance is here, drawn from a generator that the caller passes in.
+`tissuereg-esmda` computes the update; random numbers are drawn here, from a generator that the caller passes in.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ class Assimilation:
     dropped : list of (int, str)
         Members that were lost, by their first index, with the reason.
     exact_draws : bool
-        Whether chance was balanced, see `balanced_draws`; without it the spread of a small ensemble is too narrow.
+        Whether draws were balanced, see `balanced_draws`; otherwise the spread of a small ensemble is too narrow.
     """
 
     latents: FloatArray
@@ -44,7 +44,7 @@ class Assimilation:
 
     @property
     def spread_factor(self) -> float:
-        """Factor on covariances that makes up for the finite ensemble.
+        """Factor on covariances that corrects for the finite ensemble.
 
         Mean and covariance estimated from n independent members predict a further draw with the covariance
         times ``(1 + 1/n)(n - 1)/(n - 3)`` (variance of Student's t); balanced draws estimate nothing.
@@ -75,11 +75,11 @@ def assimilate(
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
     noise : ndarray of float64, shape (n_obs, n_obs)
-        Covariance C_d of what separates a perfect model's prediction from the measurement, mm^2.
+        Covariance C_d of the measurement about a perfect model's prediction, mm^2.
     prior : Gaussian
-        Where the latents are expected.
+        Prior of the latents.
     rng : numpy.random.Generator
-        The only source of chance.
+        The only source of random numbers.
     n_members, n_steps : int
         Ensemble size N_e and number of assimilations N_a.
     decrease : float
@@ -133,27 +133,27 @@ def assimilate(
 
 
 def balanced_draws(rng: np.random.Generator, shape: tuple[int, int], anomalies: FloatArray) -> tuple[FloatArray, bool]:
-    """Return standard normal draws whose sample moments are exact, where the ensemble is large enough.
+    """Return standard normal draws whose sample moments are exact, if the ensemble is large enough.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        Source of chance.
+        Source of random numbers.
     shape : (int, int)
         Rows (dimensions) and columns (members).
     anomalies : ndarray of float64, shape (k, n_members)
-        Zero-mean rows to which the draws shall be uncorrelated.
+        Zero-mean rows with which the draws must be uncorrelated.
 
     Returns
     -------
     draws : ndarray of float64, shape `shape`
         Mean zero, sample covariance the identity, sample correlation with `anomalies` zero.
     exact : bool
-        False where there are too few members for that; the draws are then plain.
+        False if there are too few members for that; the draws are then plain.
 
     Notes
     -----
-    With such draws the stochastic update reproduces the Kalman mean and covariance exactly where the model is
+    With such draws the stochastic update reproduces the Kalman mean and covariance exactly if the model is
     linear: the usual loss of spread, about n_obs/n_members of it, comes from these sampling errors alone.
     Needs n_members > rows + rank(anomalies) + 1.
     """

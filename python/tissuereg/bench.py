@@ -1,4 +1,4 @@
-"""Times by stage, with the work counters that explain them.
+"""Times by stage, with work counters that explain them.
 
 Every row is a dict: name, sizes, repeats, median and 99th percentile of the whole, medians of the stages,
 counters, residual, peak memory. Stages add up to the whole of each repeat.
@@ -31,12 +31,12 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """How to time.
+    """Settings of the timings.
 
     Parameters
     ----------
     repeats : int
-        Runs of every row; one more comes first and does not count.
+        Timed runs of every row, after one that is not counted.
     threads : int
         Threads to use; 0 takes all cores.
     elements : tuple of str
@@ -46,7 +46,7 @@ class BenchSettings:
     members : int
         Members of the ensemble.
     seed : int
-        Of random events and draws.
+        Seed of random events and draws.
     """
 
     repeats: int = 10
@@ -59,7 +59,7 @@ class BenchSettings:
 
 @dataclass
 class _Run:
-    """One repeat: stages in s, and what the work was."""
+    """One repeat: times of stages in s, and work counters."""
 
     stages: dict[str, float] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)
@@ -83,7 +83,7 @@ def bench_solve(settings: BenchSettings) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per problem and element; nothing is kept from one repeat to the next.
+        One row per problem and element; nothing is cached between repeats.
     """
     rows = []
     for name, problem in _problems(settings):
@@ -146,7 +146,7 @@ def bench_register(settings: BenchSettings) -> list[Row]:
     Returns
     -------
     list of dict
-        Three rows, or two where no network is shipped.
+        Three rows, or two if no network is shipped.
     """
     event = make_event(seed=settings.seed, threads=settings.threads)
     simulator = Simulator(event.mesh)
@@ -177,7 +177,7 @@ def bench_register(settings: BenchSettings) -> list[Row]:
     return rows
 
 
-#: What can be timed, by the name it has on the command line.
+#: The benchmarks, by their names on the command line.
 BENCHES: dict[str, Callable[[BenchSettings], list[Row]]] = {
     "solve": bench_solve,
     "ensemble": bench_ensemble,

@@ -1,4 +1,4 @@
-"""Every exception that tissuereg raises on purpose, and its warnings that can be told apart.
+"""Every exception that tissuereg raises on purpose, and its named warnings.
 
 Message form: what must hold, what was found, where. The command line turns an error into one
 paragraph and the exit code its class states; nothing here imports anything.
@@ -13,9 +13,9 @@ class TissueRegError(Exception):
     message : str
         What must hold, what was found, where.
     where : str, optional
-        The place alone (file, argument, member), for machine readers.
+        The place alone (file, argument, member), for programs.
     **details
-        Facts worth computing with (indices, fractions); they become attributes.
+        Values for programs (indices, fractions); they become attributes.
     """
 
     exit_code = 2
@@ -32,7 +32,7 @@ class ShapeError(TissueRegError, ValueError):
 
 
 class ArgumentError(TissueRegError, ValueError):
-    """An argument is of another kind than it must be, or lies outside its range."""
+    """An argument has the wrong type, or is out of its range."""
 
 
 class MeshError(TissueRegError, ValueError):
@@ -78,15 +78,15 @@ class SurfaceError(TissueRegError, ValueError):
 
 
 class FormatError(TissueRegError, ValueError):
-    """A file is not what its name or place promises."""
+    """A file does not have the format or content that its name implies."""
 
 
 class ExperimentError(FormatError):
-    """An experiment folder or a recipe says something impossible or unknown."""
+    """An experiment folder or a recipe contains something impossible or unknown."""
 
 
 class ModelError(TissueRegError, ValueError):
-    """A trained model does not fit: another mesh, a missing or spoilt file."""
+    """A trained model cannot be used: another mesh, a missing or corrupt file."""
 
 
 class ScheduleError(TissueRegError, ValueError):
@@ -98,7 +98,7 @@ class NoiseError(TissueRegError, ValueError):
 
 
 class MissingPackageError(TissueRegError, ImportError):
-    """An optional package is needed for what was asked."""
+    """An optional package is needed for the requested operation."""
 
 
 class ConvergenceError(TissueRegError, RuntimeError):
@@ -142,7 +142,7 @@ class ParityError(TissueRegError, RuntimeError):
 
 
 class UnitWarning(UserWarning):
-    """A number is plausible in another unit than the one it is taken in."""
+    """A number is implausible in its unit, and plausible in another."""
 
 
 class LargeBodyWarning(UserWarning):
@@ -150,4 +150,4 @@ class LargeBodyWarning(UserWarning):
 
 
 class LockingWarning(UserWarning):
-    """Four-node tets are used where they lock: they move too little on any affordable mesh."""
+    """Four-node tets are used where they lock: displacements are too small on any affordable mesh."""

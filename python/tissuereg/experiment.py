@@ -1,4 +1,4 @@
-"""An experiment: what is believed about a rig, and everything that was measured on it.
+"""An experiment: the believed model of a rig, and everything that was measured on it.
 
 Plain data; `tissuereg.read_experiment` makes it from a folder. Times in s on one clock through all cases,
 lengths in mm, forces in mN, stresses in kPa.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Simulated:
-    """With what the data of an experiment were simulated here.
+    """The model by which this package simulated the data of an experiment.
 
     Attributes
     ----------
@@ -45,11 +45,11 @@ class Gravity:
     Attributes
     ----------
     direction : ndarray of float64, shape (3,)
-        Where it points; any length but none.
+        Direction; any length but zero.
     g_mm_per_s2 : float
         Acceleration in mm/s^2.
     in_reference : bool
-        Whether the mesh already hangs in it.
+        Whether the mesh was imaged under it.
     """
 
     direction: FloatArray
@@ -70,9 +70,9 @@ class Boundary:
     kind : str
         ``"fixed"``.
     rule : str or mapping, optional
-        How the experiment file chooses the nodes; None where they were given as they are.
+        Rule by which the experiment file selects the nodes; None if they were given directly.
     edge_std : float, optional
-        Standard deviation of where its edge lies, mm; None where it is not stated.
+        Standard deviation of the position of its edge, mm; None if it is not stated.
     """
 
     name: str
@@ -93,13 +93,13 @@ class Actuator:
     nodes : ndarray of int64, shape (n,)
         Sorted.
     kind : {"displacement", "force"}
-        What is given to it.
+        Quantity that is prescribed.
     contact : str
         ``"bonded"``.
     rule : str or mapping, optional
-        How the experiment file chooses the nodes; None where they were given as they are.
+        Rule by which the experiment file selects the nodes; None if they were given directly.
     edge_std : float, optional
-        Standard deviation of where its edge lies, mm; None where it is not stated.
+        Standard deviation of the position of its edge, mm; None if it is not stated.
     """
 
     name: str
@@ -123,10 +123,10 @@ class Case:
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
         Measured places in mm, NaN = not seen, in the experiment's order of markers.
     displacements : mapping of str to ndarray of float64, shape (n_frames, 3)
-        What is given to each displacement actuator that is present, in mm from the shape that the body has
-        when the case begins.
+        Command of each displacement actuator that is present, in mm relative to the shape of the body at the start of
+        the case.
     applied_forces : mapping of str to ndarray of float64, shape (n_frames, 3)
-        What is given to each force actuator that is present, in mN.
+        Command of each force actuator that is present, in mN.
     forces : mapping of str to ndarray of float64, shape (n_frames, 3)
         Measured force on the body at an actuator in mN, NaN = not measured.
     targets : mapping of str to ndarray of float64, shape (n_frames, 3)
@@ -189,11 +189,11 @@ class Frame:
     index : int
         Row of the case.
     markers : Markers
-        Reference places and what was measured, mm.
+        Reference and measured places, mm.
     displacements : dict of str to ndarray of float64, shape (3,)
-        Given to the displacement actuators, mm.
+        Commands of the displacement actuators, mm.
     applied_forces : dict of str to ndarray of float64, shape (3,)
-        Given to the force actuators, mN.
+        Commands of the force actuators, mN.
     targets : dict of str to ndarray of float64, shape (3,)
         Measured inner points in mm, NaN = not measured.
     """
@@ -209,30 +209,30 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """What is believed about a rig, and its measured cases.
+    """The believed model of a rig, and its measured cases.
 
     Attributes
     ----------
     name : str
         Title.
     folder : Path
-        Where its tables lie.
+        Folder of its tables.
     mesh_file : Path
-        Where its mesh lies.
+        File of its mesh.
     mesh : Mesh
         Node set ``fixed`` is all fixed boundaries together; each boundary and actuator has a set of its name.
     material : Material
-        Means of what is believed.
+        Prior mean of the material.
     young_std : float or None
-        Standard deviation of Young's modulus in kPa, where stated.
+        Prior standard deviation of Young's modulus in kPa, if stated.
     poisson_std : float or None
-        Standard deviation of Poisson's ratio, where stated.
+        Prior standard deviation of Poisson's ratio, if stated.
     gravity : Gravity or None
-        None where the file has no such table.
+        None if the file has no such table.
     boundaries : tuple of Boundary
-        What is held.
+        Held patches.
     actuators : tuple of Actuator
-        What moves or pulls; absent from a case in which it has no rows.
+        Moved or pulled patches; absent from a case in which they have no rows.
     marker_names : tuple of str
         Order of all marker arrays.
     marker_reference : ndarray of float64, shape (n_markers, 3)
@@ -248,15 +248,15 @@ class Experiment:
     rest_case : str or None
         Case without load, for the noise model.
     effects : tuple of Effect
-        ``[[effect]]`` tables in file order (`tissuereg.effects`): what is believed besides, and simulated with it.
+        ``[[effect]]`` tables in file order (`tissuereg.effects`): further parts of the believed model.
     trial_share : float
-        Standard deviation of what two trials of one case differ by, smooth over the markers, over the markers' motion.
+        Standard deviation of the difference between two trials of one case, smooth over the markers, over their motion.
     surface_std : float
-        Standard deviation of how far the body's surface lies beside the mesh's, along its normal, mm.
+        Standard deviation of the distance between the body's surface and the mesh's, along its normal, mm.
     surface_length : float or None
-        Length over which it is off alike, mm; None where it is not stated.
+        Correlation length of that distance, mm; None if it is not stated.
     simulated : Simulated or None
-        With what the data were simulated here; None where they were measured, or made by others.
+        Model by which this package simulated the data; None if they were measured, or made by others.
     """
 
     name: str
@@ -376,7 +376,7 @@ class Experiment:
         Returns
         -------
         Frame
-            Markers, what the actuators do, measured targets.
+            Markers, commands of the actuators, measured targets.
         """
         history = self.case(case)
         row = history.index(time)

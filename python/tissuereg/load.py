@@ -1,4 +1,4 @@
-"""What acts on the body in one static event."""
+"""The load on the body in one static event."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,16 +19,16 @@ class Load:
     body_force : array_like of float, shape (3,), optional
         Force per undeformed volume in mN/mm^3; `Material.weight` gives gravity's.
     prescribed : array_like of float, shape (n_held, 3), optional
-        Displacement in mm of every held node, in the order in which they are held; None holds them still.
+        Displacement in mm of every held node, in the order of the held nodes; None: zero.
     traction : tuple of (array_like of int (n, 3), array_like of float (3,)), optional
         Boundary triangles and the dead traction on them in kPa of undeformed area.
 
     Raises
     ------
     ShapeError
-        If a part is no array of numbers of its kind; whether it fits a body is seen when that is solved.
+        If a part is not an array of numbers of its shape; whether it fits a body is checked by the solve.
     LoadError
-        If `traction` is no pair.
+        If `traction` is not a pair.
     """
 
     forces: Any = None

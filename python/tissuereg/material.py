@@ -13,7 +13,7 @@ from tissuereg._arguments import flag, found, maybe, named, of_kind, real, text
 from tissuereg._arrays import FloatArray, depth, float_array
 from tissuereg.errors import MaterialError, UnitWarning
 
-#: Laws that the solver owns, and the names of their shape parameters.
+#: Laws of the solver, and the names of their shape parameters.
 SHAPE_KEYS: Mapping[str, tuple[str, ...]] = {
     "neo-hookean": (),
     "bimodular": ("excess",),
@@ -38,16 +38,16 @@ MN_PER_MM3 = 1e-6
 #: Standard gravity of this project, mm/s^2.
 GRAVITY_MM_PER_S2 = 9810.0
 
-#: Young's moduli of soft tissues and silicones, kPa: a body's median outside is taken, with a `UnitWarning`.
+#: Young's moduli of soft tissues and silicones, kPa: a median outside is accepted, with a `UnitWarning`.
 SOFT_YOUNG_KPA = (0.01, 1e5)
 
-#: Young's moduli of solids, kPa: foams of a millionth of a kPa to ten times diamond. What lies outside is refused.
+#: Young's moduli of solids, kPa: foams of a millionth of a kPa to ten times diamond. Values outside are refused.
 SOLID_YOUNG_KPA = (1e-6, 1e10)
 
 
 @dataclass(frozen=True, eq=False)
 class Fibre:
-    """A family of fibres beside any law.
+    """A family of fibres, added to any law.
 
     Energy ``k1/(2 k2) (exp(k2 e^2) - 1)`` with ``e`` the squared isochoric stretch along the fibres minus 1 (Holzapfel,
     Gasser and Ogden, Journal of Elasticity 61, 2000).
@@ -59,7 +59,7 @@ class Fibre:
     k2 : float
         Rate of stiffening, dimensionless; not negative.
     direction : array_like of float, shape (3,), (n_tets, 3) or (n_tets, n_points, 3)
-        Where they point in the undeformed body; only the direction counts.
+        Direction in the undeformed body; its length is ignored.
     tension_only : bool
         Whether shortened fibres are slack.
     """
@@ -79,9 +79,9 @@ class Fibre:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A hyperelastic solid: small-strain moduli, and a law that has them whatever its shape.
+    """A hyperelastic solid: small-strain moduli, and a law with these moduli for any shape parameters.
 
-    A bimodular solid has them where it is compressed in all directions; stretched ones have the excess in addition.
+    A bimodular solid has them under compression in all directions; stretched directions have the excess in addition.
 
     With bars for isochoric invariants and stretches and ``U`` the volumetric energy of the bulk modulus:
 
@@ -106,7 +106,7 @@ class Material:
     Parameters
     ----------
     young : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
-        Young's modulus at small strain in kPa: one for all, one a tet, or one a quadrature point; positive.
+        Young's modulus at small strain in kPa: one for all, one per tet, or one per quadrature point; positive.
     poisson : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
         Poisson's ratio at small strain, in (-1, 0.5).
     law : str
@@ -114,13 +114,12 @@ class Material:
     density : float
         Mass density in g/cm^3; matters only under gravity.
     shape : mapping of str to float or sequence of float
-        Shape parameters of the law, all dimensionless. Ogden's weights are shares of the shear modulus, divided by
-        their sum.
+        Shape parameters of the law, all dimensionless. Ogden's weights are normalised to shares of the shear modulus.
     volumetric : str
         ``"log"``: ``U = K/2 (ln J)^2``; ``"quadratic"``: ``U = K/2 (J - 1)^2``; ``"coupled"``: the coupled form, with
         ``U = lambda/2 (ln J)^2``.
     fibre : Fibre, optional
-        Fibres beside the law.
+        Fibres in addition to the law.
 
     Raises
     ------
@@ -172,7 +171,7 @@ class Material:
         return _field("poisson", self.poisson)
 
     def core_law(self) -> _core.Law:
-        """Return law, shape and fibres as the solver takes them.
+        """Return law, shape and fibres in the solver's form.
 
         Returns
         -------
@@ -204,12 +203,12 @@ class Material:
         Parameters
         ----------
         factor : float or array_like of float, shape (n_tets,) or (n_tets, n_points)
-            What the modulus is multiplied by.
+            Factor on the modulus.
 
         Returns
         -------
         Material
-            All else as it is.
+            Otherwise the same.
         """
         young, factor = self.young_array, float_array("factor", factor, (None,) * min(depth("factor", factor), 2))
         _within("factor", factor, np.isfinite(factor) & (factor > 0), "positive")
@@ -242,7 +241,7 @@ class Material:
         Parameters
         ----------
         direction : array_like of float, shape (3,)
-            Where gravity points; normalised here.
+            Direction of gravity; normalised here.
         g : float
             Acceleration in mm/s^2.
 
@@ -297,7 +296,7 @@ def _positive(name: str, value: Any, unit: str) -> None:
 
 
 def _check_unit(young: FloatArray) -> None:
-    """Refuse moduli that no solid has, and warn of those that no soft one has; name the unit that they may be in."""
+    """Refuse moduli that no solid has, warn of those that no soft solid has, and name the unit they may be in."""
     lowest, highest = SOLID_YOUNG_KPA
     _within("young", young, (young >= lowest) & (young <= highest), f"in kPa, from {lowest:g} to {highest:g} kPa")
     typical = float(np.median(young)) if young.size else 1.0

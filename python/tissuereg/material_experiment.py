@@ -1,4 +1,4 @@
-"""A material-test experiment: what is believed about a material, and the curves that a testing machine measured.
+"""A material-test experiment: the believed material, and the measured curves.
 
 Plain data; `tissuereg.io.material_experiments.read_material_experiment` makes it from a folder. Stresses in kPa, times
 in s.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 #: Modes of a test.
 TEST_MODES = ("tension", "compression", "simple-shear")
 
-#: What may be held out for the proof of a finding.
+#: Units that can be held out for the proof of a finding.
 HELD_OUT = ("mode", "rate", "specimen")
 
 
@@ -37,7 +37,7 @@ class Curve:
     rate : float
         Nominal strain rate in 1/s; NaN = not known.
     times : ndarray of float64, shape (n,)
-        In s, never falling; NaN throughout = not known.
+        In s, never decreasing; NaN throughout = not known.
     amounts : ndarray of float64, shape (n,)
         Stretch, or amount of shear.
     stress : ndarray of float64, shape (n,)
@@ -112,24 +112,24 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class MaterialExperiment:
-    """Beliefs about a material and the curves measured on it.
+    """A believed material and the curves measured on it.
 
     Attributes
     ----------
     name : str
         Title.
     folder : Path
-        Where its ``test.csv`` lies.
+        Folder of its ``test.csv``.
     material : Material
-        Believed, the same everywhere.
+        Believed material, the same everywhere.
     young_std, poisson_std : float, optional
-        Standard deviations of the beliefs, kPa and dimensionless.
+        Prior standard deviations, kPa and dimensionless.
     curves : tuple of Curve
         At least one.
     effects : tuple of Effect
-        Findings that are part of the belief.
+        Effects that are part of the believed material.
     hold_out : str, optional
-        One of `HELD_OUT`; None = chosen by what the data own.
+        One of `HELD_OUT`; None = chosen by the data.
     stress_std : float, optional
         Standard deviation of one measured stress in kPa; None = estimated from the curves.
     """

@@ -1,4 +1,4 @@
-"""Material tests: homogeneous deformation without a mesh, and laws fitted to what a testing machine measured."""
+"""Material tests: homogeneous deformation without a mesh, and laws fitted to measured curves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from tissuereg._choice import check_choice
 from tissuereg.errors import MaterialError
 from tissuereg.material import SHAPE_KEYS, Material
 
-#: Deformation of each mode of a test, as the solver names it.
+#: Deformation of each mode of a test, by its name in the solver.
 MODES = {
     "tension": "uniaxial",
     "compression": "uniaxial",
@@ -19,12 +19,12 @@ MODES = {
     "simple-shear": "simple-shear",
 }
 
-#: Poisson's ratio that a law fitted without volume change carries into a simulation.
+#: Poisson's ratio in simulations of a law that was fitted without volume change.
 NEARLY_INCOMPRESSIBLE = 0.495
 
 
 def uniaxial_stress(material: Material, stretch: Any, *, incompressible: bool = False) -> FloatArray:
-    """Return the nominal stress of a bar that is free across.
+    """Return the nominal stress of a bar with free sides.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def uniaxial_stress(material: Material, stretch: Any, *, incompressible: bool = 
     stretch : array_like of float, shape (n,)
         Length over undeformed length; tension above 1.
     incompressible : bool
-        Keep the volume, whatever Poisson's ratio says (the shear modulus stays).
+        Keep the volume for any Poisson's ratio, with the same shear modulus.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def uniaxial_stress(material: Material, stretch: Any, *, incompressible: bool = 
 
 
 def equibiaxial_stress(material: Material, stretch: Any, *, incompressible: bool = False) -> FloatArray:
-    """Return the nominal stress of a sheet that is pulled alike along two axes.
+    """Return the nominal stress of a sheet that is stretched equally along two axes.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class MaterialTest:
             raise MaterialError(message, where="stress")
 
     def predicted(self, material: Material, *, incompressible: bool = True) -> FloatArray:
-        """Return what a material answers to this test.
+        """Return the stress that a material predicts for this test.
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class MaterialTest:
         Returns
         -------
         float
-            1 for a perfect answer, below 0 for one worse than the mean stress.
+            1 for a perfect prediction, below 0 for one worse than the mean stress.
         """
         misfit = self.stress - self.predicted(material, incompressible=incompressible)
         return float(1 - np.sum(misfit**2) / np.sum((self.stress - self.stress.mean()) ** 2))
@@ -195,13 +195,13 @@ class LawFit:
     Attributes
     ----------
     material : Material
-        The law with its numbers.
+        The law with its parameters.
     incompressible : bool
         Whether it was fitted in its incompressible limit.
     cost : float
         Sum of squared weighted residuals.
     n_parameters : int
-        Numbers fitted, Young's modulus included.
+        Number of fitted parameters, including Young's modulus.
     standard_error : float
         Root of the sum of squared residuals over (points - parameters), kPa, without weights.
     """
@@ -215,7 +215,7 @@ class LawFit:
 
 @dataclass(frozen=True)
 class _Family:
-    """How the shape of a law is written as a vector: where the search starts and what bounds it."""
+    """The shape of a law as a vector, with the starts and bounds of its search."""
 
     starts: tuple[tuple[float, ...], ...]
     lower: float = -np.inf
@@ -250,8 +250,8 @@ def fit_law(
 ) -> LawFit:
     """Fit a law to material tests by least squares.
 
-    Stress is linear in Young's modulus, which is solved for at every shape; the shape is found by scipy's trust region
-    from a few fixed starts, so the answer is the same at each call.
+    Stress is linear in Young's modulus, which is solved for at every shape; the shape is found by scipy's trust-region
+    method from a few fixed starts, so the result is the same at each call.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def fit_law(
         Terms of an Ogden law, 1 to 3.
     weighting : str
         ``"mode"``: residuals of a test over (its largest stress x root of its number of points), so that all tests
-        count alike; ``"plain"``: residuals in kPa.
+        have equal weight; ``"plain"``: residuals in kPa.
     incompressible : bool
         Fit in the incompressible limit; st-venant-kirchhoff and hooke need False.
     poisson : float
@@ -338,7 +338,7 @@ def _starts(law: str, terms: int) -> list[tuple[tuple[float, ...], tuple[Any, An
     if terms not in (1, 2, 3):
         message = f"`terms` of an Ogden law must be 1, 2 or 3, got {terms}"
         raise MaterialError(message, where="terms")
-    # Beyond an exponent of 200 no test tells laws apart; shares stay positive.
+    # Beyond an exponent of 200 no test distinguishes laws; shares stay positive.
     lower, upper = [-200.0] * terms + [0.0] * (terms - 1), [200.0] * terms + [1e3] * (terms - 1)
     return [(start, (lower, upper)) for start in (family.starts, _OGDEN_2, _OGDEN_3)[terms - 1]]
 

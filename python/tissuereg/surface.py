@@ -1,4 +1,4 @@
-"""Points measured on the deformed surface of a body, without labels: nobody knows which point of the body each is."""
+"""Unlabelled points measured on the deformed surface of a body: their correspondence to the body is unknown."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ class SurfacePoints:
     Parameters
     ----------
     measured : array_like of float, shape (n, 3)
-        Places on the deformed surface, or on a part of it, mm. Rows that hold NaN are left out.
+        Places on all or part of the deformed surface, mm. Rows with NaN are ignored.
     std : float
         Standard deviation of a point along the surface's normal, mm.
 
@@ -37,7 +37,7 @@ class SurfacePoints:
     places : ndarray of float64, shape (n_points, 3)
         At most `MOST_POINTS` points, spread evenly over those given, mm.
     rows : ndarray of int64, shape (n_points,)
-        Which of the given points these are.
+        Their indices among the given points.
     std : float
         As given.
     given : int
@@ -75,7 +75,7 @@ class SurfacePoints:
 
 
 def _positive(std: Any) -> float:
-    """Return a standard deviation in mm; so large a one that its square overflows is none."""
+    """Return a checked standard deviation in mm; it must be so small that its square does not overflow."""
     try:
         return real("surface_std", std, above=0.0, below=1e9, error=SurfaceError)
     except SurfaceError:
@@ -91,7 +91,7 @@ def evenly(places: FloatArray, count: int) -> IntArray:
     places : ndarray of float64, shape (n, 3)
         mm.
     count : int
-        How many are kept.
+        Largest number of places.
 
     Returns
     -------

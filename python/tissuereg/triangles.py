@@ -1,4 +1,4 @@
-"""A surface of triangles, as segmentation programs and scanners write it: not yet a body."""
+"""A surface of triangles, as written by segmentation programs and scanners: not yet a body."""
 
 from typing import Any
 
@@ -9,14 +9,14 @@ from tissuereg.errors import MeshError
 
 
 class Triangles:
-    """Triangles in space, with whatever defects they were given.
+    """Triangles in space, possibly with defects.
 
     Parameters
     ----------
     vertices : array_like of float, shape (n_vertices, 3)
         Coordinates in mm.
     triangles : array_like of int, shape (n_triangles, 3)
-        Vertex indices, counter-clockwise from outside where the surface is in order.
+        Vertex indices, counter-clockwise from outside if the surface has no defects.
 
     Raises
     ------

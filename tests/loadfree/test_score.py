@@ -1,4 +1,4 @@
-"""The scores, on made-up numbers whose figures are known."""
+"""The scores, on synthetic numbers whose figures are known."""
 
 import numpy as np
 import pytest

@@ -23,7 +23,7 @@ def need(folder):
     return folder
 
 
-def test_brain_tissue_is_unlike_in_pull_and_push_and_a_mode_left_out_is_foretold(shared_data, tmp_path):
+def test_brain_tissue_is_unlike_in_pull_and_push_and_a_mode_left_out_is_predicted(shared_data, tmp_path):
     rows = run("brain", need(shared_data / "data" / "brain"), tmp_path / "told.json")
     assert len(rows) >= 2
     for row in rows:
@@ -50,7 +50,7 @@ def test_a_silicone_stiffens_and_reaches_the_published_standard_error(shared_dat
 
 
 @pytest.mark.slow
-def test_an_adhesive_relaxes_and_an_unseen_rate_is_foretold(shared_data, tmp_path):
+def test_an_adhesive_relaxes_and_an_unseen_rate_is_predicted(shared_data, tmp_path):
     rows = run("shear-rates", need(shared_data / "data" / "shear-rates"), tmp_path / "told.json")
     assert all(["relaxation"] in row["groups"] for row in rows)
     for row in rows[1:]:
@@ -66,5 +66,5 @@ def test_an_adhesive_relaxes_and_an_unseen_rate_is_foretold(shared_data, tmp_pat
     ]
     assert len(apart) == 18
     assert max(apart) <= 2.0
-    # Deviations three times as large would foretell less than these parts agree.
+    # Deviations three times as large would predict less than these parts agree.
     assert max(apart) > 0.7

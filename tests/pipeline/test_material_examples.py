@@ -41,7 +41,7 @@ def test_the_published_misfit_of_brain_tissue_is_found(brain):
         assert best["shape"]["alpha"][0] == pytest.approx(alpha, abs=0.6)
 
 
-def test_a_mode_that_was_left_out_is_foretold_better(brain):
+def test_a_mode_that_was_left_out_is_predicted_better(brain):
     for laws in brain.values():
         gains = laws["ogden", 1]["held_out_gain"]
         assert set(gains) == {"tension", "compression", "simple-shear"}

@@ -1,4 +1,4 @@
-"""Does the whole thing register? Made-up truths from another model than the prior's."""
+"""Does the whole thing register? Synthetic truths from another model than the prior's."""
 
 import json
 

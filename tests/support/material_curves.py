@@ -1,4 +1,4 @@
-"""Made-up material tests: stresses by textbook formulas of an incompressible solid, none of them the package's.
+"""Synthetic material tests: stresses by textbook formulas of an incompressible solid, none of them the package's.
 
 Nominal stress of a bar is ``2 (W1 + W2/l) (l - l^-2)``, of simple shear ``2 (W1 + W2) g``. Memory is integrated on a
 fine grid of times by the midpoint rule. Paths: a ramp to the largest strain, a ramp and a hold, cycles.

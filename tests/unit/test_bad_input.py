@@ -201,7 +201,7 @@ REGISTRATIONS = {
     "all markers are missing": Registration(
         MarkerError, r"at least one marker must have been seen; all 1 are missing", MARKERS_HEADER + "P1,30,10,40,,,\n"
     ),
-    "a marker is far off the body": Registration(MarkerError, r"'P1'", HIGH),
+    "a marker is far from the body": Registration(MarkerError, r"'P1'", HIGH),
     "a marker is infinite": Registration(FormatError, r"'moved_x_mm'.*'inf'", GOOD_MARKERS.replace("31", "inf")),
     "a marker stands twice": Registration(
         FormatError, r"'P2' is at line 3 and line 5", GOOD_MARKERS + "P2,1,2,3,4,5,6\n"

@@ -57,7 +57,7 @@ def test_the_work_is_the_pinned_one(result):
     work = result.work
     settings = tr.RegisterSettings().contacts
     assert work["passes"] == 2
-    # The tangent at rest is kept from call to call, and the last step came out as foretold: its tangent serves on.
+    # The tangent at rest is kept from call to call, and the last step came out as predicted: its tangent serves on.
     assert work["factorisations"] in (1, 2)
     assert work["right_hand_sides"] in [3 * (n * len(push().nodes) + len(result.targets)) for n in (1, 2)]
     assert work["sweeps"] == 8 * len(settings.powers) + 16 * len(settings.powers_again)

@@ -128,7 +128,7 @@ def test_the_skin_follows_the_set_of_held_nodes():
     assert np.array_equal(skin_of(mesh).held, [0, 1, 2])
 
 
-def test_a_step_that_came_out_otherwise_than_foretold_is_linearised_anew(monkeypatch):
+def test_a_step_that_came_out_otherwise_than_predicted_is_linearised_anew(monkeypatch):
     def fit(margin):
         forget_rest()
         monkeypatch.setattr("tissuereg.contacts.fit._AS_PREDICTED", margin)

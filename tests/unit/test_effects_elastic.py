@@ -50,7 +50,7 @@ def simulated(rig, *effects):
 
 
 def same(one, other, *parts):
-    """Say whether two simulations agree to the last bit, in some parts or all."""
+    """Return whether two simulations agree to the last bit, in some parts or all."""
     for case, answer in one.items():
         for part in parts or ("displacement", "markers", "forces", "targets"):
             mine, theirs = getattr(answer, part), getattr(other[case], part)

@@ -181,7 +181,7 @@ def split_members(n_members: int, seed: int, n_latent: int) -> Split:
     n_members : int
         Fields.
     seed : int
-        Source of chance.
+        Source of random numbers.
     n_latent : int
         Latents; the training split must hold more fields than that, or principal components would be exact.
 

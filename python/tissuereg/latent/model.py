@@ -1,4 +1,4 @@
-"""What a latent model must offer to be used in a registration."""
+"""The interface of a latent model for registration."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -39,16 +39,16 @@ class LatentModel(Protocol):
 
     @property
     def card(self) -> dict[str, Any]:
-        """What the result says of the model: `kind`, `source`, `members`, `test_error_mm`, `pca26_test_error_mm`."""
+        """Entry `model` of a result: `kind`, `source`, `members`, `test_error_mm`, `pca26_test_error_mm`."""
         ...
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the reconstruction errors to expect: truth minus reconstruction of fields the model never saw.
+        """Return the expected reconstruction errors: truth minus reconstruction of fields not used in training.
 
         Parameters
         ----------
         latents : ndarray of float64, shape (n_latent,), optional
-            Where the errors are wanted; a typical place where absent.
+            Latents at which the errors are evaluated; by default a typical value.
 
         Returns
         -------
@@ -65,7 +65,7 @@ class LatentModel(Protocol):
         latents : ndarray of float64, shape (n_latent, n_members)
             One column a member.
         nodes : ndarray of int64, shape (k,), optional
-            Nodes to decode; all where absent.
+            Nodes to decode; by default all.
 
         Returns
         -------
@@ -75,7 +75,7 @@ class LatentModel(Protocol):
         ...
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return where the truth is expected, given what a simulation says.
+        """Return the prior of the truth, given a simulation.
 
         Parameters
         ----------
@@ -90,19 +90,19 @@ class LatentModel(Protocol):
         ...
 
 
-#: A small field says little about the error of one more than this many times its size.
+#: Largest ratio of sizes by which errors are scaled: a small field says little about much larger ones.
 _MOST_SCALING = 3.0
 
 
 class ScaledErrors:
-    """Errors of fields of known size, brought to the size of another field: they grow in proportion.
+    """Errors of fields of known size, scaled in proportion to the size of another field.
 
     Parameters
     ----------
     fields : array_like of float, shape (n_fields, n_nodes, 3)
         Truth minus reconstruction, mm.
     sizes : array_like of float, shape (n_fields,)
-        Root mean square displacement of what was to be reconstructed, mm.
+        Root mean square displacement of the fields that were reconstructed, mm.
     """
 
     def __init__(self, fields: Any, sizes: Any) -> None:
@@ -110,7 +110,7 @@ class ScaledErrors:
         self.sizes: FloatArray = np.asarray(sizes, dtype=np.float64)
 
     def at(self, field: FloatArray | None) -> FloatArray:
-        """Return the errors to expect beside a field (n_nodes, 3) in mm; as they were measured where it is None."""
+        """Return the errors expected for a field (n_nodes, 3) in mm; unscaled if it is None."""
         if field is None or len(self.fields) == 0:
             return self.fields
         size = rms_displacement(field[None])[0]
@@ -134,13 +134,13 @@ def error_covariance(rows: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n_components, n_components)
-        mm^2; not centred, so that a constant error counts as error.
+        mm^2; not centred, so that a constant error is included.
 
     Notes
     -----
-    With fewer fields than components the sample covariance is singular, and correlations that are not there
-    would let the data cancel the error. Off-diagonal terms shrink by the weight of Ledoit and Wolf's target
-    for a sample of this size, ``1 / (1 + n_components / n_fields)``; the diagonal stays.
+    With fewer fields than components the sample covariance is singular, and spurious correlations would let the data
+    cancel the error. Off-diagonal terms are shrunk by the weight of Ledoit and Wolf's target for a sample of this size,
+    ``1 / (1 + n_components / n_fields)``; the diagonal is kept.
     """
     if len(rows) == 0:
         return np.zeros((rows.shape[1], rows.shape[1]))

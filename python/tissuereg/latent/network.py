@@ -16,7 +16,7 @@ from tissuereg.mesh import Mesh
 
 CARD_SCHEMA = "tissuereg.model/1"
 
-#: A simulation that says next to nothing does not make the truth certain.
+#: Least size of an event for the mismatch covariance, mm: a tiny simulated event does not make the truth certain.
 _LEAST_SIZE_MM = 0.3
 
 #: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
@@ -29,18 +29,18 @@ class NetworkModel:
     Parameters
     ----------
     folder : path-like
-        Where the four files lie.
+        Folder of the four files.
     mesh : Mesh
         The mesh to register on; it must be the one that the model was trained for.
     threads : int
         Batches decoded at once; 0 takes all cores. Each batch runs on one thread, so the bits do not depend on it.
     source : str, optional
-        What the result says of the model's origin; the folder where absent.
+        Origin of the model for the result; by default the folder.
 
     Raises
     ------
     ModelError
-        If a file is missing or spoilt, or the model was trained for another mesh.
+        If a file is missing or corrupt, or the model was trained for another mesh.
     """
 
     def __init__(
@@ -85,16 +85,16 @@ class NetworkModel:
         return int(self._card["n_nodes"])
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the reconstruction errors to expect; see `LatentModel.errors`. They grow with the displacement."""
+        """Return the expected reconstruction errors; see `LatentModel.errors`. They grow with the displacement."""
         return self._errors.at(None if latents is None else self.decode(latents[:, None])[0])
 
     def around(self, simulation: FloatArray) -> "AnchoredModel":
-        """Return the model of what may have happened instead of a simulation.
+        """Return a latent model of changes from a simulation.
 
         Parameters
         ----------
         simulation : ndarray of float64, shape (n_nodes, 3)
-            What a simulation says of the moment, mm.
+            Simulated displacement, mm.
 
         Returns
         -------
@@ -140,18 +140,18 @@ class NetworkModel:
         return np.asarray(fields, dtype=np.float64)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the encoder's answer, widened by how far truths lie from simulations in latent space.
+        """Return the encoder's distribution, widened by the mismatch of truths and simulations in latent space.
 
         Parameters
         ----------
         simulation : ndarray of float64, shape (n_nodes, 3), or None
-            Displacement in mm; None gives the spread of the training set's codes.
+            Displacement in mm; None gives the distribution of the training set's codes.
 
         Returns
         -------
         Gaussian
-            Covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation), which is taken
-            relative to the size of the simulated event, because a larger event is wrong by more.
+            Covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation), scaled with the
+            size of the simulated event, because larger events have larger errors.
         """
         known = self._card["prior"]
         if simulation is None:
@@ -165,7 +165,7 @@ class NetworkModel:
 
 
 class AnchoredModel:
-    """``field = simulation + decoder(z) - decoder(encoder(simulation))``: what the code loses of the simulation stays.
+    """``field = simulation + decoder(z) - decoder(encoder(simulation))``: the simulation's coding error cancels.
 
     Parameters
     ----------
@@ -174,12 +174,12 @@ class AnchoredModel:
     simulation : ndarray of float64, shape (n_nodes, 3)
         The anchor, mm.
     change_errors : ScaledErrors
-        What the network misses of changes from a simulation to the truth.
+        Errors of the network for changes from a simulation to the truth.
 
     Notes
     -----
     On the phantom's pairs the error of a truth coded and decoded is 0.41 mm in the median as a whole field and 0.17 mm
-    as a change from its simulation. Where no pairs were simulated, the errors of whole fields stand in.
+    as a change from its simulation. Without simulated pairs, the errors of whole fields are used.
     """
 
     def __init__(self, network: NetworkModel, simulation: FloatArray, change_errors: "ScaledErrors") -> None:
@@ -206,13 +206,13 @@ class AnchoredModel:
         return np.asarray(self._network.decode(latents, nodes) + remainder)
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the errors of the change to expect; see `LatentModel.errors`. They grow with the change."""
+        """Return the expected errors of the change; see `LatentModel.errors`. They grow with the change."""
         if not len(self._errors.fields):
             return self._network.errors(latents)
         return self._errors.at(None if latents is None else self.decode(latents[:, None])[0] - self._simulation)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return where the truth is expected; see `NetworkModel.prior`."""
+        """Return the prior of the truth; see `NetworkModel.prior`."""
         return self._network.prior(simulation)
 
 

@@ -1,4 +1,4 @@
-"""Principal components as a latent model: the house's rival of the network, and the model fitted on the spot."""
+"""Principal components as a latent model: the baseline for the network, and a model that is fitted in place."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ class PcaModel:
     error_sizes : ndarray of float64, shape (n_fields,)
         Root mean square distance of those fields from the centre, mm.
     card : dict
-        What the result says of the model.
+        Entry `model` of a result.
     """
 
     def __init__(
@@ -57,11 +57,11 @@ class PcaModel:
         fields : ndarray of float64, shape (n_members, n_nodes, 3)
             Displacement in mm.
         held_out : ndarray of float64, shape (n_test, n_nodes, 3)
-            Fields that measure what the components miss.
+            Fields that measure the reconstruction error.
         centre : ndarray of float64, shape (n_nodes, 3)
-            Where z = 0 lies; second moments are taken about it.
+            Field at z = 0; second moments are taken about it.
         n_latent : int
-            Components wanted; fewer where the fields span less.
+            Number of components; fewer if the fields span less.
         card : dict
             Facts to which the errors are added.
 
@@ -134,12 +134,12 @@ class PcaModel:
         return np.asarray(centre + flat.reshape(latents.shape[1], *centre.shape))
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the reconstruction errors to expect; see `LatentModel.errors`.
+        """Return the expected reconstruction errors; see `LatentModel.errors`.
 
         Notes
         -----
-        What the components miss grows in proportion to the distance from the centre, so each held-out error is
-        brought to the size of the field that `latents` stand for.
+        Errors grow in proportion to the distance from the centre, so each held-out error is scaled to the size of the
+        field that `latents` represent.
         """
         away = None if latents is None else self.decode(latents[:, None])[0] - self.centre
         return ScaledErrors(self.error_fields, self.error_sizes).at(away)

@@ -2,7 +2,7 @@
 
     file or arrays --io/surfaces--> triangles, mm --repair--> closed, outward --fill--> tets --quality--> FilledMesh
 
-What is done to the surface is said in `FilledMesh.repaired`; how far the tets are from it in `FilledMesh.quality`.
+`FilledMesh.repaired` lists the repairs of the surface; `FilledMesh.quality` gives the distance of the tets from it.
 """
 
 from tissuereg.meshing.body import FilledMesh, tetrahedralize

@@ -22,28 +22,28 @@ from tissuereg.triangles import Triangles
 #: More tetrahedra than this are refused before they are made.
 MOST_TETS = 3_000_000
 
-#: The faces of the tetrahedra keep to the surface within the smaller of these shares of size and of diagonal.
+#: The default deviation from the surface is the smaller of these shares of size and of diagonal.
 _DEVIATION_OF_SIZE, _DEVIATION_OF_DIAGONAL = 0.05, 1e-3
 
 #: Volume of a regular tetrahedron whose edges are 1.
 _REGULAR = 1.0 / (6.0 * math.sqrt(2.0))
 
 
-#: One rule, or several of which all count.
+#: One rule, or several that are combined.
 NodeRules = NodeRule | Sequence[NodeRule]
 
 
 class FilledMesh(Mesh):
-    """A mesh that knows how it came about.
+    """A mesh with a record of how it was made.
 
     Attributes
     ----------
     repaired : list of str
-        What was done to the surface and found in it, a plain sentence each; empty where it was in order.
+        Repairs of the surface and defects found, one sentence each; empty if there were none.
     quality : dict
         As `tissuereg.meshing.quality.quality` returns it: shape, edges, distance from the surface, volume, parts.
     settings : dict
-        ``size_mm`` and ``deviation_mm`` that were aimed at, ``mesher``, its name and version.
+        Target ``size_mm`` and ``deviation_mm``, and ``mesher``, its name and version.
     seconds : dict of str to float
         ``read``, ``repair``, ``fill``, ``measure``.
     """
@@ -71,21 +71,21 @@ def tetrahedralize(
     surface : path-like, pair of arrays, or Triangles
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3).
     size_mm : float
-        Length of edges that is aimed at, mm, whatever `unit` is; at most half of the largest extent. Three or more
-        across the thinnest part that bends is a good start. Details of the surface are followed with shorter edges, and
-        above a twelfth of the body's diagonal the mesher makes shorter ones than asked for.
+        Target edge length in mm, for any `unit`; at most half of the largest extent. Three or more elements across the
+        thinnest part that bends is a good start. Details of the surface get shorter edges, and above a twelfth of the
+        body's diagonal the mesher makes edges shorter than the target.
     unit : {"mm", "cm", "m"}, optional
-        Of the surface's coordinates. Where absent, what the file's head says, or else mm.
+        Unit of the surface's coordinates. By default the unit stated in the file's header, or else mm.
     fixed : str, sequence of float, or list of them, optional
-        What is held: ``"plane nx ny nz d [tol]"``, ``"ball x y z r"`` or the name of one of `node_sets`, in mm; of
-        several, all. `tol` should be at least `deviation_mm`.
+        Held nodes: ``"plane nx ny nz d [tol]"``, ``"ball x y z r"`` or the name of one of `node_sets`, in mm; several are
+        combined. `tol` should be at least `deviation_mm`.
     node_sets : mapping of str to the same, optional
-        More named sets of nodes; a name may be used by those behind it.
+        More named sets of nodes; a name may be used by later ones.
     deviation_mm : float, optional
-        How far the faces of the tetrahedra may lie from the surface, mm. Where absent, the smaller of 5 % of the size
+        Largest distance of the faces of the tetrahedra from the surface, mm. By default the smaller of 5 % of the size
         and 0.1 % of the diagonal of the bounding box.
     threads : int
-        For the mesher; 0: all cores. Its answer differs from run to run at any number.
+        For the mesher; 0: all cores. Its output differs from run to run for any number.
 
     Returns
     -------
@@ -97,17 +97,17 @@ def tetrahedralize(
     FormatError
         If the file, the unit or a rule cannot be read.
     UnitError
-        If the largest extent is not that of an organ, 5 to 2,000 mm; nothing else is looked at before.
+        If the largest extent is not that of an organ, 5 to 2,000 mm; this is checked first.
     MeshError
-        If the surface encloses nothing, the size does not suit it, or a rule chooses no node.
+        If the surface encloses nothing, the size does not suit it, or a rule selects no node.
     MissingPackageError
         If pytetwild is not installed.
     MeshingError
-        If the mesher gives up.
+        If the mesher fails.
 
     Notes
     -----
-    Cost: about a second a thousand tetrahedra, nearly all of it in the mesher; a noisy surface,
+    Cost: about a second per thousand tetrahedra, nearly all of it in the mesher; a noisy surface,
     or a finer deviation, costs several times more.
     """
     clock = Clock()
@@ -151,7 +151,7 @@ def _listed(rules: NodeRules, name: str) -> Sequence[NodeRule]:
 
 
 def _check_rules(rules: Mapping[str, NodeRules]) -> None:
-    """Refuse before the mesher's long work what cannot be a rule, or names a set that is not made before it."""
+    """Refuse invalid rules, and names of sets that are not defined earlier, before the long work of the mesher."""
     made: list[str] = []
     for name, several in rules.items():
         for rule in _listed(several, name):

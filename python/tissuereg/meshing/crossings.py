@@ -1,4 +1,4 @@
-"""Triangles of a surface that pass through each other."""
+"""Triangles of a surface that intersect each other."""
 
 from collections.abc import Iterator
 
@@ -7,16 +7,16 @@ import numpy as np
 from tissuereg._arrays import BoolArray, FloatArray, IntArray
 from tissuereg.triangles import Triangles
 
-#: Pairs that share a strip and a slab of space; beyond this many the search is given up.
+#: Largest number of candidate pairs, which share a strip and a slab of space; beyond it the search is abandoned.
 MOST_PAIRS = 300_000_000
 
-#: Strips are this many mean boxes wide, and there are at most so many.
+#: Width of a strip in mean boxes, and largest number of strips.
 _STRIP, _MOST_STRIPS = 4.0, 400
 
-#: Pairs looked at together.
+#: Number of pairs tested at a time.
 _BLOCK = 2_000_000
 
-#: Volumes below this share of a pair's cubed size count as nought: a corner lies in the other's plane.
+#: Volumes below this share of a pair's cubed size count as zero: a corner lies in the other's plane.
 _NOUGHT = 1e-9
 
 

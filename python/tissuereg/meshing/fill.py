@@ -21,7 +21,7 @@ _RUN = "import runpy, sys; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], 
 
 
 def check_mesher() -> None:
-    """Refuse early where the mesher is not installed.
+    """Refuse early if the mesher is not installed.
 
     Raises
     ------
@@ -42,9 +42,9 @@ def filled(
     surface : Triangles
         Normals outward.
     size_mm : float
-        Length of edges that is aimed at.
+        Target edge length, mm.
     deviation_mm : float
-        How far the faces of the tetrahedra may lie from the surface.
+        Largest distance of the faces of the tetrahedra from the surface, mm.
     threads : int
         0: all cores.
 
@@ -55,20 +55,20 @@ def filled(
     tets : ndarray of int64, shape (n_tets, 4)
         Positive volume.
     mesher : str
-        Name and version of what made them.
+        Name and version of the mesher.
 
     Raises
     ------
     MissingPackageError
-        If pytetwild, or what it needs, is not installed.
+        If pytetwild, or one of its dependencies, is not installed.
     MeshingError
-        If the mesher gives up, or an element that it made has no volume.
+        If the mesher fails, or makes an element without volume.
     MemoryError
         If memory is spent.
 
     Notes
     -----
-    The mesher draws from the system's own source of chance: two runs make two meshes of the same kind.
+    The mesher draws random numbers from the system: two runs give two similar meshes.
     """
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
     with tempfile.TemporaryDirectory(prefix="tissuereg-mesh-") as scratch:

@@ -1,4 +1,4 @@
-"""Holes of a surface are closed.
+"""Closes the holes of a surface.
 
 The rim of a hole is the chain of edges that belong to one triangle only. It is closed with the triangles of least total
 area that have no further corners [1]_: with ``W[i, j]`` the least area between corners i and j of a rim,
@@ -35,9 +35,9 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
     Returns
     -------
     Triangles
-        The same, caps behind the triangles that were there, middles of fans behind the vertices.
+        The same, with caps after the existing triangles and centres of fans after the existing vertices.
     list of str
-        What was closed, one sentence.
+        The repair, one sentence.
 
     Examples
     --------
@@ -81,10 +81,9 @@ def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntA
     Parameters
     ----------
     corners : ndarray of float64, shape (n, 3)
-        Of the rim in order, mm.
+        Corners of the rim in order, mm.
     barred : ndarray of bool, shape (n, n), optional
-        Pairs of corners that an edge of the surface joins already: a cut between them is made only where there is
-        no other.
+        Pairs of corners already joined by an edge of the surface: a cut between them is made only if there is no other.
 
     Returns
     -------
@@ -100,7 +99,7 @@ def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntA
     """
     n = len(corners)
     least, via = np.zeros((n, n)), np.zeros((n, n), np.int64)
-    # More than any cap costs: its corners lie within the rim's length of each other.
+    # More than the area of any cap: its corners lie within the rim's length of each other.
     price = n * float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).sum()) ** 2
     prices = np.zeros((n, n)) if barred is None else price * barred
     prices[0, -1] = 0.0
@@ -135,7 +134,7 @@ def _without_loose(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def _rims(triangles: IntArray) -> list[IntArray]:
-    """Return the rims of all holes, each as a cap goes round; chains that do not close are left."""
+    """Return the rims of all holes, each in the orientation of its cap; chains that do not close are ignored."""
     edges = Edges.of(triangles)
     onward: dict[int, list[int]] = {}
     for start, end in edges.ends[edges.count[edges.group] == 1].tolist():

@@ -1,4 +1,4 @@
-"""Vertices that stand at the same place become one; triangles without an area, or given twice, go."""
+"""Merges vertices at the same place; removes triangles without an area and duplicates."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from tissuereg.errors import MeshError
 from tissuereg.meshing.words import several, were
 from tissuereg.triangles import Triangles
 
-#: Vertices closer than this share of the extent are one: coordinates in single precision are no better.
+#: Vertices closer than this share of the extent are merged: the precision of single-precision coordinates.
 SAME_PLACE = 1e-6
 
 
@@ -22,9 +22,9 @@ def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
     Returns
     -------
     Triangles
-        Vertices and triangles that stay keep their order.
+        The remaining vertices and triangles keep their order.
     list of str
-        What was done, a sentence each.
+        The repairs, one sentence each.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
 
 
 def _first_of_place(surface: Triangles, used: IntArray) -> IntArray:
-    """Return, for every vertex, the lowest of those used that stand at its place."""
+    """Return, for every vertex, the lowest used vertex at its place."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree

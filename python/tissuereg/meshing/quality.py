@@ -1,4 +1,4 @@
-"""How good tetrahedra are, and how far they are from the surface that they fill."""
+"""Quality of tetrahedra, and their distance from the surface that they fill."""
 
 from typing import Any
 
@@ -9,19 +9,19 @@ from tissuereg.mesh import Mesh
 from tissuereg.simulate.fine.bisection import shape_quality
 from tissuereg.triangles import Triangles
 
-#: At most this many points of a surface are measured, taken evenly from its list.
+#: Largest number of points of a surface whose distance is measured, taken evenly from its list.
 MOST_POINTS = 20_000
 
 
 def quality(mesh: Mesh, surface: Triangles) -> dict[str, Any]:
-    """Return what is worth knowing of a mesh that fills a surface.
+    """Return quality measures of a mesh that fills a surface.
 
     Parameters
     ----------
     mesh : Mesh
         Tetrahedra.
     surface : Triangles
-        What they fill, closed, normals outward.
+        The surface that they fill, closed, normals outward.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A surface as it was segmented becomes one that encloses a body; whatever is done to it is said."""
+"""Repairs a segmented surface so that it encloses a body, and reports every repair."""
 
 import numpy as np
 
@@ -12,25 +12,25 @@ from tissuereg.triangles import Triangles
 
 
 def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[str]]:
-    """Return a surface in order, and what was done and found.
+    """Return a repaired surface, with the repairs and remaining defects.
 
-    In turn: vertices at one place are merged, triangles without an area or given twice go, neighbours are made to
-    agree in their winding, holes are closed, normals are turned outwards, tiny shells go; then triangles that cross are
-    counted.
+    In this order: vertices at one place are merged, triangles without an area and duplicates are removed, neighbours
+    are made to agree in their winding, holes are closed, normals are turned outwards, tiny shells are removed; then
+    crossing triangles are counted.
 
     Parameters
     ----------
     surface : Triangles
         As read.
     least_volume : float
-        Closed shells of less volume are left out, but for the largest, mm^3.
+        Closed shells of less volume are removed, except the largest, mm^3.
 
     Returns
     -------
     Triangles
         Normals outward.
     list of str
-        A plain sentence each; empty where nothing had to be done.
+        One sentence each; empty if there was nothing to repair.
 
     Raises
     ------
@@ -42,10 +42,10 @@ def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[s
     A tetrahedron without one of its faces, its normals inwards:
 
     >>> open_ = Triangles([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2], [0, 3, 1], [0, 2, 3]])
-    >>> body, told = repaired(open_, 1.0)
+    >>> body, repairs = repaired(open_, 1.0)
     >>> round(body.volume, 1)
     121.5
-    >>> [sentence[:29] for sentence in told]
+    >>> [sentence[:29] for sentence in repairs]
     ['1 hole was closed: the larges', 'all normals pointed inwards a']
     """
     surface, told = joined(surface)
@@ -62,7 +62,7 @@ def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[s
 
 
 def _left(surface: Triangles) -> list[str]:
-    """Say what is left as it is."""
+    """Return sentences on the remaining defects."""
     told = []
     edges = Edges.of(surface.triangles)
     walls, rim = int(np.count_nonzero(edges.count > 2)), int(np.count_nonzero(edges.count == 1))

@@ -1,4 +1,4 @@
-"""Which side of every shell is outside, which shells are cavities, and which are too small to be filled."""
+"""Orients every shell, finds cavities, and removes shells that are too small to be filled."""
 
 import numpy as np
 
@@ -8,34 +8,34 @@ from tissuereg.meshing.topology import Edges, shell_volumes, turned_round
 from tissuereg.meshing.words import place, several, were
 from tissuereg.triangles import Triangles
 
-#: A shell of less than this share of its bounding box's volume is a sheet: it encloses nothing.
+#: A shell with less than this share of its bounding box's volume is a sheet, which encloses nothing.
 _LEAST_FILLED = 1e-6
 
-#: A shell lies in another if about so many of its triangles do: shells that cross do not.
+#: About this number of a shell's triangles is tested for lying in another shell; crossing shells do not lie in it.
 _PROBES = 8
 
 
 def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[Triangles, list[str]]:
-    """Return the surface with normals outwards, without shells that no tetrahedron fits into.
+    """Return the surface with normals outwards, without shells that are smaller than a tetrahedron.
 
-    A shell inside no other is turned so that its normals point outwards, and all within it with it. A shell within
-    another whose normals then point into it is the wall of a cavity; one whose normals point out of it lies in solid.
+    A shell inside no other is turned so that its normals point outwards, together with all shells within it. A shell
+    within another whose normals then point inwards is the wall of a cavity; otherwise it lies in solid material.
 
     Parameters
     ----------
     surface : Triangles
         Neighbours agree in their winding.
     shell : ndarray of int64, shape (n_triangles,)
-        Of every triangle, from 0.
+        Shell of every triangle, from 0.
     least_volume : float
-        Closed shells of less are left out, but for the largest, mm^3.
+        Closed shells of less volume are removed, except the largest, mm^3.
 
     Returns
     -------
     Triangles
         Without loose vertices.
     list of str
-        What was done and found, a sentence each.
+        Repairs and findings, one sentence each.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def outward(surface: Triangles, shell: IntArray, least_volume: float) -> tuple[T
 
 
 def winding_number(point: FloatArray, corners: FloatArray) -> float:
-    """Return how often a surface goes round a point: 1 inside, 0 outside, where it is closed and points outwards.
+    """Return the winding number of a surface about a point: for a closed surface oriented outwards 1 inside, 0 outside.
 
     The sum of the solid angles of its triangles over 4 pi, each by Van Oosterom and Strackee's formula [1]_.
 
@@ -107,7 +107,7 @@ def _check_encloses(surface: Triangles, largest: BoolArray, volume: float) -> No
 
 
 def _closed_shells(triangles: IntArray, shell: IntArray) -> BoolArray:
-    """Return which shells have two of their own triangles at every edge; other shells may touch them there."""
+    """Return which shells are closed: two of their own triangles at every edge; other shells may touch them there."""
     edges = Edges.of(triangles)
     key, count = np.unique(edges.group * (shell.max() + 1) + shell[edges.owner], return_counts=True)
     loose = key[count != 2] % (shell.max() + 1)
@@ -115,7 +115,7 @@ def _closed_shells(triangles: IntArray, shell: IntArray) -> BoolArray:
 
 
 def _containers(surface: Triangles, shell: IntArray, among: IntArray) -> dict[int, list[int]]:
-    """Return, for every shell, those that it lies in."""
+    """Return, for every shell, the shells that contain it."""
     corners = {int(number): surface.corners[shell == number] for number in among}
     boxes = {number: (c.min(axis=(0, 1)), c.max(axis=(0, 1))) for number, c in corners.items()}
     within: dict[int, list[int]] = {number: [] for number in corners}

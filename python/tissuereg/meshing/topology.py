@@ -1,4 +1,4 @@
-"""Edges of triangles, and the shells that they join triangles to."""
+"""Edges of triangles, and the shells (connected parts) of a surface."""
 
 from dataclasses import dataclass
 
@@ -11,18 +11,18 @@ from tissuereg.triangles import Triangles, signed_volumes
 
 @dataclass(frozen=True)
 class Edges:
-    """The edges of m triangles, three a triangle: that from its first to its second corner, and so on.
+    """The edges of m triangles, three per triangle: from its first to its second corner, and so on.
 
     Attributes
     ----------
     ends : ndarray of int64, shape (3 m, 2)
-        From, to, as the triangle goes round.
+        From, to, in the orientation of the triangle.
     owner : ndarray of int64, shape (3 m,)
         The triangle.
     group : ndarray of int64, shape (3 m,)
-        The same number for all that join the same two vertices.
+        The same number for all edges between the same two vertices.
     count : ndarray of int64, shape (n_groups,)
-        How many those are: 1 at the rim of a hole, 2 inside, more where walls meet.
+        Number of edges in each group: 1 at the rim of a hole, 2 inside, more where walls meet.
     """
 
     ends: IntArray
@@ -38,7 +38,7 @@ class Edges:
         return cls(ends, np.repeat(np.arange(len(triangles)), 3), group.reshape(-1), count)
 
     def pairs(self) -> tuple[IntArray, BoolArray]:
-        """Return the two triangles (k, 2) at every edge that has two, and whether both go along it the same way."""
+        """Return the two triangles (k, 2) at every edge that has two, and whether both traverse it in one direction."""
         order = np.argsort(self.group, kind="stable")
         rows = order[self.count[self.group[order]] == 2].reshape(-1, 2)
         return self.owner[rows], np.asarray(self.ends[rows[:, 0], 0] == self.ends[rows[:, 1], 0])
@@ -47,8 +47,8 @@ class Edges:
 def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
     """Return which triangles must be turned for all neighbours to agree, and the shell of every triangle.
 
-    Every triangle stands twice in a graph, as given and turned; neighbours are joined as they agree. A shell that can
-    be given one side falls into two halves there, of which the one that turns less area is taken.
+    Every triangle is two vertices of a graph, as given and turned; neighbours are joined where they agree. An
+    orientable shell consists of two halves of the graph, of which the one that turns less area is chosen.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
     Raises
     ------
     MeshError
-        If a shell has no two sides, as a Moebius strip has not.
+        If a shell is not orientable, like a Moebius strip.
     """
     n, areas = len(surface.triangles), surface.areas
     neighbours, same = Edges.of(surface.triangles).pairs()
@@ -79,14 +79,14 @@ def agreed_winding(surface: Triangles) -> tuple[IntArray, IntArray]:
         place = np.round(surface.corners[worst].mean(axis=0), 3).tolist()
         message = f"a surface must have an inside and an outside; that through {place} mm has one side only"
         raise MeshError(message, where=f"triangle {worst}")
-    # Area that stays as given in the half where a triangle does, and in the other; the lower number breaks a tie.
+    # Unturned area in either half of the graph; the lower number breaks a tie.
     kept = np.bincount(as_given, areas, minlength=half.max() + 1)
     better = (kept[as_given] > kept[turned]) | ((kept[as_given] == kept[turned]) & (as_given < turned))
     return np.flatnonzero(~better).astype(np.int64), _largest_first(_components(first, second, n), areas)
 
 
 def _largest_first(label: IntArray, areas: FloatArray) -> IntArray:
-    """Return labels (n,) renumbered by falling area."""
+    """Return labels (n,) renumbered by decreasing area."""
     size = np.bincount(label, areas)
     rank = np.empty(len(size), np.int64)
     rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
@@ -94,7 +94,7 @@ def _largest_first(label: IntArray, areas: FloatArray) -> IntArray:
 
 
 def turned_round(triangles: IntArray, which: IntArray | BoolArray) -> IntArray:
-    """Return triangles (m, 3), some of them with their normal on the other side."""
+    """Return triangles (m, 3), some of them with reversed normals."""
     changed: IntArray = triangles.copy()
     changed[which] = changed[which][:, [0, 2, 1]]
     return changed

@@ -1,7 +1,7 @@
-"""The mesher in a process of its own: it holds the lock, leaves a file where it runs, and may end its process.
+"""The mesher in a separate process: it holds the interpreter lock, writes into its folder, and may end its process.
 
-Run as a script with two names: an .npz with the surface and what is wanted, and the .npz to be written. It imports
-nothing of tissuereg, so that it starts from any folder.
+Run as a script with two file names: an .npz with the surface and the settings, and the .npz to be written. It imports
+nothing from tissuereg, so that it starts from any folder.
 """
 
 import sys
@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-#: What is run.
+#: Path of this script.
 SCRIPT = __file__
 
-#: Exit codes besides 0: the mesher cannot be imported, memory is spent, the mesher refused.
+#: Exit codes other than 0: the mesher cannot be imported, out of memory, the mesher failed.
 NO_MESHER, NO_MEMORY, REFUSED = 65, 66, 67
 
 

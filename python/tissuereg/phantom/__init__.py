@@ -1,4 +1,4 @@
-"""The embedded breast phantom: two meshes, a trained network, and a made-up measurement with known truth.
+"""The embedded breast phantom: two meshes, a trained network, and a synthetic measurement with known truth.
 
 The measurement comes from another model than the one that users simulate with: another stiffness, a stiff
 lesion, ten-node elements, a finer mesh that shares no inner node, markers between nodes.

@@ -1,4 +1,4 @@
-"""What happens to the phantom, what is believed of it, and what is true."""
+"""An event of the phantom: the load, the believed model, and the truth."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ _PAD_ORIGIN_MM = (0.0, -3.0, 18.0)
 _PUSHERS = (((1.0, 0.1, 0.15), (-6600.0, 400.0, -800.0)), ((-0.1, 1.0, 0.2), (400.0, -4400.0, -600.0)))
 _PAD_RADIUS_MM = 22.0
 
-#: What is believed, and what is true: modulus in kPa, factor on the pushes, their tilt about z in degrees.
+#: Believed and true model: modulus in kPa, factor on the pushes, their tilt about z in degrees.
 _BELIEVED_YOUNG, _TRUE_YOUNG = 10.0, 12.5
 _TRUE_PUSH_FACTOR, _TRUE_TILT_DEG = 1.06, 5.0
 POISSON, _TRUE_POISSON = 0.45, 0.46
@@ -31,14 +31,14 @@ N_MARKERS, MARKER_STD_MM = 15, 0.1
 
 @dataclass(frozen=True, eq=False)
 class PhantomEvent:
-    """A moment of the phantom, with the truth that a real one would keep to itself.
+    """An event of the phantom, with its truth.
 
     Attributes
     ----------
     mesh : Mesh
-        What the user simulates on.
+        Mesh of the user.
     load, material : Load, Material
-        What is believed.
+        The believed model.
     markers : Markers
         Measured, with noise.
     true_markers : ndarray of float64, shape (n_markers, 3)

@@ -1,7 +1,7 @@
-"""What a material does beyond its elastic law, and what lies on the surface of a body.
+"""Inelastic behaviour of a material, and springs and membranes on the surface of a body.
 
-Fields have the names of the keys of an experiment's ``[[effect]]`` tables, so that
-``Relaxation(g=[0.3], tau_s=[2.0])`` is what such a table says. Ranges are checked by the solver.
+Fields have the names of the keys of an experiment's ``[[effect]]`` tables: ``Relaxation(g=[0.3], tau_s=[2.0])``
+corresponds to such a table. Ranges are checked by the solver.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from tissuereg._arrays import index_array
 
 @dataclass(frozen=True)
 class Relaxation:
-    """Stress that fades while the body is held: a Prony series; moduli are instantaneous.
+    """Stress relaxation, as a Prony series; moduli are instantaneous.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class Rate:
-    """Stress that grows with the rate: ``2 eta D`` beside the elastic Cauchy stress.
+    """Viscous stress ``2 eta D``, added to the elastic Cauchy stress.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Softening:
         Share of the largest energy added to it; 0 for damage.
     form : {'ogden-roxburgh', 'damage'}
         The Mullins effect: below the largest isochoric energy the isochoric stress is multiplied by
-        ``1 - erf((Wm - W) / (m + beta Wm)) / r``, and a first load softens nothing that it goes through (Ogden and
+        ``1 - erf((Wm - W) / (m + beta Wm)) / r``; first loading is unaffected (Ogden and
         Roxburgh, Proc. R. Soc. A 455, 1999). Damage: the whole stress, under a first load too, is multiplied by
         ``1 - (1 - 1/r) (1 - exp(-Wm/m))`` with the whole energy (after Simo, Comput. Methods Appl. Mech. Eng. 60,
         1987).
@@ -73,7 +73,7 @@ class Softening:
 
 @dataclass(frozen=True)
 class Set:
-    """A share of the largest strain that stays; it shows from the next frame on.
+    """Permanent set: a share of the largest strain remains; it acts from the next frame on.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Set:
 
 @dataclass(frozen=True)
 class Drainage:
-    """Relaxation of the volumetric part of the stress, as a stand-in for fluid that leaves.
+    """Relaxation of the volumetric stress, as a simple model of drainage.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Drainage:
 
 @dataclass(frozen=True)
 class Swelling:
-    """Growth, the same in all directions and everywhere, along a ramp in time.
+    """Isotropic, uniform growth along a ramp in time.
 
     Parameters
     ----------
@@ -121,20 +121,20 @@ class Swelling:
 
 @dataclass(frozen=True)
 class Behaviour:
-    """What a material does beyond its elastic law; nothing where all are None.
+    """Inelastic behaviour of a material; purely elastic if all are None.
 
     Parameters
     ----------
     relaxation : Relaxation, optional
-        Stress that fades.
+        Stress relaxation.
     rate : Rate, optional
-        Stress that grows with the rate.
+        Viscous stress.
     softening : Softening, optional
         Softening by earlier load.
     set : Set, optional
-        Strain that stays.
+        Permanent strain.
     drainage : Drainage, optional
-        Volumetric stress that fades.
+        Relaxation of the volumetric stress.
     swelling : Swelling, optional
         Growth.
     """
@@ -152,7 +152,7 @@ class Behaviour:
         Returns
         -------
         dict
-            Numbers of every behaviour that is there.
+            Parameters of every behaviour that is present.
         """
         said: dict[str, Any] = {}
         if self.relaxation is not None:
@@ -186,10 +186,10 @@ class Springs:
     tangential_kpa_per_mm : float
         Stiffness in the plane, in kPa/mm.
     friction : float, optional
-        Coefficient: the springs in the plane pull with the cohesion and that many times the pressure at most (Coulomb).
-        The pressure is what the normal springs push with.
+        Coefficient of Coulomb friction: the traction of the springs in the plane is at most the cohesion plus this
+        coefficient times the pressure of the normal springs.
     cohesion_kpa : float
-        What holds without pressure; counts with friction.
+        Traction that holds without pressure; used with friction only.
     """
 
     triangles: Any
@@ -204,7 +204,7 @@ class Springs:
         Returns
         -------
         tuple of (ndarray of int64, list of float)
-            Triangles and stiffness; coefficient and cohesion behind it where there is friction.
+            Triangles and stiffness, followed by coefficient and cohesion if there is friction.
         """
         numbers = [float(self.normal_kpa_per_mm), float(self.tangential_kpa_per_mm)]
         if self.friction is not None:

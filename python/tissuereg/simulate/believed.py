@@ -1,4 +1,4 @@
-"""What is simulated of an experiment: by the model that diagnoses believe in, or on the mesh as it is."""
+"""Simulation of an experiment, by the fine model that `diagnose` uses or on the mesh as it is."""
 
 from collections.abc import Callable
 
@@ -18,17 +18,17 @@ def simulate_experiment(
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, CaseSimulation]:
-    """Return what is believed of every case of an experiment, its effects included.
+    """Return the prediction of the believed model, effects included, for every case of an experiment.
 
     Parameters
     ----------
     experiment : Experiment
-        What is believed (`tissuereg.read_experiment`).
+        The believed model (`tissuereg.read_experiment`).
     model : {"fine", "plain"}
-        `fine`: pads cut out of the surface along their rims, small elements round them, ten nodes each: the model that
-        `tissuereg.diagnose` believes in (`tissuereg.FineModel`). `plain`: the mesh as it is.
+        `fine`: pads cut out of the surface along their rims, with small ten-node elements around them: the model that
+        `tissuereg.diagnose` uses (`tissuereg.FineModel`). `plain`: the mesh as it is.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Of the plain model; the fine one has its own.
+        Elements of the plain model; the fine one has its own.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
     progress : callable of (int, int), optional
@@ -42,11 +42,11 @@ def simulate_experiment(
     Raises
     ------
     ConvergenceError
-        If no frame of a case finds equilibrium, or a mesh that hangs in gravity already has no unloaded shape.
+        If no frame of a case finds equilibrium, or a mesh that was imaged under gravity has no unloaded shape.
     ExperimentError
         If there is no such model, or an effect does not fit the experiment.
     MeshError
-        If the body cannot be meshed anew, finer.
+        If the mesh cannot be refined.
 
     Examples
     --------

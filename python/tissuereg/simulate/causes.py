@@ -1,4 +1,4 @@
-"""What may move an equilibrium, and what is read off it, as the compiled solver takes them."""
+"""Causes by which an equilibrium is differentiated, and observations of it, in the form of the compiled solver."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,20 +13,20 @@ from tissuereg.simulate.solve import Simulator
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of the law, moved alike everywhere, or one of what it does and of what lies on the body.
+    """A scalar parameter, changed uniformly: of the law, of a behaviour, or of springs and skins on the surface.
 
     Parameters
     ----------
     name : str
         ``"young"``, ``"poisson"``, a shape parameter (``"excess"``, ``"share"``, ``"c2_over_c1"``, ``"c3_over_c1"``,
-        ``"alpha"``, ``"weight"``, ``"b"``), or ``"k1_over_mu"`` and ``"k2"`` of fibres. Through frames also those of a
+        ``"alpha"``, ``"weight"``, ``"b"``), or ``"k1_over_mu"`` and ``"k2"`` of fibres. For frames also those of a
         behaviour (``"relaxation.g"``, ``"relaxation.tau_s"``, ``"rate.viscosity_kpa_s"``, ``"softening.r"``,
         ``"softening.m_kpa"``, ``"softening.beta"``, ``"set.fraction"``, ``"drainage.share"``, ``"drainage.tau_s"``,
         ``"swelling.linear_strain"``, ``"swelling.from_time_s"``, ``"swelling.to_time_s"``), of springs
         (``"springs.normal_kpa_per_mm"``, ``"springs.tangential_kpa_per_mm"``) and of skins (``"skins.young_kpa"``,
-        ``"skins.thickness_mm"``). Only the viscosity has a derivative where its behaviour is absent.
+        ``"skins.thickness_mm"``). A parameter of an absent behaviour has no derivative, except the viscosity.
     term : int
-        Which term of an Ogden law or of the relaxation, which springs or skin; from 0 on.
+        Index of the term of an Ogden law or of the relaxation, or of the springs or skin; from 0 on.
     """
 
     name: str
@@ -35,36 +35,36 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A modulus along a field of rates: an inclusion or a layer is 1 where it lies.
+    """A change of a modulus by a field of rates; of an inclusion or a layer, 1 inside and 0 outside.
 
     Parameters
     ----------
     name : {"young", "poisson"}
         Which modulus.
     rates : array_like of float, shape (n_tets,) or (n_tets, n_points)
-        Change of the modulus over that of the cause.
+        Change of the modulus per unit of the cause.
     """
 
     name: str
     rates: Any
 
 
-#: What a derivative may be taken by. A load is a rate of the load that acts; through frames, of all of them.
+#: Causes by which an equilibrium can be differentiated. A `Load` is a change of the load; for frames, of all loads.
 Cause = Parameter | Field | Load
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A number read off an equilibrium: weights times displacements plus weights times reactions.
+    """A scalar observation of an equilibrium: weights times displacements plus weights times reactions.
 
     Parameters
     ----------
     nodes : array_like of int, shape (k,)
-        Nodes whose displacement counts; repeated nodes add up.
+        Nodes whose displacement is used; repeated nodes add up.
     weights : array_like of float, shape (k, 3)
         Weights of their components.
     held_nodes : array_like of int, shape (r,)
-        Held nodes whose reaction counts.
+        Held nodes whose reaction is used.
     held_weights : array_like of float, shape (r, 3)
         Weights of its components.
     """
@@ -76,19 +76,19 @@ class Observation:
 
 
 def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
-    """Return a cause as the compiled solver takes it.
+    """Return a cause in the form of the compiled solver.
 
     Parameters
     ----------
     simulator : Simulator
-        What it acts on.
+        The analysed body.
     cause : Parameter, Field or Load
-        What is moved.
+        The cause.
 
     Returns
     -------
     _core.Cause
-        Checked as far as it can be without a law.
+        Checked as far as possible without a law.
 
     Raises
     ------
@@ -109,12 +109,12 @@ def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
 
 
 def core_observation(observation: Observation) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-    """Return an observation as the compiled solver takes it.
+    """Return an observation in the form of the compiled solver.
 
     Parameters
     ----------
     observation : Observation
-        What is read off.
+        The observation.
 
     Returns
     -------

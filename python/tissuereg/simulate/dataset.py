@@ -1,7 +1,7 @@
 """A data set: thousands of solves on one mesh, in chunks that survive an interruption.
 
-The folder's layout stands in `docs/files.md`. A chunk depends on the recipe and its own number alone, so a
-resumed run makes the same data as an uninterrupted one.
+`docs/files.md` describes the folder. A chunk depends on the recipe and its own number alone, so a resumed run makes the
+same data as an uninterrupted one.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ from tissuereg.simulate.variation import random_inclusion
 
 SCHEMA = "tissuereg.dataset/1"
 
-#: A member that needs more is far beyond what tissue does; it fails instead of holding up the others.
+#: Most iterations of a member: one that needs more is far beyond what tissue does; it fails instead of delaying others.
 _SOLVE = {"tolerance": 1e-6, "max_iterations": 150}
 
 Progress = Callable[[int, int], None]
@@ -42,12 +42,12 @@ def make_dataset(
     threads: int = 0,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Make a data set, or finish one that was begun.
+    """Make a data set, or resume an unfinished one.
 
     Parameters
     ----------
     recipe : Recipe
-        What to make.
+        Recipe of the data set.
     out : path-like
         Folder; chunks already there are kept.
     seed : int, optional

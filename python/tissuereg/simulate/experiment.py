@@ -1,7 +1,7 @@
-"""What an experiment's believed model says: of one frame, of a case, of all of it.
+"""Predictions of an experiment's believed model: for a frame, a case, or all cases.
 
-Where the model is elastic a frame depends on its own load alone, and all frames of a case are solved in parallel. With
-memory, sliding supports, or a mesh that hangs in gravity already they are solved one after another (`memory`).
+If the model is elastic a frame depends on its own load alone, and all frames of a case are solved in parallel. With
+memory, sliding supports, or a mesh that was imaged under gravity they are solved one after another (`memory`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -39,7 +39,7 @@ class Believed:
 
 @dataclass(frozen=True, eq=False)
 class CaseSimulation:
-    """What the believed model says of one case.
+    """Prediction of the believed model for one case.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class CaseSimulation:
     failed: list[tuple[int, str]]
 
 
-#: Bodies of one mesh by elements and held nodes: what asks for many solutions keeps them.
+#: Analysed bodies of one mesh by elements and held nodes, cached by callers that need many solutions.
 Simulators = dict[tuple[str, bytes], Simulator]
 
 
@@ -77,12 +77,12 @@ def believed_case(
     threads: int = 0,
     simulators: Simulators | None = None,
 ) -> Believed:
-    """Return the solver's view of a case: who is held, what acts in every frame.
+    """Return the solver's input for a case: held nodes, and the load of every frame.
 
     Parameters
     ----------
     experiment : Experiment
-        What is believed, effects worked in (`tissuereg.effects.extended`).
+        The believed model, effects applied (`tissuereg.effects.extended`).
     case : Case
         One of its cases.
     element : {"tet4", "tet4-averaged", "tet10"}
@@ -90,14 +90,14 @@ def believed_case(
     threads : int
         Threads to use; 0 takes all cores.
     simulators : dict, optional
-        Those made before for the same mesh; new ones are added.
+        Cached simulators of the same mesh; new ones are added.
 
     Returns
     -------
     Believed
         A pad is bonded to the shape that the body has when the case begins: with gravity acting, the sagged one.
-        A weight that acts in the mesh as given already is left out: it is in balance there, and what it changes of
-        the answer to other loads is not seen. `simulate_plain` sees it.
+        A weight under which the mesh was imaged is left out: it is in balance there, and its influence on the response
+        to other loads is neglected. `simulate_plain` includes it.
 
     Raises
     ------
@@ -132,12 +132,12 @@ def simulate_plain(
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, CaseSimulation]:
-    """Return what the believed model says of every case, its effects included.
+    """Return the prediction of the believed model, effects included, for every case, on the mesh as it is.
 
     Parameters
     ----------
     experiment : Experiment
-        What is believed.
+        The believed model.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
     threads : int
@@ -153,7 +153,7 @@ def simulate_plain(
     Raises
     ------
     ConvergenceError
-        If no frame of a case finds equilibrium, or a mesh that hangs in gravity already has no unloaded shape.
+        If no frame of a case finds equilibrium, or a mesh that was imaged under gravity has no unloaded shape.
     ExperimentError
         If an effect does not fit the experiment.
     """
@@ -191,12 +191,12 @@ def solve_cases(
     rigs: Rigs | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, SolvedCase]:
-    """Return the equilibria of cases: elastic frames in parallel, those that remember one after another.
+    """Return the equilibria of cases: elastic frames in parallel, frames with memory in order.
 
     Parameters
     ----------
     experiment : Experiment
-        Effects worked in (`tissuereg.effects.extended`).
+        With effects applied (`tissuereg.effects.extended`).
     cases : sequence of Case
         Some of its cases.
     element : {"tet4", "tet4-averaged", "tet10"}
@@ -254,7 +254,7 @@ def _solve_elastic(
     threads: int,
     progress: Callable[[int], None] | None,
 ) -> SolvedCase:
-    """Return the frames of a case, each on its own and all in parallel."""
+    """Return the frames of a case, solved independently and in parallel."""
     simulator = believed.simulator
     _, state_of = distinct_states(case)
     loads = [believed.loads[frame] for frame in first_frames(state_of)]
@@ -280,7 +280,7 @@ def _loads(
     sag: FloatArray,
     weight: FloatArray | None,
 ) -> list[Load]:
-    """Return what acts in every frame."""
+    """Return the load of every frame."""
     rows = [np.flatnonzero(np.isin(held, pad.nodes)) for pad in pads]
     fixed = np.isin(held, experiment.mesh.fixed_nodes)
     loads = []

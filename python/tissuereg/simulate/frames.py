@@ -1,4 +1,4 @@
-"""A body through time frames: history, pads that come and go, springs, skin, a mesh that hangs already."""
+"""A body through time frames: history, pads that come and go, springs, skin, a mesh that was imaged under gravity."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,16 +18,16 @@ from tissuereg.simulate.solve import Simulator
 
 @dataclass(frozen=True, eq=False)
 class Pad:
-    """A patch of nodes that an actuator holds in some frames.
+    """A patch of nodes that an actuator holds in some of the frames.
 
     Parameters
     ----------
     name : str
         Key of its forces in the answer.
     nodes : array_like of int, shape (n,)
-        Nodes of the patch; those that are held anyway stay where they are.
+        Nodes of the patch; nodes that are held anyway stay where they are.
     motion : array_like of float, shape (n_frames, 3)
-        Translation in mm in every frame, from the shape that the body has when the pad comes. Rows of NaN are
+        Translation in mm in every frame, relative to the shape of the body when the pad attaches. Rows of NaN are
         frames in which it is absent and its nodes are free.
     """
 
@@ -55,15 +55,15 @@ class Frames:
     spring_forces : ndarray of float64, shape (n_frames, n_springs, 3)
         Force of every set of springs on the body, mN.
     all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
-        The displacement with the mid-edge nodes of ten-node elements behind the mesh's nodes.
+        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
     rest_nodes : ndarray of float64, shape (n_nodes, 3)
-        Nodes without load, mm; those of the mesh unless it hangs already.
+        Nodes without load, mm; those of the mesh unless it was given under its weight.
     failed : list of (int, str)
-        Frames without equilibrium, with the reason; the history goes on from the frame before.
+        Frames without equilibrium, with the reason; the history continues from the previous frame.
     reports : list of dict
         Work done, one per frame; empty for one that failed.
     record : Record or None
-        What derivatives need, where `solve_frames` was asked to keep it (`tissuereg.simulate.sensitivity`).
+        Data for derivatives, if `solve_frames` recorded them (`tissuereg.simulate.sensitivity`).
     """
 
     times: FloatArray
@@ -81,14 +81,14 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Frames as they went, for `tissuereg.simulate.sensitivity`.
+    """Recorded frames, for `tissuereg.simulate.sensitivity`.
 
     Attributes
     ----------
     rig : _core.Rig
         The body with all its steps.
     spreader : Simulator
-        Spreads loads over nodes.
+        Distributes loads over nodes.
     n_held : int
         Number of held nodes.
     pads : list of str
@@ -103,7 +103,7 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class KeptRig:
-    """A rig that others are made from.
+    """A cached rig from which others are made.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class KeptRig:
     spreader : Simulator
         Spreads loads over nodes.
     rig : _core.Rig
-        In whatever frame it was left.
+        In the frame in which it was last used.
     """
 
     mesh: Mesh
@@ -120,7 +120,7 @@ class KeptRig:
     rig: _core.Rig
 
 
-#: Rigs that are kept at most.
+#: Largest number of cached rigs.
 MOST_RIGS = 12
 
 #: Rigs by all but material, behaviour and loads.
@@ -148,10 +148,10 @@ def solve_frames(
     threads: int = 0,
     progress: Callable[[int], object] | None = None,
 ) -> Frames:
-    """Return the equilibria of a body in one time frame after another.
+    """Return the equilibria of a body in successive time frames.
 
-    The first frame is reached at once (the elastic answer). Between frames, forces and motions grow linearly; a frame
-    that finds no equilibrium is reached in parts.
+    The first frame is reached instantaneously (the elastic solution). Between frames, forces and motions change
+    linearly; the step to a frame without equilibrium is subdivided.
 
     Parameters
     ----------
@@ -166,27 +166,27 @@ def solve_frames(
     pads : sequence of Pad
         Patches that are held in some frames.
     behaviour : Behaviour, optional
-        What the material does beyond its law.
+        Inelastic behaviour of the material.
     springs : sequence of Springs
-        What the surface rests on. Springs hold the body where held nodes do not.
+        Springs under the surface; they can support the body without held nodes.
     skins : sequence of Skin
-        What covers the surface.
+        Membranes on the surface.
     weight : array_like of float, shape (3,), optional
-        Body force in all frames, mN/mm^3, beside that of the loads; `Material.weight` gives gravity's.
+        Body force in all frames, mN/mm^3, added to that of the loads; `Material.weight` gives gravity's.
     in_reference : bool
-        Whether the mesh as given hangs in `weight` already. The unloaded shape is then found first.
+        Whether the mesh is given in its shape under `weight`. The unloaded shape is then found first.
     element : {"tet4", "tet4-averaged", "tet10"}
         Four-node tets, or ten-node tets on the same edges.
     held_nodes : array_like of int, optional
         Nodes whose displacement is given by the loads (zero where absent).
     record : bool
-        Whether to keep all steps for derivatives.
+        Whether to record all steps for derivatives.
     near : array_like of float, shape (n_frames, n_element_nodes, 3), optional
-        `Frames.all_displacement` of a similar body, mm: every frame is sought where that one's change since the last
-        frame leads. NaN where unknown. Saves most of the work where it is close.
+        `Frames.all_displacement` of a similar body, mm; the initial guess of a frame is the last frame plus the change
+        of that body. NaN where unknown. Saves most of the work if the bodies are similar.
     rigs : dict, optional
-        Rigs made before for the same mesh, whose analyses and factors are used again; new ones are added. For many
-        histories that differ in material and behaviour; those with springs, skins or a hanging mesh are made anew.
+        Cached rigs of the same mesh, whose analyses and factors are reused; new ones are added. For many
+        histories that differ in material and behaviour; rigs with springs, skins or `in_reference` are made anew.
     tolerance : float
         Norm of the residual over the norm of the load.
     threads : int
@@ -239,7 +239,7 @@ def solve_frames(
         young, poisson = spreader.moduli(material)
         rig = old.rig.again(young, poisson, law=material.core_law(), behaviour=_table(behaviour))
     else:
-        # Spreads tractions over nodes and knows the moduli; it never solves.
+        # Distributes tractions over nodes and holds the moduli; it never solves.
         spreader = Simulator(mesh, element=element, held_nodes=np.arange(mesh.n_nodes))
         rig = plan.build(spreader, material, behaviour, body_force if in_reference else None)
     if rigs is not None:
@@ -276,7 +276,7 @@ def solve_frames(
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What a rig is made of beside its material."""
+    """The parts of a rig other than its material."""
 
     mesh: Mesh
     element: str
@@ -290,7 +290,7 @@ class _Plan:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What tells rigs without springs and skins on one mesh apart."""
+        """Cache key of rigs without springs and skins on one mesh."""
         patches = tuple((pad.name, np.asarray(pad.nodes).tobytes()) for pad in self.pads)
         return (self.element, self.held.tobytes(), patches, self.record, self.tolerance, self.threads)
 

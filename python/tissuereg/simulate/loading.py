@@ -1,4 +1,4 @@
-"""What acts in the frames of an experiment's cases: pads, weight, forces on patches."""
+"""Loads in the frames of an experiment's cases: pads, weight, forces on patches."""
 
 import numpy as np
 
@@ -21,12 +21,12 @@ def weight_of(experiment: Experiment) -> FloatArray | None:
 
 
 def hangs_already(experiment: Experiment) -> bool:
-    """Say whether the mesh as given hangs in gravity."""
+    """Return whether the mesh was imaged under gravity."""
     return experiment.gravity is not None and experiment.gravity.in_reference
 
 
 def traction_of(experiment: Experiment, case: Case, frame: int) -> tuple[IntArray, FloatArray] | None:
-    """Return what the force actuators do in a frame.
+    """Return the tractions of the force actuators in a frame.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def traction_of(experiment: Experiment, case: Case, frame: int) -> tuple[IntArra
     Returns
     -------
     tuple of ndarray of int64 (n, 3) and ndarray of float64 (n, 3), or None
-        Boundary triangles and the dead traction on each in kPa; None where no force actuator is present.
+        Boundary triangles and the dead traction on each in kPa; None if no force actuator is present.
     """
     triangles, tractions = [], []
     for pad in experiment.actuators:
@@ -52,17 +52,17 @@ def traction_of(experiment: Experiment, case: Case, frame: int) -> tuple[IntArra
 
 
 def distinct_states(case: Case) -> tuple[FloatArray, IntArray]:
-    """Return the different loads of a case in the order in which they first appear, and that of every frame.
+    """Return the distinct loads of a case in the order in which they first appear, and their index for every frame.
 
     Parameters
     ----------
     case : Case
-        With what is given to its actuators.
+        With the commands of its actuators.
 
     Returns
     -------
     tuple of ndarray of float64 (n_states, n_parts) and ndarray of int64 (n_frames,)
-        Motions in mm and forces in mN side by side, every part over the largest of its actuator.
+        Motions in mm and forces in mN in columns, every part over the largest of its actuator.
     """
     given = [np.asarray(v) for v in (*case.displacements.values(), *case.applied_forces.values())]
     parts = [values / max(float(np.abs(values).max()), np.finfo(float).tiny) for values in given]

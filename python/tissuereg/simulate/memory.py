@@ -1,8 +1,8 @@
-"""Cases whose frames depend on what was before, or whose body does not rest on held nodes alone.
+"""Cases whose frames depend on earlier ones, or whose body is not supported by held nodes alone.
 
-Memory that fades (relaxation, drainage, viscosity) begins anew with every case, which is one load history from rest:
-the body has then stood long enough under what acts without its actuators. Memory that stays (softening, set) is carried
-through all cases on their one clock, and with it all else: what fades does so over the time between two cases.
+Fading memory (relaxation, drainage, viscosity) starts anew with every case, which is one load history from rest: by
+then the body has been at rest long enough without its actuators. Permanent memory (softening, set) is carried through
+all cases on their common clock, together with fading memory, which decays over the time between two cases.
 """
 
 import itertools
@@ -21,17 +21,18 @@ from tissuereg.simulate import behaviour
 from tissuereg.simulate.frames import Pad, Rigs, solve_frames
 from tissuereg.simulate.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
 
-#: Times of relaxation in each of the four steps in which a body that stands comes to rest. A step takes strain to grow
-#: linearly, so each leaves about 1/30 of what it has to creep.
+#: Relaxation times per step, in the four steps in which a loaded body comes to rest before the first frame. A step
+#: assumes linearly growing strain, so each leaves about 1/30 of the remaining creep.
 _REST = 30.0
 
-#: Memory that goes with the load alone and changes nothing while that stands. (What is set acts a frame later.)
+#: Memory that depends on the load path alone, not on time, so that it does not change under constant load. (A set acts
+#: one frame later.)
 _TIMELESS = (Softening,)
 
-#: Stiffness across a sliding boundary over modulus / extent of the body: it sinks in by some 1e-4 of the strain.
+#: Normal stiffness of a sliding boundary, in modulus over extent: it gives way by about 1e-4 of the strain.
 _ACROSS = 1e4
 
-#: Stiffness of what sticks by friction, over the same.
+#: Tangential stiffness of a boundary that sticks by friction, in the same unit.
 _STICKS = 1e3
 
 
@@ -48,7 +49,7 @@ class SolvedCase:
     failed : list of (int, str)
         Frames without equilibrium, with the reason.
     all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
-        The displacement with the mid-edge nodes of ten-node elements behind the mesh's nodes.
+        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
     """
 
     displacement: FloatArray
@@ -57,7 +58,7 @@ class SolvedCase:
     all_displacement: FloatArray
 
     def at_every_frame(self, of_frame: IntArray) -> "SolvedCase":
-        """Return a case of more frames, each of which is equal to one of these, whose number `of_frame` (n,) holds."""
+        """Return a case of more frames, each equal to one of these; `of_frame` (n,) holds the indices."""
         why = dict(self.failed)
         every = self.all_displacement[of_frame]
         return SolvedCase(
@@ -69,28 +70,28 @@ class SolvedCase:
 
 
 def goes_through_time(experiment: Experiment) -> bool:
-    """Say whether frames must be solved one after another.
+    """Return whether frames must be solved one after another.
 
     Parameters
     ----------
     experiment : Experiment
-        Effects of body, supports and actuators worked in (`tissuereg.effects.extended`).
+        With the effects on body, supports and actuators applied (`tissuereg.effects.extended`).
 
     Returns
     -------
     bool
-        True with memory, swelling, sliding supports, or a mesh that hangs in gravity already.
+        True with memory, swelling, sliding supports, or a mesh that was imaged under gravity.
     """
     return hangs_already(experiment) or any(isinstance(effect, Memory | Sliding) for effect in experiment.effects)
 
 
 def remembers(experiment: Experiment) -> bool:
-    """Say whether the material depends on frames before.
+    """Return whether the material depends on earlier frames.
 
     Parameters
     ----------
     experiment : Experiment
-        Effects worked in.
+        With effects applied.
 
     Returns
     -------
@@ -101,7 +102,7 @@ def remembers(experiment: Experiment) -> bool:
 
 
 def is_carried(experiment: Experiment) -> bool:
-    """Say whether a case depends on the cases before it: with softening, set or friction."""
+    """Return whether a case depends on the cases before it: with softening, set or friction."""
     return any(
         isinstance(effect, Softening | Set) or (isinstance(effect, Sliding) and effect.friction is not None)
         for effect in experiment.effects
@@ -119,14 +120,14 @@ def solve_through_time(
     rigs: Rigs | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> dict[str, SolvedCase]:
-    """Return the equilibria of cases, frame after frame.
+    """Return the equilibria of cases, solved frame after frame.
 
     Parameters
     ----------
     experiment : Experiment
-        Effects of body, supports and actuators worked in.
+        With the effects on body, supports and actuators applied.
     cases : sequence of Case
-        All that matter: with softening, set or friction every case from the first one on.
+        The cases to solve: with softening, set or friction, every case from the first one on.
     element : {"tet4", "tet4-averaged", "tet10"}
         Elements to use.
     tolerance : float
@@ -172,20 +173,20 @@ def solve_through_time(
 
 
 def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArray]:
-    """Return the frames of a case that must be solved, and which of them every frame is equal to.
+    """Return the frames of a case that must be solved, and for every frame the index of its solved equal.
 
     Parameters
     ----------
     experiment : Experiment
-        Effects worked in.
+        With effects applied.
     case : Case
         One of its cases.
 
     Returns
     -------
     tuple of ndarray of int64, shapes (n_solved,) and (n_frames,)
-        All frames where memory goes with the time; those whose load is not that of the frame before where it goes with
-        the load alone, and with friction; else one of every load.
+        If memory depends on time, all frames; if it depends on the load path alone, or with friction, the frames whose
+        load differs from the previous one; otherwise one frame per distinct load.
     """
     if any(isinstance(effect, Memory) and not isinstance(effect, _TIMELESS) for effect in experiment.effects):
         every = np.arange(len(case.times))
@@ -197,7 +198,7 @@ def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArra
 
 
 def _only(case: Case, frames: IntArray) -> Case:
-    """Return some frames of what acts in a case."""
+    """Return some frames of the loads of a case."""
     return replace(
         case,
         times=case.times[frames],
@@ -209,7 +210,7 @@ def _only(case: Case, frames: IntArray) -> Case:
 def _counting(
     progress: Callable[[int], object], before: int, told: Sequence[tuple[IntArray, IntArray]]
 ) -> Callable[[int], None]:
-    """Return what tells of all frames when it is told of solved ones."""
+    """Return a progress callback that counts all frames when it is called with solved ones."""
     done = before + np.cumsum(np.concatenate([[0], *(np.bincount(of_frame) for _, of_frame in told)]))
 
     def report(solved: int) -> None:
@@ -235,7 +236,7 @@ def _solve_group(
     done = [0] * (len(standing) + 1)
     for number, case in enumerate(group):
         if number > 0:
-            # The actuators of the case before let go.
+            # The actuators of the previous case are released.
             times.append(group[number - 1].times[-1:])
             loads.append(Load())
             done.append(done[-1])
@@ -280,7 +281,7 @@ def _solve_group(
 
 
 def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
-    """Return what the effects of history say, as the solver takes it; None where there are none."""
+    """Return the behaviour given by the history effects, in the solver's form; None if there are none."""
     given = {}
     for effect in experiment.effects:
         if isinstance(effect, Memory):
@@ -312,7 +313,7 @@ class _Growing:
 
 
 def _growing(experiment: Experiment, element: str, tolerance: float, threads: int) -> _Growing | None:
-    """Return how a body grows whose pads follow; None where they hold their patches or nothing grows."""
+    """Return the growth of a body whose pads follow it; None if pads hold their patches or nothing grows."""
     swelling = next((effect for effect in experiment.effects if isinstance(effect, Swelling)), None)
     if swelling is None or swelling.pads == "hold":
         return None

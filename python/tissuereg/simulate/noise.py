@@ -1,4 +1,4 @@
-"""Noise of the size that an experiment states, on what is simulated of it."""
+"""Adds the noise that an experiment states to its simulation."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,7 +12,7 @@ from tissuereg.simulate.experiment import CaseSimulation
 def with_noise(
     experiment: Experiment, answers: Mapping[str, CaseSimulation], *, seed: int = 0
 ) -> dict[str, CaseSimulation]:
-    """Return simulated cases as they would be measured.
+    """Return simulated cases with measurement noise.
 
     Parameters
     ----------
@@ -21,13 +21,13 @@ def with_noise(
     answers : mapping of str to CaseSimulation
         Without noise.
     seed : int
-        Of all chance.
+        Seed of all random numbers.
 
     Returns
     -------
     dict of str to CaseSimulation
-        White normal noise on the markers, and on the forces where their deviation is stated; targets and displacements
-        as they are.
+        White normal noise on the markers, and on the forces if their standard deviation is stated; targets and
+        displacements unchanged.
     """
     generator = np.random.default_rng([seed, 6])
     std = experiment.force_std or 0.0

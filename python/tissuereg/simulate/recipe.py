@@ -26,17 +26,17 @@ class DataRecipe:
     members : int
         Simulations.
     chunk : int
-        Simulations a file; what is lost when a run is killed.
+        Simulations per file; at most this many are lost when a run is killed.
     element : str
         ``tet4`` or ``tet10``.
     largest_mm : tuple of float
-        Range of an event's largest node displacement in the linear answer.
+        Range of an event's largest node displacement in the linear solution.
     n_patches : tuple of int
-        Fewest and most loaded patches.
+        Smallest and largest number of loaded patches.
     radius_mm : tuple of float
         Range of a patch's radius.
     body_force_share : float
-        Chance of a body force.
+        Probability of a body force.
     """
 
     members: int = 300
@@ -65,7 +65,7 @@ class PairsRecipe:
     load_tilt_deg : float
         Standard deviation of a load's rotation about each axis.
     inclusion_share : float
-        Chance that the truth holds a stiff ball.
+        Probability that the truth contains a stiff ball.
     inclusion_radius_mm : tuple of float
         Range of its radius.
     inclusion_contrast : tuple of float
@@ -83,7 +83,7 @@ class PairsRecipe:
 
     @property
     def variation(self) -> Variation:
-        """The spreads as the sampler wants them."""
+        """The spreads in the form of the sampler."""
         return Variation(self.young_log_std, self.load_log_std, self.load_tilt_deg)
 
 
@@ -110,17 +110,17 @@ class Recipe:
     Attributes
     ----------
     path : Path
-        Where it was read.
+        File it was read from.
     seed : int
-        Of all chance.
+        Seed of all random numbers.
     mesh_file : str
-        ``phantom``, or a mesh file beside the recipe.
+        ``phantom``, or a mesh file relative to the recipe.
     fixed : str or None
-        Plane of held nodes, where the file names none.
+        Plane of held nodes, if the mesh file has no such set.
     material, data, pairs
         The tables.
     raw : dict
-        Everything the file says, for the record.
+        The whole content of the file, for the record.
     """
 
     path: Path
@@ -160,12 +160,12 @@ def read_recipe(path: str | os.PathLike[str]) -> Recipe:
     Returns
     -------
     Recipe
-        With defaults where the file is silent.
+        With defaults for missing keys.
 
     Raises
     ------
     ExperimentError
-        If a table or key is unknown, or a value of the wrong kind or out of its range.
+        If a table or key is unknown, or a value has the wrong type or is out of its range.
     """
     raw = read_toml(path).rest()
     unknown = set(raw) - {"seed", "mesh", "material", "data", "pairs", "train"}
@@ -198,7 +198,7 @@ def read_recipe(path: str | os.PathLike[str]) -> Recipe:
 
 
 def _table(path: Any, name: str, given: Any, kind: Any) -> Any:
-    """Return a table as its dataclass, each value of the kind of its default."""
+    """Return a table as its dataclass, each value with the type of its default."""
     defaults = {f.name: f.default for f in fields(kind)}
     if not isinstance(given, dict) or set(given) - set(defaults):
         extra = ", ".join(sorted(set(given) - set(defaults))) if isinstance(given, dict) else repr(given)

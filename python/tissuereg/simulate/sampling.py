@@ -1,9 +1,9 @@
-r"""Random events on a body: surface patches pulled or pushed, and the body's own weight turned.
+r"""Random events on a body: surface patches pulled or pushed, and body forces in random directions.
 
-An event is drawn in two steps. First its *shape*: one to three patches of the free surface, each with a
-direction, and a share of body force. Then its *size*: the load is scaled so that the body's linear answer
-moves its most moved node by a wanted distance. The linear answers of all events come from one cheap pass of
-nearly unloaded solves, so patches near the support and patches far from it deform the body alike.
+An event is drawn in two steps. First its *shape*: one to three patches of the free surface, each with a direction, and
+a share of body force. Then its *size*: the load is scaled so that in the linear solution the largest node displacement
+has a wanted value. The linear solutions of all events come from one cheap pass of nearly unloaded solves. Patches near
+the support and far from it therefore deform the body by similar amounts.
 """
 
 from collections.abc import Sequence
@@ -25,16 +25,16 @@ _SMALL = 1e-4
 
 @dataclass(frozen=True)
 class EventSettings:
-    """How random events look.
+    """Settings of random events.
 
     Parameters
     ----------
     n_patches : tuple of int
-        Fewest and most patches of an event.
+        Smallest and largest number of patches of an event.
     radius_share : tuple of float
         Smallest and largest patch radius as a share of the body's largest extent.
     body_force_share : float
-        Chance that an event has a body force as well.
+        Probability that an event has a body force as well.
     """
 
     n_patches: tuple[int, int] = (1, 3)
@@ -50,9 +50,9 @@ class EventSampler:
     mesh : Mesh
         Reference shape with its held nodes.
     settings : EventSettings
-        How events look.
+        Settings of the events.
     held_nodes : ndarray of int64, optional
-        Nodes that patches stay off; the node set ``fixed`` where absent.
+        Nodes that patches avoid; by default the node set ``fixed``.
 
     Raises
     ------
@@ -82,7 +82,7 @@ class EventSampler:
         Parameters
         ----------
         rng : numpy.random.Generator
-            Source of chance.
+            Source of random numbers.
 
         Returns
         -------
@@ -120,7 +120,7 @@ class Event:
         scale : float
             Size of the event in mN.
         base : Load, optional
-            What acts besides.
+            Load that acts in addition.
 
         Returns
         -------
@@ -155,7 +155,7 @@ def linear_answers(
     events : sequence of Event
         Unit events.
     material : Material
-        What the body is made of.
+        Material of the body.
     threads : int
         Threads to use; 0 takes all cores.
 
@@ -168,8 +168,8 @@ def linear_answers(
 
     Notes
     -----
-    Solved by the nonlinear solver under loads that move the body by about 1e-4 of its extent, so that the answer
-    is linear to about 1e-4; cost: a few back-substitutions an event.
+    Solved by the nonlinear solver under loads that move the body by about 1e-4 of its extent, so that the solution
+    is linear to about 1e-4; cost: a few back-substitutions per event.
     """
     extent = simulator.mesh.extent
     force_per_mm = float(np.median(material.young_array)) * extent  # stiffness of a cube of this size, mN/mm

@@ -1,7 +1,7 @@
-"""How an equilibrium follows its causes, and how an observation follows the stiffness of every point.
+"""Derivatives of an equilibrium by causes, and of observations by the stiffness of every point.
 
-Exact derivatives by the tangent of the equilibrium, which is factored once: many causes cost one solution each, and so
-do many observations. `tissuereg.simulate.frame_sensitivity` is the same through time frames.
+The derivatives are exact. The tangent stiffness at the equilibrium is factored once; each cause costs one solution, and
+so does each observation. `tissuereg.simulate.frame_sensitivity` does the same through time frames.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """How an equilibrium follows each cause, over the cause's unit.
+    """Derivatives of an equilibrium by each cause, per unit of the cause.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Derivatives:
     reactions : ndarray of float64, shape (n_causes, n_held, 3)
         Of the force on the body at every held node, mN.
     all_displacement : ndarray of float64, shape (n_causes, n_element_nodes, 3)
-        Of all nodes, with the mid-edge nodes of ten-node elements behind the mesh's nodes.
+        Of all nodes, with the mid-edge nodes of ten-node elements after the mesh's nodes.
     """
 
     displacement: FloatArray
@@ -50,12 +50,12 @@ class Derivatives:
 
 @dataclass(frozen=True, eq=False)
 class Adjoints:
-    """How each observation follows everything.
+    """Derivatives of each observation by all inputs (adjoint solutions).
 
     Attributes
     ----------
     young : ndarray of float64, shape (n_obs, n_tets, n_points)
-        Derivative by Young's modulus of every quadrature point, per kPa. That by a field is the weighted sum.
+        Derivative by Young's modulus of every quadrature point, per kPa. The derivative by a field is the weighted sum.
     poisson : ndarray of float64, shape (n_obs, n_tets, n_points)
         By Poisson's ratio of every quadrature point.
     forces : ndarray of float64, shape (n_obs, n_element_nodes, 3)
@@ -78,7 +78,7 @@ class Adjoints:
 
 @dataclass(frozen=True, eq=False)
 class Compliance:
-    """How observations of displacements follow forces and supports.
+    """Derivatives of observations of displacements by forces and prescribed displacements.
 
     Attributes
     ----------
@@ -101,25 +101,25 @@ class Linearised:
     Parameters
     ----------
     simulator : Simulator
-        What was solved.
+        The analysed body.
     load : Load
-        What acts.
+        The load.
     material : Material
-        What the body is made of.
+        Material of the body.
     displacement : array_like of float, shape (n_element_nodes, 3)
         Equilibrium under them in mm: `Simulation.all_displacement`.
     springs : array_like of float, shape (n_sets, 2), optional
-        Stiffness of the simulator's springs in kPa/mm; that given to the simulator where absent.
+        Stiffness of the simulator's springs in kPa/mm; by default that given to the simulator.
     precision : {"double", "single"}
-        Of the factor. A single one takes 60 to 80 % of the time and half the memory; solutions with it are refined
-        until they are right to 1e-9. Where the tangent is too close to singular for that, it is double all the same.
+        Precision of the factor. A single one takes 60 to 80 % of the time and half the memory; its solutions are
+        refined to a relative error of 1e-9. If the tangent is too close to singular for that, a double one is used.
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
 
     Raises
     ------
     ConvergenceError
-        If the displacement is no equilibrium, or not a stable one.
+        If the displacement is not an equilibrium, or not a stable one.
     LoadError, MaterialError, ShapeError
         If the input does not fit the body.
 
@@ -164,12 +164,12 @@ class Linearised:
         )
 
     def derivatives(self, causes: Sequence[Cause]) -> Derivatives:
-        """Return how displacement and reactions follow each cause.
+        """Return the derivatives of displacement and reactions by each cause.
 
         Parameters
         ----------
         causes : sequence of Parameter, Field or Load
-            What is moved; one solution each.
+            Causes; the cost is one solution each.
 
         Returns
         -------
@@ -188,12 +188,12 @@ class Linearised:
         return Derivatives(everything[:, :n_nodes].copy(), reactions, everything)
 
     def adjoints(self, observations: Sequence[Observation]) -> Adjoints:
-        """Return how each observation follows everything.
+        """Return the derivatives of each observation by all inputs.
 
         Parameters
         ----------
         observations : sequence of Observation
-            What is read off; one solution each.
+            Observations; the cost is one solution each.
 
         Returns
         -------
@@ -211,12 +211,12 @@ class Linearised:
         return Adjoints(found.young, found.poisson, found.forces, found.body_force, found.prescribed, found.springs)
 
     def compliance(self, observations: Sequence[Observation]) -> Compliance:
-        """Return how observations of displacements follow forces and supports, and nothing else: fast for many.
+        """Return the derivatives of observations of displacements by forces and supports only; fast for many.
 
         Parameters
         ----------
         observations : sequence of Observation
-            What is read off, without reactions.
+            Observations, without reactions.
 
         Returns
         -------
@@ -234,7 +234,7 @@ class Linearised:
         return Compliance(found.forces, found.body_force, found.prescribed)
 
     def responses(self, forces: Any) -> FloatArray:
-        """Return how the displacement follows each of many fields of nodal forces.
+        """Return the linear response of the displacement to each of many fields of nodal forces.
 
         Parameters
         ----------
@@ -254,20 +254,20 @@ class Linearised:
         return self._core.responses(float_array("forces", forces, (None, self.simulator.body.n_nodes, 3)))
 
     def unbalanced(self, causes: Sequence[Cause]) -> FloatArray:
-        """Return the nodal forces out of balance that each cause leaves where nothing moves.
+        """Return the unbalanced nodal forces of each cause at fixed displacement.
 
-        An observation of free nodes follows cause ``c`` by ``-sum(compliance.forces[o] * unbalanced[c])``: one product
-        of matrices for many of both.
+        The derivative of an observation ``o`` of free nodes by cause ``c`` is
+        ``-sum(compliance.forces[o] * unbalanced[c])``: one matrix product for many of both.
 
         Parameters
         ----------
         causes : sequence of Parameter, Field or Load
-            What is moved.
+            Causes.
 
         Returns
         -------
         ndarray of float64, shape (n_causes, n_element_nodes, 3)
-            In mN over the unit of the cause.
+            In mN per unit of the cause.
 
         Raises
         ------
@@ -281,14 +281,14 @@ class Linearised:
     def solve_near(
         self, load: Load, *, springs: Any = None, tolerance: float = 1e-9, max_iterations: int = 1000
     ) -> Simulation:
-        """Return the equilibrium under another load, sought from this one with its factor.
+        """Return the equilibrium under another load, starting from this one with its factor.
 
         Parameters
         ----------
         load : Load
-            What acts.
+            The load.
         springs : array_like of float, shape (n_sets, 2), optional
-            Stiffness of the simulator's springs in kPa/mm; that given to the simulator where absent.
+            Stiffness of the simulator's springs in kPa/mm; by default that given to the simulator.
         tolerance : float
             Norm of the residual over the norm of the load, free degrees of freedom.
         max_iterations : int

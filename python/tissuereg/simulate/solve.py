@@ -1,4 +1,4 @@
-"""One static solve, or many on one body: the Python face of the Rust solver."""
+"""One static solve, or many on one body: the Python interface of the Rust solver."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from tissuereg.mesh import Mesh
 from tissuereg.simulate.bed import core_springs, stiffness_array
 from tissuereg.simulate.size import check_fits
 
-#: Elements that the solver knows.
+#: Names of the elements.
 ELEMENTS = ("tet4", "tet4-averaged", "tet10")
 
 
 class LoadParts(TypedDict):
-    """The parts of a load, or of many with the member axis first, as the compiled solver takes them."""
+    """The parts of a load, or of many with the member axis first, in the form of the compiled solver."""
 
     forces: FloatArray | None
     body_force: FloatArray | None
@@ -40,7 +40,7 @@ def stacked_parts(parts: Sequence[LoadParts]) -> LoadParts:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What a solve found.
+    """Result of a solve.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Simulation:
     reactions : ndarray of float64, shape (n_held, 3)
         Force on the body at every held node in mN.
     all_displacement : ndarray of float64, shape (n_element_nodes, 3)
-        The same with the mid-edge nodes of ten-node elements behind the mesh's nodes.
+        The same with the mid-edge nodes of ten-node elements after the mesh's nodes.
     report : dict
         Work counters and quality: `iterations`, `solves`, `factorisations`, `load_steps`, `residual`, `min_det_f`.
     """
@@ -62,7 +62,7 @@ class Simulation:
 
 @dataclass(frozen=True, eq=False)
 class Simulations:
-    """What many solves found; failed members are rows of NaN.
+    """Results of many solves; failed members are rows of NaN.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Simulations:
     failed : list of (int, str)
         Members without equilibrium, each with its reason.
     all_displacement : ndarray of float64, shape (n_members, n_element_nodes, 3)
-        The displacement with the mid-edge nodes of ten-node elements behind the mesh's nodes.
+        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
     """
 
     displacement: FloatArray
@@ -99,13 +99,13 @@ class Simulator:
         Four-node tets, the same with volume ratios averaged at the nodes (for Poisson's ratios above 0.475), or
         ten-node tets on the same edges (second order, straight edges).
     held_nodes : array_like of int, optional
-        Nodes whose displacement is given; the node set ``fixed`` where absent. With springs there may be none.
+        Nodes whose displacement is given; by default the node set ``fixed``. With springs there may be none.
     springs : sequence of (array_like of int (n, 3), array_like of float (2,)), optional
         Sets of springs: surface triangles with the stiffness along the normal and in the plane in kPa/mm, which every
-        solve may give anew.
+        solve may override.
     rests : bool
-        Whether the springs help to hold the body. Their directions without stiffness must then stay so in every solve,
-        and the others must not lose theirs.
+        Whether the springs support the body. Directions without stiffness must then have none in every solve, and
+        the others must keep theirs.
 
     Raises
     ------
@@ -161,14 +161,14 @@ class Simulator:
         return total
 
     def load_parts(self, load: Load, n_held: int | None = None) -> LoadParts:
-        """Return the parts of a load as the compiled solver takes them.
+        """Return the parts of a load in the form of the compiled solver.
 
         Parameters
         ----------
         load : Load
-            What acts.
+            The load.
         n_held : int, optional
-            Number of nodes whose displacement a load may prescribe; that of the held nodes where absent.
+            Number of nodes whose displacement a load may prescribe; by default that of the held nodes.
 
         Returns
         -------
@@ -193,9 +193,9 @@ class Simulator:
         Parameters
         ----------
         load : Load
-            What acts.
+            The load.
         material : Material
-            What the body is made of.
+            Material of the body.
         **settings
             ``tolerance`` (residual over load), ``threads`` (0: all), ``method``, ``start`` (n_element_nodes, 3) in mm,
             ``springs`` (n_sets, 2) in kPa/mm, ``max_iterations``.
@@ -208,7 +208,7 @@ class Simulator:
         Raises
         ------
         ConvergenceError
-            If no equilibrium is found; it carries the last good load fraction and the worst tets.
+            If no equilibrium is found; it has the last load fraction with equilibrium and the worst tets.
         LoadError, MaterialError, ShapeError
             If the input does not fit the body.
 
@@ -228,7 +228,7 @@ class Simulator:
         return self.simulation(found)
 
     def simulation(self, found: _core.Solution) -> Simulation:
-        """Return what the compiled solver found as a simulation of the mesh."""
+        """Return a result of the compiled solver as a simulation of the mesh."""
         everything = found.displacement
         return Simulation(everything[: self.mesh.n_nodes].copy(), found.reactions, everything, found.report)
 
@@ -244,16 +244,16 @@ class Simulator:
         return checked
 
     def internal_forces(self, displacement: Any, material: Material, *, springs: Any = None) -> FloatArray:
-        """Return the nodal forces that hold a displacement in equilibrium, on the body's springs where it has some.
+        """Return the nodal forces that hold a displacement in equilibrium, including the body's springs.
 
         Parameters
         ----------
         displacement : array_like of float, shape (n_element_nodes, 3)
             Displacement of all nodes in mm.
         material : Material
-            What the body is made of.
+            Material of the body.
         springs : array_like of float, shape (n_sets, 2), optional
-            Stiffness of the springs in kPa/mm; that given to the simulator where absent.
+            Stiffness of the springs in kPa/mm; by default that given to the simulator.
 
         Returns
         -------
@@ -279,14 +279,14 @@ class Simulator:
     def spring_forces(self, displacement: Any, *, springs: Any = None) -> FloatArray:
         """Return the forces of each set of springs on the body at a displacement.
 
-        Springs whose far ends move by ``a`` add the nodal forces ``-spring_forces(a)`` of all sets to the load.
+        Springs whose fixed ends move by ``a`` add the nodal forces ``-spring_forces(a)`` of all sets to the load.
 
         Parameters
         ----------
         displacement : array_like of float, shape (n_element_nodes, 3)
             Displacement of all nodes in mm.
         springs : array_like of float, shape (n_sets, 2), optional
-            Their stiffness in kPa/mm; that given to the simulator where absent.
+            Their stiffness in kPa/mm; by default that given to the simulator.
 
         Returns
         -------
@@ -429,9 +429,9 @@ def simulate(
     mesh : Mesh
         Reference shape; its node set ``fixed`` is held unless `held_nodes` is given.
     load : Load
-        What acts.
+        The load.
     material : Material
-        What the body is made of.
+        Material of the body.
     element : {"tet4", "tet4-averaged", "tet10"}
         Four-node tets, or ten-node tets on the same edges.
     held_nodes : array_like of int, optional

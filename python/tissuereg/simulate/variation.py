@@ -1,4 +1,4 @@
-"""How far the truth may lie from what is believed: modulus, size and direction of loads and motions."""
+"""Random variations of the believed model: modulus, size and direction of loads and motions."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from tissuereg.mesh import Mesh
 
 @dataclass(frozen=True)
 class Variation:
-    """Spreads of what is believed.
+    """Standard deviations of the variations.
 
     Parameters
     ----------
@@ -38,16 +38,16 @@ class Variation:
         Parameters
         ----------
         load : Load
-            What is believed to act.
+            The believed load.
         material : Material
-            What is believed of the material.
+            The believed material.
         rng : numpy.random.Generator
-            Source of chance; the same numbers are drawn whatever the load holds.
+            Source of random numbers; the same numbers are drawn whatever the load holds.
 
         Returns
         -------
         load, material : Load, Material
-            Forces, body force, traction and motions each turned and scaled on their own.
+            Forces, body force, traction and motions, each rotated and scaled independently.
         """
         softer = float(np.exp(self.young_log_std * rng.standard_normal()))
         force, weight, pull = (_turn(rng, self.load_log_std, self.load_tilt_deg) for _ in range(3))
@@ -72,14 +72,14 @@ def _turn(rng: np.random.Generator, log_std: float, tilt_deg: float) -> FloatArr
 def random_inclusion(
     mesh: Mesh, rng: np.random.Generator, radius: tuple[float, float], contrast: tuple[float, float]
 ) -> FloatArray:
-    """Return the factor on Young's modulus of every tet that a ball around a random node makes.
+    """Return the factor on Young's modulus of every tet for a ball around a random node.
 
     Parameters
     ----------
     mesh : Mesh
         Reference shape.
     rng : numpy.random.Generator
-        Source of chance.
+        Source of random numbers.
     radius : (float, float)
         Range of the ball's radius in mm.
     contrast : (float, float)

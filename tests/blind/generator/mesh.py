@@ -128,7 +128,7 @@ def find_places(places, element_dofs, points, on_skin=None):
 
 
 def _local(nodes, point, opposite):
-    """Return local coordinates of a point in one element, kept on a facet if asked, and how far off the image is."""
+    """Return local coordinates of a point in one element, kept on a facet if asked, and how far away its image is."""
     if opposite is None:
         origin, axes = np.zeros(3), np.eye(3)
     else:

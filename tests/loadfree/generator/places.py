@@ -39,7 +39,7 @@ def inner_places(nodes, tets, count, rng):
 
 
 def interpolation(body, points):
-    """Return the matrix (n, n_nodes) that reads a field at points, and how far off the body they lie (n,), mm.
+    """Return the matrix (n, n_nodes) that reads a field at points, and how far from the body they lie (n,), mm.
 
     The two meshes of a body differ by their facets: a point outside is moved to the body's nearest place.
     """

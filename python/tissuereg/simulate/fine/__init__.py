@@ -1,4 +1,4 @@
-"""A reference model whose own error lies far below the noise: pads cut out of the mesh, ten-node elements."""
+"""A reference model with an error far below the noise: pads cut out of the mesh, ten-node elements."""
 
 from tissuereg.simulate.fine.meshing import FineMeshing, fine_experiment
 from tissuereg.simulate.fine.model import FineModel, rough_element, without_time

@@ -1,4 +1,4 @@
-"""Tetrahedra cut at edges: a cut edge is cut in every tetrahedron that has it, so the mesh always fits together."""
+"""Bisection of tetrahedra at edges: an edge is cut in every tetrahedron that has it, so the mesh stays conforming."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -18,7 +18,7 @@ _PAIR = np.array([[0, 1]])
 #: Corners of a triangle's edges.
 _SIDES = np.array([[0, 1], [1, 2], [2, 0]])
 
-#: More rounds than any refinement to a size above a millionth of the body takes.
+#: Largest number of rounds: more than any refinement to a size above a millionth of the body takes.
 _MOST_ROUNDS = 1000
 
 
@@ -28,18 +28,18 @@ class Bisection:
     Parameters
     ----------
     mesh : Mesh
-        To begin with; it stays as it is.
+        The initial mesh; it is not changed.
 
     Attributes
     ----------
     nodes : ndarray of float64, shape (n_nodes, 3)
         Those of the mesh, then new ones, mm.
     tets : ndarray of int64, shape (n_tets, 4)
-        Positive as those of the mesh are.
+        With positive orientation, as in the mesh.
     surface : ndarray of int64, shape (n_triangles, 3)
         Boundary triangles.
     parents : ndarray of int64, shape (n_nodes, 2)
-        Ends of the edge that each new node has cut; a node of the mesh has itself twice.
+        Ends of the edge cut by each new node; a node of the initial mesh has itself twice.
     on_surface : ndarray of bool, shape (n_nodes,)
         Whether a node lies on the boundary.
     """
@@ -66,7 +66,7 @@ class Bisection:
         edges : ndarray of int64, shape (n, 2)
             Ends, each edge once.
         places : ndarray of float64, shape (n, 3)
-            Where the new nodes shall lie, on or near their edges, mm.
+            Positions of the new nodes, on or near their edges, mm.
 
         Returns
         -------
@@ -75,8 +75,7 @@ class Bisection:
 
         Notes
         -----
-        Edges of one tetrahedron are cut one after another, the first given first: an edge stays one of the parts that
-        the cut of another makes.
+        Edges of one tetrahedron are cut in the given order; cutting one edge leaves the others intact.
         """
         keys = _keys(edges, _PAIR)[:, 0]
         rank = np.argsort(keys)
@@ -95,7 +94,7 @@ class Bisection:
         Parameters
         ----------
         size : callable
-            From centres of tetrahedra (n, 3) in mm to the longest edge that each may have, (n,) in mm.
+            From centres of tetrahedra (n, 3) in mm to the largest edge length allowed for each, (n,) in mm.
 
         Raises
         ------
@@ -104,8 +103,8 @@ class Bisection:
 
         Notes
         -----
-        An edge is cut only where it is the longest of all tetrahedra that have it; where a tetrahedron in the way has a
-        longer one, that one goes first. The grading follows from it.
+        An edge is cut only if it is the longest in all tetrahedra that have it; if one of these has a longer edge, that
+        edge is cut first. This gives a graded mesh.
         """
         allowed = size(self.nodes[self.tets].mean(axis=1))
         length, longest = self._longest(self.tets)
@@ -141,8 +140,8 @@ class Bisection:
         Parameters
         ----------
         node_sets : mapping of str to ndarray of int64
-            Of the mesh that it began with. A new node belongs to a set where both ends of its edge do, and to a set of
-            the surface only where it lies there.
+            Sets of the initial mesh. A new node belongs to a set if both ends of its edge do, and to a set of surface
+            nodes only if it lies on the surface.
 
         Returns
         -------
@@ -152,12 +151,12 @@ class Bisection:
         return Mesh(self.nodes, self.tets, {name: self.carried(nodes) for name, nodes in node_sets.items()})
 
     def carried(self, nodes: IntArray) -> IntArray:
-        """Return a node set of the mesh that it began with, new nodes included, sorted."""
+        """Return a node set of the initial mesh, new nodes included, sorted."""
         member = np.zeros(len(self.nodes), dtype=bool)
         member[nodes] = True
         of_surface = bool(self.on_surface[nodes].all())
         for node in np.flatnonzero(self.parents[:, 0] != self.parents[:, 1]):
-            # A node's parents are older than it is.
+            # A node's parents have smaller indices.
             member[node] = member[self.parents[node]].all() and (self.on_surface[node] or not of_surface)
         return np.flatnonzero(member)
 
@@ -170,7 +169,7 @@ class Bisection:
         return length, np.where(lengths == length[:, None], keys, -1).max(axis=1)
 
     def _independent(self, waiting: IntArray, rank: IntArray) -> "np.ndarray[Any, np.dtype[np.bool_]]":
-        """Say which waiting edges (sorted keys) come first in all tets that have them."""
+        """Return which waiting edges (sorted keys) come first in all tets that have them."""
         tet, _, row = _found(self._keys, waiting)
         first = np.full(len(self.tets), len(self.nodes) + len(self.tets))
         np.minimum.at(first, tet, rank[row])
@@ -195,7 +194,7 @@ class Bisection:
         return found
 
 
-#: Two node numbers make one key; more nodes than this no machine holds.
+#: Two node numbers are combined into one key; an upper limit on the number of nodes.
 _FACTOR = 2**31
 
 
@@ -206,7 +205,7 @@ def _keys(cells: IntArray, sides: IntArray) -> IntArray:
 
 
 def _found(keys: IntArray, few: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Return where keys (n, m) are among a few, sorted ones: rows, columns, and which of the few each is."""
+    """Return where keys (n, m) occur among a few, sorted ones: rows, columns, and the index of each in the few."""
     place = np.minimum(np.searchsorted(few, keys.ravel()), len(few) - 1)
     flat = np.flatnonzero(few[place] == keys.ravel())
     rows, columns = np.divmod(flat, keys.shape[1])
@@ -218,7 +217,7 @@ def _halved(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Return cells, and their edges' keys, with those that have an edge of `keys` (sorted) cut at the nodes `new`.
 
-    The third answer says which of `keys` were cut.
+    The third result tells which of `keys` were cut.
     """
     cell, side, row = _found(of_cells, keys)
     first, second = cells[cell], cells[cell]

@@ -1,4 +1,4 @@
-"""Frames of an elastic case on a fine mesh: every state of its loads once, one after another along the ramp."""
+"""Frames of an elastic case on a fine mesh: every distinct load is solved once, in order along the ramp."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,13 +16,13 @@ from tissuereg.simulate.loading import distinct_states, pads_of
 from tissuereg.simulate.memory import SolvedCase
 from tissuereg.simulate.solve import Simulator
 
-#: Loads whose directions differ by less than this are along one line.
+#: Loads whose directions differ by less than this are collinear.
 _ALONG = 1e-6
 
-#: Solved states that a guess is drawn through at most: a parabola.
+#: Largest number of solved states for an extrapolated guess: a parabola.
 _MOST_POINTS = 3
 
-#: Residual over load at which a frame counts as solved. It moves markers by some 1e-5 mm and forces by 1e-2 mN.
+#: Relative residual at which a frame counts as solved: errors of about 1e-5 mm in markers and 1e-2 mN in forces.
 TOLERANCE = 1e-4
 
 
@@ -41,7 +41,7 @@ def solve_states(
     Parameters
     ----------
     experiment : Experiment
-        On a fine mesh, effects worked in.
+        On a fine mesh, effects applied.
     case : Case
         One of its cases.
     element : {"tet4", "tet4-averaged", "tet10"}
@@ -51,7 +51,7 @@ def solve_states(
     threads : int
         Threads to use; 0 takes all cores. The result does not depend on it.
     near : ndarray of float64, shape (n_states, n_element_nodes, 3), optional
-        Fields of a similar model in the `distinct_states` of the case; NaN where it has none.
+        Fields of a similar model in the `distinct_states` of the case; NaN if unknown.
     progress : callable of int, optional
         Called with frames done.
 
@@ -67,9 +67,9 @@ def solve_states(
 
     Notes
     -----
-    The guess for a state goes through the states before it that are loaded along the same line, nothing at no load. It
-    saves the solver the steps that a pad's sudden motion would cost in the small elements at its rim. A field near
-    by is a better guess: Poisson's ratio 0.42 for 0.45 on 8,000 tets takes 4.8 instead of 8.7 s.
+    The initial guess of a state is extrapolated from earlier states with collinear loads, with zero displacement at no
+    load. This avoids load steps for a pad's sudden motion in the small elements at its rim. The field of a similar
+    model is a better guess: Poisson's ratio 0.42 started from 0.45 on 8,000 tets takes 4.8 instead of 8.7 s.
     """
     believed = believed_case(experiment, case, element=element, threads=threads)
     simulator = believed.simulator
@@ -110,7 +110,7 @@ def solve_states(
 
 
 def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
-    """Return a first guess of the field of a state from states solved before it.
+    """Return an initial guess for the field of a state from states solved before.
 
     Parameters
     ----------
@@ -122,8 +122,8 @@ def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> Flo
     Returns
     -------
     ndarray of float64, shape (n_nodes, 3), or None
-        Through the three states nearest along the same line of loads; that of the nearest state where no line goes
-        through two; None where nothing is known.
+        Extrapolated from the three nearest states with collinear loads; the nearest state's field if there are no two
+        collinear ones; None if there are no states.
     """
     size = float(np.linalg.norm(state))
     if not solved or size == 0.0:
@@ -131,7 +131,7 @@ def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> Flo
     on_line = sorted(_along(state, solved), key=lambda point: abs(point[0] - size))[:_MOST_POINTS]
     if len(on_line) < 2:
         nearest = min(solved, key=lambda one: float(np.linalg.norm(one[0] - state)))
-        # Unloaded nodes are no guess, a body that sags under its weight is one.
+        # The undeformed body is not used as a guess, a body that sags under its weight is.
         return nearest[1] if nearest[1].any() and np.linalg.norm(nearest[0] - state) <= size else None
     total = np.zeros_like(on_line[0][1])
     for i, (place, field) in enumerate(on_line):
@@ -141,7 +141,7 @@ def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> Flo
 
 
 def _along(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> list[tuple[float, FloatArray]]:
-    """Return the solved states on the line from no load to a state: how far along it, and their fields."""
+    """Return the solved states on the line from no load to a state: position along it, and fields."""
     size = max(float(np.linalg.norm(state)), 1e-300)
     line = state / size
     return [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= _ALONG * size]
@@ -156,7 +156,7 @@ def _solve(
     near: FloatArray | None,
     settings: dict[str, Any],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the field of all nodes and the reactions in a state, from a field near by if that leads anywhere."""
+    """Return the field of all nodes and the reactions in a state, started from a similar field if that converges."""
     if near is not None and np.isfinite(near).all():
         with suppress(ConvergenceError, LoadError):
             found = simulator.solve(load, material, start=near, **settings)
@@ -184,6 +184,6 @@ def _shares(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]], step
 
 
 def _scaled(load: Load, share: float) -> Load:
-    """Return a share of what pads do."""
+    """Return a share of the motion of pads."""
     traction = None if load.traction is None else (load.traction[0], share * np.asarray(load.traction[1]))
     return Load(prescribed=share * np.asarray(load.prescribed), traction=traction)

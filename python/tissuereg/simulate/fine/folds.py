@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 
-#: Facets that meet at a sharper angle (cosine between normals) make an edge of the body itself.
+#: Facets that meet at a sharper angle (cosine between normals) form an edge of the body itself.
 SHARP = 0.7
 
 

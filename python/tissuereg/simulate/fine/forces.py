@@ -1,18 +1,18 @@
-"""How a pad's force on a rough mesh is carried into that on a fine one, where more than the load has acted on it."""
+"""Maps from a pad's force on a coarse mesh to that on a fine one, for materials with memory."""
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 
-#: Frames whose force is less than this share of the largest tell no ratio.
+#: Frames whose force is less than this share of the largest do not determine a ratio.
 LEAST_LOADED = 0.02
 
-#: A map changes a force by no more than this share of it along and across: what differs more is no ratio.
+#: Largest change of a force by a map, along and across it; larger differences are not mapped.
 MOST_CHANGED = 0.6
 
 
 def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
-    """Return matrices that carry forces on a rough mesh into those on a fine one.
+    """Return matrices that map forces on a coarse mesh to those on a fine one.
 
     Parameters
     ----------
@@ -23,13 +23,13 @@ def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
     -------
     ndarray of float64, shape (n_frames, 3, 3)
         ``map @ rough`` is ``fine`` in loaded frames, unless they differ by more than `MOST_CHANGED`. A frame without
-        load has the map of the least loaded one; all are the identity where nothing is loaded.
+        load has the map of the least loaded one; all are the identity if no frame is loaded.
 
     Notes
     -----
-    A mesh is too stiff by a factor that hangs on how far the pad has moved. A relaxed force has the factor of the
-    shape that the body is in: in a pull-back of the open example with relaxation (38 %) the forces so corrected are
-    8 mN off, with the elastic difference of the frame 20 mN, of 1,784 mN; the noise is 5 mN.
+    A coarse mesh is too stiff by a factor that depends on how far the pad has moved. A relaxed force needs the factor
+    of the body's present shape. In a pull-back of the open example with relaxation (38 %) the error of forces corrected
+    this way is 8 mN of 1,784 mN; correction by the frame's elastic difference leaves 20 mN; the noise is 5 mN.
     """
     size = np.linalg.norm(rough, axis=1)
     size[~np.isfinite(fine).all(axis=1)] = np.nan
@@ -50,5 +50,5 @@ def force_maps(rough: FloatArray, fine: FloatArray) -> FloatArray:
 
 
 def mapped(forces: FloatArray, maps: FloatArray) -> FloatArray:
-    """Return forces (..., 3) carried by maps (..., 3, 3)."""
+    """Return forces (..., 3) mapped by maps (..., 3, 3)."""
     return np.asarray(np.einsum("...j,...ij->...i", forces, maps))

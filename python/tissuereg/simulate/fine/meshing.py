@@ -1,4 +1,4 @@
-"""An experiment on a finer mesh: small elements round its pads, pads that end at their rims."""
+"""An experiment on a finer mesh: small elements around its pads, and pads cut out along their rims."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,18 +16,18 @@ from tissuereg.simulate.fine.rims import Rim, cut_along, patch_nodes, refine_nea
 
 @dataclass(frozen=True)
 class FineMeshing:
-    """How fine a mesh is made.
+    """Settings of the refinement.
 
     Parameters
     ----------
     rim_edge : float
         Longest edge of an element at the rim of a pad, over the pad's radius.
     growth : float
-        By how much more an edge may be long for every mm between rim and element, mm/mm.
+        Increase of the allowed edge length per mm of distance from the rim, mm/mm.
     edge_share : float
         Longest edge of any element over the cube root of the body's volume.
     cut : bool
-        Whether pads given by a ball are cut out of the surface; else they are the nodes in the ball.
+        Whether pads given by a ball are cut out of the surface; otherwise they are the nodes in the ball.
     """
 
     rim_edge: float = 0.3
@@ -51,24 +51,24 @@ def fine_experiment(
     Parameters
     ----------
     experiment : Experiment
-        What is believed.
+        The believed model.
     meshing : FineMeshing, optional
-        How fine.
+        Settings of the refinement.
     further : sequence of Rim
-        Where else to cut the surface.
+        Further rims along which to cut the surface.
 
     Returns
     -------
     Experiment
-        The same but for its mesh and the nodes of boundaries and actuators. Node sets are carried over: a new node
-        belongs to those that both ends of the edge belong to on which it lies. An actuator given by a ball has all
-        surface nodes in it, some of them on its rim exactly. Facets stay those of the given mesh, except where nodes
-        slid along them onto a rim.
+        The same except for its mesh and the nodes of boundaries and actuators. Node sets are inherited: a new node
+        belongs to the sets of both ends of its edge. An actuator given by a ball has all surface nodes in the ball,
+        some of them exactly on its rim. Facets stay those of the given mesh, except where nodes slid along them onto a
+        rim.
 
     Raises
     ------
     MeshError
-        If a pad is so small beside the elements that refinement does not end.
+        If a pad is so small compared with the elements that refinement does not end.
     """
     meshing = meshing or FineMeshing()
     cutter = Bisection(experiment.mesh)
@@ -99,7 +99,7 @@ def fine_experiment(
 
 
 def rim_of(actuator: Actuator) -> Rim | None:
-    """Return the rim of an actuator's patch; None where it is no ball."""
+    """Return the rim of an actuator's patch; None if it is not given by a ball."""
     rule: Any = actuator.rule
     if not isinstance(rule, Mapping) or "centre_mm" not in rule:
         return None
@@ -113,13 +113,13 @@ def _groups(experiment: Experiment, rims: Mapping[str, Rim]) -> list[Any]:
 
 
 def _outline_nodes(cutter: Bisection, nodes: IntArray) -> IntArray:
-    """Return those nodes of a patch that touch the surface beside it."""
+    """Return the nodes of a patch that touch the surface outside it."""
     beside = cutter.surface[~np.isin(cutter.surface, nodes).all(axis=1)]
     return np.intersect1d(nodes, beside)
 
 
 def _refine_outline(cutter: Bisection, pad: Actuator, meshing: FineMeshing) -> None:
-    """Make elements small round a pad that is given by its nodes."""
+    """Refine the elements around a pad that is given by its nodes."""
     points, radius = _outline_points(cutter, cutter.carried(pad.nodes))
     if len(points):
         refine_near(cutter, points, meshing.rim_edge * radius, meshing.growth)

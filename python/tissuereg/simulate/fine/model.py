@@ -1,4 +1,4 @@
-"""What a fine model says in the markers, forces and targets of the experiment that it was made from."""
+"""Predictions of the fine model for the markers, forces and targets of an experiment."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -36,25 +36,25 @@ from tissuereg.simulate.fine.rims import INSIDE, Rim
 from tissuereg.simulate.loading import distinct_states, first_frames
 from tissuereg.simulate.memory import SolvedCase, goes_through_time, is_carried, remembers, solve_through_time
 
-#: Poisson's ratio above which four-node tets move too little.
+#: Poisson's ratio above which four-node tets lock.
 _LOCKS_ABOVE = 0.475
 
 #: Displacement of all nodes in the states of each case, (n_states, n_element_nodes, 3).
 Fields = dict[str, FloatArray]
 
-#: Elastic answers kept for the next call: rough and fine of ten cases.
+#: Number of cached elastic solutions: coarse and fine ones of ten cases.
 _MOST_KEPT = 20
 
 
 class FineModel:
-    """An experiment on a mesh with pads cut out and small elements round them, in ten-node elements.
+    """An experiment on a mesh with pads cut out and small ten-node elements around them.
 
     Parameters
     ----------
     experiment : Experiment
-        What is believed.
+        The believed model.
     meshing : FineMeshing, optional
-        How fine.
+        Settings of the refinement.
 
     Attributes
     ----------
@@ -82,9 +82,9 @@ class FineModel:
         self.meshing = maybe("meshing", meshing, FineMeshing) or FineMeshing()
         self.fine = fine_experiment(experiment, self.meshing)
         self._own: tuple[tuple[Rim | None, ...], Experiment] | None = None
-        # Elastic answers that corrections are drawn from, newest last.
+        # Cached elastic solutions for corrections, newest last.
         self._elastic: dict[tuple[Any, ...], Reading] = {}
-        # Fields by case that the next warm call begins with, and their mesh.
+        # Initial guesses by case for the next warm call, and their mesh.
         self._near: tuple[Mesh, Fields] | None = None
 
     def __repr__(self) -> str:
@@ -92,7 +92,7 @@ class FineModel:
 
     @property
     def mesh(self) -> Mesh:
-        """The fine mesh. Its first nodes are those of the given mesh, some moved onto a rim."""
+        """The fine mesh. Its first nodes are those of the given mesh, some of them moved onto a rim."""
         return self.fine.mesh
 
     def simulate(
@@ -105,22 +105,22 @@ class FineModel:
         threads: int = 0,
         progress: Callable[[int, int], None] | None = None,
     ) -> dict[str, CaseSimulation]:
-        """Return what the model says of cases.
+        """Return the model's predictions for cases.
 
         Parameters
         ----------
         effects : sequence of Effect, optional
             Instead of those of the experiment.
         cases : sequence of str, optional
-            Names; all where absent.
+            Names; by default all.
         through_time : {"corrected", "solved"}
-            What becomes of frames of a material that depends on those before (memory).
-            `corrected`: four-node elements on the fine mesh, plus what ten-node elements change of the elastic answer,
-            which is kept for the next call. `solved`: ten-node elements in every frame, minutes a case on 4,000 nodes.
+            Treatment of materials with memory. `corrected`: four-node elements on the fine mesh, plus the difference
+            between ten-node and four-node elements in the elastic solution, which is cached for the next call.
+            `solved`: ten-node elements in every frame; this takes minutes per case on 4,000 nodes.
         warm : bool
-            Begin with the fields of the last such call on the same mesh, and keep those found for the next (24 bytes a
-            node and state). Between similar effects that halves the time, and moves answers within the solver's
-            tolerance. Frames that depend on those before are not helped.
+            Start from the fields of the last such call on the same mesh, and keep the new ones for the next (24 bytes
+            per node and state). Between similar effects this halves the time, and changes answers within the solver's
+            tolerance. It does not help frames with memory.
         threads : int
             Threads to use; 0 takes all cores. The result does not depend on it.
         progress : callable of (int, int), optional
@@ -135,7 +135,7 @@ class FineModel:
         Raises
         ------
         ConvergenceError
-            If no frame of a case finds equilibrium, or a mesh that hangs in gravity already has no unloaded shape.
+            If no frame of a case finds equilibrium, or a mesh that was imaged under gravity has no unloaded shape.
         ExperimentError
             If a case is unknown or an effect does not fit the experiment.
 
@@ -183,7 +183,7 @@ class FineModel:
         threads: int,
         progress: Callable[[int, int], None] | None,
     ) -> dict[str, Reading]:
-        """Return cases that go through time, in ten-node elements or corrected by their elastic answers."""
+        """Return cases with memory, in ten-node elements or corrected by their elastic solutions."""
         rough = rough_element(fine)
         element = "tet10" if fully else rough
         worked = extended(fine, element)
@@ -203,7 +203,7 @@ class FineModel:
     def _kept(
         self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "Progress", part: str
     ) -> dict[str, Reading]:
-        """Return elastic cases, those of before as they were."""
+        """Return elastic cases, from the cache if possible."""
         keys = {case.name: (case.name, element, twin.mesh, twin.gravity is None, twin.effects) for case in cases}
         missing = [case for case in cases if keys[case.name] not in self._elastic]
         for case in cases:
@@ -217,10 +217,10 @@ class FineModel:
         return found
 
     def _with_effects(self, effects: Sequence[Effect]) -> Experiment:
-        """Return the fine experiment with effects, on a mesh of its own where they say where its surface is cut.
+        """Return the fine experiment with effects, on another mesh if the effects change where its surface is cut.
 
-        A pad in a ball that is shifted is cut out where it then sits, a part of a boundary that has come off within a
-        ball is cut out too. The mesh of the last such effects is kept.
+        The ball of a shifted pad is cut out at its new place, and so is the part of a boundary that has come off within
+        a ball. The mesh of the last such effects is cached.
         """
         check_effects(replace(self.experiment, effects=tuple(effects)))
         pads = {pad.name: pad for pad in self.experiment.actuators if rim_of(pad) is not None}
@@ -232,7 +232,7 @@ class FineModel:
                 continue
             rest.append(effect)
             if isinstance(effect, Detachment) and effect.centre_mm is not None and effect.radius_mm is not None:
-                # Nodes on this rim are not in the ball: they hold.
+                # Nodes on this rim are not in the ball: they stay held.
                 loose.append(Rim(effect.centre_mm, effect.radius_mm * (1.0 + 2.0 * INSIDE)))
         key = (*(rim_of(pad) for pad in pads.values()), *loose)
         if key == tuple(rim_of(pad) for pad in self.experiment.actuators if pad.name in pads):
@@ -256,19 +256,19 @@ def rough_element(experiment: Experiment) -> str:
 
 
 def without_time(experiment: Experiment, element: str = "tet10") -> Experiment:
-    """Return an experiment whose frames depend on their own load alone: no memory, nothing slides.
+    """Return an experiment whose frames depend on their own load alone: without memory and sliding.
 
     Parameters
     ----------
     experiment : Experiment
-        What is believed.
+        The believed model.
     element : {"tet4", "tet4-averaged", "tet10"}
-        Elements that it is solved with.
+        Elements of the solve.
 
     Returns
     -------
     Experiment
-        Weightless too where the mesh hangs already.
+        Also without weight if the mesh was imaged under gravity.
     """
     gravity = extended(experiment, element).gravity
     weightless = gravity is not None and gravity.in_reference
@@ -287,7 +287,7 @@ def _elastic(
     part: str,
     near: Fields | None = None,
 ) -> dict[str, Reading]:
-    """Return elastic cases, solved in parallel; they begin at fields near by, where given, and leave theirs there."""
+    """Return elastic cases, solved in parallel; they start from the fields `near`, if given, and update them."""
     ready = extended(fine, element)
     reader = Reader(fine, given, quadratic=element == "tet10")
     share = max(1, threads // max(len(cases), 1))
@@ -307,7 +307,7 @@ def _elastic(
 
 
 def _with_those_before(worked: Experiment, cases: Sequence[Case]) -> list[Case]:
-    """Return cases with all that they depend on, effects worked in."""
+    """Return cases and all cases that they depend on, with effects applied."""
     if not is_carried(worked):
         return [worked.cases[case.name] for case in cases]
     last = max(float(case.times[0]) for case in cases)
@@ -323,10 +323,10 @@ def _by_load(
     near: Fields | None,
     progress: Callable[[int, int], None] | None,
 ) -> dict[str, Reading]:
-    """Return cases without memory in ten-node elements, from fields near by where given; they leave theirs there.
+    """Return cases without memory in ten-node elements; they start from the fields `near`, if given, and update them.
 
-    `worked` has the effects of `fine` worked in. On springs, with friction, or where the mesh hangs already,
-    a body that does without is solved first: its change from state to state leads to these in a sixth of the time.
+    `worked` has the effects of `fine` applied. With springs or friction, or if the mesh was imaged under gravity, a
+    body without these is solved first: started from its changes between states, the solve takes a sixth of the time.
     """
     if not goes_through_time(worked):
         report = Progress(progress, sum(len(case.times) for case in cases))
@@ -353,9 +353,9 @@ def _remembering(
     report: "Progress",
     near: Fields | None = None,
 ) -> dict[str, SolvedCase]:
-    """Return cases solved frame after frame, those that do not depend on each other in parallel.
+    """Return cases solved frame after frame, independent cases in parallel.
 
-    `near` holds fields in the distinct states of models without memory.
+    `near` contains fields in the distinct states of models without memory.
     """
     settings: dict[str, Any] = {"element": element}
     if near is not None:
@@ -383,7 +383,7 @@ class Progress:
         self._lock = Lock()
 
     def of(self, part: str) -> Callable[[int], None] | None:
-        """Return what one part of the work calls with its number of frames done."""
+        """Return the callback for one part of the work, which takes its number of frames done."""
         if self._told is None:
             return None
         told = self._told

@@ -1,4 +1,4 @@
-"""What is read off the solved frames of a case, and how frames with memory borrow the elastic ones' correction."""
+"""Markers, targets and forces of the solved frames of a case, and the correction of frames with memory."""
 
 from dataclasses import dataclass
 
@@ -14,16 +14,16 @@ from tissuereg.simulate.memory import SolvedCase
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Frames of one case in the terms of the experiment.
+    """Frames of one case, as observables of the experiment.
 
     Attributes
     ----------
     displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
         Of the given mesh's nodes, mm; NaN in frames without equilibrium.
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
-        Where the markers are, mm, before any error of their tracker.
+        Positions of the markers, mm, without errors of their tracker.
     targets : ndarray of float64, shape (n_frames, n_targets, 3)
-        Where the targets are, mm.
+        Positions of the targets, mm.
     forces : dict of str to ndarray of float64, shape (n_frames, 3)
         Force on the body at every displacement actuator that is present, mN.
     failed : list of (int, str)
@@ -38,14 +38,14 @@ class Reading:
 
 
 class Reader:
-    """Reads markers and targets off the fields of one mesh.
+    """Evaluates markers and targets of fields on one mesh.
 
     Parameters
     ----------
     experiment : Experiment
         With the mesh.
     given : Mesh
-        The one that it was made from: its nodes come first, some of them moved onto a rim.
+        The mesh from which it was refined: its nodes come first, some of them moved onto a rim.
     quadratic : bool
         Whether fields are those of ten-node elements.
     """
@@ -63,11 +63,11 @@ class Reader:
         self._targets = TargetObservation(experiment.mesh, experiment.targets, quadratic=quadratic)
 
     def read(self, solved: SolvedCase) -> Reading:
-        """Return what the frames of a case say."""
+        """Return the observables of the frames of a case."""
         field = solved.all_displacement
         displacement = solved.displacement[:, : self._n_given].copy()
         if self._old is not None:
-            # Where the node was before it was moved.
+            # The node's place before it was moved onto the rim.
             displacement[:, self._moved] = self._old.predict(field[:, self._old.nodes])
         return Reading(
             displacement,
@@ -79,7 +79,7 @@ class Reader:
 
 
 def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> Reading:
-    """Return what finer elements would say of frames with memory.
+    """Return frames with memory, corrected for finer elements.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> 
     Returns
     -------
     Reading
-        Places get the difference of the two elastic answers, forces the maps between them (`force_maps`) and what maps
-        leave of it.
+        Places are corrected by the difference of the two elastic solutions, forces by the maps between them
+        (`force_maps`) and the remaining difference.
     """
     forces = {}
     for name, force in rough.forces.items():

@@ -1,8 +1,8 @@
 """Surface patches within a ball, cut out along their rim.
 
-The rim of a patch is where the surface meets the sphere ``|x - centre| = radius``. Small elements go round it first,
-since the stress under a bonded pad has its peak there; then surface nodes near the rim slide onto it, and edges that
-still cross it are cut. After that every boundary triangle lies within the patch or outside.
+The rim of a patch is where the surface meets the sphere ``|x - centre| = radius``. First the elements around it are
+refined, because the stress under a bonded pad peaks there; then surface nodes near the rim slide onto it, and edges
+that still cross it are cut. After that every boundary triangle lies entirely within the patch or outside.
 """
 
 from collections.abc import Sequence
@@ -14,16 +14,16 @@ from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.simulate.fine.bisection import Bisection, shape_quality
 from tissuereg.simulate.fine.folds import folds_of
 
-#: An end of a crossing edge slides onto the rim where the crossing is nearer to it than this share of the edge.
+#: An end of a crossing edge slides onto the rim if the crossing is nearer to it than this share of the edge.
 SNAP_SHARE = 0.35
 
-#: A slide must leave every tetrahedron this share of its quality, and this quality at least.
+#: After a slide every tetrahedron must keep this share of its quality, and have at least this quality.
 _KEPT_QUALITY, _LEAST_QUALITY = 0.5, 0.1
 
 #: Nodes of the rim lie this share of the radius inside it, so that rounding leaves none outside.
 INSIDE = 1e-11
 
-#: Edges between outer nodes are cut where they dip this share of their length into the ball.
+#: Edges between outer nodes are cut if they enter the ball by this share of their length.
 _DIP_SHARE = 0.1
 
 
@@ -43,7 +43,7 @@ class Rim:
     radius: float
 
     def depth(self, points: FloatArray) -> FloatArray:
-        """Return how deep points (..., 3) lie in the ball, mm; 0 on the rim, within rounding."""
+        """Return the depth of points (..., 3) in the ball, mm; 0 on the rim, up to rounding."""
         depth = self.radius - np.linalg.norm(points - np.asarray(self.centre), axis=-1)
         return np.asarray(np.where(np.abs(depth) <= 1e3 * INSIDE * self.radius, 0.0, depth))
 
@@ -58,7 +58,7 @@ class Rim:
 def samples(cutter: Bisection, rim: Rim) -> FloatArray:
     """Return points of the rim, one on every edge of the surface that crosses it, (n, 3) in mm.
 
-    Of an edge between outer nodes that dips into the ball the deepest point counts. Where no edge comes near, the
+    For an edge between outer nodes that enters the ball this is its deepest point. If no edge comes near, the
     surface node next to the rim stands for it.
     """
     outer, inner = _crossing_edges(cutter, rim)
@@ -79,13 +79,13 @@ def refine_round(cutter: Bisection, rims: Sequence[Rim], shortest: float, growth
     Parameters
     ----------
     cutter : Bisection
-        Is changed.
+        Changed in place.
     rims : sequence of Rim
         Where.
     shortest : float
         Longest edge of an element at a rim over the rim's radius.
     growth : float
-        By how much more an edge may be long for every mm between rim and element, mm/mm.
+        Increase of the allowed edge length per mm of distance from the rim, mm/mm.
     """
     for rim in rims:
         # The rim of a coarse surface is known by few points, so it is refined in steps.
@@ -101,13 +101,13 @@ def refine_near(cutter: Bisection, points: FloatArray, edge: float, growth: floa
     Parameters
     ----------
     cutter : Bisection
-        Is changed.
+        Changed in place.
     points : ndarray of float64, shape (n, 3)
         mm.
     edge : float
         Longest edge of an element at a point, mm.
     growth : float
-        By how much more it may be long for every mm between points and element, mm/mm.
+        Increase of the allowed edge length per mm of distance from the points, mm/mm.
     """
     from scipy.spatial import KDTree
 
@@ -125,7 +125,7 @@ def cut_along(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
     Parameters
     ----------
     cutter : Bisection
-        Is changed.
+        Changed in place.
     rim : Rim
         Where.
     stay : ndarray of int64, shape (n,)
@@ -167,7 +167,7 @@ def _crossing_edges(cutter: Bisection, rim: Rim) -> tuple[IntArray, IntArray]:
 
 
 def _dipping_edges(cutter: Bisection, rim: Rim, least_share: float) -> tuple[IntArray, FloatArray]:
-    """Return edges between outer nodes that dip into the ball by a share of their length, and their deepest points."""
+    """Return edges between outer nodes that enter the ball by a share of their length, and their deepest points."""
     edges = cutter.surface_edges()
     edges = edges[(rim.depth(cutter.nodes[edges]) < 0.0).all(axis=1)]
     start = cutter.nodes[edges[:, 0]]

@@ -1,9 +1,10 @@
-"""Third meshes: the same body in meshes whose errors are not those of the fine one, to calibrate false alarms with.
+"""Third meshes: the same body on meshes with other discretisation errors than the fine one, to calibrate false alarms.
 
-Between two meshes of one size lies about what lies between either of them and the truth. So inner nodes are moved by up
-to a quarter of their shortest edge, surface nodes slide as far along the facets, and the elements at the pads' rims get
-another size, since it decides how well the peak of stress there is met. Facets cut off a curved body; so the surface is
-moved outwards where it is convex, by a share of what lies between facets and a smooth surface.
+The difference between two meshes of equal size is about as large as the error of either. Therefore inner nodes are
+moved by up to a quarter of their shortest edge, surface nodes slide equally far along the facets, and the elements at
+the rims of the pads get another size, which determines how well the stress peak there is resolved. Flat facets cut a
+part off a curved body; so the surface is moved outwards where it is convex, by a share of the gap between facets and a
+smooth surface.
 """
 
 from dataclasses import replace
@@ -19,16 +20,16 @@ from tissuereg.simulate.fine.meshing import FineMeshing, rim_of
 from tissuereg.simulate.fine.model import FineModel
 from tissuereg.simulate.fine.rims import sharp_nodes
 
-#: How far a node moves at most, over its shortest edge.
+#: Largest motion of a node, over its shortest edge.
 JITTER_SHARE = 0.25
 
-#: Edges at the rims over those of the fine mesh, drawn evenly in between.
+#: Range of the edge length at the rims, over that of the fine mesh; uniform.
 RIM_FACTORS = (1.0, 1.8)
 
-#: How far the surface moves outwards over the mean gap between facets and a smooth surface, drawn evenly in between.
+#: Range of the outward motion of the surface, over the mean gap between facets and a smooth surface; uniform.
 BULGE_SHARES = (0.0, 1.5)
 
-#: A moved node must leave every tet this share of its quality.
+#: After a node is moved, every tet must keep this share of its quality.
 _KEPT_QUALITY = 0.5
 
 
@@ -38,18 +39,18 @@ def third_meshes(experiment: Experiment, n: int, seed: int, *, meshing: FineMesh
     Parameters
     ----------
     experiment : Experiment
-        What is believed, on the mesh that its fine model was made from.
+        The believed model, on the mesh that its fine model was made from.
     n : int
-        How many.
+        Number of models.
     seed : int
-        Of all chance.
+        Seed of all random numbers.
     meshing : FineMeshing, optional
-        Of the fine model.
+        Settings of the fine model.
 
     Returns
     -------
     list of FineModel
-        The first ones of a larger `n` are those of a smaller one.
+        The first `n` are the same for any larger `n`.
     """
     meshing = meshing or FineMeshing()
     models = []
@@ -68,7 +69,7 @@ def jittered(experiment: Experiment, rng: np.random.Generator) -> Mesh:
     experiment : Experiment
         Nodes of its boundaries and of pads without a ball stay, as do those on edges of the body.
     rng : numpy.random.Generator
-        Source of chance.
+        Source of random numbers.
 
     Returns
     -------
@@ -122,7 +123,8 @@ def gaps(mesh: Mesh) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (n_nodes, 3)
-        Vectors out of the body in mm, into it where it is hollow; zero inside, on flat faces, at sharp edges.
+        Vectors in mm, outward where the body is convex, inward where it is concave; zero inside, on flat faces, at
+        sharp edges.
 
     Notes
     -----
