@@ -21,7 +21,7 @@ const PATIENCE: Duration = Duration::from_millis(500);
 ///
 /// Meanwhile `tick` is called every 50 ms, and once at the end, and signals are looked for. If either raises, `cancel`
 /// is set and the exception goes on: at once where the work looks at `cancel` often, and after half a second in any
-/// case. Work that is left behind ends by itself at its next look; this is why it owns all it uses.
+/// case. Work that was abandoned ends by itself at its next check; this is why it owns all it uses.
 pub(crate) fn run_watched<T: Send + 'static>(
     py: Python<'_>,
     cancel: &AtomicBool,

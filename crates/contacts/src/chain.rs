@@ -2,8 +2,8 @@
 //!
 //! A sweep visits every slot (a draw from the table of all contents, accepted with its texture included; steps to
 //! neighbouring patches and sizes; an exchange of the contact for a wrong group, or back), every family's level and every
-//! group that may be wrong. All chance comes from a row of uniform numbers; every step takes its numbers whether it uses
-//! them or not.
+//! group that may be wrong. All random numbers come from a row of uniform ones; every step takes its numbers whether it
+//! uses them or not.
 
 use faer::Mat;
 
@@ -115,8 +115,8 @@ impl<'a> Chain<'a> {
 
     /// Exchange a contact for a wrong group, or a wrong group for a contact.
     ///
-    /// A group that is off alone looks like a contact under it, and each hides the other: no change of one at a time leads
-    /// from here to there. A filled slot is emptied while the group that its patch moves most becomes wrong; an empty one
+    /// A single wrong group looks like a contact under it, and each explains the other away: changing one at a time does
+    /// not lead from one explanation to the other. A filled slot is emptied while the group that its patch moves most becomes wrong; an empty one
     /// is filled from the table while a wrong group becomes right, if that group is the one that the patch moves most.
     fn exchange(&mut self, slot: usize, power: f64) {
         let (which, place, chance) = (self.uniform(), self.uniform(), self.uniform());

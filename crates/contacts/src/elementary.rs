@@ -1,4 +1,4 @@
-//! `exp` and `ln` without branches, so that many of them run beside each other; right to about 1e-12.
+//! `exp` and `ln` without branches, so that many run in SIMD lanes; accurate to about 1e-12.
 
 /// Adding it leaves a number's nearest integer in the lowest bits.
 const TO_INTEGER: f64 = 6_755_399_441_055_744.0;

@@ -1,14 +1,14 @@
-//! Which few causes of a large dictionary explain what was observed.
+//! Which few causes of a large dictionary explain the observations.
 //!
-//! Observations follow causes linearly. Hundreds of patches of a surface may each be pushed, in any direction and by any
-//! size, but few are: a few slots each hold one patch or none. Beside them there are causes that act together with one
-//! unknown size (a background, a body force), and groups of observations that may be wrong as a whole. Given what fills
-//! the slots everything is Gaussian and known in closed form; what fills them is sampled by parallel Markov chains
-//! whose jumps weigh every patch at once ([`Problem::run`]). [`Problem::moments`] turns samples into means and covariances of
-//! coefficients and of anything that follows them, [`Problem::draws`] into draws.
+//! Observations depend linearly on causes. Hundreds of patches of a surface may each be pushed, in any direction and by
+//! any size, but few are: a few slots each hold one patch or none. There are also families of causes with one common
+//! unknown size (a background, a body force), and groups of observations that may be wrong as a whole. Given the content
+//! of the slots everything is Gaussian and known in closed form. The content is sampled by parallel Markov chains whose
+//! jumps compare all patches at once ([`Problem::run`]). [`Problem::moments`] computes from the samples the means and
+//! covariances of coefficients and of anything linear in them, [`Problem::draws`] random draws.
 //!
-//! The crate knows no mesh, no file and no random number: chance is an argument, and the same input gives the same bits
-//! at any number of threads.
+//! The crate knows no meshes and no files and draws no random numbers: these are arguments, and the same input gives the
+//! same bits at any number of threads.
 //!
 //! # Example
 //!

@@ -9,8 +9,8 @@
 //! covariance:    T D T' - X C^-1 X'
 //! ```
 //!
-//! with `T` the points' responses. The posterior is the mixture over samples. Its mean gain, `D J' C^-1` over samples, says
-//! how an error of the observations reaches the coefficients.
+//! with `T` the points' responses. The posterior is the mixture over samples. Its mean gain, the average of `D J' C^-1`
+//! over samples, maps an error of the observations to the coefficients.
 
 use faer::{Mat, MatRef, Par};
 use rayon::prelude::*;

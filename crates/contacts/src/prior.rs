@@ -1,4 +1,4 @@
-//! What is believed before anything is observed, and what was observed.
+//! The prior and the observations.
 
 use faer::{Mat, MatRef};
 
@@ -11,7 +11,7 @@ use crate::{ContactsError, Dictionary};
 pub struct Family {
     /// Variance of every column's coefficient at factor one, (`n_columns`); zero for columns that are not in it.
     pub variances: Vec<f64>,
-    /// Factors on the variances, the levels that are tried.
+    /// Factors on the variances, the candidate levels.
     pub factors: Vec<f64>,
     /// Logarithm of each level's prior probability, up to a constant.
     pub log_prior: Vec<f64>,
@@ -22,7 +22,7 @@ pub struct Family {
 pub struct Wrong {
     /// Observations of each group.
     pub rows: Vec<Vec<usize>>,
-    /// Variance that a wrong group has besides its noise.
+    /// Variance of a wrong group in addition to its noise.
     pub variance: f64,
     /// Logarithm of the odds that a group is wrong.
     pub log_odds: f64,
@@ -48,12 +48,12 @@ pub struct Prior {
     pub wrong: Wrong,
 }
 
-/// What was observed: the innovation and the covariance of its noise.
+/// The observations: the innovation and the covariance of its noise.
 #[derive(Debug, Clone)]
 pub struct Observed {
     /// Observed minus predicted at zero coefficients, (`n_obs`).
     pub innovation: Vec<f64>,
-    /// Covariance (`n_obs`, `n_obs`) of noise and of what is uncertain besides the causes.
+    /// Covariance (`n_obs`, `n_obs`) of the noise and of all other uncertainty besides the causes.
     pub noise: Mat<f64>,
 }
 

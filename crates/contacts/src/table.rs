@@ -1,4 +1,4 @@
-//! All that one slot may hold, weighed at once.
+//! The weights of all contents of one slot, computed at once.
 //!
 //! With the covariance `C = L L'` of everything else, a contact of variance `v` at a patch with columns `J` changes the
 //! logarithm of the evidence by
@@ -7,7 +7,7 @@
 //! -1/2 log|I + v S| + 1/2 v b' (I + v S)^-1 b,     S = J' C^-1 J  (3, 3),     b = J' C^-1 d  (3)
 //! ```
 //!
-//! Its texture is left out here, and `L^-1 J` is computed in single precision, many patches beside each other: the
+//! Its texture is left out here, and `L^-1 J` is computed in single precision, many patches in SIMD lanes: the
 //! table only proposes. It depends on everything but the slot's own content, so that the chain that draws from it
 //! corrects for both exactly.
 
@@ -19,7 +19,7 @@ use crate::gain::gain_of;
 use crate::prior::Problem;
 use crate::state::{Contact, Evidence};
 
-/// Patches beside each other; a multiple of every machine's lanes.
+/// Patches processed together; a multiple of every machine's lanes.
 const LANES: usize = 16;
 
 /// Rows that one step of the triangular solve finishes: with their three directions, what they are solved by and one

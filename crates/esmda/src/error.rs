@@ -27,7 +27,7 @@ pub enum EsmdaError {
         /// The coefficient.
         alpha: f64,
     },
-    /// The inverse coefficients add up to something else than one (or than the total asked for).
+    /// The inverse coefficients do not sum to one (or to the requested total).
     #[error("the inverse inflation coefficients must add up to {wanted} within 1e-9, got {sum}")]
     ScheduleSum {
         /// Sum of the inverse coefficients.
@@ -41,15 +41,15 @@ pub enum EsmdaError {
          coefficients in range, got {decrease}"
     )]
     Decrease {
-        /// What was asked for.
+        /// Requested value.
         decrease: f64,
-        /// Steps asked for.
+        /// Requested number of steps.
         n_steps: usize,
     },
     /// A step beyond the end of the schedule.
     #[error("step {step} was asked for, but the schedule has {n_steps} steps (counted from 0)")]
     StepBeyondSchedule {
-        /// Step asked for, from zero.
+        /// Requested step, from zero.
         step: usize,
         /// Steps there are.
         n_steps: usize,

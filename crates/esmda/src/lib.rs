@@ -1,7 +1,7 @@
 //! Ensemble smoother with multiple data assimilation (ES-MDA), one step at a time.
 //!
 //! An ensemble of parameters, one column a member, is drawn towards observations through what each member predicts for
-//! them. No gradient of the model is needed, and the spread that is left says how well the parameters are known. The
+//! them. No gradient of the model is needed, and the remaining spread measures how well the parameters are known. The
 //! model stays with the caller: run it, hand over the predictions, apply the step, repeat.
 //!
 //! # A tour

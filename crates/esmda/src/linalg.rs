@@ -21,7 +21,7 @@ const INNER_CHUNK: usize = 1024;
 /// Columns of a block of a symmetric product.
 const BLOCK: usize = 128;
 
-/// Runs `work` on chunks of rows, on threads where `par` says so.
+/// Runs `work` on chunks of rows, on threads according to `par`.
 pub(crate) fn for_row_chunks(
     rows: MatMut<'_, f64>,
     par: Par,
@@ -40,7 +40,7 @@ pub(crate) fn for_row_chunks(
     }
 }
 
-/// `f(0), .., f(n - 1)` in order, computed on threads where `par` says so.
+/// `f(0), .., f(n - 1)` in order, computed on threads according to `par`.
 fn map_in_order<T: Send>(n: usize, par: Par, f: impl Fn(usize) -> T + Send + Sync) -> Vec<T> {
     if matches!(par, Par::Seq) || n < 2 {
         (0..n).map(f).collect()
@@ -143,7 +143,7 @@ pub(crate) fn thin_qr(mut tall: Mat<f64>) -> (Mat<f64>, Mat<f64>) {
     (q, r)
 }
 
-/// Thin singular value decomposition `a = U diag(w) V'`; nothing is cut off.
+/// Thin singular value decomposition `a = U diag(w) V'`, without truncation.
 pub(crate) struct ThinSvd {
     /// (n, k)
     pub(crate) u: Mat<f64>,

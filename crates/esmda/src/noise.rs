@@ -21,7 +21,7 @@ const SYMMETRY_TOLERANCE: f64 = 1e-10;
 ///
 /// assert_eq!(NoiseCovariance::diagonal(&[0.1, 0.2, 0.1])?.n_obs(), 3);
 ///
-/// // Perfectly correlated noise would say that a difference is known exactly.
+/// // Perfectly correlated noise would mean that a difference is known exactly.
 /// let singular = mat![[1.0, 1.0], [1.0, 1.0]];
 /// let error = NoiseCovariance::dense(singular.as_ref()).unwrap_err();
 /// assert_eq!(error, EsmdaError::NoiseNotPositiveDefinite { pivot: 1 });

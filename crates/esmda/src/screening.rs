@@ -57,7 +57,7 @@ pub struct Screening {
 }
 
 impl Screening {
-    /// Returns the screening if at least `minimum` members are left.
+    /// Returns the screening if at least `minimum` members remain.
     ///
     /// # Errors
     ///

@@ -224,7 +224,7 @@ impl Body {
         &self.shape.geometry
     }
 
-    /// Mean displacement gradients at the nodes; made when first asked for.
+    /// Mean displacement gradients at the nodes; computed at first use.
     pub(crate) fn nodal_gradients(&self) -> &NodalGradients {
         self.shape.gradients.get_or_init(|| NodalGradients::new(self.geometry()))
     }
@@ -258,7 +258,7 @@ impl Body {
         self.plain_order.get_or_init(make).as_ref().map_err(FemError::clone)
     }
 
-    /// Owners of the surface's triangles, found when first asked for.
+    /// Owners of the surface's triangles, found at first use.
     pub(crate) fn facet_owners(&self) -> &FacetOwners {
         self.shape.facet_owners.get_or_init(|| facet_owners(self.mesh()))
     }
@@ -340,7 +340,7 @@ struct ShapeOfBody {
     nodes: Vec<[f64; 3]>,
     edges: Vec<[usize; 2]>,
     geometry: Geometry,
-    /// Made when first asked for.
+    /// Computed at first use.
     gradients: OnceLock<NodalGradients>,
     /// The same.
     facet_owners: OnceLock<FacetOwners>,

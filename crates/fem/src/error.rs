@@ -1,14 +1,14 @@
 //! Everything that can go wrong, with the numbers and the place.
 //!
-//! Messages say what must hold, what was found and where. Lengths are in mm, volumes in mm³,
+//! Messages state what must hold, what was found and where. Lengths are in mm, volumes in mm³,
 //! forces in mN, stiffness in kPa.
 
 use crate::system::RigidModes;
 
 /// The reason why a body could not be made or a solve found no answer.
 ///
-/// [`is_recoverable`](Self::is_recoverable) tells what concerns one member of an ensemble alone
-/// (its load was too large) from what concerns the input as such (a wrong length).
+/// [`is_recoverable`](Self::is_recoverable) is true of errors that concern one member of an ensemble
+/// alone (its load was too large), and false of errors of the input as such (a wrong length).
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FemError {
@@ -62,7 +62,7 @@ pub enum FemError {
         /// Number of tetrahedra.
         n_tets: usize,
     },
-    /// A tetrahedron is flat: its volume vanishes beside its edges.
+    /// A tetrahedron is flat: its volume vanishes compared with its edges.
     #[error(
         "tetrahedron {tet} is degenerate: volume {volume:.3e} mm^3 is {relative:.1e} of its longest edge cubed and must be above {limit:.0e}"
     )]
@@ -253,7 +253,7 @@ pub enum FemError {
         iterations: usize,
         /// Largest distance of a loaded node from where it should be, mm.
         distance: f64,
-        /// Distance asked for, mm.
+        /// Requested distance, mm.
         tolerance: f64,
         /// What stopped the search, where it was an error.
         cause: Option<Box<FemError>>,
@@ -266,7 +266,7 @@ pub enum FemError {
         /// Its smallest det F, dimensionless.
         det_f: f64,
     },
-    /// A displacement whose derivatives were asked for is no equilibrium.
+    /// Derivatives were requested at a displacement that is not an equilibrium.
     #[error(
         "derivatives need an equilibrium: the residual of this displacement is {residual:.3e} mN and must be at most {limit:.3e} mN; solve with a smaller tolerance, and with this material and load"
     )]
@@ -293,7 +293,7 @@ pub enum FemError {
     /// A derivative by something that the model does not have.
     #[error("there is no derivative by {what}: the model has none")]
     NoSuchCause {
-        /// What was asked for.
+        /// Requested value.
         what: String,
     },
     /// An observation weighs a node that does not exist, or the reaction of one that is not held.
@@ -360,7 +360,7 @@ pub struct NoEquilibrium {
     /// Norm of the residual forces at the end, mN; 0 where supports could not be moved, so that
     /// no forces were balanced.
     pub residual: f64,
-    /// Norm that was asked for, mN; 0 in the same case.
+    /// Required norm, mN; 0 in the same case.
     pub tolerance: f64,
     /// Smallest det F of the state where the search ended, dimensionless.
     pub min_det_f: f64,

@@ -75,21 +75,21 @@
 //! [`History`] leads a body from one time frame to the next, with relaxation, rate, softening, set,
 //! drainage and swelling ([`Behaviour`]) on any law; [`Rig`] bonds pads to it and releases them.
 //! [`Springs`] hold facets of its surface, a [`Skin`] covers them, and [`rest_shape`] finds the
-//! unloaded shape of a body that is given as it hangs.
+//! unloaded shape of a body that is given in its shape under gravity.
 //!
 //! # Derivatives
 //!
-//! [`Linearised`] is an equilibrium with its exact tangent: it tells how displacement and reactions
-//! follow a [`Cause`] (a parameter, a field of moduli, a load, springs, a skin), and by one adjoint
-//! solution how an [`Observation`] follows the stiffness of every quadrature point. For the frames of
-//! a history that is [recorded](History::recorded), [`Rig::derivatives`] and [`Rig::adjoints`] are the
-//! same, also by the numbers of a [`Behaviour`] and the motion of pads.
+//! [`Linearised`] is an equilibrium with its exact tangent. It gives the derivatives of displacement
+//! and reactions by a [`Cause`] (a parameter, a field of moduli, a load, springs, a skin) and, by one
+//! adjoint solution, those of an [`Observation`] by the stiffness of every quadrature point. For the
+//! frames of a [recorded](History::recorded) history, [`Rig::derivatives`] and [`Rig::adjoints`] do
+//! the same, also by the parameters of a [`Behaviour`] and the motion of pads.
 //!
 //! # Promises
 //!
 //! The same input gives the same bits at any number of threads and in any batch (on one machine).
-//! No panic on any input; [`FemError`] names what must hold, what was found and where. No file, no
-//! network, no random number.
+//! No panic on any input; [`FemError`] states what must hold, what was found and where. No file, no
+//! network, no random numbers.
 //!
 //! # Versions
 //!

@@ -195,7 +195,7 @@ pub(crate) fn ascending(mut triangle: [usize; 3]) -> [usize; 3] {
 
 /// All faces of all tetrahedra, sorted so that equal triangles are neighbours.
 fn sorted_faces(n_nodes: usize, tets: &[[usize; 4]]) -> Vec<KeyedFace> {
-    // By their lowest node first: what is left to sort is a handful each.
+    // By their lowest node first: only a handful each remain to be sorted.
     let mut faces = Vec::with_capacity(4 * tets.len());
     let mut starts = vec![0; n_nodes + 1];
     for (tet, corners) in tets.iter().enumerate() {

@@ -160,7 +160,7 @@ fn failure(iterations: usize, distance: f64, cause: Option<FemError>) -> FemErro
     FemError::NoRestShape { iterations, distance, tolerance: TOLERANCE, cause }
 }
 
-/// Whether an error says that a shape was no body or did not stand.
+/// Whether an error means that a shape was no valid body or had no equilibrium.
 fn is_broken(error: &FemError) -> bool {
     matches!(error, FemError::InvertedTet { .. } | FemError::DegenerateTet { .. })
         || error.is_recoverable()

@@ -5,7 +5,7 @@
 pub struct Resultant {
     /// Their sum, mN.
     pub force: [f64; 3],
-    /// Their moment about the point asked for, mN mm.
+    /// Their moment about the given point, mN mm.
     pub moment: [f64; 3],
 }
 

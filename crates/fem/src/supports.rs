@@ -9,7 +9,7 @@ use crate::surface::Springs;
 /// Held nodes, each along chosen axes.
 ///
 /// A node held along all axes is clamped; one held along one axis rolls in the plane across it.
-/// Where a held node stays or goes is said by [`Load::prescribed`](crate::Load::prescribed).
+/// [`Load::prescribed`](crate::Load::prescribed) gives the displacement of a held node.
 ///
 /// # Examples
 ///

@@ -77,8 +77,8 @@ def tetrahedralize(
     unit : {"mm", "cm", "m"}, optional
         Unit of the surface's coordinates. By default the unit stated in the file's header, or else mm.
     fixed : str, sequence of float, or list of them, optional
-        Held nodes: ``"plane nx ny nz d [tol]"``, ``"ball x y z r"`` or the name of one of `node_sets`, in mm; several are
-        combined. `tol` should be at least `deviation_mm`.
+        Held nodes: ``"plane nx ny nz d [tol]"``, ``"ball x y z r"`` or the name of one of `node_sets`, in mm; several
+        are combined. `tol` should be at least `deviation_mm`.
     node_sets : mapping of str to the same, optional
         More named sets of nodes; a name may be used by later ones.
     deviation_mm : float, optional

@@ -140,7 +140,7 @@ impl Law {
     }
 }
 
-/// Takes the shape parameters of a law out of a table, and refuses what is left.
+/// Takes the shape parameters of a law out of a table, and refuses the other entries.
 fn kind_of(py: Python<'_>, name: &str, mut shape: BTreeMap<String, Vec<f64>>) -> PyResult<LawKind> {
     let mut list = |key: &str| {
         let wanted = format!("given for the law `{name}`");

@@ -218,7 +218,7 @@ impl Rig {
         })
     }
 
-    /// How all frames that were found follow each cause: displacement, float64 (n_causes, n_frames, n_nodes, 3) mm,
+    /// Derivatives of all frames that were found by each cause: displacement, float64 (n_causes, n_frames, n_nodes, 3) mm,
     /// reactions, (n_causes, n_frames, h, 3) mN, and forces of the pads, (n_causes, n_frames, n_pads, 3) mN, NaN where
     /// absent.
     fn derivatives<'py>(
@@ -247,7 +247,7 @@ impl Rig {
         ))
     }
 
-    /// How observations of frames follow Young's modulus and Poisson's ratio of every quadrature point, two float64
+    /// Derivatives of observations of frames by Young's modulus and Poisson's ratio of every quadrature point, two float64
     /// (n_obs, n_tets, n_points). Each is the number of its frame and three pairs of numbers and weights (k, 3): of nodes,
     /// of held nodes, and of pads.
     fn adjoints<'py>(
@@ -321,7 +321,7 @@ impl Rig {
     }
 }
 
-/// What a rig's material is told by, beside its moduli.
+/// Input of a rig's material other than its moduli.
 struct Substance<'a> {
     law: Option<&'a Law>,
     element: Element,

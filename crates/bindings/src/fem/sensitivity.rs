@@ -230,7 +230,7 @@ impl Linearised {
 
 #[pymethods]
 impl Linearised {
-    /// How displacement, float64 (n_causes, n_nodes, 3) mm, and reactions, float64 (n_causes, h, 3) mN, follow each
+    /// Derivatives of displacement, float64 (n_causes, n_nodes, 3) mm, and reactions, float64 (n_causes, h, 3) mN, by each
     /// cause, over its unit.
     fn derivatives<'py>(
         &self,
@@ -252,7 +252,7 @@ impl Linearised {
         ))
     }
 
-    /// How observations follow everything. Each is four arrays: nodes, int64 (k,), and the weights of their displacement,
+    /// Derivatives of observations by all inputs. Each is four arrays: nodes, int64 (k,), and the weights of their displacement,
     /// float64 (k, 3); held nodes, int64 (r,), and the weights of their reactions, float64 (r, 3).
     fn adjoints(&self, py: Python<'_>, observations: Vec<Weights<'_>>) -> PyResult<Adjoints> {
         let observations = observations_of(py, &observations)?;
@@ -260,7 +260,7 @@ impl Linearised {
         Adjoints::new(py, &self.body, found)
     }
 
-    /// How observations of displacements follow forces and supports: arguments as those of `adjoints`, without reactions.
+    /// Derivatives of observations of displacements by forces and supports: arguments as those of `adjoints`, without reactions.
     fn compliance(&self, py: Python<'_>, observations: Vec<Weights<'_>>) -> PyResult<Compliance> {
         let observations = observations_of(py, &observations)?;
         let n = observations.len();
@@ -276,7 +276,7 @@ impl Linearised {
         })
     }
 
-    /// How the displacement follows each of many fields of nodal forces, float64 (n_fields, n_nodes, 3) mN; mm in the same
+    /// Linear response of the displacement to each of many fields of nodal forces, float64 (n_fields, n_nodes, 3) mN; mm in the same
     /// shape.
     fn responses<'py>(&self, py: Python<'py>, forces: &Bound<'py, PyAny>) -> PyResult<Stack<'py>> {
         let [n_nodes, _] = self.sizes();
@@ -406,7 +406,7 @@ pub(crate) struct Adjoints {
     springs: Py<PyArray3<f64>>,
 }
 
-/// How observations of displacements follow forces and supports.
+/// Derivatives of observations of displacements by forces and supports.
 #[pyclass(frozen, module = "tissuereg._core")]
 pub(crate) struct Compliance {
     /// By the force at every node, float64 (n_obs, n_nodes, 3), per mN.

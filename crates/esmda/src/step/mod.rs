@@ -20,7 +20,7 @@
 //! * Work on the smaller side: `S S' + I` (m, m) or `S' S + I` (n, n).
 //! * Cholesky while the matrix is well conditioned (a bound from its largest row sum, at no cost); else QR of `[S'; I]`,
 //!   which never forms the square and sees only the root of the condition number. Singular values on request; the
-//!   square-root form needs them. No inverse is formed and nothing is cut off: `w / (1 + w^2)` is the regularisation.
+//!   square-root form needs them. No inverse is formed and nothing is truncated: `w / (1 + w^2)` is the regularisation.
 //! * With few observations `W` stays in factors, so that a batch of `p` parameters costs about `2 p m n` multiply-adds
 //!   and preparation no `m n^2`; with more than half as many observations as members it is multiplied out.
 
@@ -292,7 +292,7 @@ fn scaled(
     Ok((anomalies, innovations))
 }
 
-/// Transpose of `rows` with each row's mean taken off: (columns, rows). A row is summed from left to right.
+/// Transpose of `rows` with each row's mean subtracted: (columns, rows). A row is summed from left to right.
 fn centred_transpose(rows: MatRef<'_, f64>) -> Mat<f64> {
     let n_members = rows.ncols();
     let mut centred = Mat::zeros(n_members, rows.nrows());

@@ -64,7 +64,7 @@ pub(crate) trait PointModel: Sync {
 pub(crate) struct Remembered {
     /// `a_vol`
     pub(crate) volumetric: f64,
-    /// `a_iso`; that of the volumetric part where parts are not told apart.
+    /// `a_iso`; that of the volumetric part where the parts are not separated.
     pub(crate) isochoric: f64,
     /// `S` of eight elements at a time: components 00, 11, 22, 01, 02, 12, kPa. Empty where nothing is
     /// remembered.

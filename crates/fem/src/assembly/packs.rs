@@ -20,7 +20,7 @@ pub(super) struct Packs<'a> {
     pub(super) displacement: &'a [f64],
     /// First pack.
     pub(super) first: usize,
-    /// Nodal forces of the elements, mN; its length says how many there are.
+    /// Nodal forces of the elements, mN; one row each.
     pub(super) rows: &'a mut [[[f64; 3]; 4]],
 }
 

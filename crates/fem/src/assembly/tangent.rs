@@ -216,7 +216,7 @@ fn add_blocks<const N: usize>(
 /// Remove the negative eigenvalues of a symmetric tangent.
 pub(super) fn clamp(tangent: &mut Tangent) {
     let matrix = SMatrix::<f64, 9, 9>::from_fn(|i, j| tangent[i][j]);
-    // Most points need nothing, and a Cholesky factor says so in a tenth of the time.
+    // Most points need no change, and a Cholesky factor shows this in a tenth of the time.
     let rounding = 1e-13 * matrix.trace().abs();
     if (matrix + SMatrix::<f64, 9, 9>::identity() * rounding).cholesky().is_some() {
         return;

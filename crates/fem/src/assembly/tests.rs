@@ -10,7 +10,7 @@ use crate::material::{Directions, Fibres, LawKind, Material};
 use crate::mesh::Mesh;
 use crate::system::factor::Blocks;
 
-/// A box of 2 x 2 x 2 cells with its inner node off the middle.
+/// A box of 2 x 2 x 2 cells with its inner node off the centre.
 fn geometry() -> Geometry {
     let index = |x: usize, y: usize, z: usize| 9 * x + 3 * y + z;
     let (mut nodes, mut tets) = (Vec::new(), Vec::new());

@@ -8,7 +8,7 @@
 //! (3, 3)   (3)    (3)     (3, 3)
 //! ```
 //!
-//! so that nine numbers a tetrahedron and one small table an element type say everything.
+//! so that nine numbers a tetrahedron and one small table per element type suffice.
 //!
 //! Quadrature: the four-node element has a constant gradient and needs one point. The ten-node
 //! element uses the four-point rule of degree 2: its gradient is linear, the linear stiffness is

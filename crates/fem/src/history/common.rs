@@ -70,7 +70,7 @@ pub(super) struct Common<S> {
     pub(super) stretch: S,
     pub(super) weights: Weights<S>,
     decays: [Decay<S>; 2],
-    /// Whether the two parts of the energy have to be told apart.
+    /// Whether the two parts of the energy have to be separated.
     pub(super) split: bool,
     softening: Option<Softness<S>>,
     set: Option<S>,
@@ -106,7 +106,7 @@ impl<S: Scalar> Common<S> {
         self.softening.as_ref().is_some_and(|softening| softening.form == form)
     }
 
-    /// What is left of an energy of the kind that the form softens; all of it for other forms.
+    /// Remaining share of the energy that the form softens; all of it for other forms.
     pub(super) fn softened(
         &self,
         form: SofteningForm,

@@ -1,4 +1,4 @@
-//! How the points of a recorded step follow a cause, and how what they say follows their memory.
+//! Derivatives of the points of a recorded step by a cause, and of their stresses by their memory.
 
 use rayon::prelude::*;
 
@@ -71,7 +71,7 @@ impl<S: Scalar> PointState<S> {
     }
 }
 
-/// What a law answers, with numbers that it follows.
+/// The response of a law, with its parameters.
 pub(super) fn follow_law<S: Scalar>(
     law: &Law,
     parameters: &[(Parameter, S)],

@@ -115,7 +115,7 @@ impl Behaviour {
             || self.drainage.is_some()
     }
 
-    /// Whether the two parts of the energy have to be told apart.
+    /// Whether the two parts of the energy have to be separated.
     pub(super) fn is_split(&self) -> bool {
         let isochoric = self.relaxation.as_ref().is_some_and(|relaxation| {
             relaxation.part == Part::Isochoric && !relaxation.g.is_empty()

@@ -111,12 +111,12 @@ impl<M: PointModel> StepModel<'_, M> {
     }
 }
 
-/// What the law says at an elastic gradient, whole and of the isochoric part.
+/// The law at an elastic gradient, whole and of the isochoric part.
 pub(super) struct Parts<S> {
     whole: Answer<S>,
     /// What damage leaves of the whole energy.
     damaged: Softened<S>,
-    /// Where the parts have to be told apart.
+    /// Where the parts have to be separated.
     isochoric: Option<Isochoric<S>>,
 }
 
@@ -151,7 +151,7 @@ impl<S: Scalar> Parts<S> {
 }
 
 impl<S: Scalar> Common<S> {
-    /// What the law says at a displacement gradient.
+    /// The law at a displacement gradient.
     pub(super) fn parts(
         &self,
         at: &PointStep<S>,

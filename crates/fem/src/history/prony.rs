@@ -54,7 +54,7 @@ impl<S: Scalar> Decay<S> {
         Self { factors }
     }
 
-    /// `a`: what is left of an elastic stress that grows within the step.
+    /// `a`: remaining share of an elastic stress that grows within the step.
     pub(super) fn instant(&self) -> S {
         let one = S::constant(1.0);
         let lost = |sum: S, (share, _, beta): &(S, S, S)| sum + *share * (one - *beta);

@@ -81,7 +81,7 @@ struct Now {
     states: Arc<Vec<PointState<f64>>>,
     /// One per point of the springs that may slip; none before the first step with such.
     slips: Vec<Slip>,
-    /// Largest norm of a load so far, mN: a residual small beside it is no force.
+    /// Largest norm of a load so far, mN: a residual small compared with it is no force.
     largest_load: f64,
     /// All steps so far, where they are recorded.
     steps: Option<Vec<Arc<StepRecord>>>,
@@ -170,7 +170,7 @@ impl History {
     /// # Cost
     ///
     /// That of a solve from a good start, with two evaluations of the law a point where parts of
-    /// the energy have to be told apart.
+    /// the energy have to be separated.
     pub fn advance(
         &mut self,
         body: &Body,
@@ -223,7 +223,7 @@ impl History {
     }
 }
 
-/// What a rig says of a frame beyond its load; each `(3 n_nodes)`, mm.
+/// Input of a frame other than its load; each `(3 n_nodes)`, mm.
 #[derive(Debug, Default)]
 pub(super) struct Given {
     /// The displacement that all held nodes are given, in place of that of the load.

@@ -103,7 +103,7 @@ pub(super) fn inverse_transposed<S: Scalar>(f: &Matrix<S>) -> Matrix<S> {
 }
 
 /// Eigenvalues this close to each other, over 1 plus their size, have the slope between them in
-/// place of the divided difference. Either is off by about 1e-11 there.
+/// place of the divided difference. The error of either is about 1e-11 there.
 const CLOSE: f64 = 1e-5;
 
 /// Apply a function to the eigenvalues of a symmetric matrix.

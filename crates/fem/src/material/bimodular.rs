@@ -7,7 +7,7 @@
 //! ψ = μ e Σₐ ⟨εₐ⟩²,   τₐ = 2 μ e ⟨εₐ⟩,   S = Σₐ τₐ/cₐ Nₐ ⊗ Nₐ
 //! ```
 //!
-//! In logarithmic strains, because others would stiffen the stretched directions besides. The
+//! In logarithmic strains, because others would also stiffen the stretched directions. The
 //! stress is continuous; the tangent jumps where a principal strain changes its sign.
 
 use super::spectrum::Stretches;

@@ -1,4 +1,4 @@
-//! A family of fibres beside any law.
+//! A family of fibres, added to any law.
 //!
 //! ```text
 //! ψ_f = k₁/(2 k₂) (exp(k₂ ⟨E⟩²) − 1),    E = J^(−2/3) |F n|² − 1
@@ -57,7 +57,7 @@ impl Fibre {
         Some(Stretch { strain, slope, scale, square, dyad, inverse })
     }
 
-    /// Energy and stress beside a matrix of shear modulus 1.
+    /// Energy and stress in a matrix of shear modulus 1.
     pub(super) fn response(&self, h: &Matrix3, k: &Kinematics) -> (f64, Matrix3) {
         let Some(at) = self.stretch(h, k) else { return (0.0, [[0.0; 3]; 3]) };
         let square = at.strain * at.strain;
@@ -76,7 +76,7 @@ impl Fibre {
         (energy, at.slope.map(|row| row.map(|v| pull * v)))
     }
 
-    /// Add the tangent beside a matrix of a shear modulus.
+    /// Add the tangent in a matrix of a shear modulus.
     pub(super) fn add_tangent(&self, mu: f64, h: &Matrix3, k: &Kinematics, sum: &mut Tangent) {
         let Some(at) = self.stretch(h, k) else { return };
         let square = at.strain * at.strain;

@@ -3,7 +3,7 @@
 use super::Volumetric;
 use crate::error::FemError;
 
-/// A law and its shape: what is left of it when its small-strain moduli are taken out.
+/// A law and its shape parameters, without its small-strain moduli.
 ///
 /// Every law but the bimodular one has the linear response of Young's modulus and Poisson's ratio,
 /// so laws can be exchanged. With `I₁, I₂` the invariants of `C`, a bar for the isochoric ones, `λ̄ᵢ` the isochoric

@@ -91,7 +91,7 @@ pub enum Volumetric {
     Log,
     /// `K/2 (J − 1)²`
     Quadratic,
-    /// `λ/2 ln²J`, and a law in the invariants and stretches of `C` itself, as [`LawKind`] tells.
+    /// `λ/2 ln²J`, and a law in the invariants and stretches of `C` itself, according to [`LawKind`].
     ///
     /// [`LawKind`]: super::LawKind
     Coupled,

@@ -119,9 +119,9 @@ fn checked_moduli(entry: usize, young: f64, poisson: f64) -> Result<NeoHookean, 
 
 /// A family of fibres over a body.
 ///
-/// The energy beside that of the law is `k₁/(2 k₂) (exp(k₂ ⟨Ī₄ − 1⟩²) − 1)`, where `Ī₄` is the
+/// The energy added to that of the law is `k₁/(2 k₂) (exp(k₂ ⟨Ī₄ − 1⟩²) − 1)`, where `Ī₄` is the
 /// squared isochoric stretch along the fibres and `⟨·⟩` the positive part where they bear tension
-/// alone. Beside Hooke's law they need `det F > 0` as well.
+/// alone. With Hooke's law, too, they need `det F > 0`.
 ///
 /// # Reference
 ///

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::body::Body;
 use crate::error::FemError;
 
-/// A number that is read off an equilibrium: weights times displacements and reactions.
+/// A scalar observation of an equilibrium: weights times displacements and reactions.
 ///
 /// A coordinate of a marker is the weights of the nodes of its triangle; the force of a pad along
 /// an axis is 1 at all of its nodes.

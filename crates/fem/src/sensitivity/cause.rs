@@ -1,4 +1,4 @@
-//! What may move an equilibrium, and the forces out of balance that it leaves at fixed displacement.
+//! Causes of a change of an equilibrium, and their unbalanced forces at fixed displacement.
 
 use crate::assembly::PointMap;
 use crate::body::Body;
@@ -7,19 +7,19 @@ use crate::load::{Load, NodalLoad, check_length};
 use crate::material::{Law, Material, Matrix3, Parameter};
 use crate::surface::{Skin, Springs, SurfaceTerms};
 
-/// What a derivative is taken by.
+/// The input by which an equilibrium is differentiated.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Cause {
-    /// A parameter of the law, moved alike everywhere (a field of moduli by the same amount).
+    /// A parameter of the law, changed uniformly (a field of moduli by the same amount).
     Parameter(Parameter),
-    /// Young's modulus along a field of rates, one per quadrature point (`n_tets * n_points`): an
-    /// inclusion or a layer is 1 where it lies.
+    /// A field of rates of Young's modulus, one per quadrature point (`n_tets * n_points`); of an
+    /// inclusion or a layer, 1 inside and 0 outside.
     YoungField(Vec<f64>),
     /// Poisson's ratio along such a field.
     PoissonField(Vec<f64>),
-    /// The load along another one: forces, body force and prescribed displacements as rates. A
-    /// pressure is one by [`Body::pressure_forces`]. Springs must be left out.
+    /// A change of the load: forces, body force and prescribed displacements as rates. A
+    /// pressure is given by [`Body::pressure_forces`]. Springs must be left out.
     Load(Load),
     /// Stiffness along the normal of a set of springs, by its place in the load, kPa/mm.
     SpringNormal(usize),

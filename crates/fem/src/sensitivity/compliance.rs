@@ -15,7 +15,7 @@ use crate::body::Body;
 use crate::error::FemError;
 use crate::load::check_finite;
 
-/// How observations of displacements follow forces and supports.
+/// Derivatives of observations of displacements by forces and supports.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compliance {
     /// By the force at every node, per mN: one row per node of the body, observation after observation
@@ -29,8 +29,8 @@ pub struct Compliance {
 }
 
 impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
-    /// How observations of displacements follow forces and supports, without what
-    /// [`Linearised::adjoints`] finds besides.
+    /// Derivatives of observations of displacements by forces and supports, without the further
+    /// ones of [`Linearised::adjoints`].
     ///
     /// The bits of an observation depend neither on the others nor on the number of threads. With a
     /// double factor they are those of the adjoint up to rounding, with a single one to 1e-9.
@@ -88,7 +88,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         Ok(Compliance { nodal_forces: at_nodes, body_force, prescribed })
     }
 
-    /// How the displacement follows each of many fields of nodal forces: `K⁻¹ f`.
+    /// Linear responses of the displacement to many fields of nodal forces: `K⁻¹ f`.
     ///
     /// # Shapes
     ///
@@ -121,9 +121,9 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         Ok(found.at_nodes)
     }
 
-    /// Forces out of balance that each cause leaves where nothing moves: how `f_int − f_ext` follows it.
+    /// Unbalanced forces of each cause at fixed displacement: the derivative of `f_int − f_ext` by it.
     ///
-    /// An observation of displacements of free nodes follows a cause by
+    /// The derivative of an observation of displacements of free nodes by a cause is
     /// `−Σ nodal_forces · unbalanced` with its [`Compliance`]: many causes cost one product of matrices.
     /// A cause that moves supports leaves the forces of moving them alone.
     ///
@@ -164,7 +164,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         Ok(all)
     }
 
-    /// Rows of the tangent at held nodes, made when first asked for.
+    /// Rows of the tangent at held nodes, computed at first use.
     fn held_rows(&self) -> Result<&HeldRows, FemError> {
         let make = || {
             let Tangent { problem, state, .. } = self.tangent();

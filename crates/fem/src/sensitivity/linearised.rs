@@ -24,7 +24,7 @@ use crate::system::factor::Factor;
 ///
 /// # Examples
 ///
-/// How the tip of a stretched bar follows its stiffness, by the tangent and by the adjoint:
+/// The derivative of the tip of a stretched bar by its stiffness, forward and by the adjoint:
 ///
 /// ```
 /// use tissuereg_fem::material::Parameter;
@@ -61,7 +61,7 @@ pub struct Linearised<B> {
     gradients: Vec<Matrix3>,
     map: PointMap,
     pub(super) factored: Factored,
-    /// Made when first asked for; none where that fails.
+    /// Computed at first use; none where that fails.
     pub(super) held_rows: OnceLock<Option<HeldRows>>,
     pub(super) right_hand_sides: AtomicUsize,
     pub(super) corrections: AtomicUsize,
@@ -199,7 +199,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         self.settings.cancel.clone()
     }
 
-    /// How displacement and reactions follow each cause.
+    /// Derivatives of displacement and reactions by each cause.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Derivatives of equilibria: how displacements and reactions follow what a model is made of.
+//! Derivatives of equilibria: of displacements and reactions by the parameters of a model.
 //!
 //! At an equilibrium `r(u, p) = f_int − f_ext = 0` on the free unknowns, with `K = ∂r/∂u`, index
 //! `f` for free and `c` for held components,

@@ -7,11 +7,11 @@ use super::factored::{Buffers, Factored};
 use crate::error::FemError;
 use crate::solve::{Method, Precision, Problem, SolveSettings, State, norm};
 
-/// Residual over force up to which a displacement counts as an equilibrium. Derivatives are off by
-/// about as much.
+/// Residual over force up to which a displacement counts as an equilibrium; also about the relative
+/// error of derivatives.
 const EQUILIBRIUM: f64 = 1e-6;
 
-/// How an equilibrium follows a cause.
+/// Derivatives of an equilibrium by a cause.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Derivative {
     /// Of the displacement, one row per node of the body, mm over the unit of the cause.

@@ -332,7 +332,7 @@ impl SharedRest {
         Self { shape, slot: Mutex::new((None, n_members)) }
     }
 
-    /// The factor, made by the first member that asks while the others wait.
+    /// The factor, made by the first member that needs it while the others wait.
     pub(crate) fn metric(&self, body: &Body, young: f64) -> Result<Metric, FemError> {
         let mut slot = match self.slot.lock() {
             Ok(slot) => slot,

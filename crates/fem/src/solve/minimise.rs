@@ -16,7 +16,7 @@ use crate::error::{FemError, StopReason};
 /// along: 23 on one thread, 12 to 20 on two; at 690 (20,000) 50 and 35.
 const FACTOR_COST: [f64; 2] = [7.5, 0.0125];
 
-/// Share of a factor's time that is spent before one is judged, as early iterations tell little about
+/// Share of a factor's time that is spent before one is judged, as early iterations reveal little about
 /// the rate. Chosen with the outcome of a factor at every iteration known, on 42 loads of a dome of
 /// 4,000 nodes and 100 members of many solves. Of these loads 17 were decided anew: 19.1 iterations,
 /// 27.5 evaluations and 1.1 further factors instead of 25.9, 38.3 and 0.9 with a share of 0.65 and a
@@ -49,7 +49,7 @@ pub(super) struct Ended {
     pub(super) stop: Option<StopReason>,
     /// Norm of the residual, mN.
     pub(super) residual: f64,
-    /// Norm asked for, mN.
+    /// Required norm, mN.
     pub(super) tolerance: f64,
     /// Iterations done.
     pub(super) iterations: usize,

@@ -43,7 +43,7 @@ pub struct SolveReport {
     pub long_descents: usize,
     /// Norm of the residual over free unknowns, mN.
     pub residual: f64,
-    /// Norm that was asked for, mN.
+    /// Required norm, mN.
     pub tolerance: f64,
     /// Strain energy, µJ.
     pub strain_energy: f64,

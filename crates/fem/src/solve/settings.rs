@@ -170,7 +170,7 @@ impl SolveSettings {
         }
     }
 
-    /// Run on the number of threads asked for; on the current pool where no other can be made.
+    /// Run on the requested number of threads; on the current pool if no other can be made.
     pub(crate) fn in_pool<R: Send>(&self, run: impl FnOnce() -> R + Send) -> R {
         if self.n_threads <= 1 {
             return run();

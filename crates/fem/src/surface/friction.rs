@@ -43,7 +43,7 @@ impl Friction {
     }
 }
 
-/// Refuse friction where derivatives are asked for: what slips has none.
+/// Refuse friction where derivatives are requested: slipping has none.
 ///
 /// # Errors
 ///

@@ -109,7 +109,7 @@ impl Groups {
 
     fn take_in_children(groups: &mut [Group], g: usize) {
         let mut candidates = std::mem::take(&mut groups[g].children);
-        // The child that shares most is asked first.
+        // The child that shares most is tried first.
         candidates.sort_by_key(|&c| (std::cmp::Reverse(groups[c as usize].n_rows), c));
         let mut kept = Vec::new();
         for c in candidates {

@@ -12,7 +12,7 @@ use crate::history::{Backward, Phase, Rig, StepRecord};
 use crate::material::Matrix3;
 use crate::solve::SolveSettings;
 
-/// A number that is read off one frame of a rig.
+/// A scalar observation of one frame of a rig.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameObservation {
     /// Number of the frame.
@@ -36,8 +36,8 @@ pub struct FrameAdjoint {
 const CARRIED: usize = 1 << 25;
 
 impl Rig {
-    /// How each observation of a frame follows the stiffness of every point, through all frames
-    /// before it.
+    /// Derivatives of observations of frames by the stiffness of every point, through all frames
+    /// before them.
     ///
     /// The history must have been made by [`History::recorded`](crate::History::recorded). Of the
     /// settings, threads and the cancel flag count.
@@ -73,7 +73,7 @@ impl Rig {
     /// let tip = Observation::of_displacement([(3, [0.0, 0.0, 1.0])]);
     /// let at = |frame| FrameObservation { frame, observation: tip.clone(), pads: vec![] };
     /// let adjoints = rig.adjoints(&[at(0), at(2)], &settings)?;
-    /// // Half of the stiffness is left: it sinks twice as far, and follows twice as much.
+    /// // Half of the stiffness remains: it sinks twice as far, and its derivative is twice as large.
     /// assert!((adjoints[1].young[0] / adjoints[0].young[0] - 2.0).abs() < 0.05);
     /// # Ok::<(), tissuereg_fem::FemError>(())
     /// ```

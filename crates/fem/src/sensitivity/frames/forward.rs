@@ -17,7 +17,7 @@ use crate::material::Matrix3;
 use crate::solve::SolveSettings;
 
 impl Rig {
-    /// How every recorded frame follows each cause.
+    /// Derivatives of every recorded frame by each cause.
     ///
     /// The history must have been made by [`History::recorded`](crate::History::recorded).
     ///
@@ -37,7 +37,7 @@ impl Rig {
     ///
     /// # Examples
     ///
-    /// How the force of a stretched body that relaxes follows the relaxing share:
+    /// The derivative of the force of a stretched, relaxing body by the relaxing share:
     ///
     /// ```
     /// use tissuereg_fem::{Behaviour, BehaviourParameter, Body, Element, FrameCause, History, Load};
@@ -247,7 +247,7 @@ impl Pass<'_> {
         Ok(held.iter().any(|&rate| rate != 0.0).then_some(held))
     }
 
-    /// The sweeps after the step, and what its frame says where it ends one.
+    /// The sweeps after the step, and the derivatives of its frame if it ends one.
     fn go_on(
         &self,
         causes: &[Followed],
@@ -300,7 +300,7 @@ impl Pass<'_> {
         Ok(all)
     }
 
-    /// What the frame says that the step ends.
+    /// The derivatives of the frame that the step ends.
     fn frame(&self, derivative: Derivative) -> FrameDerivative {
         let mut reactions = derivative.reactions;
         let rows = reactions.split_off(self.rig.body().held_nodes().len());

@@ -30,7 +30,7 @@ use crate::history::BehaviourParameter;
 use crate::load::Load;
 pub use adjoint::{FrameAdjoint, FrameObservation};
 
-/// What the frames of a rig may follow.
+/// Causes by which the frames of a rig can be differentiated.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum FrameCause {
@@ -52,7 +52,7 @@ pub enum FrameCause {
     },
 }
 
-/// How one frame follows a cause.
+/// Derivatives of one frame by a cause.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameDerivative {
     /// Of the displacement, one row per node of the body, mm over the unit of the cause.
