@@ -74,29 +74,29 @@ def faults_of_page(page: Path, root: Path) -> list[str]:
     reader = Loaded()
     reader.feed(page.read_text(encoding="utf-8"))
     inside = [link for link in reader.links if not urlsplit(link).scheme]
-    told = [line for target in reader.loads + inside if (line := fault(page, target, root)) is not None]
+    found = [line for target in reader.loads + inside if (line := fault(page, target, root)) is not None]
     if reader.raw_formulas:
-        told.append(f"{page.relative_to(root)}: {reader.raw_formulas} formulas were not rendered")
-    return told
+        found.append(f"{page.relative_to(root)}: {reader.raw_formulas} formulas were not rendered")
+    return found
 
 
 def faults(root: Path) -> list[str]:
     """Return a line for everything that the site would lack without a network."""
-    told = [line for page in sorted(root.rglob("*.html")) for line in faults_of_page(page, root)]
+    found = [line for page in sorted(root.rglob("*.html")) for line in faults_of_page(page, root)]
     for sheet in sorted(root.rglob("*.css")):
-        found = [fault(sheet, target, root) for target in style_loads(sheet.read_text(encoding="utf-8"))]
-        told += [line for line in found if line is not None]
-    return told
+        targets = style_loads(sheet.read_text(encoding="utf-8"))
+        found += [line for target in targets if (line := fault(sheet, target, root)) is not None]
+    return found
 
 
 def main() -> int:
     """Check the folder that is named."""
     root = Path(sys.argv[1])
     pages = len(list(root.rglob("*.html")))
-    told = faults(root)
-    print(*told, sep="\n", end="\n" if told else "")
-    print(f"{root}: {pages} pages, {len(told)} faults")
-    return int(bool(told) or pages == 0)
+    found = faults(root)
+    print(*found, sep="\n", end="\n" if found else "")
+    print(f"{root}: {pages} pages, {len(found)} faults")
+    return int(bool(found) or pages == 0)
 
 
 if __name__ == "__main__":

@@ -59,7 +59,16 @@ GIVEN = {
 }
 
 #: Pages whose blocks take tens of seconds.
-SLOW = {"docs/diagnose.md"}
+SLOW = {
+    "docs/diagnose.md",
+    "docs/meshing.md",
+    "docs/tutorial.md",
+    "docs/howto/diagnose-a-rig.md",
+    "docs/howto/own-network.md",
+    "docs/howto/own-organ.md",
+    "docs/howto/own-simulator.md",
+    "docs/howto/own-tracker.md",
+}
 
 
 @pytest.fixture
@@ -94,8 +103,8 @@ def test_the_blocks_of_a_page_run(page, run):
 def test_the_readme_runs_and_finds_the_lesion(run):
     folder, names = run(REPOSITORY / "README.md")
     result = names["result"]
-    told = json.loads((folder / "demo" / "registration.json").read_text(encoding="utf-8"))
-    true = told["truth"]["targets"]["lesion"]["true_mm"]
+    answer = json.loads((folder / "demo" / "registration.json").read_text(encoding="utf-8"))
+    true = answer["truth"]["targets"]["lesion"]["true_mm"]
     off = ((result.target("lesion").mean - true) ** 2).sum() ** 0.5
     rest = ((result.target("lesion").reference - true) ** 2).sum() ** 0.5
     assert off < 0.2 * rest
@@ -106,4 +115,7 @@ def test_the_readme_runs_and_finds_the_lesion(run):
 
 def test_blocks_that_are_not_run_are_known():
     left_out = {name_of(page): sum(block.not_run is not None for block in blocks(page)) for page in PAGES}
-    assert {page: n for page, n in left_out.items() if n} == {}
+    assert {page: n for page, n in left_out.items() if n} == {
+        "docs/tutorial.md": 1,  # pip install
+        "docs/howto/own-network.md": 3,  # make training; two that need torch, run by training/tests/test_page.py
+    }

@@ -59,8 +59,8 @@ def test_the_nav_leads_to_every_page_once_and_to_no_other():
 )
 def test_what_a_page_would_lack_without_a_network_is_found(line, fault, tmp_path):
     (tmp_path / "page.html").write_text(f"<!doctype html><body>{line}</body>", encoding="utf-8")
-    told = loaded("check_site").faults(tmp_path)
-    assert [fault in line for line in told] == ([] if fault is None else [True])
+    found = loaded("check_site").faults(tmp_path)
+    assert [fault in line for line in found] == ([] if fault is None else [True])
 
 
 def test_style_sheets_are_looked_into(tmp_path):

@@ -6,7 +6,8 @@ What the fence of a block says decides what is done with it:
 * none, ``bash`` or ``console``: lines that begin with ``tissuereg`` are run; ``# exit code 4`` at the end of a line is
   the code that must come, 0 where nothing is said. Other lines may not stand between them.
 * ``toml``, ``csv`` or ``json``: must be readable; with ``title="FILE"`` it becomes FILE for the blocks that follow.
-* ``rust``: with ``title="crates/.../examples/NAME.rs"`` it is that file, which cargo compiles and runs.
+* ``rust``: ``title="crates/.../examples/NAME.rs"`` or ``title="crates/.../README.md"`` says which example, or whose
+  doctest, it is: cargo runs them.
 * ``text``: shown, not run.
 
 ``<!-- not run: reason -->`` on the line before excludes a block.
@@ -63,7 +64,7 @@ class Block:
         if (own or self.language) and others:
             message = f"{self.place}: no test runs {others}; a block of their own must say why it is not run"
             raise AssertionError(message)
-        return [(shlex.split(line, comments=True), int(told[1]) if (told := EXIT.search(line)) else 0) for line in own]
+        return [(shlex.split(line, comments=True), int(code[1]) if (code := EXIT.search(line)) else 0) for line in own]
 
 
 def blocks(page: Path) -> list[Block]:
@@ -83,8 +84,7 @@ def blocks(page: Path) -> list[Block]:
             title = re.search(r'title="([^"]+)"', opened["rest"])
             indent = len(opened["indent"])
             text = "".join(row[indent:] + "\n" for row in inside)
-            told = (opened["language"], title and title[1], text, why and why[1])
-            found.append(Block(page, start, *told))
+            found.append(Block(page, start, opened["language"], title and title[1], text, why and why[1]))
             inside, before = None, ""
         else:
             inside.append(line)
@@ -132,16 +132,22 @@ def run_command(block: Block, words: list[str], wanted: int, folder: Path, envir
         env={**os.environ, **environment},
         check=False,
     )
-    told = f"{block.place}: {shlex.join(words)} gave {done.returncode}\n{done.stdout}\n{done.stderr}"
-    assert done.returncode == wanted, told
+    message = f"{block.place}: {shlex.join(words)} gave {done.returncode}\n{done.stdout}\n{done.stderr}"
+    assert done.returncode == wanted, message
 
 
 def check_example(block: Block) -> None:
-    """Compare a block of Rust with the example that cargo runs."""
-    assert block.title is not None, f"{block.place}: a block of Rust must name the example that it is"
+    """Compare a block of Rust with what cargo runs: an example, or a block of a crate's README (a doctest)."""
+    assert block.title is not None, f"{block.place}: a block of Rust must name the file that it is"
     file = REPOSITORY / block.title
-    assert "examples" in file.parts, block.place
-    assert file.read_text(encoding="utf-8") == block.text, f"{block.place} is not {block.title}"
+    if file.name == "README.md":
+        assert 'include_str!("../README.md")' in (file.parent / "src" / "lib.rs").read_text(encoding="utf-8")
+        known = [other.text for other in blocks(file) if other.language == "rust"]
+    else:
+        manifest = tomllib.loads((file.parents[1] / "Cargo.toml").read_text(encoding="utf-8"))
+        assert {"name": file.stem, "test": True} in manifest["example"], f"{block.place}: cargo test must run {file}"
+        known = [file.read_text(encoding="utf-8")]
+    assert block.text in known, f"{block.place} is not in {block.title}"
 
 
 def read_csv(text: str) -> None:
