@@ -1,8 +1,8 @@
-"""Registration with nothing known of the load, on true events of a foreign solver: writes ``results/loadfree-*.json``.
+"""Registration with an unknown load, on events simulated by another solver: writes ``results/loadfree-*.json``.
 
     python benchmarks/loadfree.py [--half dev|test|both] [--methods ...] [--bodies ...] [--limit N] [--jobs N]
 
-Development looks at the even events; the odd ones (``--half test``) are asked when all is done. A run that was stopped
+Development uses the even events; the odd ones (``--half test``) are evaluated at the end. A run that was stopped
 goes on. ``python -m loadfree.table`` (with ``tests`` on the path) writes ``docs/loadfree.md`` from the results.
 """
 

@@ -1,4 +1,4 @@
-"""Registration of bodies that are held elsewhere than the user says: writes ``results/loadfree-supports-*.json``.
+"""Registration of bodies that are held elsewhere than the user states: writes ``results/loadfree-supports-*.json``.
 
     python benchmarks/loadfree_supports.py [--half dev|test|both] [--methods ...] [--bodies ...] [--jobs N]
 

@@ -47,7 +47,7 @@ def small(threads: int) -> None:
     tr.register(mesh, tr.Markers(places, seen, std=NOISE_MM), surface=seen, threads=threads)
 
 
-def registered(mesh, truth, threads: int, said: dict, **given) -> dict:
+def registered(mesh, truth, threads: int, labels: dict, **given) -> dict:
     """Return times, work and error of one call; `said` is kept beside them."""
     import numpy as np
 
@@ -56,7 +56,7 @@ def registered(mesh, truth, threads: int, said: dict, **given) -> dict:
     spent, result = seconds_of(lambda: tr.register(mesh, seed=0, threads=threads, **given))
     off = np.linalg.norm(result.displacement - truth, axis=1).mean()
     return {
-        **said,
+        **labels,
         **spent,
         "body_mm": float(off),
         "moved_mm": float(np.linalg.norm(truth, axis=1).mean()),
@@ -82,9 +82,9 @@ def dome(options: argparse.Namespace) -> list[dict]:
     for call, event in zip(("first", "next"), np.roll(events, -options.seed)[:2], strict=True):
         noise = NOISE_MM * rng.normal(size=(N_MARKERS, 3))
         markers = tr.Markers(body.pool[places], body.pool[places] + event.pool[places] + noise, std=NOISE_MM)
-        said = {"call": call, "event": event.number, "n_nodes": body.mesh.n_nodes}
+        labels = {"call": call, "event": event.number, "n_nodes": body.mesh.n_nodes}
         given = {"markers": markers, "targets": named(body.targets)}
-        rows.append(registered(body.mesh, event.nodes, options.threads, said, **given))
+        rows.append(registered(body.mesh, event.nodes, options.threads, labels, **given))
     return rows
 
 
@@ -126,16 +126,16 @@ def points(options: argparse.Namespace) -> list[dict]:
     moved = (body.mesh.nodes + event.nodes)[some]
     seen = np.einsum("na,nax->nx", rng.dirichlet(np.ones(3), N_POINTS), moved)
     seen += NOISE_MM * rng.normal(size=seen.shape)
-    said = {"call": "first", "event": event.number, "n_nodes": body.mesh.n_nodes}
+    labels = {"call": "first", "event": event.number, "n_nodes": body.mesh.n_nodes}
     given = {"surface": seen, "surface_std": NOISE_MM, "targets": named(body.targets)}
-    return [registered(body.mesh, event.nodes, options.threads, said, **given)]
+    return [registered(body.mesh, event.nodes, options.threads, labels, **given)]
 
 
 def plain_events(body) -> list:
     """Return the first development event of every kind whose body is as believed."""
     from loadfree.events import KINDS, events_of
 
-    events = [event for event in events_of(body, "dev") if event.told["difference"] is None]
+    events = [event for event in events_of(body, "dev") if event.description["difference"] is None]
     return [next(event for event in events if event.kind == kind) for kind in KINDS]
 
 

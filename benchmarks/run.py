@@ -3,7 +3,7 @@
     python benchmarks/run.py [--out FILE] [--reference DIR]
 
 Runs ``tissuereg bench`` (solve, ensemble, esmda, register) and, where reference problems are at hand, times cold
-solves of them and states the largest difference from the stored displacement beside each.
+solves of them and states the largest difference from the stored displacement for each.
 """
 
 import argparse

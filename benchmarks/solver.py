@@ -1,4 +1,4 @@
-"""The solver beside the machine's limits and beside other programs, in one run: `benchmarks/results/solver.json`.
+"""The solver compared with the machine's limits and other programs, in one run: `benchmarks/results/solver.json`.
 
     python benchmarks/solver.py [--quick] [--out FILE] [--reference DIR] [--peers PYTHON]
     python benchmarks/solver.py --again many dome_4k_pull_x2   (measures these again, and keeps all else in the JSON)
@@ -42,16 +42,16 @@ STORED = [
 
 
 def measure(python: str, threads: int, *words: object, limit_s: float = 3600.0) -> dict:
-    """Return a process's last line as JSON with its command; one that failed tells why in `error`."""
+    """Return a process's last line as JSON with its command; for a failure, the reason is in `error`."""
     pools = ("RAYON", "OMP", "MKL", "OPENBLAS")
     environment = {**os.environ, **{f"{pool}_NUM_THREADS": str(threads) for pool in pools}}
-    told = [str(word) for word in words]
+    arguments = [str(word) for word in words]
     name = "python" if python == sys.executable else os.path.relpath(python, REPOSITORY)
-    command = shlex.join([f"RAYON_NUM_THREADS={threads}", name, *told])
+    command = shlex.join([f"RAYON_NUM_THREADS={threads}", name, *arguments])
     print(command, flush=True)
     try:
         done = subprocess.run(
-            [python, *told],
+            [python, *arguments],
             cwd=REPOSITORY,
             env=environment,
             capture_output=True,
@@ -148,13 +148,20 @@ def peers(python: Path, files: dict[str, Path], quadratic: Path, quick: bool) ->
         call = (f"benchmarks/peers/{script}", "--method", method, "--repeats")
         for problem in chosen:
             for threads in (2,) if quick else (1, 2):
-                told = (call[0], files[problem], *call[1:], 1 if "20k" in problem else repeats, "--threads", threads)
+                arguments = (
+                    call[0],
+                    files[problem],
+                    *call[1:],
+                    1 if "20k" in problem else repeats,
+                    "--threads",
+                    threads,
+                )
                 rows.append(
-                    {"name": name, "problem": problem, "element": "tet4", **measure(interpreter, threads, *told)}
+                    {"name": name, "problem": problem, "element": "tet4", **measure(interpreter, threads, *arguments)}
                 )
         if script in ("with_felupe.py", "with_skfem.py") and not quick:
-            told = (call[0], quadratic, *call[1:], 1, "--threads", 2, "--element", "tet10")
-            measured = measure(interpreter, 2, *told, limit_s=QUADRATIC_LIMIT_S)
+            arguments = (call[0], quadratic, *call[1:], 1, "--threads", 2, "--element", "tet10")
+            measured = measure(interpreter, 2, *arguments, limit_s=QUADRATIC_LIMIT_S)
             rows.append({"name": name, "problem": quadratic.stem, "element": "tet10", **measured})
     return rows, skipped
 
@@ -179,10 +186,10 @@ def again(answer: dict, reference: Path, names: list[str], repeats: int, members
 
 def commit() -> str:
     """Return the commit, with a mark where files differ from it."""
-    said = subprocess.run(
+    output = subprocess.run(
         ["git", "describe", "--always", "--dirty", "--abbrev=12"], cwd=REPOSITORY, capture_output=True, text=True
     )
-    return said.stdout.strip() or "unknown"
+    return output.stdout.strip() or "unknown"
 
 
 def main() -> None:

@@ -93,8 +93,8 @@ def _off(row: dict) -> str:
 
 def _counts(counters: dict) -> str:
     steps = counters.get("load_steps") or 1
-    told = ("?" if counters[name] is None else str(counters[name]) for name in ("iterations", "factorisations"))
-    return ", ".join(told) + (f" in {steps} load steps" if steps > 1 else "")
+    summary = ("?" if counters[name] is None else str(counters[name]) for name in ("iterations", "factorisations"))
+    return ", ".join(summary) + (f" in {steps} load steps" if steps > 1 else "")
 
 
 def _solve_row(row: dict) -> str:

@@ -4,7 +4,7 @@
 
 DIR holds ``beam.stl`` and recordings ``own_weight_*.csv``, ``load_52g_*.csv``, ``load_101g_*.csv`` (frames in
 the beam's frame: tip face x = 0, clamp x = -100, gravity -z). Each is simulated with ten-node elements under its
-own weight and load, registered to Tip-1 and Tip-2, and asked where Tip-3 is. Needs the extra ``mesh``.
+own weight and load, registered to Tip-1 and Tip-2, and evaluated at Tip-3. Needs the extra ``mesh``.
 """
 
 import argparse
@@ -97,7 +97,7 @@ def edge_load(mesh: tr.Mesh, newton: float) -> np.ndarray:
 
 
 def run_trial(mesh: tr.Mesh, path: Path, newton: float, young_kpa: float) -> dict[str, object]:
-    """Return one row of the table: what each method says of the held-out marker."""
+    """Return one row of the table: each method's prediction of the held-out marker."""
     places = read_trial(path)
     names = (*FITTED, HELD_OUT)
     reference = np.array([places[name][0] for name in names])

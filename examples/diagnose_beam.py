@@ -2,11 +2,11 @@
 
     python examples/diagnose_beam.py --data DIR [--only NAME ...] [--young 263.8] [--out DIR] [--json FILE]
 
-DIR holds ``beam.stl`` and recordings as `beam.py` tells. Every recording is diagnosed twice: with the beam's own weight
-in the believed model and without. Each time an experiment folder is written first, under --out where that is given. It
-holds the recording and, before it, those of the lightest load that was recorded twice or more.
+DIR holds ``beam.stl`` and recordings as described in `beam.py`. Every recording is diagnosed twice: with the beam's own
+weight in the believed model and without. Each time an experiment folder is written first, under --out if it is given.
+It holds the recording and, before it, those of the lightest load that was recorded twice or more.
 
-The beam swings after its release, of which a static model says nothing. So a recording is one static frame: the mean of
+The beam swings after its release, which a static model cannot describe. So a recording is one static frame: the mean of
 its last second, less where the markers were while the beam was held level. Noise is how far markers wander while held,
 and, as a share of the motion, what recordings of one load differ by. Markers on the holder ride on a rigid piece of
 mesh behind the clamped face.
@@ -170,7 +170,7 @@ def write_rig(
     tr.write_experiment(believed, folder / "experiment.toml")
 
 
-def told(name: str, weighs: bool, folder: Path) -> dict[str, object]:
+def summary_of(name: str, weighs: bool, folder: Path) -> dict[str, object]:
     """Diagnose an experiment folder, leave the answer in it, print a row and return it."""
     begin = time.perf_counter()
     diagnosis = tr.diagnose(tr.read_experiment(folder), element="tet10")
@@ -200,7 +200,9 @@ def main() -> int:
     trials = read_trials(options.data)
     repeats = repeated(trials)
     if not repeats:
-        print(f"two recordings of one load must be in {options.data}: they tell the noise", file=sys.stderr)
+        print(
+            f"two recordings of one load must be in {options.data}: the noise is estimated from them", file=sys.stderr
+        )
         return 2
     noise, mesh, rows = noise_of(repeats), beam_and_holder(options.data / "beam.stl"), []
     print(
@@ -215,7 +217,7 @@ def main() -> int:
                 continue
             others = [other for other in repeats if other is not trial]
             write_rig(folder, mesh, [*others, trial], options.young, weighs, noise)
-            rows.append(told(trial.name, weighs, folder))
+            rows.append(summary_of(trial.name, weighs, folder))
     if options.json:
         document = {
             "schema": "tissuereg.diagnose-beam/1",

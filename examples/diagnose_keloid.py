@@ -5,14 +5,14 @@
 DIR holds recordings ``*.npz`` (``points_mm`` tracked in images, ``moving_pad_mm`` and ``fixed_pad_mm`` as images show
 them; ``force_N`` and ``stroke_mm`` on a clock of their own) and ``mesh.msh``, the skin as triangles with named edges
 ``moving_pad*`` and ``fixed_pad*``. Two experiment folders are written and diagnosed for each recording: ``images``, in
-which the pad moves as images show, and ``stroke``, in which it moves as the stroke sensor says.
+which the pad moves as in the images, and ``stroke``, in which it moves as measured by the stroke sensor.
 
-Our choices: a slab 4 mm thick stands in for plane stress; pads grip both of its faces. The skin goes on beyond the
+Our choices: a slab 4 mm thick represents plane stress; pads grip both of its faces. The skin goes on beyond the
 mesh: its sides along the pull are held, its ends are free, for skin that is pushed together goes slack. Surroundings,
 thickness and nu were chosen after others had been tried on one recording, and what is named depends on them
-(docs/diagnose-real.md). Tracks say nothing of depth, so those cells stay empty. Believed is a neo-Hookean solid of one
+(docs/diagnose-real.md). Tracks do not contain depth, so those cells stay empty. Believed is a neo-Hookean solid of one
 modulus, that of the first fifth of the force curve, known to a factor of e. Named regions of the mesh are hidden: they
-are only asked whether an inclusion that was found lies in them.
+are used only to check whether an inclusion that was found lies in them.
 """
 
 import argparse
@@ -44,7 +44,7 @@ MARKERS = {"fine": 40, "coarse": 25}
 #: Tracks nearer to a pad see a part of the pad itself: the window of an image correlation is about as wide.
 PAD_WINDOW_MM = 2.0
 
-#: Tracks that tell how rough the tracked field is about each of them.
+#: Number of neighbouring tracks from which the roughness of the tracked field is estimated.
 NEIGHBOURS = 16
 
 #: Part of the pull in which skin is soft, and the modulus is read off.
@@ -119,7 +119,7 @@ def inside(places: np.ndarray, points: np.ndarray, triangles: np.ndarray) -> np.
 
 
 def thinned_outline(plane: Plane, size: np.ndarray) -> list[int]:
-    """Return nodes of the outlines: corners, and others about as far apart as `size` (n_nodes,) says."""
+    """Return nodes of the outlines: corners, and others about `size` (n_nodes,) apart."""
     a, b, c = (plane.points[plane.triangles[:, i]] for i in range(3))
     turned = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
     triangles = np.where(turned[:, None], plane.triangles[:, ::-1], plane.triangles)
@@ -207,7 +207,7 @@ def spread_out(places: np.ndarray, count: int) -> np.ndarray:
 def marker_noise(recording: Recording, frames: np.ndarray) -> float:
     """Return how far a track is from a smooth field through its neighbours, mm.
 
-    Over time the tracks are smooth to 0.0001 mm: they were filtered, and that says nothing of their error in a frame.
+    Over time the tracks are smooth to 0.0001 mm: they were filtered, which is no measure of their error in a frame.
     """
     places = recording.points[0]
     _, near = KDTree(places).query(places, k=NEIGHBOURS)
@@ -299,7 +299,7 @@ def place_of(centre: list[float], plane: Plane) -> dict[str, object]:
     return answer
 
 
-def told(name: str, diagnosis: Diagnosis, plane: Plane) -> dict[str, Any]:
+def summary_of(name: str, diagnosis: Diagnosis, plane: Plane) -> dict[str, Any]:
     """Print what was found and return its figures."""
     document = diagnosis.to_json()
     provisional = ", provisional" if diagnosis.provisional else ""
@@ -339,7 +339,7 @@ def study(data: Path, out: Path, build: str, drives: list[str]) -> list[dict[str
             )
             diagnosis = tr.diagnose(experiment, progress=lambda step: print(f"  {step}", file=sys.stderr))
             diagnosis.save(folder)
-            rows.append(told(folder.name, diagnosis, plane))
+            rows.append(summary_of(folder.name, diagnosis, plane))
     return rows
 
 

@@ -84,7 +84,7 @@ def diagnosed(name: str, curves: Sequence[Curve], out: Path) -> MaterialDiagnosi
     return diagnosis
 
 
-def told(name: str, diagnosis: MaterialDiagnosis) -> dict[str, object]:
+def summary_of(name: str, diagnosis: MaterialDiagnosis) -> dict[str, object]:
     """Print what was found and return its figures."""
     answer = diagnosis.answer
     held_out = answer["held_out"]
@@ -115,7 +115,7 @@ def standard_error(curve: Curve, stress: np.ndarray, n_parameters: int) -> float
 def study_brain(data: Path, out: Path) -> list[dict[str, object]]:
     """Diagnose every region."""
     regions = sorted({p.name.removesuffix("_tension.txt") for p in data.glob("*_tension.txt")})
-    return [told(region, diagnosed(region, read_region(data, region), out)) for region in regions]
+    return [summary_of(region, diagnosed(region, read_region(data, region), out)) for region in regions]
 
 
 def study_silicone(data: Path, out: Path) -> list[dict[str, object]]:
@@ -126,7 +126,7 @@ def study_silicone(data: Path, out: Path) -> list[dict[str, object]]:
     rows = []
     for name, paths in silicones.items():
         curves = [read_silicone(path) for path in paths]
-        row = told(name, diagnosed(name, curves, out))
+        row = summary_of(name, diagnosed(name, curves, out))
         row["files"] = [study_file(path.stem, curve, out) for path, curve in zip(paths, curves, strict=True)]
         rows.append(row)
     return rows
@@ -157,11 +157,11 @@ def study_file(name: str, curve: Curve, out: Path) -> dict[str, object]:
 def study_rates(data: Path, out: Path) -> list[dict[str, object]]:
     """Diagnose all rates together, and all but one, which is then predicted."""
     curves = [read_rate(path) for path in sorted(data.glob("*_per_s.csv"))]
-    rows = [told("all rates", diagnosed("all-rates", curves, out))]
+    rows = [summary_of("all rates", diagnosed("all-rates", curves, out))]
     for unseen in curves if len(curves) > 1 else []:
         others = [curve for curve in curves if curve is not unseen]
         diagnosis = diagnosed(f"without-{unseen.rate:g}", others, out)
-        row = told(f"without {unseen.rate:g}/s", diagnosis)
+        row = summary_of(f"without {unseen.rate:g}/s", diagnosis)
         base = MaterialExperiment("unseen", out, neo_hookean(others), None, None, (unseen,))
         models = {"neo_hookean": base}
         if diagnosis.answer["causes"]:

@@ -22,8 +22,8 @@ def block_mesh() -> tr.Mesh:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Measured data and reference solutions beside the repository; tests that want them skip where absent."""
+    """Measured data and reference solutions next to the repository; tests that need them are skipped without it."""
     folder = REPOSITORY.parent / "shared"
     if not folder.is_dir():
-        pytest.skip("the folder `shared` beside the repository is absent: measured data and references")
+        pytest.skip("the folder `shared` next to the repository is absent: measured data and references")
     return folder

@@ -49,7 +49,7 @@ def run(
     off = None
     if "displacement_mm" in problem:
         off = float(np.linalg.norm(found.displacement - problem["displacement_mm"], axis=1).max())
-    told = {
+    summary = {
         **about(options),
         "cold_s": {"minimum": min(seconds), "median": float(np.median(seconds)), "repeats": len(seconds)},
         "counters": {
@@ -61,7 +61,7 @@ def run(
         "difference_mm": off,
         "peak_mib": peak_mib(),
     }
-    print(json.dumps(told))
+    print(json.dumps(summary))
 
 
 def peak_mib() -> float:

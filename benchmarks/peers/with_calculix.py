@@ -58,8 +58,8 @@ def cold(problem: dict, options: argparse.Namespace) -> common.Found:
 
 
 def about(options: argparse.Namespace) -> dict:
-    said = subprocess.run(["ccx", "-v"], capture_output=True, text=True, check=False).stdout
-    version = re.search(r"[Vv]ersion\s+(\S+)", said)
+    output = subprocess.run(["ccx", "-v"], capture_output=True, text=True, check=False).stdout
+    version = re.search(r"[Vv]ersion\s+(\S+)", output)
     return {
         "version": f"CalculiX {version[1] if version else '?'}",
         "settings": "Newton, default direct solver; largest residual <= tolerance x average force; whole process",

@@ -84,16 +84,16 @@ def cold(problem: dict, options: argparse.Namespace) -> common.Found:
     last = np.array(rows[-len(problem["nodes_mm"]) :], dtype=float)
 
     def count(name: str) -> int | None:
-        told = re.findall(rf"{name}[ .]*:\s*(\d+)", log)
-        return int(told[-1]) if told else None
+        counts = re.findall(rf"{name}[ .]*:\s*(\d+)", log)
+        return int(counts[-1]) if counts else None
 
     factorisations = count("Total number of stiffness reformations")
     return common.Found(last[:, 1:], count("Total number of equilibrium iterations"), factorisations, None, seconds)
 
 
 def about(options: argparse.Namespace) -> dict:
-    said = subprocess.run(["febio4", "-noconfig"], input="quit\n", capture_output=True, text=True, check=False).stdout
-    version = re.search(r"version\s+(\S+)", said)
+    output = subprocess.run(["febio4", "-noconfig"], input="quit\n", capture_output=True, text=True, check=False).stdout
+    version = re.search(r"version\s+(\S+)", output)
     settings = "BFGS, 10 updates a factor" if options.method == "bfgs" else "full Newton"
     return {"version": f"FEBio {version[1] if version else '4'}", "settings": f"{settings}; whole process"}
 

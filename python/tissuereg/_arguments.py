@@ -138,7 +138,7 @@ def called(name: str, value: Any) -> None:
 
 
 def named(name: str, value: Any, *, error: _Error = ArgumentError) -> Mapping[str, Any]:
-    """Return a mapping whose keys are texts; None stands for an empty one."""
+    """Return a mapping whose keys are texts; None gives an empty one."""
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):

@@ -41,7 +41,7 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...]) -> FloatAr
     value : array_like
         Anything numpy can turn into numbers.
     shape : tuple of int or None
-        Wanted shape; None stands for any length.
+        Wanted shape; None means any length.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def index_array(name: str, value: Any, shape: tuple[int | None, ...]) -> IntArra
     value : array_like
         Whole numbers; a float array is refused, not rounded.
     shape : tuple of int or None
-        Wanted shape; None stands for any length.
+        Wanted shape; None means any length.
 
     Returns
     -------

@@ -150,10 +150,10 @@ class Answer:
 
     def _targets(self) -> dict[str, Target]:
         inner, start = self.given.targets, self.start
-        said = start.frame.apply(inner.reference + inner.predict(start.displacement[inner.nodes]))
+        predicted = start.frame.apply(inner.reference + inner.predict(start.displacement[inner.nodes]))
         covariance = self.known.points.covariance
         return {
-            name: self._target(i, inner.reference[i], self.known.displacement[i], covariance[i], said[i])
+            name: self._target(i, inner.reference[i], self.known.displacement[i], covariance[i], predicted[i])
             for i, name in enumerate(inner.names)
         }
 
@@ -167,14 +167,14 @@ class Answer:
         return self._target(index, reference, moved, covariance, reference + begun)
 
     def _target(
-        self, index: int, reference: FloatArray, moved: FloatArray, covariance: FloatArray, said: FloatArray
+        self, index: int, reference: FloatArray, moved: FloatArray, covariance: FloatArray, predicted: FloatArray
     ) -> Target:
         share = float(self.known.points.constrained[index])
         return Target(
             reference,
             reference + moved,
             covariance,
-            said if self.knows else None,
+            predicted if self.knows else None,
             share,
             NO_MARKER if share < LEAST_CONSTRAINED else None,
         )

@@ -117,7 +117,7 @@ class ConvergenceError(TissueRegError, RuntimeError):
 
 
 class EnsembleError(TissueRegError, RuntimeError):
-    """Too few ensemble members are left.
+    """Too few ensemble members survive.
 
     Attributes
     ----------

@@ -99,7 +99,7 @@ class Material:
     hooke                the same of small strain
     ==================== =========================================================== ==============================
 
-    That is the split form of a law. In the coupled one ``I1 - 3 - 2 ln J`` stands for ``I1bar - 3``,
+    That is the split form of a law. The coupled form has ``I1 - 3 - 2 ln J`` for ``I1bar - 3``,
     ``I2 - 3 - 4 ln J - 2 (ln J)^2`` for ``I2bar - 3``, ``l^alpha - 1 - alpha ln l`` for ``lbar^alpha - 1`` and lambda
     for K (what FEBio calls coupled or unconstrained): it is the neo-Hookean law where the shape parameters vanish.
 
@@ -302,7 +302,7 @@ def _check_unit(young: FloatArray) -> None:
     typical = float(np.median(young)) if young.size else 1.0
     softest, stiffest = SOFT_YOUNG_KPA
     if not softest <= typical <= stiffest:
-        # One digit of it: moduli that differ a little, those of many members, are told once.
+        # One digit only, so that slightly different moduli of many members give one warning.
         unit = "Pa: divide by 1000" if typical > stiffest else "MPa: multiply by 1000"
         message = (
             f"`young` is taken in kPa, got about {typical:.0e}; soft tissues and silicones lie between {softest:g} and "

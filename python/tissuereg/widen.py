@@ -1,4 +1,4 @@
-"""Empirical-Bayes guard: a prior that cannot explain the markers is widened, and the result says so."""
+"""Empirical-Bayes guard: a prior that cannot explain the markers is widened, and the result reports it."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Do the tables of benchmarks/README.md hold the figures of the JSON beside them?"""
+"""Do the tables of benchmarks/README.md hold the figures of the archived JSON?"""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Is what we say true? Docstring examples, links; the blocks of pages are in test_pages.py."""
+"""Are the documents true? Docstring examples and links; the blocks of pages are in test_pages.py."""
 
 import doctest
 import importlib

@@ -1,1 +1,1 @@
-"""Registration with nothing known of the load: true events of a foreign solver, rivals, scores, tables."""
+"""Registration with an unknown load: events simulated by another solver, rivals, scores, tables."""

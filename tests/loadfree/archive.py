@@ -92,15 +92,15 @@ def _events(bench: Bench, rows: dict[str, list[dict]]) -> list[dict]:
     found = []
     for name, number in used:
         event = next(event for event in bench.read(name).events if event.number == number)
-        support = {"support": event.told["support"]["kind"]} if "support" in event.told else {}
+        support = {"support": event.description["support"]["kind"]} if "support" in event.description else {}
         found.append(
             {
                 "body": name,
                 "event": number,
                 "kind": event.kind,
                 **support,
-                "difference": event.told["difference"],
-                "largest_mm": round(event.told["largest_mm"], 3),
+                "difference": event.description["difference"],
+                "largest_mm": round(event.description["largest_mm"], 3),
                 "body_moved_mm": round(float(np.linalg.norm(event.nodes, axis=1).mean()), 5),
                 "moved_um": [int(v) for v in np.rint(1e3 * np.linalg.norm(event.targets, axis=1))],
             }

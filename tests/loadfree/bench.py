@@ -22,7 +22,7 @@ class Bench:
     methods : dict
         By name: a function from a `Case` to an `Answer`.
     usual, layouts : tuple of str
-        Methods and layouts that are run unless others are asked for.
+        Methods and layouts that run by default.
     """
 
     mark: str

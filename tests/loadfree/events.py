@@ -50,7 +50,7 @@ class Event:
     ----------
     body : str
     number : int
-    told : dict
+    description : dict
         Kind, contacts, model difference, seed: see ``generator/events.py``.
     nodes, pool, targets : ndarray of float64, shape (n, 3)
         True displacements in mm at the user's nodes, the pool and the targets.
@@ -58,7 +58,7 @@ class Event:
 
     body: str
     number: int
-    told: dict
+    description: dict
     nodes: np.ndarray
     pool: np.ndarray
     targets: np.ndarray
@@ -66,12 +66,12 @@ class Event:
     @property
     def kind(self) -> str:
         """What acts: see `KINDS`."""
-        return self.told["kind"]
+        return self.description["kind"]
 
     @property
     def centres(self) -> np.ndarray:
         """Centres of the contacts (k, 3), mm."""
-        return np.array([contact["centre"] for contact in self.told["contacts"]])
+        return np.array([contact["centre"] for contact in self.description["contacts"]])
 
 
 @cache
@@ -84,9 +84,9 @@ def read_body(name: str) -> Body:
 
 def read_events(stored: Mapping, name: str, prefix: str = "") -> tuple[Event, ...]:
     """Return a body's events from an open archive whose keys begin with a prefix."""
-    told = [json.loads(text) for text in stored[f"{prefix}told"]]
+    descriptions = [json.loads(text) for text in stored[f"{prefix}told"]]
     fields = [stored[f"{prefix}{key}"] * float(stored["step_mm"]) for key in ("nodes", "pool", "targets")]
-    return tuple(Event(name, t["event"], t, *arrays) for t, *arrays in zip(told, *fields, strict=True))
+    return tuple(Event(name, t["event"], t, *arrays) for t, *arrays in zip(descriptions, *fields, strict=True))
 
 
 def events_of(body: Body, half: str) -> list[Event]:
@@ -102,13 +102,13 @@ def true_load(body: Body, event: Event) -> Load:
     those at the believed modulus; the weight is what it is. Events whose archive holds no first moments (numbers 0 to
     10) have them zero about the middle of the patch.
     """
-    mesh, told = body.mesh, event.told
+    mesh, description = body.mesh, event.description
     forces = np.zeros((mesh.n_nodes, 3))
     triangles, normals = free_surface(mesh)
-    for contact in told["contacts"]:
+    for contact in description["contacts"]:
         spot = _patch(mesh, triangles, normals, contact)
         forces += _spread(spot / spot.sum(), mesh.nodes - np.asarray(contact["centre"]), contact)
-    weight = np.asarray(told["weight_mN_per_mm3"])
+    weight = np.asarray(description["weight_mN_per_mm3"])
     return Load(forces=forces, body_force=weight if weight.any() else None)
 
 

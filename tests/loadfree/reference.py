@@ -1,6 +1,6 @@
-"""The reference problems: half ellipsoids pulled or pushed at one patch, solved by foreign solvers on the same mesh.
+"""The reference problems: half ellipsoids pulled or pushed at one patch, solved by other solvers on the same mesh.
 
-Their files lie beside the repository (``../shared/reference``). Places of markers and targets are drawn here.
+Their files are next to the repository (``../shared/reference``). Places of markers and targets are drawn here.
 """
 
 from functools import cache
@@ -36,7 +36,7 @@ def read_reference(name: str) -> Body:
     high = (nodes[mesh.surface, 2] > base + ABOVE * mesh.extent).all(axis=1)
     pool, at_pool = _inside(rng, mesh.surface[high], nodes, truth, N_POOL)
     targets, at_targets = _inside(rng, mesh.tets, nodes, truth, N_TARGETS)
-    told = {
+    description = {
         "kind": "traction",
         "contacts": [_contact(mesh, forces)],
         "weight_mN_per_mm3": [0.0, 0.0, 0.0],
@@ -45,12 +45,12 @@ def read_reference(name: str) -> Body:
         "poisson": poisson,
     }
     # The bodies of the bench seed markers and noise; these domes stand at its dome's place.
-    events = tuple(Event("dome", n, {**told, "event": n}, truth, at_pool, at_targets) for n in range(N_DRAWS))
+    events = tuple(Event("dome", n, {**description, "event": n}, truth, at_pool, at_targets) for n in range(N_DRAWS))
     return Body(name, mesh, pool, targets, events)
 
 
 def _contact(mesh: Mesh, forces: np.ndarray) -> dict:
-    """Return a dead load on a patch as the bodies of the bench tell a contact."""
+    """Return a dead load on a patch in the form of the bench's contacts."""
     size = np.linalg.norm(forces, axis=1)
     centre = size @ mesh.nodes / size.sum()
     triangles, normals = free_surface(mesh)
@@ -74,17 +74,17 @@ def _inside(
 
 
 def contacts(case: Case) -> Answer:
-    """Register with nothing known of the load, with the problem's Poisson's ratio and elements."""
+    """Register with an unknown load, with the problem's Poisson's ratio and elements."""
     return _registered(case)
 
 
 def wrong_load(case: Case) -> Answer:
-    """Register about a wrong load: half as large, turned by 30 degrees, 12 mm from where it truly acts."""
+    """Register with a wrong believed load: half as large, turned by 30 degrees, 12 mm from its true place."""
     return _registered(case, load=wrong.wrong_load(case.body, case.event))
 
 
 def _registered(case: Case, **options) -> Answer:
-    return registered(case, material=Material(10.0, case.event.told["poisson"]), element="tet4", **options)
+    return registered(case, material=Material(10.0, case.event.description["poisson"]), element="tet4", **options)
 
 
 REFERENCE = Bench(

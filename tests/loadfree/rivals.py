@@ -1,4 +1,4 @@
-"""What is compared: registration with nothing known of the load, and beside it simpler methods and the true load.
+"""The methods that are compared: registration with an unknown load, simpler methods, and the true load.
 
 A method is a function from a `Case` to an `Answer`; `METHODS` holds them by name.
 """
@@ -32,7 +32,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a method says.
+    """Answer of a method.
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class Answer:
     covariances : ndarray, shape (n_targets, 3, 3), or None
         mm^2; None: the method gives no region.
     constrained : list of float, or None
-        Share of each target's prior variance that the markers take away, where the method says it.
+        Share of each target's prior variance that the markers remove, if the method states it.
     flagged : list of bool, or None
-        Targets of which the method says that no marker tells, where it says so.
+        Targets with the flag "no marker tells", if the method has it.
     trusted : bool or None
         The method's own trust.
     counters : dict
@@ -67,12 +67,12 @@ def registered(case: Case, **options) -> Answer:
     targets = dict(zip(names, case.body.targets, strict=True))
     result = tr.register(case.body.mesh, case.markers, targets=targets, seed=0, threads=1, **options)
     found = [result.target(name) for name in names]
-    said = [getattr(target, "constrained", None) for target in found]
+    shares = [getattr(target, "constrained", None) for target in found]
     return Answer(
         np.asarray(result.displacement),
         np.array([target.mean for target in found]) - case.body.targets,
         np.array([target.covariance for target in found]),
-        None if None in said else [float(share) for share in said],
+        None if None in shares else [float(share) for share in shares],
         [target.flag is not None for target in found] if hasattr(found[0], "flag") else None,
         bool(result.trust.ok),
         dict(result.work),

@@ -30,23 +30,23 @@ def arguments(words: list[str] | None, bench: Bench) -> argparse.Namespace:
 
 
 def main(words: list[str] | None = None, bench: Bench = LOADFREE) -> None:
-    """Run what is missing, then write the results of the half and say where they are."""
-    told = arguments(words, bench)
+    """Run what is missing, then write the results of the half and print their path."""
+    options = arguments(words, bench)
     SCRATCH.mkdir(parents=True, exist_ok=True)
-    for method in told.methods:
-        path = scratch_path(told.half, method, bench)
-        if told.again:
+    for method in options.methods:
+        path = scratch_path(options.half, method, bench)
+        if options.again:
             path.unlink(missing_ok=True)
-        wanted = list(_wanted(told, bench))
+        wanted = list(_wanted(options, bench))
         done = {key_of(row) for row in read_rows(path)}
-        tasks = [(method, body, number, _left(told, body, number, done)) for body, number in wanted]
+        tasks = [(method, body, number, _left(options, body, number, done)) for body, number in wanted]
         begun = time.time()
-        _run(bench, [task for task in tasks if task[3]], told.jobs, path)
+        _run(bench, [task for task in tasks if task[3]], options.jobs, path)
         rows = [
-            row for row in read_rows(path) if (row["body"], row["event"]) in wanted and row["layout"] in told.layouts
+            row for row in read_rows(path) if (row["body"], row["event"]) in wanted and row["layout"] in options.layouts
         ]
         failed = sum("error" in row for row in rows)
-        write_results(bench, told.half, method, rows, _conditions(told))
+        write_results(bench, options.half, method, rows, _conditions(options))
         print(f"{method}: {len(rows)} registrations, {failed} failed, {time.time() - begun:.0f} s", flush=True)
 
 
@@ -73,15 +73,15 @@ def _since(begun: float) -> float:
     return round(time.perf_counter() - begun, 4)
 
 
-def _wanted(told: argparse.Namespace, bench: Bench):
-    for name in told.bodies:
-        for event in events_of(bench.read(name), told.half)[: told.limit]:
-            if not told.events or event.number in told.events:
+def _wanted(options: argparse.Namespace, bench: Bench):
+    for name in options.bodies:
+        for event in events_of(bench.read(name), options.half)[: options.limit]:
+            if not options.events or event.number in options.events:
                 yield name, event.number
 
 
-def _left(told: argparse.Namespace, body: str, number: int, done: set) -> list[str]:
-    return [layout for layout in told.layouts if (body, number, layout) not in done]
+def _left(options: argparse.Namespace, body: str, number: int, done: set) -> list[str]:
+    return [layout for layout in options.layouts if (body, number, layout) not in done]
 
 
 def _run(bench: Bench, tasks: list, jobs: int, path) -> None:
@@ -102,13 +102,13 @@ def _run(bench: Bench, tasks: list, jobs: int, path) -> None:
                 keep(future.result())
 
 
-def _conditions(told: argparse.Namespace) -> dict:
-    """Return under which commit and settings rows are made."""
+def _conditions(options: argparse.Namespace) -> dict:
+    """Return the commit and settings of the rows."""
     settings = {
-        "bodies": told.bodies,
-        "layouts": told.layouts,
-        "limit": told.limit,
-        "events": told.events,
-        "jobs": told.jobs,
+        "bodies": options.bodies,
+        "layouts": options.layouts,
+        "limit": options.limit,
+        "events": options.events,
+        "jobs": options.jobs,
     }
     return commit() | {"settings": settings | {"n_markers": N_MARKERS, "noise_mm": NOISE_MM}}

@@ -21,14 +21,14 @@ LARGEST_M2 = 1e6
 
 
 def scored(nodes, targets, answer) -> dict:
-    """Return the scores of one registration; lengths in mm, or in um where the name says so.
+    """Return the scores of one registration; lengths in mm, or in um according to the name.
 
     Parameters
     ----------
     nodes, targets : ndarray, shape (n, 3)
         True displacements, mm.
     answer : rivals.Answer
-        What a method says.
+        Answer of the method.
     """
     off = answer.targets - targets
     row = {

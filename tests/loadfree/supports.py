@@ -1,4 +1,4 @@
-"""Supports that are partly wrong: the user says that the whole base is held, and truly a part of it is, or more."""
+"""Partly wrong supports: the user states that the whole base is held; in truth a part of it is, or more."""
 
 from dataclasses import replace
 from functools import cache
@@ -11,7 +11,7 @@ from loadfree.rivals import METHODS, Answer, Case, registered
 
 BODIES = ("dome", "phantom", "hole")
 
-#: What truly holds: an outer ring of the base, its middle, three patches of it, all of it and a band above.
+#: The true supports: an outer ring of the base, its middle, three patches of it, all of it and a band above.
 KINDS = ("ring", "middle", "patches", "band")
 
 
@@ -23,12 +23,12 @@ def read_supports(name: str) -> Body:
 
 
 def perhaps(case: Case) -> Answer:
-    """Register with supports that are perhaps held: what a user does who doubts them."""
+    """Register with doubtful supports."""
     return registered(case, held="perhaps")
 
 
 def sure(case: Case) -> Answer:
-    """Register with the base held as given: what a user does who does not doubt it."""
+    """Register with the base held as given."""
     return registered(case, held="sure")
 
 

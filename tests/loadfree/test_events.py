@@ -1,4 +1,4 @@
-"""The archive holds what it says, and its events can be made again."""
+"""The archive has its stated content, and its events can be made again."""
 
 from collections import Counter
 
@@ -21,7 +21,7 @@ def test_a_body_has_forty_events_in_two_like_halves(name):
     for half in ("dev", "test"):
         events = events_of(body, half)
         assert Counter(event.kind for event in events) == dict.fromkeys(KINDS, 4)
-        assert sum(event.told["difference"] is not None for event in events) == N_EVENTS // 4
+        assert sum(event.description["difference"] is not None for event in events) == N_EVENTS // 4
 
 
 @bodies
@@ -42,7 +42,7 @@ def test_events_move_the_body_and_the_markers_but_not_the_base(name):
     body = read_body(name)
     for event in body.events:
         assert np.all(event.nodes[body.mesh.fixed_nodes] == 0.0)
-        assert 0.5 < np.linalg.norm(event.nodes, axis=1).max() < 1.1 * event.told["largest_mm"]
+        assert 0.5 < np.linalg.norm(event.nodes, axis=1).max() < 1.1 * event.description["largest_mm"]
         assert np.quantile(np.linalg.norm(event.pool, axis=1), 0.85) > 0.29
 
 
@@ -60,7 +60,7 @@ def test_fields_at_nodes_pool_and_targets_are_one_field(name):
 
 @bodies
 def test_motions_spread_from_two_millimetres_up(name):
-    largest = np.array([event.told["largest_mm"] for event in read_body(name).events])
+    largest = np.array([event.description["largest_mm"] for event in read_body(name).events])
     assert np.median(largest) > 3.0
     assert largest.max() < 28.0
 
@@ -69,7 +69,7 @@ def test_the_true_load_has_the_true_forces():
     body = read_body("hole")
     for event in body.events:
         load = true_load(body, event)
-        whole = np.sum([contact["force_mN"] for contact in event.told["contacts"]], axis=0)
+        whole = np.sum([contact["force_mN"] for contact in event.description["contacts"]], axis=0)
         np.testing.assert_allclose(load.forces.sum(axis=0), whole, atol=1e-6 * np.abs(whole).max() + 1e-9)
         assert (load.body_force is not None) == (event.kind == "gravity")
 
@@ -80,10 +80,12 @@ def test_an_event_made_anew_is_what_is_stored():
     from loadfree.generator.draw import plans
     from loadfree.generator.events import Bench
 
-    event = min(read_body("beam").events, key=lambda event: (event.told["draw"], event.told["factorings"]))
-    fields, told = Bench("beam").run(plans("beam")[event.number])
+    event = min(
+        read_body("beam").events, key=lambda event: (event.description["draw"], event.description["factorings"])
+    )
+    fields, description = Bench("beam").run(plans("beam")[event.number])
     for key, stored in (("nodes", event.nodes), ("pool", event.pool), ("targets", event.targets)):
         # Half a step of the archive, and another factor's rounding.
         assert np.abs(fields[key] - stored).max() < 0.6e-3
-    assert [c["centre"] for c in told["contacts"]] == [c["centre"] for c in event.told["contacts"]]
-    assert told["truth"] == event.told["truth"]
+    assert [c["centre"] for c in description["contacts"]] == [c["centre"] for c in event.description["contacts"]]
+    assert description["truth"] == event.description["truth"]

@@ -1,4 +1,4 @@
-"""The foreign solver's contacts do what they are called, on a small block."""
+"""The other solver's contacts behave as named, on a small block."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The rivals do what their names say; runs go on where they stopped; the page is what the results say."""
+"""The rivals behave as named; interrupted runs resume; the page is generated from the results."""
 
 import json
 
@@ -11,7 +11,7 @@ from loadfree.gaussian import LENGTHS, gaussian_answer, responses
 from loadfree.layouts import NOISE_MM, chosen
 from loadfree.reference import FOLDER, read_reference
 from loadfree.rivals import METHODS, Case
-from loadfree.wrong import wrong_load, wrongly_told
+from loadfree.wrong import wrong_description, wrong_load
 from tissuereg import Load
 from tissuereg.errors import ConvergenceError
 
@@ -69,21 +69,21 @@ def test_a_wrong_load_is_half_as_large_turned_by_30_degrees_and_12_mm_away_on_th
     body = read_body(name)
     skin = np.setdiff1d(body.mesh.surface_nodes, body.mesh.fixed_nodes)
     for event in body.events:
-        said = wrongly_told(body, event)
-        pairs = list(zip(event.told["contacts"], said["contacts"], strict=True))
+        wrong = wrong_description(body, event)
+        pairs = list(zip(event.description["contacts"], wrong["contacts"], strict=True))
         for true, wrong in pairs:
             assert np.abs(body.mesh.nodes[skin] - wrong["centre"]).max(axis=1).min() == 0.0
             off = np.linalg.norm(np.subtract(wrong["centre"], true["centre"]))
             assert off == pytest.approx(12.0, abs=2.0)  # there must be a node
         turned = [(true["force_mN"], wrong["force_mN"]) for true, wrong in pairs]
         if event.kind == "gravity":
-            turned.append((event.told["weight_mN_per_mm3"], said["weight_mN_per_mm3"]))
+            turned.append((event.description["weight_mN_per_mm3"], wrong["weight_mN_per_mm3"]))
         for true, wrong in turned:
             size = np.linalg.norm(true)
             assert np.linalg.norm(wrong) == pytest.approx(0.5 * size)
             assert np.dot(true, wrong) == pytest.approx(0.5 * size**2 * np.cos(np.pi / 6))
         load = wrong_load(body, event)
-        whole = np.sum([contact["force_mN"] for contact in said["contacts"]], axis=0)
+        whole = np.sum([contact["force_mN"] for contact in wrong["contacts"]], axis=0)
         np.testing.assert_allclose(load.forces.sum(axis=0), whole, atol=1e-9 * np.abs(load.forces).sum())
         assert np.array_equal(load.forces, wrong_load(body, event).forces)
 
@@ -139,12 +139,12 @@ def test_the_page_is_what_its_command_writes(tmp_path):
     assert again.read_text(encoding="utf-8") == table.PAGE.read_text(encoding="utf-8")
 
 
-@pytest.mark.skipif(not FOLDER.is_dir(), reason="the reference problems lie beside the repository")
+@pytest.mark.skipif(not FOLDER.is_dir(), reason="the reference problems are not part of the repository")
 def test_a_reference_problem_is_told_its_own_load_and_a_wrong_one_of_half_its_size():
     body = read_reference("dome_4k_pull")
     with np.load(FOLDER / "dome_4k_pull.npz") as stored:
         forces = stored["forces_mN"]
-    (contact,) = body.events[0].told["contacts"]
+    (contact,) = body.events[0].description["contacts"]
     np.testing.assert_allclose(true_load(body, body.events[0]).forces.sum(axis=0), forces.sum(axis=0))
     assert np.dot(contact["normal"], contact["force_mN"]) > 0.5 * np.linalg.norm(contact["force_mN"])
     loaded = body.mesh.nodes[forces.any(axis=1)]

@@ -1,4 +1,4 @@
-"""Supports that are partly wrong: the truth is held where it says, the user says otherwise, and runs are kept apart."""
+"""Partly wrong supports: the truth is held as described, the user states otherwise, and runs are stored separately."""
 
 import json
 from collections import Counter
@@ -56,9 +56,11 @@ def test_an_outline_is_0_in_the_middle_and_1_on_the_rim():
 def test_each_half_has_every_support_once_and_halves_share_simple_contacts(name):
     for half in ("dev", "test"):
         events = events_of(read_supports(name), half)
-        assert Counter(event.told["support"]["kind"] for event in events) == dict.fromkeys(KINDS, 1)
+        assert Counter(event.description["support"]["kind"] for event in events) == dict.fromkeys(KINDS, 1)
         assert sum(event.kind in made.SIMPLE for event in events) == 2
-    assert [event.told["support"]["kind"] for event in read_supports(name).events] == [k for k in KINDS for _ in (0, 1)]
+    assert [event.description["support"]["kind"] for event in read_supports(name).events] == [
+        k for k in KINDS for _ in (0, 1)
+    ]
 
 
 @bodies
@@ -67,7 +69,7 @@ def test_events_hold_the_user_s_nodes_where_they_say(name):
     mesh = body.mesh
     outline = made.Outline(mesh.nodes[mesh.fixed_nodes])
     for event in body.events:
-        support = made.Support(**event.told["support"])
+        support = made.Support(**event.description["support"])
         held = support.holds(mesh.nodes[mesh.surface_nodes], outline)
         moved = np.linalg.norm(event.nodes, axis=1)
         # The true mesh has its nodes elsewhere: at the rim of what is held the user's move a little.
@@ -78,7 +80,7 @@ def test_events_hold_the_user_s_nodes_where_they_say(name):
 
 def test_doubted_supports_may_give_way_and_others_do_not():
     body = read_supports("phantom")
-    event = next(event for event in body.events if event.told["support"]["kind"] == "patches")
+    event = next(event for event in body.events if event.description["support"]["kind"] == "patches")
     moved = {
         name: np.linalg.norm(SUPPORTS.methods[name](Case(body, event, "spread")).nodes[body.mesh.fixed_nodes], axis=1)
         for name in ("perhaps", "sure")

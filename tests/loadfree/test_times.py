@@ -1,4 +1,4 @@
-"""The table of times says what its archive holds, and a measurement is a first call and the next."""
+"""The table of times matches its archive, and a measurement is a first call and the next."""
 
 import json
 import subprocess

@@ -53,13 +53,13 @@ def tables(answer: dict) -> str:
         "| call | n | wall, s | goal | least to most | CPU, s | body, mm (moved) | work | stages, s |",
         "| --- " * 9 + "|",
     ]
-    for case, name, said, goal in ROWS:
+    for case, name, title, goal in ROWS:
         calls = [call for run in answer["runs"].get(case, []) for call in run["calls"] if call["call"] == name]
-        lines += [_row(said, goal, calls)] if calls else []
+        lines += [_row(title, goal, calls)] if calls else []
     return "\n".join(lines) + "\n"
 
 
-def _row(said: str, goal: float, calls: list[dict]) -> str:
+def _row(title: str, goal: float, calls: list[dict]) -> str:
     wall = [call["wall_s"] for call in calls]
     body, moved = (_median(call[key] for call in calls) for key in ("body_mm", "moved_mm"))
     work = ", ".join(f"{name.replace('_', ' ')} {_median(call['work'][name] for call in calls):,.0f}" for name in WORK)
@@ -67,7 +67,7 @@ def _row(said: str, goal: float, calls: list[dict]) -> str:
     listed = sorted((-value, name) for name, value in stages.items() if name != "total")
     shown = ", ".join(f"{name} {-value:.2f}" for value, name in listed if -value >= LEAST_SHARE * stages["total"])
     cells = [
-        said,
+        title,
         str(len(calls)),
         f"{_median(wall):.2f}",
         f"{goal:g}",

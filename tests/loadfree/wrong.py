@@ -1,4 +1,4 @@
-"""A load that is told wrongly: half its size, turned, and elsewhere."""
+"""A wrong believed load: half its size, turned, and displaced."""
 
 from dataclasses import replace
 
@@ -15,36 +15,36 @@ SLACK_MM = 1.5
 
 
 def wrong_load(body: Body, event: Event) -> Load:
-    """Return what a user would believe who has it wrong: every force half as large, turned by 30 degrees, 12 mm away.
+    """Return a wrong believed load: every force half as large, turned by 30 degrees, 12 mm away.
 
-    First moments turn and shrink with the forces; the weight does as well.
+    First moments turn and shrink with the forces; so does the weight.
     """
-    return true_load(body, replace(event, told=wrongly_told(body, event)))
+    return true_load(body, replace(event, description=wrong_description(body, event)))
 
 
-def wrongly_told(body: Body, event: Event) -> dict:
-    """Return what an event would be by that belief."""
+def wrong_description(body: Body, event: Event) -> dict:
+    """Return the description of an event by that belief."""
     rng = np.random.default_rng([2213, BODIES.index(event.body), event.number])
-    contacts = [_elsewhere(body, contact, rng) for contact in event.told["contacts"]]
-    weight = np.asarray(event.told["weight_mN_per_mm3"])
-    return event.told | {"contacts": contacts, "weight_mN_per_mm3": SIZE * _turn(weight, rng) @ weight}
+    contacts = [_elsewhere(body, contact, rng) for contact in event.description["contacts"]]
+    weight = np.asarray(event.description["weight_mN_per_mm3"])
+    return event.description | {"contacts": contacts, "weight_mN_per_mm3": SIZE * _turn(weight, rng) @ weight}
 
 
 def _elsewhere(body: Body, contact: dict, rng: np.random.Generator) -> dict:
-    """Return a contact whose force is told wrongly, at another node of the free surface."""
+    """Return a contact with the wrong force, at another node of the free surface."""
     turn = SIZE * _turn(np.asarray(contact["force_mN"]), rng)
     normals = _nodal_normals(body)
     free = np.flatnonzero(normals @ contact["normal"] > 0.0)  # on the same side of the body
     off = np.abs(np.linalg.norm(body.mesh.nodes[free] - contact["centre"], axis=1) - MOVED_MM)
     node = free[rng.choice(np.flatnonzero(off <= max(SLACK_MM, off.min())))]
-    told = {
+    changed = {
         "centre": body.mesh.nodes[node],
         "normal": normals[node],
         "force_mN": turn @ contact["force_mN"],
     }
     if "dipole_mN_mm" in contact:
-        told["dipole_mN_mm"] = turn @ contact["dipole_mN_mm"]
-    return contact | told
+        changed["dipole_mN_mm"] = turn @ contact["dipole_mN_mm"]
+    return contact | changed
 
 
 def _nodal_normals(body: Body) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The silicone beam with its load untold: registered to two tip markers, asked for the third."""
+"""The silicone beam with an unknown load: registered to two tip markers, evaluated at the third."""
 
 import importlib.util
 from pathlib import Path

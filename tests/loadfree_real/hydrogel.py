@@ -1,4 +1,4 @@
-"""The hydrogel under a ball: registered to beads near its top, asked for beads below. 1 um is read as 1 mm."""
+"""The hydrogel under a ball: registered to beads near its top, evaluated at beads below. 1 um is read as 1 mm."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,8 +61,8 @@ def draw(folder: Path, n_markers: int, seed: int, n_targets: int = N_TARGETS) ->
     within = lambda low, high: np.flatnonzero((before[:, 2] >= low) & (before[:, 2] <= high))  # noqa: E731
     high = within(*MARKERS_MM)
     chosen = high[far_apart(before[high], n_markers, int(rng.integers(len(high))))]
-    asked = rng.choice(within(*TARGETS_MM), n_targets, replace=False)
-    return Draw((before[chosen], after[chosen]), (before[asked], after[asked]))
+    held_out = rng.choice(within(*TARGETS_MM), n_targets, replace=False)
+    return Draw((before[chosen], after[chosen]), (before[held_out], after[held_out]))
 
 
 def far_apart(places: Any, count: int, first: int) -> Any:

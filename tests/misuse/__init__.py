@@ -1,1 +1,1 @@
-"""Misread inputs: bodies, good events, misuses, and what `tissuereg.readings` says of them (`benchmarks/misuse.py`)."""
+"""Misread inputs: bodies, good events, misuses, and the answers of `tissuereg.readings` (`benchmarks/misuse.py`)."""

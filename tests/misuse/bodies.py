@@ -10,7 +10,7 @@ import tissuereg as tr
 from support.meshes import block
 from tissuereg.phantom import phantom_mesh
 
-#: Half ellipsoid of the reference problems (radius 60 mm, height 50 mm, base held), beside the repository.
+#: Half ellipsoid of the reference problems (radius 60 mm, height 50 mm, base held), next to the repository.
 DOME = Path(__file__).resolve().parents[3] / "shared" / "reference" / "dome_4k_pull.npz"
 
 #: The organ-like ellipsoid: half axes, middle and turn about x and z, as if in a scanner's frame.

@@ -200,7 +200,7 @@ MISUSES = [
 
 
 def alike(before: Event, after: Event) -> bool:
-    """Return whether no geometry can tell: all places keep their distance from the surface, all motions their size.
+    """Return whether geometry cannot detect it: places keep their distance from the surface, motions their size.
 
     Within 2 mm of the surface and with the same motion between the same neighbours; exchanged markers that lie within
     3 mm and the noise of each other; markers of another body that all lie within 6 mm of this one's surface.

@@ -71,7 +71,7 @@ def page(answers: dict) -> str:
     table += [_row(misuse.title, [row for row in rows if row["misuse"] == misuse.title]) for misuse in MISUSES]
     table.append(_row("**all**", rows))
     missed = Counter((row["misuse"], _response(row)) for row in rows if not row["named"] and not row["alike"])
-    ends = [f"* {title}: {said}, {count}" for (title, said), count in missed.items()]
+    ends = [f"* {title}: {output}, {count}" for (title, output), count in missed.items()]
     unnamed = "\n## Detectable, but not named\n\n" + ("\n".join(ends) if ends else "None.") + "\n"
     return head + "\n" + "\n".join(table) + "\n" + unnamed + _good(answers) + _registered(answers)
 
@@ -123,7 +123,7 @@ def _registered(answers: dict) -> str:
         share=_share(len(alarms), len(good)),
         low=f"{100 * low:.2f}",
         high=f"{100 * high:.2f} %",
-        kinds=": " + ", ".join(f"{said} {count}" for said, count in counts.most_common()) if alarms else "",
+        kinds=": " + ", ".join(f"{output} {count}" for output, count in counts.most_common()) if alarms else "",
         n_named=sum(bool(row["register"]["wrong"]) for row in good),
         n_off=len(off),
         n_off_named=sum(_names_its_marker(row) for row in off),
@@ -157,7 +157,7 @@ def _names_its_marker(row: dict) -> bool:
 
 def _kinds(rows: list[dict]) -> str:
     counts = Counter(_response(row) for row in rows)
-    return ": " + ", ".join(f"{said} {count}" for said, count in counts.most_common()) if rows else ""
+    return ": " + ", ".join(f"{output} {count}" for output, count in counts.most_common()) if rows else ""
 
 
 def _response(row: dict) -> str:

@@ -1,4 +1,4 @@
-"""Ask `tissuereg.readings`, and then `register`, about misread and about good events; count what they say."""
+"""Run `tissuereg.readings`, and then `register`, on misread and on good events; count their answers."""
 
 from collections.abc import Iterable, Iterator
 from multiprocessing import Pool
@@ -17,7 +17,7 @@ N_GOOD, N_MISUSED, N_OFF = 200, 8, 40
 
 
 def answer(event: Event) -> dict:
-    """Return what making the input and `suspect` say of an event; `found`: either speaks against it."""
+    """Return the answer of constructing the input and of `suspect` for an event; `found`: either objects."""
     refused, found = None, []
     try:
         mesh, markers = event.mesh(), event.markers()
@@ -49,14 +49,14 @@ def misuses(numbers: Iterable[int]) -> list[dict]:
     """Return an answer for every misuse, body and event number."""
     rows = []
     for which, names, after in misused(numbers):
-        told = answer(after)
-        named = bool(names & set(told["kinds"])) or told["refused"] == "UnitError"
-        rows.append({**which, "named": named, **told})
+        found = answer(after)
+        named = bool(names & set(found["kinds"])) or found["refused"] == "UnitError"
+        rows.append({**which, "named": named, **found})
     return rows
 
 
 def registered(event: Event) -> dict:
-    """Return whether `register` trusts its answer, its reasons if not, and the markers that it calls wrong."""
+    """Return whether `register` trusts its answer, its reasons if not, and the markers that it names as wrong."""
     try:
         result = tr.register(event.mesh(), event.markers(), threads=1)
     except TissueRegError as error:

@@ -24,11 +24,11 @@ def answer(shared_data, tmp_path_factory):
         if path.suffix in {".csv", ".stl"}:
             shutil.copy(path, folder / path.name)
     blind(folder / "own_weight_a.csv", folder / "own_weight_unseen.csv")
-    told = folder / "told.json"
-    words = [sys.executable, str(SCRIPT), "--data", str(folder), "--json", str(told)]
+    summary = folder / "told.json"
+    words = [sys.executable, str(SCRIPT), "--data", str(folder), "--json", str(summary)]
     environment = {**os.environ, "TISSUEREG_CACHE": str(folder / "cache")}
     subprocess.run(words, check=True, env=environment, cwd=folder, capture_output=True)
-    return json.loads(told.read_text(encoding="utf-8"))
+    return json.loads(summary.read_text(encoding="utf-8"))
 
 
 def blind(source: Path, copy: Path) -> None:

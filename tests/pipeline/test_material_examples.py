@@ -11,10 +11,10 @@ import pytest
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
-def run(script, folder, told):
-    words = [sys.executable, str(EXAMPLES / script), "--data", str(folder), "--json", str(told)]
+def run(script, folder, summary):
+    words = [sys.executable, str(EXAMPLES / script), "--data", str(folder), "--json", str(summary)]
     subprocess.run(words, check=True, capture_output=True)
-    return json.loads(told.read_text(encoding="utf-8"))
+    return json.loads(summary.read_text(encoding="utf-8"))
 
 
 def need(folder):

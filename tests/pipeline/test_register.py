@@ -116,11 +116,12 @@ def test_plain_arrays_serve_as_well(block_mesh, seen):
 
 def test_a_foreign_simulation_is_the_start_and_is_improved(block_mesh, leaned, seen):
     truth, believed = leaned
-    said = tr.simulate(block_mesh, believed, tr.Material(8.0, 0.45)).displacement
-    result = tr.register(block_mesh, seen, simulation=said)
+    output = tr.simulate(block_mesh, believed, tr.Material(8.0, 0.45)).displacement
+    result = tr.register(block_mesh, seen, simulation=output)
     assert result.markers.before_rms_mm > 5 * result.markers.after_rms_mm
     assert (
-        np.linalg.norm(result.displacement - truth, axis=1).mean() < 0.15 * np.linalg.norm(said - truth, axis=1).mean()
+        np.linalg.norm(result.displacement - truth, axis=1).mean()
+        < 0.15 * np.linalg.norm(output - truth, axis=1).mean()
     )
 
 
@@ -166,9 +167,11 @@ def test_saving_writes_five_files_with_finite_numbers(block_mesh, seen, tmp_path
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "registered.png", "registered.vtu", "registration.json", "targets.csv", "targets.mrk.json",
     ]  # fmt: skip
-    told = json.loads((tmp_path / "out" / "registration.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
-    assert told["schema"] == "tissuereg.registration/1"
-    radii = told["targets"]["deep"]["region90_radii_mm"]
+    summary = json.loads(
+        (tmp_path / "out" / "registration.json").read_text(encoding="utf-8"), parse_constant=pytest.fail
+    )
+    assert summary["schema"] == "tissuereg.registration/1"
+    radii = summary["targets"]["deep"]["region90_radii_mm"]
     assert radii == sorted(radii)
     result.report(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

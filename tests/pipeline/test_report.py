@@ -60,8 +60,8 @@ def test_the_picture_says_the_verdict_and_names_markers_that_do_not_count(spoilt
 def test_every_contact_in_sight_has_its_figures(spoilt, figure):
     assert spoilt.contacts
     first = spoilt.contacts[0]
-    told = f"{first.size_mm:.1f} mm, {first.force_mN:,.0f} mN\nprobability {first.probability:.2f}"
-    assert sum(text.endswith(told) for text in words(figure)) >= 1
+    summary = f"{first.size_mm:.1f} mm, {first.force_mN:,.0f} mN\nprobability {first.probability:.2f}"
+    assert sum(text.endswith(summary) for text in words(figure)) >= 1
 
 
 def test_labels_do_not_cover_each_other(figure):
@@ -122,8 +122,8 @@ def test_an_untrusted_answer_is_said_on_the_last_line(block_mesh, pulled, tmp_pa
         assert code == expected
         lines = out.splitlines()
         assert lines[-1] == last
-        told = json.loads((tmp_path / name / "registration.json").read_text(encoding="utf-8"))
-        assert sum(line.startswith("contact at ") for line in lines) == len(told["contacts"])
+        summary = json.loads((tmp_path / name / "registration.json").read_text(encoding="utf-8"))
+        assert sum(line.startswith("contact at ") for line in lines) == len(summary["contacts"])
 
 
 def test_every_reason_starts_with_its_kind(spoilt):

@@ -104,8 +104,8 @@ def write_experiment(folder: Path, *, toml: str = EXPERIMENT, **tables: str | No
 def run(capsys, *words):
     """Run the command line in this process; return its code, standard output and standard error."""
     code = main([str(word) for word in words])
-    said = capsys.readouterr()
-    return code, said.out, said.err
+    output = capsys.readouterr()
+    return code, output.out, output.err
 
 
 def run_json(capsys, *words):

@@ -40,5 +40,5 @@ def numbers(fit, *causes):
 def both(experiment, cause, label, weighting="lasting errors"):
     """Return the numbers with the deviations stated, and with those of a form that is right."""
     fit, bench = fit_and_bench(experiment, cause, label, weighting)
-    said = stated(bench, fit)
-    return numbers(said.fit, cause), numbers(fit, cause), said.form_error
+    fitted = stated(bench, fit)
+    return numbers(fitted.fit, cause), numbers(fit, cause), fitted.form_error

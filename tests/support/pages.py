@@ -14,9 +14,9 @@ class Balance(HTMLParser):
         self.open, self.ids, self.wrong, self.reaches = [], [], [], []
 
     def handle_starttag(self, tag, attrs):
-        said = dict(attrs)
-        self.ids += [said["id"]] if "id" in said else []
-        self.reaches += [said[key] for key in ("src", "href", "action") if key in said]
+        found = dict(attrs)
+        self.ids += [found["id"]] if "id" in found else []
+        self.reaches += [found[key] for key in ("src", "href", "action") if key in found]
         if tag not in VOID:
             self.open.append(tag)
 

@@ -1,4 +1,4 @@
-"""A slab pushed at one patch of the dictionary, and what markers say of it."""
+"""A slab pushed at one patch of the dictionary, and its markers."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -88,10 +88,10 @@ def push() -> Push:
     load = columns.load(coefficients)
     found = columns.body.simulator.solve(load, MATERIAL, tolerance=1e-10)
     surface = mesh.surface_nodes[mesh.nodes[mesh.surface_nodes, 2] > 6.0]
-    # Four beside the push, twelve anywhere.
+    # Four near the push, twelve anywhere.
     gaps = np.linalg.norm(mesh.nodes[surface] - patches.centres[patch], axis=1)
-    beside = surface[np.argsort(np.abs(gaps - patches.radii[patch]))[:4]]
-    others = np.random.default_rng(4).choice(np.setdiff1d(surface, beside), 12, replace=False)
-    nodes = np.sort(np.concatenate([beside, others]))
+    near = surface[np.argsort(np.abs(gaps - patches.radii[patch]))[:4]]
+    others = np.random.default_rng(4).choice(np.setdiff1d(surface, near), 12, replace=False)
+    nodes = np.sort(np.concatenate([near, others]))
     force = np.asarray(load.forces).sum(axis=0)
     return Push(mesh, patch, patches.centres[patch], float(patches.radii[patch]), force, found.displacement, nodes)

@@ -9,7 +9,7 @@ SCHEMA = (
 
 
 def control_point(label, position, status="defined"):
-    """Return one control point with all that Slicer says of it; it writes no place where there is none."""
+    """Return one control point with all fields that Slicer writes; it writes no place if there is none."""
     return {
         "id": label.rpartition("-")[2],
         "label": label,

@@ -42,13 +42,13 @@ def refuses(capsys, call: Callable[[], Any], words: list, error: type[TissueRegE
     with pytest.raises(error, match=pattern) as caught:
         call()
     assert type(caught.value) is error
-    code, said, err = run_json(capsys, *words, "--quiet")
-    assert (code, said["schema"], said["error"]) == (error.exit_code, "tissuereg.error/1", error.__name__)
-    assert said["where"], "the place must be told"
+    code, output, err = run_json(capsys, *words, "--quiet")
+    assert (code, output["schema"], output["error"]) == (error.exit_code, "tissuereg.error/1", error.__name__)
+    assert output["where"], "the place must be told"
     with pytest.raises(error, match=pattern):
-        raise error(said["message"])
+        raise error(output["message"])
     assert err.startswith("error: ")
-    assert " ".join(err.split()) == " ".join(f"error: {said['message']}".split())
+    assert " ".join(err.split()) == " ".join(f"error: {output['message']}".split())
     assert "Traceback" not in err
     assert sorted(folder.rglob("*")) == before
 
@@ -158,9 +158,9 @@ def test_a_load_beyond_equilibrium_tells_how_far_it_got_and_where(tmp_path, caps
         tr.simulate(problem.mesh, problem.load, problem.material)
     assert 0.0 <= caught.value.report["load_fraction"] < 1.0
     assert caught.value.report["worst_tets"]
-    code, said, err = run_json(capsys, "solve", path, "--out", tmp_path / "u.npz")
-    assert (code, said["error"]) == (3, "ConvergenceError")
-    assert 0.0 <= said["report"]["load_fraction"] < 1.0
+    code, output, err = run_json(capsys, "solve", path, "--out", tmp_path / "u.npz")
+    assert (code, output["error"]) == (3, "ConvergenceError")
+    assert 0.0 <= output["report"]["load_fraction"] < 1.0
     assert "Traceback" not in err
     assert not (tmp_path / "u.npz").exists()
 
@@ -313,10 +313,10 @@ def test_a_bad_recipe_is_refused(tmp_path, capsys, text):
 
 @pytest.mark.skipif(importlib.util.find_spec("tissuereg_training") is not None, reason="the training package is there")
 def test_training_without_its_package_says_how_to_get_it(tmp_path, capsys):
-    code, said, _ = run_json(capsys, "train", tmp_path / "r.toml", "--data", tmp_path, "--out", tmp_path / "model")
-    assert (code, said["error"]) == (2, MissingPackageError.__name__)
-    assert "make training" in said["message"]
-    assert "pip install ./training" in said["message"]
+    code, output, _ = run_json(capsys, "train", tmp_path / "r.toml", "--data", tmp_path, "--out", tmp_path / "model")
+    assert (code, output["error"]) == (2, MissingPackageError.__name__)
+    assert "make training" in output["message"]
+    assert "pip install ./training" in output["message"]
     assert not (tmp_path / "model").exists()
 
 

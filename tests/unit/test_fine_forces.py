@@ -34,8 +34,8 @@ def test_frames_without_equilibrium_tell_nothing(rough):
 
 
 @pytest.mark.parametrize("said", [0.0, np.nan])
-def test_a_pad_that_never_pushes_keeps_its_force(said):
-    assert np.array_equal(force_maps(np.full((4, 3), said), np.zeros((4, 3))), np.broadcast_to(np.eye(3), (4, 3, 3)))
+def test_a_pad_that_never_pushes_keeps_its_force(output):
+    assert np.array_equal(force_maps(np.full((4, 3), output), np.zeros((4, 3))), np.broadcast_to(np.eye(3), (4, 3, 3)))
 
 
 def test_forces_that_are_another_thing_give_no_wild_ratio(rough):

@@ -62,33 +62,33 @@ def stayed(model):
 
 
 def test_states_solved_once_are_frames_solved_each_on_its_own(model):
-    said = model.simulate()["ramp"]
+    output = model.simulate()["ramp"]
     each = simulate_plain(model.fine, element="tet10")["ramp"]
     rows = stayed(model)
-    np.testing.assert_allclose(said.displacement[:, rows], each.displacement[:, rows], atol=1e-5)
-    np.testing.assert_allclose(said.forces["push"], each.forces["push"], atol=0.01)
-    np.testing.assert_array_equal(said.displacement[2], said.displacement[3])
+    np.testing.assert_allclose(output.displacement[:, rows], each.displacement[:, rows], atol=1e-5)
+    np.testing.assert_allclose(output.forces["push"], each.forces["push"], atol=0.01)
+    np.testing.assert_array_equal(output.displacement[2], output.displacement[3])
     # Markers follow the mid-edge nodes too, which moves them a little.
-    np.testing.assert_allclose(said.markers, each.markers, atol=0.1)
+    np.testing.assert_allclose(output.markers, each.markers, atol=0.1)
 
 
 def test_displacements_are_those_of_the_given_nodes_where_rims_have_moved_them(model):
-    said = model.simulate()["ramp"]
+    output = model.simulate()["ramp"]
     given = model.experiment.mesh
-    assert said.displacement.shape == (len(RAMP.times), given.n_nodes, 3)
+    assert output.displacement.shape == (len(RAMP.times), given.n_nodes, 3)
     moved = np.setdiff1d(np.arange(given.n_nodes), stayed(model))
     assert len(moved)
     assert np.isin(moved, given.surface_nodes).all()
     each = simulate_plain(model.fine, element="tet10")["ramp"]
     # A node that slid by a share of an edge answers otherwise than the place that it came from.
     slid = model.mesh.nodes[moved] - given.nodes[moved]
-    off = said.displacement[2, moved] - each.displacement[2, moved]
+    off = output.displacement[2, moved] - each.displacement[2, moved]
     assert 1e-3 < np.abs(off).max() < np.linalg.norm(slid, axis=1).max()
     # That place is read as a marker there is.
     there = replace(model.experiment, marker_names=("here",), marker_reference=given.nodes[moved[:1]])
     blank = {name: replace(c, markers=np.full((len(c.times), 1, 3), np.nan)) for name, c in there.cases.items()}
     seen = FineModel(replace(there, cases=blank), COARSE).simulate()["ramp"].markers[:, 0] - given.nodes[moved[0]]
-    np.testing.assert_allclose(said.displacement[:, moved[0]], seen, atol=1e-4)
+    np.testing.assert_allclose(output.displacement[:, moved[0]], seen, atol=1e-4)
 
 
 def test_threads_do_not_matter_and_progress_ends_at_all_frames(model):
@@ -126,19 +126,19 @@ def test_a_bar_in_uniform_stretch_is_exact(rig):
         actuators=(replace(rig.actuators[0], nodes=top, rule="push"),),
         cases={"pull": Case("pull", np.arange(3.0), np.full((3, 2, 3), np.nan), {"push": pull})},
     )
-    said = FineModel(bar, COARSE).simulate([Poisson(poisson=0.0)])["pull"]
+    output = FineModel(bar, COARSE).simulate([Poisson(poisson=0.0)])["pull"]
     stretch = 1.0 + pull[:, 2] / 40.0
     # Without lateral strain: mu (l - 1/l) on 600 mm^2, mu = 5 kPa.
-    np.testing.assert_allclose(said.forces["push"][:, 2], 600.0 * 5.0 * (stretch - 1.0 / stretch), atol=0.02)
-    np.testing.assert_allclose(said.markers[:, :, 2], np.outer(stretch, rig.marker_reference[:, 2]), atol=1e-5)
-    np.testing.assert_allclose(said.targets["deep"][:, 2], 20.0 * stretch, atol=1e-5)
+    np.testing.assert_allclose(output.forces["push"][:, 2], 600.0 * 5.0 * (stretch - 1.0 / stretch), atol=0.02)
+    np.testing.assert_allclose(output.markers[:, :, 2], np.outer(stretch, rig.marker_reference[:, 2]), atol=1e-5)
+    np.testing.assert_allclose(output.targets["deep"][:, 2], 20.0 * stretch, atol=1e-5)
 
 
 def test_a_shifted_pad_is_cut_out_where_it_sits(rig, model):
-    said = model.simulate([ActuatorOffset(actuator="push", shift_mm=(-6.0, 0.0, 0.0))])["ramp"]
+    output = model.simulate([ActuatorOffset(actuator="push", shift_mm=(-6.0, 0.0, 0.0))])["ramp"]
     ball = {"centre_mm": [24.0, 10.0, 40.0], "radius_mm": 8.0}
     there = FineModel(replace(rig, actuators=(replace(rig.actuators[0], rule=ball),)), COARSE)
-    np.testing.assert_array_equal(said.markers, there.simulate()["ramp"].markers)
+    np.testing.assert_array_equal(output.markers, there.simulate()["ramp"].markers)
 
 
 def test_what_has_come_off_within_a_ball_ends_at_its_rim(rig):
@@ -187,17 +187,17 @@ def test_what_a_body_rests_on_is_solved_in_ten_node_elements(rig, effect, monkey
 
     solve_frames = memory_module.solve_frames
     monkeypatch.setattr(memory_module, "solve_frames", counted)
-    said = model.simulate([effect])["ramp"]
+    output = model.simulate([effect])["ramp"]
     each = simulate_plain(replace(model.fine, effects=(effect,)), element="tet10")["ramp"]
     rows = stayed(model)
-    np.testing.assert_allclose(said.displacement[:, rows], each.displacement[:, rows], atol=1e-4)
-    np.testing.assert_allclose(said.forces["push"], each.forces["push"], atol=0.05)
+    np.testing.assert_allclose(output.displacement[:, rows], each.displacement[:, rows], atol=1e-4)
+    np.testing.assert_allclose(output.forces["push"], each.forces["push"], atol=0.05)
     # Up and down again are one where nothing sticks; where the load stands, nothing is solved at all.
     assert len(solved[0]) == (5 if effect.id == "sliding" and effect.friction else 3)
     assert sum(solved[0]) < sum(solved[1])
     model.simulate([effect], warm=True)
     warm = model.simulate([effect], warm=True)["ramp"]
-    np.testing.assert_allclose(warm.displacement, said.displacement, atol=5e-4)
+    np.testing.assert_allclose(warm.displacement, output.displacement, atol=5e-4)
 
 
 @pytest.mark.parametrize("effect", [Relaxation(g=(0.4,), tau_s=(1.0,)), Set(fraction=0.2)], ids=lambda e: e.id)
@@ -281,11 +281,11 @@ def test_data_of_another_mesh_are_met_far_better_than_by_the_users(shared_data):
     fine = FineModel(rig).simulate(truth)["push_z"]
     user = simulate_plain(replace(rig, effects=tuple(truth)))["push_z"]
     measured = case.forces["push_z"][-1]
-    off = [np.linalg.norm(said.forces["push_z"][-1] - measured) / np.linalg.norm(measured) for said in (fine, user)]
+    off = [np.linalg.norm(output.forces["push_z"][-1] - measured) / np.linalg.norm(measured) for output in (fine, user)]
     assert off[0] < 0.02 < 0.1 < off[1]
     # The noise of four frames, 0.025 mm, is in both.
     held = case.markers[-4:].mean(axis=0)
-    left = [np.sqrt(np.mean((said.markers[-1] - held) ** 2)) for said in (fine, user)]
+    left = [np.sqrt(np.mean((output.markers[-1] - held) ** 2)) for output in (fine, user)]
     assert left[0] < 0.03 < 0.06 < left[1]
 
 

@@ -147,9 +147,9 @@ def test_a_frame_without_equilibrium_is_a_row_of_nan_and_the_history_goes_on():
 
 
 def test_progress_counts_frames():
-    said = []
-    solve_frames(block(2), SOFT, [0, 1, 2], progress=said.append)
-    assert said == [1, 2, 3]
+    output = []
+    solve_frames(block(2), SOFT, [0, 1, 2], progress=output.append)
+    assert output == [1, 2, 3]
 
 
 def test_what_does_not_fit_is_named():

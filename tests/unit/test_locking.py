@@ -51,9 +51,9 @@ WAYS = [one, one_by_function, many, frames, core]
 
 @pytest.mark.parametrize("way", WAYS)
 def test_every_way_to_solve_says_once_that_linear_tets_lock_and_where_they_were_asked_for(block_mesh, way):
-    with pytest.warns(LockingWarning, match=r"ratio 0\.49 .*tet4-averaged") as said:
+    with pytest.warns(LockingWarning, match=r"ratio 0\.49 .*tet4-averaged") as warned:
         way(block_mesh, "tet4", 0.49)
-    assert [warning.filename for warning in said] == [__file__]
+    assert [warning.filename for warning in warned] == [__file__]
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -66,9 +66,9 @@ def test_laws_agree_with_their_textbook_formulas(mode, law, material):
 def test_relaxation_is_the_hereditary_integral(mode):
     times, strain = made.ramp_and_hold(made.LARGEST[mode], 0.02, 60.0)
     model = Model(GEL, relaxation=Relaxation(g=(0.3, 0.2), tau_s=(2.0, 25.0)))
-    told = made.relaxed(("plain",), mode, times, strain, made.prony((0.3, 2.0), (0.2, 25.0)), n=6000)
+    summary = made.relaxed(("plain",), mode, times, strain, made.prony((0.3, 2.0), (0.2, 25.0)), n=6000)
     # Steps of the curve against a fine grid.
-    assert stress_of(model, curve(mode, times, strain)) == pytest.approx(told, abs=2e-3 * np.abs(told).max())
+    assert stress_of(model, curve(mode, times, strain)) == pytest.approx(summary, abs=2e-3 * np.abs(summary).max())
 
 
 @pytest.mark.parametrize("mode", ["tension", "simple-shear"])
@@ -101,22 +101,22 @@ def test_viscosity_softening_and_set_follow_their_formulas(mode):
         ({"set": 0.1}, {"set": Set(fraction=0.1)}),
     ],
 )
-def test_a_sheared_block_in_the_solver_answers_alike(law, shape, said, memory):
+def test_a_sheared_block_in_the_solver_answers_alike(law, shape, output, memory):
     material = tr.Material(5.0, 0.45, law, shape=shape)
     times = np.array([1.0, 2.0, 3.0, 6.0, 8.0, 9.0])
     shear = np.array([0.2, 0.4, 0.5, 0.5, 0.1, 0.3])
     # At this rate the first row is one second from rest, as in the solver.
     path = made.Curve("a", "simple-shear", 0.2, times, shear, shear)
     found = stress_of(Model(material, **memory), path)
-    assert found == pytest.approx(solved(material, said, times, shear), rel=1e-6, abs=1e-6)
+    assert found == pytest.approx(solved(material, output, times, shear), rel=1e-6, abs=1e-6)
 
 
-def solved(material, said, times, shear):
+def solved(material, output, times, shear):
     """Return the nominal shear stress of a block whose surface moves as simple shear has it."""
     mesh = block((10.0, 10.0, 10.0), (2, 2, 2))
     held = np.flatnonzero(((mesh.nodes == 0.0) | (mesh.nodes == 10.0)).any(axis=1)).astype(np.int64)
     fields = np.full(len(mesh.tets), material.young), np.full(len(mesh.tets), material.poisson)
-    rig = _core.Rig(mesh.nodes, mesh.tets, held, *fields, law=material.core_law(), behaviour=said)
+    rig = _core.Rig(mesh.nodes, mesh.tets, held, *fields, law=material.core_law(), behaviour=output)
     stress = []
     for time, amount in zip([0.0, *times], [0.0, *shear], strict=True):
         moved = np.zeros((len(held), 3))

@@ -156,9 +156,9 @@ def test_a_missing_mesher_names_the_extra(monkeypatch):
         (-11, "", MeshingError, "was ended by signal 11"),
     ],
 )
-def test_a_mesher_that_ends_badly_is_an_error_of_its_own(monkeypatch, code, said, error, words):
+def test_a_mesher_that_ends_badly_is_an_error_of_its_own(monkeypatch, code, output, error, words):
     def run(command, **settings):
-        return subprocess.CompletedProcess(command, code, "", said)
+        return subprocess.CompletedProcess(command, code, "", output)
 
     monkeypatch.setattr(fill.subprocess, "run", run)
     with pytest.raises(error, match=words):

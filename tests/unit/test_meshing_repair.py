@@ -16,8 +16,8 @@ BALL = sphere()
 
 
 def order(surface, least_volume=1.0):
-    found, told = repaired(Triangles(*surface), least_volume)
-    return found, told
+    found, summary = repaired(Triangles(*surface), least_volume)
+    return found, summary
 
 
 def is_closed_and_agreed(surface):
@@ -27,16 +27,16 @@ def is_closed_and_agreed(surface):
 
 
 def test_a_surface_in_order_is_left_as_it_is_and_nothing_is_said():
-    found, told = order(BALL)
-    assert told == []
+    found, summary = order(BALL)
+    assert summary == []
     assert found.volume == pytest.approx(volume(BALL), rel=1e-12)
     assert len(found.triangles) == len(BALL[1])
 
 
 def test_inverted_normals_are_turned_and_said():
-    found, told = order(inverted(BALL))
+    found, summary = order(inverted(BALL))
     assert found.volume == pytest.approx(volume(BALL), rel=1e-12)
-    assert told == ["all normals pointed inwards and were turned outwards"]
+    assert summary == ["all normals pointed inwards and were turned outwards"]
 
 
 @pytest.mark.parametrize("every", [2, 3, 7])
@@ -44,19 +44,19 @@ def test_triangles_that_face_the_other_way_are_turned_and_counted(every):
     vertices, triangles = BALL
     mixed = triangles.copy()
     mixed[::every] = mixed[::every][:, [0, 2, 1]]
-    found, told = order((vertices, mixed))
+    found, summary = order((vertices, mixed))
     assert found.volume == pytest.approx(volume(BALL), rel=1e-12)
     assert is_closed_and_agreed(found)
     # Where half of them face either way, which half is turned is a matter of areas.
     n = len(mixed[::every])
-    assert any(told[0].startswith(f"{count} triangles facing the other way") for count in (n, len(mixed) - n))
+    assert any(summary[0].startswith(f"{count} triangles facing the other way") for count in (n, len(mixed) - n))
 
 
 def test_a_soup_of_triangles_is_merged_and_said():
     vertices, triangles = BALL
-    found, told = order((vertices[triangles].reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)))
+    found, summary = order((vertices[triangles].reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)))
     assert len(found.vertices) == len(vertices)
-    assert told == [
+    assert summary == [
         f"{3 * len(triangles) - len(vertices)} vertices that stood at the place of another were merged with it"
     ]
 
@@ -64,28 +64,28 @@ def test_a_soup_of_triangles_is_merged_and_said():
 def test_triangles_without_area_and_repeated_ones_go():
     vertices, triangles = BALL
     more = np.concatenate([triangles, triangles[:2], [[0, 0, 5], [4, 5, 5]]])
-    found, told = order((vertices, more))
+    found, summary = order((vertices, more))
     assert len(found.triangles) == len(triangles)
-    assert told == ["2 triangles without an area were left out", "2 triangles given a second time were left out"]
+    assert summary == ["2 triangles without an area were left out", "2 triangles given a second time were left out"]
 
 
 def test_a_missing_face_of_a_box_is_closed_to_its_exact_volume():
     open_box = without(box(), [0, 1])
-    found, told = order(open_box)
+    found, summary = order(open_box)
     assert found.volume == pytest.approx(20 * 20 * 40, rel=1e-12)
     assert is_closed_and_agreed(found)
-    (sentence,) = [text for text in told if "hole" in text]
+    (sentence,) = [text for text in summary if "hole" in text]
     assert sentence.startswith("1 hole was closed: the largest has a rim of 4 edges")
 
 
 def test_half_a_sphere_becomes_half_a_ball():
     vertices, triangles = sphere(subdivisions=3)
     upper = (vertices[triangles].mean(axis=1)[:, 2] > 0).nonzero()[0]
-    found, told = order((vertices, triangles[upper]))
+    found, summary = order((vertices, triangles[upper]))
     assert is_closed_and_agreed(found)
     # The rim is a zigzag of one triangle's height, 2.6 mm, about the equator.
     assert found.volume == pytest.approx(volume((vertices, triangles)) / 2, rel=0.05)
-    assert "rim of 48 edges" in told[0]
+    assert "rim of 48 edges" in summary[0]
 
 
 def test_several_holes_that_share_a_vertex_are_all_closed():
@@ -100,9 +100,9 @@ def test_several_holes_that_share_a_vertex_are_all_closed():
 def test_ragged_holes_are_closed_without_new_walls(seed):
     ball = sphere(subdivisions=3)
     gone = np.random.default_rng(seed).choice(len(ball[1]), 200, replace=False)
-    found, told = order(without(ball, gone))
+    found, summary = order(without(ball, gone))
     assert is_closed_and_agreed(found)
-    assert not any("more than two" in sentence for sentence in told)
+    assert not any("more than two" in sentence for sentence in summary)
     # Caps over two or three missing triangles cut off little of a ball.
     assert found.volume == pytest.approx(volume(ball), rel=0.03)
 
@@ -110,9 +110,9 @@ def test_ragged_holes_are_closed_without_new_walls(seed):
 def test_a_triangle_that_hangs_on_nothing_is_left_out():
     vertices = np.concatenate([BALL[0], [[30.0, 0, 0], [34, 0, 0], [30, 4, 0]]])
     loose = np.array([[len(vertices) - 3, len(vertices) - 2, len(vertices) - 1]])
-    found, told = order((vertices, np.concatenate([BALL[1], loose])))
+    found, summary = order((vertices, np.concatenate([BALL[1], loose])))
     assert len(found.triangles) == len(BALL[1])
-    assert told == ["1 triangle that shared no edge with another was left out"]
+    assert summary == ["1 triangle that shared no edge with another was left out"]
 
 
 def test_a_long_rim_is_closed_by_a_fan():
@@ -120,10 +120,10 @@ def test_a_long_rim_is_closed_by_a_fan():
     rim = np.stack([30 * np.cos(angle), 30 * np.sin(angle), 0 * angle], axis=1)
     k = np.arange(400)
     cone = np.concatenate([rim, [[0, 0, 40.0]]]), np.stack([k, (k + 1) % 400, np.full(400, 400)], axis=1)
-    found, told = order(cone)
+    found, summary = order(cone)
     assert is_closed_and_agreed(found)
     assert found.volume == pytest.approx(np.pi * 30**2 * 40 / 3, rel=1e-4)
-    assert "rim of 400 edges" in told[0]
+    assert "rim of 400 edges" in summary[0]
 
 
 def test_the_cap_of_least_area_is_that_of_all_caps():
@@ -151,34 +151,34 @@ def test_the_cap_of_least_area_is_that_of_all_caps():
 
 def test_a_wall_that_faces_inwards_is_a_cavity_and_one_that_faces_outwards_is_solid():
     inner = sphere(8.0, subdivisions=1)
-    hollow, told = order(together(BALL, inverted(inner)))
+    hollow, summary = order(together(BALL, inverted(inner)))
     assert hollow.volume == pytest.approx(volume(BALL) - volume(inner), rel=1e-12)
-    assert "kept as a cavity" in told[0]
-    _, told = order(together(BALL, inner))
-    assert "what it encloses was filled as well" in told[0]
-    turned, told = order(inverted(together(BALL, inverted(inner))))
+    assert "kept as a cavity" in summary[0]
+    _, summary = order(together(BALL, inner))
+    assert "what it encloses was filled as well" in summary[0]
+    turned, summary = order(inverted(together(BALL, inverted(inner))))
     assert turned.volume == pytest.approx(hollow.volume, rel=1e-12)
-    assert told[0] == "all normals pointed inwards and were turned outwards"
+    assert summary[0] == "all normals pointed inwards and were turned outwards"
 
 
 def test_separate_shells_are_told_and_each_is_turned_outwards():
-    found, told = order(together(BALL, inverted(sphere(10.0, centre=(50.0, 0.0, 0.0)))))
+    found, summary = order(together(BALL, inverted(sphere(10.0, centre=(50.0, 0.0, 0.0)))))
     assert found.volume == pytest.approx(volume(BALL) + volume(sphere(10.0)), rel=1e-12)
-    assert told[0] == "the normals of 1 of 2 shells pointed inwards and were turned outwards"
-    assert told[1].startswith("2 separate shells (")
+    assert summary[0] == "the normals of 1 of 2 shells pointed inwards and were turned outwards"
+    assert summary[1].startswith("2 separate shells (")
 
 
 def test_a_crumb_less_than_a_tetrahedron_is_left_out():
     crumb = sphere(1.0, centre=(40.0, 0.0, 0.0), subdivisions=0)
-    found, told = order(together(BALL, crumb), least_volume=5.0)
+    found, summary = order(together(BALL, crumb), least_volume=5.0)
     assert found.volume == pytest.approx(volume(BALL), rel=1e-12)
-    assert told == ["1 shell of at most 2.54 mm^3, less than a tetrahedron, was left out"]
+    assert summary == ["1 shell of at most 2.54 mm^3, less than a tetrahedron, was left out"]
 
 
 def test_shells_that_cross_are_told_and_not_taken_for_nested():
-    _, told = order(together(BALL, sphere(20.0, centre=(15.0, 0.3, 0.1))))
-    assert told[0].startswith("2 separate shells")
-    assert "pairs of triangles cross each other" in told[1]
+    _, summary = order(together(BALL, sphere(20.0, centre=(15.0, 0.3, 0.1))))
+    assert summary[0].startswith("2 separate shells")
+    assert "pairs of triangles cross each other" in summary[1]
 
 
 def test_crossings_are_those_that_a_test_of_every_pair_finds():

@@ -70,8 +70,8 @@ def write_dataset(folder: Path, block: Block, n_members: int, n_pairs: int = 12,
         names.append(f"chunk_{k:04d}.npz")
         np.savez(folder / names[-1], index=rows, displacement_mm=fields[rows], young_kpa=np.ones(len(rows)))
     if n_pairs:
-        said = smooth_fields(block, n_pairs, 2)
-        np.savez(folder / "pairs.npz", simulation_mm=said, truth_mm=1.1 * said)
+        simulated = smooth_fields(block, n_pairs, 2)
+        np.savez(folder / "pairs.npz", simulation_mm=simulated, truth_mm=1.1 * simulated)
     card = {
         "schema": "tissuereg.dataset/1",
         "recipe": {"mesh": {"file": "block.vtu"}},
@@ -112,11 +112,11 @@ class Workplace:
     def train(self, *words: str, recipe: str | None = None, out: str = "model") -> int:
         if recipe is not None:
             self.recipe.write_text(recipe)
-        fixed = ["--data", str(self.data), "--out", str(self.folder / out), "--json", str(self.folder / "told.json")]
+        fixed = ["--data", str(self.data), "--out", str(self.folder / out), "--json", str(self.folder / "answer.json")]
         return main([str(self.recipe), *fixed, "--quiet", "--threads", "1", *words])
 
-    def told(self) -> Any:
-        return json.loads((self.folder / "told.json").read_text())
+    def answer(self) -> Any:
+        return json.loads((self.folder / "answer.json").read_text())
 
 
 def make_workplace(folder: Path, n_members: int = 60, recipe: str = RECIPE, **data: int) -> Workplace:

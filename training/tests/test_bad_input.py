@@ -117,21 +117,21 @@ def test_it_is_refused_with_a_sentence(tmp_path, capsys, name):
     spoil_it(place)
     before = sorted(map(str, tmp_path.rglob("*")))
     assert place.train() == code
-    told = place.told()
-    assert told["schema"] == "tissuereg.error/1"
-    assert (told["error"], words in told["message"]) == (error, True), told
-    assert told["where"]
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert "Traceback" not in said
-    (tmp_path / "told.json").unlink()
+    summary = place.answer()
+    assert summary["schema"] == "tissuereg.error/1"
+    assert (summary["error"], words in summary["message"]) == (error, True), summary
+    assert summary["where"]
+    output = capsys.readouterr().err
+    assert output.startswith("error: ")
+    assert "Traceback" not in output
+    (tmp_path / "answer.json").unlink()
     assert sorted(map(str, tmp_path.rglob("*"))) == before
 
 
 def test_too_few_members(tmp_path):
     place = make_workplace(tmp_path, n_members=8)
     assert place.train() == 3
-    assert "simulate more" in place.told()["message"]
+    assert "simulate more" in place.answer()["message"]
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_a_silent_recipe_has_the_defaults_and_a_missing_one_is_refused(tmp_path)
 )
 def test_words_that_make_no_command_are_refused(workplace, words):
     assert workplace.train(*words) == 2
-    assert workplace.told()["error"] == "UsageError"
+    assert workplace.answer()["error"] == "UsageError"
 
 
 def test_every_documented_recipe_key_exists():

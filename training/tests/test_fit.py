@@ -167,14 +167,14 @@ def test_reconstruction_terms_are_what_they_are_called():
 
 def test_mismatch_is_measured_about_zero_and_replaced_by_the_spread_where_there_are_no_pairs(start, fields):
     model, split = start()
-    said, true = fields[:9], fields[20:29]
-    prior = measured_prior(model, fields[split.train], said, true)
-    apart = (codes(model, true)[0] - codes(model, said)[0]).numpy()
+    simulated, true = fields[:9], fields[20:29]
+    prior = measured_prior(model, fields[split.train], simulated, true)
+    apart = (codes(model, true)[0] - codes(model, simulated)[0]).numpy()
     np.testing.assert_allclose(prior["mismatch_covariance"], apart.T @ apart / 9, rtol=1e-4, atol=1e-7)
     mean, log_variance = codes(model, fields[split.train])
     wanted = np.cov(mean.numpy().T) + np.diag(np.exp(log_variance.numpy()).mean(axis=0))
     np.testing.assert_allclose(prior["covariance"], wanted, rtol=1e-4, atol=1e-6)
-    alone = measured_prior(model, fields[split.train], said[:0], true[:0])
+    alone = measured_prior(model, fields[split.train], simulated[:0], true[:0])
     assert alone["mismatch_covariance"] == alone["covariance"]
     assert alone["mismatch_pairs"] == 0
 

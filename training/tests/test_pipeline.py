@@ -70,8 +70,10 @@ def test_training_learns_and_its_errors_can_be_measured_again_from_the_files(tra
     mean = session(folder / "encoder.onnx").run(["mean"], {"displacement": fields})[0]
     found = session(folder / "decoder.onnx").run(None, {"z": mean})[0]
     errors = np.linalg.norm(fields - found, axis=2).mean(axis=1)
-    told = card["errors_mm"]
-    assert errors.mean() == pytest.approx(0.8 * told["train"] + 0.1 * told["valid"] + 0.1 * told["test"], rel=1e-4)
+    summary = card["errors_mm"]
+    assert errors.mean() == pytest.approx(
+        0.8 * summary["train"] + 0.1 * summary["valid"] + 0.1 * summary["test"], rel=1e-4
+    )
 
 
 def test_error_fields_are_what_the_model_misses_of_the_pairs_truths(trained):
@@ -91,13 +93,13 @@ def test_change_errors_are_what_the_model_misses_from_simulation_to_truth(traine
         plain, change = weights["error_fields_mm"], weights["change_error_fields_mm"]
         sizes = weights["change_sizes_mm"]
     data = np.load(trained.folder / "data" / "pairs.npz", allow_pickle=False)
-    said, true = data["simulation_mm"], data["truth_mm"]
+    simulated, true = data["simulation_mm"], data["truth_mm"]
     encoder, decoder = (session(trained.folder / "model" / f"{name}.onnx") for name in ("encoder", "decoder"))
-    code = encoder.run(["mean"], {"displacement": said})[0]
-    missed_of_said = said - decoder.run(None, {"z": code})[0]
+    code = encoder.run(["mean"], {"displacement": simulated})[0]
+    missed_of_simulated = simulated - decoder.run(None, {"z": code})[0]
     # Half precision: 11 bits of each of the two.
-    np.testing.assert_allclose(change, plain - missed_of_said, atol=2e-3 * np.abs(plain).max())
-    np.testing.assert_allclose(sizes, np.sqrt(((true - said) ** 2).sum(axis=2).mean(axis=1)), rtol=1e-5)
+    np.testing.assert_allclose(change, plain - missed_of_simulated, atol=2e-3 * np.abs(plain).max())
+    np.testing.assert_allclose(sizes, np.sqrt(((true - simulated) ** 2).sum(axis=2).mean(axis=1)), rtol=1e-5)
 
 
 def session(path):
@@ -107,25 +109,25 @@ def session(path):
 
 
 def test_the_json_says_what_was_done(trained):
-    told = trained.told()
-    assert told["schema"] == "tissuereg.train/1"
-    assert set(told["errors_mm"]) == {"train", "valid", "test", "pca"}
-    assert (told["epochs"], told["seed"], told["threads"]) == (60, 3, 1)
-    assert set(told["parity"]) == {"encoder", "decoder"}
-    assert max(told["parity"].values()) < 1e-4
-    assert set(told["seconds"]) == {"read", "coarsen", "train", "evaluate", "export", "total"}
-    assert {"torch", "onnxruntime", "numpy"} <= set(told["versions"])
-    assert set(told["machine"]) == {"system", "processor", "cores"}
-    assert finite(told)
+    summary = trained.answer()
+    assert summary["schema"] == "tissuereg.train/1"
+    assert set(summary["errors_mm"]) == {"train", "valid", "test", "pca"}
+    assert (summary["epochs"], summary["seed"], summary["threads"]) == (60, 3, 1)
+    assert set(summary["parity"]) == {"encoder", "decoder"}
+    assert max(summary["parity"].values()) < 1e-4
+    assert set(summary["seconds"]) == {"read", "coarsen", "train", "evaluate", "export", "total"}
+    assert {"torch", "onnxruntime", "numpy"} <= set(summary["versions"])
+    assert set(summary["machine"]) == {"system", "processor", "cores"}
+    assert finite(summary)
 
 
 def test_the_function_returns_the_json_and_replaces_an_older_model(workplace):
     lines = []
     for _ in range(2):
-        told = tissuereg_training.train(
+        summary = tissuereg_training.train(
             workplace.recipe, workplace.data, workplace.folder / "model", threads=1, seed=5, report=lines.append
         )
-    assert (told["seed"], told["epochs"]) == (5, 2)
+    assert (summary["seed"], summary["epochs"]) == (5, 2)
     assert sorted(p.name for p in (workplace.folder / "model").iterdir()) == FILES
     assert sorted(p.name for p in workplace.folder.iterdir()) == ["data", "model", "recipe.toml"]
     assert any("nodes 150 >" in line for line in lines)
@@ -143,8 +145,8 @@ def test_an_export_that_disagrees_is_refused_and_leaves_nothing(workplace, monke
     monkeypatch.setattr(pipeline, "decoder_onnx", spoilt)
     assert workplace.train() == 3
     assert not (workplace.folder / "model").exists()
-    assert workplace.told()["error"] == "ParityError"
-    assert workplace.told()["where"] == "decoder.onnx"
+    assert workplace.answer()["error"] == "ParityError"
+    assert workplace.answer()["where"] == "decoder.onnx"
     assert "must agree to 0.0001" in capsys.readouterr().err
     # The trained weights are not lost: the next run goes on from the last epoch.
     monkeypatch.undo()
@@ -154,12 +156,12 @@ def test_an_export_that_disagrees_is_refused_and_leaves_nothing(workplace, monke
 
 def test_resume_wants_a_checkpoint_and_fresh_discards_one(workplace, monkeypatch):
     assert workplace.train("--resume") == 2
-    assert workplace.told()["error"] == "CheckpointError"
+    assert workplace.answer()["error"] == "CheckpointError"
     folder = workplace.folder / "model.training"
     folder.mkdir()
     (folder / "last.pt").write_bytes(b"spoilt")
     assert workplace.train() == 2
-    assert "--fresh" in workplace.told()["message"]
+    assert "--fresh" in workplace.answer()["message"]
     assert workplace.train("--fresh") == 0
     assert not folder.exists()
 
@@ -167,10 +169,10 @@ def test_resume_wants_a_checkpoint_and_fresh_discards_one(workplace, monkeypatch
 def test_a_checkpoint_of_other_data_or_settings_is_refused(workplace, monkeypatch):
     monkeypatch.setattr(pipeline, "write_model", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     assert workplace.train() == 130
-    assert workplace.told()["error"] == "KeyboardInterrupt"
+    assert workplace.answer()["error"] == "KeyboardInterrupt"
     monkeypatch.undo()
     assert workplace.train("--seed", "9") == 2
-    assert workplace.told()["error"] == "CheckpointError"
+    assert workplace.answer()["error"] == "CheckpointError"
     assert workplace.train(recipe=workplace.recipe.read_text().replace("batch = 8", "batch = 4")) == 2
     assert workplace.train(recipe=workplace.recipe.read_text().replace("batch = 4", "batch = 8")) == 0
 
@@ -192,9 +194,9 @@ def test_a_killed_command_goes_on_and_gives_the_same_model(workplace):
     while not checkpoint.exists() and running.poll() is None and time.monotonic() < give_up:
         time.sleep(0.01)
     running.send_signal(signal.SIGINT)
-    _, said = running.communicate(timeout=60)
-    assert running.returncode == 130, said
-    assert b"Traceback" not in said
+    _, output = running.communicate(timeout=60)
+    assert running.returncode == 130, output
+    assert b"Traceback" not in output
     assert checkpoint.exists()
     assert not (workplace.folder / "model").exists()
     assert workplace.train("--resume") == 0

@@ -17,7 +17,7 @@ _STATE = ("epoch", "best_epoch", "best_error", "best_weights", "history")
 
 
 class Checkpoint:
-    """A checkpoint file beside the model folder it is going to be.
+    """A checkpoint file next to the model folder that it belongs to.
 
     Parameters
     ----------

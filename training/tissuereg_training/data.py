@@ -45,7 +45,7 @@ class Dataset:
     fields : ndarray of float32, shape (n_members, n_nodes, 3)
         Displacement in mm.
     simulations, truths : ndarray of float32, shape (n_pairs, n_nodes, 3)
-        What the believed model says and what another model says of the same event, mm; may be empty.
+        The same event simulated by the believed model and by another one, mm; may be empty.
     """
 
     folder: Path

@@ -28,7 +28,7 @@ class FormatError(TissueRegError, ValueError):
 
 
 class ExperimentError(FormatError):
-    """A recipe says something impossible or unknown."""
+    """A recipe contains something impossible or unknown."""
 
 
 class MeshError(TissueRegError, ValueError):
@@ -36,7 +36,7 @@ class MeshError(TissueRegError, ValueError):
 
 
 class OutputError(TissueRegError, OSError):
-    """The model cannot be written where it was asked for."""
+    """The model cannot be written to the requested folder."""
 
 
 class CheckpointError(TissueRegError, ValueError):

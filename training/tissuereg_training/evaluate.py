@@ -5,7 +5,7 @@ The prior that `register` needs is measured, not assumed:
     wide prior      mean and covariance of the training set's codes, plus the mean variance of q
     mismatch        mean over pairs of d d',   d = encoder(truth) - encoder(simulation)
 
-A pair is one event, as the believed model says it and as another model does. q(z | simulation) alone says how exactly
+A pair is one event simulated by the believed model and by another one. q(z | simulation) alone says how exactly
 a field is coded, not how far the truth lies from the simulation.
 """
 
@@ -62,7 +62,7 @@ def change_error_fields(model: GraphVae, simulations: FieldArray, truths: FieldA
     -------
     ndarray of float32, shape (n_pairs, n_nodes, 3)
         ``(truth - simulation) - (decode(encode truth) - decode(encode simulation))``, mm: the error left when the part
-        of the simulation that the code loses is added to what the decoder says.
+        of the simulation that the code loses is added to the decoder's output.
     """
     return error_fields(model, truths) - error_fields(model, simulations)
 
@@ -134,7 +134,7 @@ def measured_prior(model: GraphVae, train: FieldArray, simulations: FieldArray, 
         ``mean`` (q), ``covariance`` (q, q), ``mismatch_covariance`` (q, q), ``mismatch_pairs``, and
         ``relative_mismatch_covariance`` (q, q), 1/mm^2: the same of differences over the root mean square displacement
         of the simulation, because a larger event is wrong by more. Without pairs nothing is known of the mismatch,
-        the covariance of the codes stands in for it (a truth anywhere in the family), and the last is None.
+        the covariance of the codes is used instead (a truth anywhere in the family), and the last is None.
     """
     mean, log_variance = (t.numpy().astype(np.float64) for t in codes(model, train))
     covariance = np.cov(mean, rowvar=False, ddof=1).reshape(model.n_latent, model.n_latent)

@@ -6,7 +6,7 @@ Batch-first inside, `(batch, n_nodes, channels)`. A convolution takes one of two
   degree D; `mix` is a product of the padded coefficients (n, M, D) with the gathered features, `multiply_bases` the
   product over (M, I).
 * **Decoder**, bases first: `multiply_bases` is one product with (I, M O); then unpooling and the sum over neighbours
-  are one table. Both are linear with nothing between them, so `c_ikm = sum_j a_ijm rho'_jk` stands for the two, and its
+  are one table. Both are linear with nothing between them, so `c_ikm = sum_j a_ijm rho'_jk` represents the two, and its
   edges (fine node i, coarse node k) are *fewer* than the convolution's own. Stored by edges, it is laid out in full,
   (n_fine, n_coarse M), when the file is loaded (`scatter_edges`, folded by onnxruntime), because a dense product beats
   a gather there: 8 to 16 times at 1,213 nodes. Above `DENSE_LIMIT` the neighbours are gathered instead.
@@ -162,7 +162,7 @@ def _encoder_conv(graph: GraphBuilder, name: str, conv: VertexConv, x: str) -> s
 
 
 def _decoder_conv(graph: GraphBuilder, k: int, unpool: DensityPool, conv: VertexConv, x: str, nodes: str | None) -> str:
-    """Add bases, unpooling and the sum over neighbours; at given nodes only where told."""
+    """Add bases, unpooling and the sum over neighbours; at given nodes only if requested."""
     n_coarse, n_bases, n_out = unpool.pattern.n_others, conv.n_bases, conv.n_out
     bases = graph.table(f"conv{k}/bases", _numpy(conv.bases).transpose(1, 0, 2).reshape(conv.n_in, -1))
     x = graph.node("MatMul", [x, bases], f"conv{k}/multiply_bases")

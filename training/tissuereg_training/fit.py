@@ -28,7 +28,7 @@ Report = Callable[[str], None]
 
 @dataclass
 class FitState:
-    """How far a training has come; what a checkpoint holds besides weights and optimiser.
+    """Progress of a training: the content of a checkpoint besides weights and optimiser.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ def fit(
         checkpoint.load_into(model, optimiser, state)
     train = model.normalised(torch.from_numpy(fields[split.train]))
     n_batches = max(1, round(len(train) / settings.batch))
-    said = time.perf_counter()
+    reported = time.perf_counter()
     while state.epoch < settings.epochs:
         start = time.perf_counter()
         row = _epoch(model, optimiser, train, n_batches, settings, seed, state.epoch)
@@ -148,8 +148,8 @@ def fit(
             state.best_weights = copy.deepcopy(model.state_dict())
         if checkpoint is not None:
             checkpoint.save(model, optimiser, state)
-        if report is not None and (time.perf_counter() - said > 5 or state.epoch == settings.epochs):
-            said = time.perf_counter()
+        if report is not None and (time.perf_counter() - reported > 5 or state.epoch == settings.epochs):
+            reported = time.perf_counter()
             report(_line(state, settings))
     model.load_state_dict(state.best_weights)
     return state

@@ -1,4 +1,4 @@
-"""Does the exported pair say what the network says? An export that does not is refused."""
+"""Checks that the exported pair gives the network's output; otherwise the export is refused."""
 
 from typing import Any
 

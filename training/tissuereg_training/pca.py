@@ -1,4 +1,4 @@
-"""Principal components: the rival that every network's error stands beside."""
+"""Principal components: the baseline for every network's error."""
 
 import numpy as np
 

@@ -62,7 +62,7 @@ def train(
     data : path-like
         Folder made by `tissuereg simulate`.
     out : path-like
-        Model folder, written whole or not at all; a model there before is replaced. Checkpoints lie beside it in
+        Model folder, written whole or not at all; an existing model is replaced. Checkpoints lie next to it in
         `OUT.training` until it is written.
     seed : int, optional
         Of split, start and noise, instead of the recipe's.
@@ -90,7 +90,7 @@ def train(
     ParityError
         If torch and onnxruntime disagree; nothing is written.
     """
-    tell = report or (lambda _line: None)
+    notify = report or (lambda _line: None)
     clock, threads, out = Clock(), prepare(threads), Path(out)
     with clock.stage("total"):
         with clock.stage("read"):
@@ -104,17 +104,17 @@ def train(
             checkpoint = _checkpoint(out, dataset, settings, seed, start)
         with clock.stage("coarsen"):
             levels = hierarchy(dataset.n_nodes, dataset.tets, len(settings.channels), settings.coarse_edges)
-            tell(levels.summary())
+            notify(levels.summary())
         model = new_model(levels, settings, seed)
         set_normalisation(model, dataset.fields[split.train])
         if checkpoint.exists():
-            tell(f"continuing from {checkpoint.path}")
+            notify(f"continuing from {checkpoint.path}")
         with clock.stage("train"):
             state = fit(model, dataset.fields, split, settings, seed=seed, checkpoint=checkpoint, report=report)
         with clock.stage("evaluate"):
             card = _card(model, dataset, split, recipe, seed, state)
             errors = _error_fields(model, dataset, split)
-            tell("mean error in mm: " + ", ".join(f"{k} {v:.4f}" for k, v in card["errors_mm"].items()))
+            notify("mean error in mm: " + ", ".join(f"{k} {v:.4f}" for k, v in card["errors_mm"].items()))
         with clock.stage("export"):
             facts = _facts(card)
             encoder, decoder = encoder_onnx(model, facts), decoder_onnx(model, facts)
@@ -123,10 +123,10 @@ def train(
             weights = {**decoder_weights(model), **errors}
             write_model(out, encoder, decoder, weights, card)
             checkpoint.discard()
-    told = {k: card[k] for k in ("errors_mm", "epochs", "best_epoch", "parity", "kl_weight", "levels", "members")}
+    record = {k: card[k] for k in ("errors_mm", "epochs", "best_epoch", "parity", "kl_weight", "levels", "members")}
     return {
         "schema": SCHEMA,
-        **told,
+        **record,
         "seconds": clock.seconds,
         "threads": threads,
         "machine": machine(),
@@ -136,8 +136,8 @@ def train(
 
 
 def _checkpoint(out: Path, dataset: Dataset, settings: TrainSettings, seed: int, start: str) -> Checkpoint:
-    told = [settings.as_dict(), seed, dataset.fingerprint()]
-    fingerprint = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    identity = [settings.as_dict(), seed, dataset.fingerprint()]
+    fingerprint = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
     checkpoint = Checkpoint(out.with_name(f"{out.name}.training"), fingerprint)
     if start == "fresh":
         checkpoint.discard()
@@ -183,15 +183,15 @@ def _error_fields(model: GraphVae, dataset: Dataset, split: Split) -> dict[str, 
     """Return what the network misses of fields it never saw: the pairs' truths, or the test split without pairs.
 
     ``error_fields_mm`` of whole fields, ``change_error_fields_mm`` of the change from simulation to truth, both
-    (e, n_nodes, 3), and ``error_sizes_mm``, ``change_sizes_mm``, the root mean square of what was to be said.
+    (e, n_nodes, 3), and ``error_sizes_mm``, ``change_sizes_mm``, the root mean square of the true fields.
     """
     unseen = (dataset.truths if len(dataset.truths) else dataset.fields[split.test])[:N_ERROR_FIELDS]
-    said, true = dataset.simulations[:N_ERROR_FIELDS], dataset.truths[:N_ERROR_FIELDS]
+    simulated, true = dataset.simulations[:N_ERROR_FIELDS], dataset.truths[:N_ERROR_FIELDS]
     return {
         "error_fields_mm": error_fields(model, unseen).astype(np.float16),
         "error_sizes_mm": root_mean_square(unseen),
-        "change_error_fields_mm": change_error_fields(model, said, true).astype(np.float16),
-        "change_sizes_mm": root_mean_square(true - said),
+        "change_error_fields_mm": change_error_fields(model, simulated, true).astype(np.float16),
+        "change_sizes_mm": root_mean_square(true - simulated),
     }
 
 

@@ -112,7 +112,7 @@ class Recipe:
     settings : TrainSettings
         `[train]`.
     raw : dict
-        All that the file says.
+        The whole content of the file.
     """
 
     path: Path

@@ -1,4 +1,4 @@
-"""Rivals that need no simulation: rigid motion and spline through the markers, copying the neighbours."""
+"""Baselines without simulation: rigid motion and spline through the markers, copying the neighbours."""
 
 from tissuereg.baselines.copy import copied_displacement
 from tissuereg.baselines.rigid import rigid_displacement

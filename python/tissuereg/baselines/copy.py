@@ -1,4 +1,4 @@
-"""The bad method that wins easy tests: every point moves as the markers do on average."""
+"""A trivial baseline, which does well in easy tests: every point moves by the mean motion of the markers."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ def copied_displacement(reference: Any, measured: Any, points: Any) -> FloatArra
     reference, measured : array_like of float, shape (n_markers, 3)
         Markers before and after, mm.
     points : array_like of float, shape (n_points, 3)
-        Where the displacement is wanted, mm.
+        Points at which the displacement is evaluated, mm.
 
     Returns
     -------

@@ -9,14 +9,14 @@ from tissuereg.errors import MarkerError
 
 
 def rigid_displacement(reference: Any, measured: Any, points: Any) -> FloatArray:
-    """Return the displacement of points under the rigid motion that best carries the markers.
+    """Return the displacement of points under the best rigid motion of the markers.
 
     Parameters
     ----------
     reference, measured : array_like of float, shape (n_markers, 3)
         Markers before and after, mm; at least three.
     points : array_like of float, shape (n_points, 3)
-        Where the displacement is wanted, mm.
+        Points at which the displacement is evaluated, mm.
 
     Returns
     -------

@@ -16,7 +16,7 @@ def spline_displacement(reference: Any, measured: Any, points: Any) -> FloatArra
     reference, measured : array_like of float, shape (n_markers, 3)
         Markers before and after, mm.
     points : array_like of float, shape (n_points, 3)
-        Where the displacement is wanted, mm.
+        Points at which the displacement is evaluated, mm.
 
     Returns
     -------

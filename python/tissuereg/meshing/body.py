@@ -122,7 +122,7 @@ def tetrahedralize(
         _check_lengths(given, size_mm, deviation_mm)
         check_mesher()
     with clock.stage("repair"):
-        body, told = repaired(given, least_volume=_REGULAR * size_mm**3)
+        body, repairs = repaired(given, least_volume=_REGULAR * size_mm**3)
         _check_number(body, size_mm)
     wanted = deviation_mm or min(_DEVIATION_OF_SIZE * size_mm, _DEVIATION_OF_DIAGONAL * _diagonal(body))
     with clock.stage("fill"):
@@ -130,7 +130,7 @@ def tetrahedralize(
         mesh = _with_sets(nodes, tets, rules)
     with clock.stage("measure"):
         mesh.quality = quality(mesh, body)
-    mesh.repaired, mesh.seconds = told, clock.seconds
+    mesh.repaired, mesh.seconds = repairs, clock.seconds
     mesh.settings = {"size_mm": float(size_mm), "deviation_mm": float(wanted), "mesher": mesher}
     if mesh.quality["parts"] > 1:
         text = f"the body is in {mesh.quality['parts']} parts that share no node: each must be held on its own"

@@ -94,9 +94,7 @@ def filled(
 def _in_order(nodes: FloatArray, tets: IntArray) -> tuple[FloatArray, IntArray]:
     """Return nodes that are used and tets of positive volume."""
     if not len(tets):
-        message = (
-            "the mesher must find an inside; it made no tetrahedron: repair the surface where `repaired` tells of it"
-        )
+        message = "the mesher must find an inside; it made no tetrahedron: repair the defects listed in `repaired`"
         raise MeshingError(message, where="surface")
     a, b, c, d = (nodes[tets[:, i]] for i in range(4))
     volumes = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
@@ -112,8 +110,8 @@ def _in_order(nodes: FloatArray, tets: IntArray) -> tuple[FloatArray, IntArray]:
     return nodes[used], np.asarray(corners.reshape(-1, 4), np.int64)
 
 
-def _failure(code: int, said: str) -> Exception:
-    last = " ".join(said.split()[-40:])
+def _failure(code: int, output: str) -> Exception:
+    last = " ".join(output.split()[-40:])
     if code == NO_MESHER:
         return _missing(last)
     if code == NO_MEMORY:

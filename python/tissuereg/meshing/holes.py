@@ -47,10 +47,10 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
     >>> cap[1]
     ['1 hole was closed: the largest has a rim of 3 edges about (3, 3, 3) mm; caps make up 36.6 % of the surface']
     """
-    surface, told = _without_loose(surface)
+    surface, repairs = _without_loose(surface)
     rims = _rims(surface.triangles)
     if not rims:
-        return surface, told
+        return surface, repairs
     edges = np.sort(Edges.of(surface.triangles).ends, axis=1)
     taken = {(first, second) for first, second in edges[np.isin(edges, np.concatenate(rims)).all(axis=1)].tolist()}
     vertices, caps = surface.vertices, []
@@ -68,11 +68,11 @@ def closed(surface: Triangles) -> tuple[Triangles, list[str]]:
     largest = int(np.argmax(size))
     share = 100.0 * sum(size) / float(whole.areas.sum())
     n, rim = len(rims), rims[largest]
-    told.append(
+    repairs.append(
         f"{several(n, 'hole')} {were(n)} closed: the largest has a rim of {len(rim)} edges about "
         f"{place(surface.vertices[rim].mean(axis=0))}; caps make up {share:.3g} % of the surface"
     )
-    return whole, told
+    return whole, repairs
 
 
 def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntArray:
@@ -129,8 +129,8 @@ def _without_loose(surface: Triangles) -> tuple[Triangles, list[str]]:
     n = int(loose.sum())
     if not n or loose.all():
         return surface, []
-    told = f"{several(n, 'triangle')} that shared no edge with another {were(n)} left out"
-    return Triangles(surface.vertices, surface.triangles[~loose]), [told]
+    repairs = f"{several(n, 'triangle')} that shared no edge with another {were(n)} left out"
+    return Triangles(surface.vertices, surface.triangles[~loose]), [repairs]
 
 
 def _rims(triangles: IntArray) -> list[IntArray]:

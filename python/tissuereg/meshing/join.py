@@ -37,12 +37,12 @@ def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
     (Triangles(3 vertices, 1 triangles), ['1 vertex that stood at the place of another was merged with it',
     '1 triangle given a second time was left out'])
     """
-    told = []
+    repairs = []
     used = np.unique(surface.triangles)
     one = _first_of_place(surface, used)
     merged = int(np.count_nonzero(one[used] != used))
     if merged:
-        told.append(
+        repairs.append(
             f"{several(merged, 'vertex', 'vertices')} that stood at the place of another {were(merged)} merged with it"
         )
     triangles = one[surface.triangles]
@@ -50,18 +50,18 @@ def joined(surface: Triangles) -> tuple[Triangles, list[str]]:
     flat |= surface.areas <= (SAME_PLACE * surface.extent) ** 2
     if flat.any():
         n = int(flat.sum())
-        told.append(f"{several(n, 'triangle')} without an area {were(n)} left out")
+        repairs.append(f"{several(n, 'triangle')} without an area {were(n)} left out")
         triangles = triangles[~flat]
     _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
     if len(first) < len(triangles):
         n = len(triangles) - len(first)
-        told.append(f"{several(n, 'triangle')} given a second time {were(n)} left out")
+        repairs.append(f"{several(n, 'triangle')} given a second time {were(n)} left out")
         triangles = triangles[np.sort(first)]
     if not len(triangles):
         message = f"a surface must have triangles with an area; none of {len(surface.triangles)} has one"
         raise MeshError(message, where="surface")
     kept, corners = np.unique(triangles, return_inverse=True)
-    return Triangles(surface.vertices[kept], corners.reshape(-1, 3)), told
+    return Triangles(surface.vertices[kept], corners.reshape(-1, 3)), repairs
 
 
 def _first_of_place(surface: Triangles, used: IntArray) -> IntArray:

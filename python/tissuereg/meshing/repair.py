@@ -48,37 +48,37 @@ def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[s
     >>> [sentence[:29] for sentence in repairs]
     ['1 hole was closed: the larges', 'all normals pointed inwards a']
     """
-    surface, told = joined(surface)
+    surface, repairs = joined(surface)
     turned, _ = agreed_winding(surface)
     if len(turned):
         surface = Triangles(surface.vertices, turned_round(surface.triangles, turned))
-        told.append(
+        repairs.append(
             f"{several(len(turned), 'triangle')} facing the other way than their neighbours {were(len(turned))} turned"
         )
     surface, filled = closed(surface)
     _, shell = agreed_winding(surface)
     found, sided = outward(surface, shell, least_volume)
-    return found, [*told, *filled, *sided, *_left(found)]
+    return found, [*repairs, *filled, *sided, *_left(found)]
 
 
 def _left(surface: Triangles) -> list[str]:
     """Return sentences on the remaining defects."""
-    told = []
+    defects = []
     edges = Edges.of(surface.triangles)
     walls, rim = int(np.count_nonzero(edges.count > 2)), int(np.count_nonzero(edges.count == 1))
     if walls:
-        told.append(
+        defects.append(
             f"{several(walls, 'edge')} of more than two triangles (inner walls, shells that touch) {were(walls)} left"
         )
     if rim:
-        told.append(f"{several(rim, 'edge')} at the rim of a hole could not be closed and {were(rim)} left")
+        defects.append(f"{several(rim, 'edge')} at the rim of a hole could not be closed and {were(rim)} left")
     crossing = crossing_pairs(surface)
     if crossing is None:
-        told.append("whether triangles cross each other was not looked for: there are too many")
+        defects.append("whether triangles cross each other was not looked for: there are too many")
     elif len(crossing):
         where = place(surface.corners[crossing[0, 0]].mean(axis=0))
-        told.append(
+        defects.append(
             f"{several(len(crossing), 'pair')} of triangles cross each other, one about {where}: what either side "
             "encloses was filled"
         )
-    return told
+    return defects

@@ -151,11 +151,11 @@ def _layout(
 ) -> list[str]:
     if len(within) < 2:
         return []
-    told = []
+    repairs = []
     apart = [number for number in within if not within[number]]
     if len(apart) > 1:
         sizes = ", ".join(f"{signed[number]:.4g}" for number in apart[:5]) + (", ..." if len(apart) > 5 else "")
-        told.append(f"{len(apart)} separate shells ({sizes} mm^3): each was filled")
+        repairs.append(f"{len(apart)} separate shells ({sizes} mm^3): each was filled")
     for number in within:
         if within[number]:
             middle = surface.corners[shell == number].mean(axis=(0, 1))
@@ -164,5 +164,7 @@ def _layout(
                 if signed[number] < 0
                 else "its normals point out of it, so what it encloses was filled as well"
             )
-            told.append(f"a shell of {abs(signed[number]):.4g} mm^3 about {place(middle)} lies inside another: {kind}")
-    return told
+            repairs.append(
+                f"a shell of {abs(signed[number]):.4g} mm^3 about {place(middle)} lies inside another: {kind}"
+            )
+    return repairs

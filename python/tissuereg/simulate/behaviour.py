@@ -154,23 +154,23 @@ class Behaviour:
         dict
             Parameters of every behaviour that is present.
         """
-        said: dict[str, Any] = {}
+        numbers: dict[str, Any] = {}
         if self.relaxation is not None:
             g, tau = ([float(v) for v in np.atleast_1d(x)] for x in (self.relaxation.g, self.relaxation.tau_s))
-            said["relaxation"] = (g, tau, self.relaxation.part)
+            numbers["relaxation"] = (g, tau, self.relaxation.part)
         if self.rate is not None:
-            said["viscosity_kpa_s"] = float(self.rate.viscosity_kpa_s)
+            numbers["viscosity_kpa_s"] = float(self.rate.viscosity_kpa_s)
         if self.softening is not None:
             soft = self.softening
-            said["softening"] = (soft.form, soft.r, soft.m_kpa, soft.beta)
+            numbers["softening"] = (soft.form, soft.r, soft.m_kpa, soft.beta)
         if self.set is not None:
-            said["set"] = self.set.fraction
+            numbers["set"] = self.set.fraction
         if self.drainage is not None:
-            said["drainage"] = (self.drainage.share, self.drainage.tau_s)
+            numbers["drainage"] = (self.drainage.share, self.drainage.tau_s)
         if self.swelling is not None:
             ramp = self.swelling
-            said["swelling"] = (ramp.linear_strain, ramp.from_time_s, ramp.to_time_s)
-        return said
+            numbers["swelling"] = (ramp.linear_strain, ramp.from_time_s, ramp.to_time_s)
+        return numbers
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,8 +110,8 @@ def _from(progress: Progress | None, first: int, in_all: int) -> Callable[[int],
 
 def _begin(folder: Path, recipe: Recipe, mesh: Mesh, seed: int) -> None:
     """Mark the folder as this recipe's, or refuse it."""
-    told = {k: v for k, v in recipe.raw.items() if k != "train"}
-    mark = hashlib.sha256(json.dumps([told, seed, mesh.digest(), __version__], sort_keys=True).encode()).hexdigest()
+    identity = {k: v for k, v in recipe.raw.items() if k != "train"}
+    mark = hashlib.sha256(json.dumps([identity, seed, mesh.digest(), __version__], sort_keys=True).encode()).hexdigest()
     marker = folder / "recipe.sha256"
     remove_stale_drafts(folder)
     if not marker.exists():
@@ -186,15 +186,15 @@ def _make_pairs(folder: Path, recipe: Recipe, simulator: Simulator, seed: int, t
         load, material = pairs.variation.draw(event.load(true_simulator, s), believed, rng)
         true_loads.append(load)
         truths.append(Material(material.young_array * _inclusion(mesh, recipe, rng), believed.poisson))
-    said = simulator.solve_many(loads, [believed] * len(loads), threads=threads, **_SOLVE)
+    simulated = simulator.solve_many(loads, [believed] * len(loads), threads=threads, **_SOLVE)
     true = true_simulator.solve_many(true_loads, truths, threads=threads, **_SOLVE)
-    both = np.intersect1d(said.solved, true.solved)
+    both = np.intersect1d(simulated.solved, true.solved)
     if len(both) < pairs.members / 2:
         message = f"at least half of the pairs must find equilibrium, {len(both)} of {pairs.members} did"
-        raise EnsembleError(message, dropped=said.failed + true.failed)
+        raise EnsembleError(message, dropped=simulated.failed + true.failed)
     _save(
         folder / "pairs.npz",
-        simulation_mm=said.displacement[both].astype(np.float32),
+        simulation_mm=simulated.displacement[both].astype(np.float32),
         truth_mm=true.displacement[both].astype(np.float32),
     )
 

@@ -159,14 +159,14 @@ def solve_through_time(
     done = 0
     for group in groups:
         _refuse_overlap(group)
-        told = [frames_of_own(experiment, case) for case in group]
-        fewer = [_only(case, first) for case, (first, _) in zip(group, told, strict=True)]
+        frames = [frames_of_own(experiment, case) for case in group]
+        fewer = [_only(case, first) for case, (first, _) in zip(group, frames, strict=True)]
         guides = None
         if near is not None:
-            guides = {case.name: near[case.name][first] for case, (first, _) in zip(group, told, strict=True)}
-        report = None if progress is None else _counting(progress, done, told)
+            guides = {case.name: near[case.name][first] for case, (first, _) in zip(group, frames, strict=True)}
+        report = None if progress is None else _counting(progress, done, frames)
         found = _solve_group(experiment, fewer, growing, element, tolerance, threads, guides, rigs, report)
-        for case, (_, of_frame) in zip(group, told, strict=True):
+        for case, (_, of_frame) in zip(group, frames, strict=True):
             solved[case.name] = found[case.name].at_every_frame(of_frame)
         done += sum(len(case.times) for case in group)
     return {case.name: solved[case.name] for case in cases}
@@ -208,10 +208,10 @@ def _only(case: Case, frames: IntArray) -> Case:
 
 
 def _counting(
-    progress: Callable[[int], object], before: int, told: Sequence[tuple[IntArray, IntArray]]
+    progress: Callable[[int], object], before: int, frames: Sequence[tuple[IntArray, IntArray]]
 ) -> Callable[[int], None]:
     """Return a progress callback that counts all frames when it is called with solved ones."""
-    done = before + np.cumsum(np.concatenate([[0], *(np.bincount(of_frame) for _, of_frame in told)]))
+    done = before + np.cumsum(np.concatenate([[0], *(np.bincount(of_frame) for _, of_frame in frames)]))
 
     def report(solved: int) -> None:
         progress(int(done[solved]))

@@ -50,12 +50,12 @@ class DataRecipe:
 
 @dataclass(frozen=True)
 class PairsRecipe:
-    """``[pairs]``: the same event as the believed model says it and as another model does.
+    """``[pairs]``: the same event simulated by the believed model and by another model.
 
     Parameters
     ----------
     members : int
-        Pairs.
+        Number of pairs.
     element : str
         Elements of the truth.
     young_log_std : float

@@ -76,9 +76,9 @@ def make(plan):
     weight = _weight(plan, rng)
     hidden_parts = [Part(plan, p, rig, np.random.default_rng([plan.seed, k])) for k, p in enumerate(plan.parts)]
     sizes, factor = _sizes(plan, view, hidden_parts, weight, rng)
-    clean, told = view.clean(hidden_parts, sizes, weight)
+    clean, summary = view.clean(hidden_parts, sizes, weight)
     if plan.parts and plan.parts[0] == ("stiffness",):
-        share = told["stiffness"]["young_kpa"] / SOLVED_YOUNG
+        share = summary["stiffness"]["young_kpa"] / SOLVED_YOUNG
     vector = view.whitened(clean, view.clean([], [], weight)[0], factor, weight)
     alone = [
         view.norm(view.clean([p], [s], weight)[0], view.clean([], [], weight)[0], factor, weight)
@@ -90,7 +90,7 @@ def make(plan):
         "cause": sorted({p.cause for p in hidden_parts if p.catalogue}),
         "outside": [p.cause for p in hidden_parts if not p.catalogue],
         "kind": plan.kind,
-        "parameters": {p.cause: _scaled(told[p.cause], share) for p in hidden_parts}
+        "parameters": {p.cause: _scaled(summary[p.cause], share) for p in hidden_parts}
         | {"young_kpa": SOLVED_YOUNG * share},
         "own_form": all(p.own_form for p in hidden_parts),
         "catalogue": all(p.catalogue for p in hidden_parts),
@@ -123,8 +123,8 @@ def _weight(plan, rng):
         raise NotReadyError
     effect = hidden("catalogue")[index]
     size = float(rng.uniform(0.05, 0.12))
-    _, told = effect.build(rig_of(plan.rig), Job(plan.rig, "catalogue", index, 0).rng(), size)
-    return at_size(effect, changes, size), told
+    _, summary = effect.build(rig_of(plan.rig), Job(plan.rig, "catalogue", index, 0).rng(), size)
+    return at_size(effect, changes, size), summary
 
 
 class Part:
@@ -170,10 +170,10 @@ class View:
         """Return (places (n, 25, 3), targets, forces (m, 3)) without noise, with some hidden parts; and these."""
         rig = self.rig
         state = chain.Clean(case_amplitudes(), case_amplitudes(), cases=self.cases)
-        told, late = {}, []
+        summary, late = {}, []
         for part, size in zip(parts, sizes, strict=True):
             if part.spec[0] in ("chain", "odd"):
-                told[part.cause] = part.act(state, rig, part.rng(), size)
+                summary[part.cause] = part.act(state, rig, part.rng(), size)
         frames = null_frames(rig.number, state.amplitudes)
         force_frames = null_frames(rig.number, state.force_amplitudes)
         factor = 1.0
@@ -183,17 +183,17 @@ class View:
                 change = at_size(part.effect, part.changes, size)
                 frames, force_frames = frames + change, force_frames + change
                 if kind == "pairs":
-                    told[part.cause] = part.effect.build(rig, Job(rig.number, kind, part.spec[1], 0).rng(), size)[1]
+                    summary[part.cause] = part.effect.build(rig, Job(rig.number, kind, part.spec[1], 0).rng(), size)[1]
                 else:
-                    told[part.cause] = part.effect.build(rig, Job(rig.number, kind, part.spec[1], 0).rng(), size)[1]
+                    summary[part.cause] = part.effect.build(rig, Job(rig.number, kind, part.spec[1], 0).rng(), size)[1]
             elif kind == "view":
-                told[part.cause] = {"size": size}
+                summary[part.cause] = {"size": size}
                 late.append((part, size))
             elif kind == "stiffness":
                 factor = size / SOLVED_YOUNG
-                told["stiffness"] = {"young_kpa": size}
+                summary["stiffness"] = {"young_kpa": size}
             elif kind == "reference":
-                told["reference"] = {
+                summary["reference"] = {
                     "in_reference": True,
                     **{k: v for k, v in weight[1].items() if k != "in_reference"},
                 }
@@ -208,7 +208,7 @@ class View:
         for act in state.force_acts:
             forces = act(forces)
         targets = np.array(list(rig.targets.values())) + force_frames.targets
-        return (places[self.rows], targets[self.rows], forces[self.force_rows]), told
+        return (places[self.rows], targets[self.rows], forces[self.force_rows]), summary
 
     def marker_part(self, clean, weight):
         """Return what the hidden changes in places."""
@@ -296,7 +296,7 @@ def _size(level, view, part, weight, factor):
 
 
 def ties(view, parts, vector, factor, weight):
-    """Return ids that cannot be told from the hidden cause here: what they leave of its vector is shorter than 4."""
+    """Return ids that cannot be distinguished from the hidden cause here: they explain all but a length of 4 of it."""
     below = view.clean([], [], weight)[0]
     found = set()
     own = {p.cause for p in parts}
@@ -355,13 +355,13 @@ def _accepted(plan, answer):
     }
 
 
-def _scaled(told, share):
+def _scaled(summary, share):
     """Return parameters that are stresses in the case's own modulus."""
-    told = dict(told)
+    summary = dict(summary)
     for key in ("viscosity_kpa_s", "m_kpa", "spring_kpa_per_mm", "preload_kpa", "soft_kpa_per_mm", "g_mm_per_s2"):
-        if key in told:
-            told[key] = told[key] * share
-    return {k: (_scaled(v, share) if isinstance(v, dict) else v) for k, v in told.items()}
+        if key in summary:
+            summary[key] = summary[key] * share
+    return {k: (_scaled(v, share) if isinstance(v, dict) else v) for k, v in summary.items()}
 
 
 def _measure(plan, rig, view, clean, share, factor, rng):
@@ -421,12 +421,12 @@ def _toml(plan, rig, chosen, factor, weight, share):
         "",
     ]
     if weight is not None:
-        told = weight[1]
-        direction = ", ".join(f"{x:.6f}" for x in told["direction"])
+        summary = weight[1]
+        direction = ", ".join(f"{x:.6f}" for x in summary["direction"])
         lines += [
             "[gravity]",
             f"direction = [{direction}]",
-            f"g_mm_per_s2 = {told['g_mm_per_s2'] * share:.4f}",
+            f"g_mm_per_s2 = {summary['g_mm_per_s2'] * share:.4f}",
             "in_reference = false",
             "",
         ]

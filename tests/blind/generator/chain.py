@@ -94,7 +94,7 @@ def marker_swap(clean, rig, rng, size):
 
 
 def actuator_gain(clean, rig, rng, size):
-    """One actuator gives more or less than it is told to."""
+    """One actuator gives more or less than its command."""
     number, sign = int(rng.choice(clean.cases)), rng.choice([-1, 1])
     _gain(clean, number, lambda a: a * (1 + sign * size))
     return {"actuator": ("push_x", "push_y", "push_z")[number], "gain": 1 + sign * size}

@@ -1,4 +1,4 @@
-"""Hidden effects that need a solve of their own: physics of the data at a size, and what the answer sheet says.
+"""Hidden effects that need a solve of their own: physics of the data at a size, and parameters for the answer sheet.
 
 Each entry: id, variant, whether the fit owns the form, two sizes, and a builder (rig, rng, size) -> (Physics settings,
 parameters). Draws must not depend on the size: the two sizes are the same effect, smaller and larger.

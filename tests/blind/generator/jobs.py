@@ -1,4 +1,4 @@
-"""The list of foreign solves, most valuable first, and where their results lie."""
+"""The list of solves by the other solver, most valuable first, and the files of their results."""
 
 import hashlib
 import traceback
@@ -24,7 +24,7 @@ class Job:
 
     @property
     def name(self):
-        """Name of the file, which tells nothing."""
+        """Name of the file, which reveals nothing."""
         text = f"{self.rig}/{self.group}/{self.index}/{self.size}"
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -105,7 +105,7 @@ def save(job, found):
 
 
 def make_all():
-    """Do every job that is not done; a job that finds no equilibrium leaves a note beside the results."""
+    """Do every job that is not done; a job that finds no equilibrium leaves a note next to the results."""
     for job in all_jobs():
         note = job.path.with_suffix(".failed")
         if job.path.exists() or note.exists():

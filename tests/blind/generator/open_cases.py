@@ -2,7 +2,7 @@
 
 One experiment folder for every effect of the catalogue that has been solved, of detectability LEVEL, with the truth in
 ``DIR/truth.json``; with ``nulls`` for LEVEL bodies without an effect, two of every rig. The user's mesh has about 600
-nodes, or 4,000 (fine). Markers, noise and sizes are drawn from seeds of their own, so that they tell nothing of a
+nodes, or 4,000 (fine). Markers, noise and sizes are drawn from separate seeds, so that they reveal nothing of a
 sealed case; they share its solves.
 """
 
@@ -23,7 +23,7 @@ SEEDS = 900_000
 #: Those of open bodies without an effect, and how many there are of a rig.
 NULL_SEEDS, NULLS = 950_000, 2
 
-#: What is told of an open case.
+#: Keys of the answer of an open case that are written.
 TOLD = ("cause", "own_form", "detectability", "group_ok", "separable", "std_mm", "parameters", "effect_rms_mm")
 
 

@@ -14,8 +14,8 @@ def _joint(*parts):
         settings, parameters, contrasts = {}, {}, []
         for effect in effects:
             level = effect.sizes[0] + size * (effect.sizes[1] - effect.sizes[0])
-            more, told = effect.build(rig, rng, level)
-            parameters[effect.id] = told
+            more, summary = effect.build(rig, rng, level)
+            parameters[effect.id] = summary
             if "contrast" in more:
                 contrasts.append(more.pop("contrast"))
             settings |= more

@@ -1,4 +1,4 @@
-"""Which experiments there are. Names and seeds are hashes, so that a name tells nothing and stays."""
+"""The list of experiments. Names and seeds are hashes, so that a name reveals nothing and does not change."""
 
 import hashlib
 

@@ -48,16 +48,16 @@ def make_rig(number):
     kept = json.loads(RIGS.read_text(encoding="utf-8")) if RIGS.exists() else []
     if number >= len(kept):
         return draw_rig(number)
-    told = kept[number]
+    summary = kept[number]
     return Rig(
         number,
-        Shape(tuple(told["axes"]), told["power"], tuple(tuple(wave) for wave in told["waves"])),
-        told["poisson"],
-        {name: (np.array(centre), radius) for name, (centre, radius) in told["pads"].items()},
-        {name: np.array(stroke) for name, stroke in told["strokes"].items()},
-        np.array(told["places"]),
-        {name: np.array(place) for name, place in told["targets"].items()},
-        told["turn"],
+        Shape(tuple(summary["axes"]), summary["power"], tuple(tuple(wave) for wave in summary["waves"])),
+        summary["poisson"],
+        {name: (np.array(centre), radius) for name, (centre, radius) in summary["pads"].items()},
+        {name: np.array(stroke) for name, stroke in summary["strokes"].items()},
+        np.array(summary["places"]),
+        {name: np.array(place) for name, place in summary["targets"].items()},
+        summary["turn"],
     )
 
 

@@ -1,4 +1,4 @@
-"""One foreign solve: a rig and a hidden effect at a size -> places of markers and targets, pad forces; no noise."""
+"""One solve of a rig with a hidden effect at a size -> places of markers and targets, pad forces; no noise."""
 
 import time as clock
 

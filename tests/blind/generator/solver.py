@@ -1,6 +1,6 @@
 """Equilibrium of ten-node tetrahedra with all that may act on them; geometry and bases by scikit-fem.
 
-``Body`` holds what a mesh gives; ``Physics`` says what acts; ``Run`` steps through time and keeps histories.
+``Body`` holds the data of a mesh; ``Physics`` the loads and laws; ``Run`` steps through time and keeps histories.
 Unknowns are nodal displacements u (n, 3) in mm; forces in mN, stresses in kPa.
 """
 

@@ -68,15 +68,15 @@ def _tiers(answers):
     """Return names of the quick tier (16 effects, 20 nulls) and of the one with 4,000 nodes, sorted."""
     quick, seen = [], set()
     for name in sorted(answers):
-        told = answers[name]
+        summary = answers[name]
         if (
-            told["kind"] != "single"
-            or told["detectability"] < 12.8
-            or not told["separable"]
-            or told["cause"][0] in seen
+            summary["kind"] != "single"
+            or summary["detectability"] < 12.8
+            or not summary["separable"]
+            or summary["cause"][0] in seen
         ):
             continue
-        seen.add(told["cause"][0])
+        seen.add(summary["cause"][0])
         quick.append(name)
     nulls = [name for name in sorted(answers) if answers[name]["kind"] == "null" and not answers[name]["fine"]]
     return {"quick": sorted([*quick[:16], *nulls[:20]]), "fine": sorted(n for n in answers if answers[n]["fine"])}

@@ -1,4 +1,4 @@
-"""The five bodies: what a user brings, the finer data mesh beside it, places of markers and inner targets.
+"""The five bodies: the user's mesh, the finer mesh of the data, places of markers and inner targets.
 
 ``python -m loadfree.generator.bodies FOLDER`` makes ``data/meshes/*.npz`` anew; FOLDER holds the reference problems.
 The mesher's answer differs from run to run, so the meshes are stored.

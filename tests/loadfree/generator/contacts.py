@@ -73,6 +73,6 @@ class Contact:
             return inside
         return inside * (1.0 + 0.8 * ((points - np.asarray(self.centre)) @ np.asarray(self.side)) / self.radii[0])
 
-    def told(self):
+    def description(self):
         """Return the contact as plain data."""
         return asdict(self)

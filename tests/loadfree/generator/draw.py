@@ -29,7 +29,7 @@ class Plan:
     number: int
     kind: str
     difference: str | None = None
-    told: dict = field(default_factory=dict)
+    truth: dict = field(default_factory=dict)
 
     @property
     def name(self):
@@ -130,27 +130,27 @@ def acting(plan, skin, rng):
 
 
 def physics(plan, skin, body, rng):
-    """Return the truth's physics; what differs from the belief is written to ``plan.told``."""
+    """Return the truth's physics; differences from the believed model are written to ``plan.truth``."""
     if plan.difference == "poisson":
-        plan.told = {"poisson": float(rng.choice([0.42, 0.47]))}
+        plan.truth = {"poisson": float(rng.choice([0.42, 0.47]))}
     elif plan.difference == "young":
-        plan.told = {"young_kpa": 1.3 * YOUNG_KPA}
+        plan.truth = {"young_kpa": 1.3 * YOUNG_KPA}
     elif plan.difference == "law":
         name, shape = [("fung", {"b": 3.0}), ("fung_split", {"b": 3.0}), ("gent", {"limit": 0.6})][rng.integers(3)]
-        plan.told = {"law": name, "shape": shape}
+        plan.truth = {"law": name, "shape": shape}
         return Physics(young=YOUNG_KPA, poisson=POISSON, law=Law(name, shape))
     elif plan.difference == "ball":
         radius = skin.extent * rng.uniform(0.12, 0.18)
         radius = min(radius, 0.45 * skin.thickness)
         flat = body.points.reshape(-1, 3)
         centre = flat[rng.choice(len(flat), p=body.dx.ravel() / body.dx.sum())]
-        plan.told = {"ball_centre_mm": _rounded(centre), "ball_radius_mm": float(radius), "ball_factor": 5.0}
+        plan.truth = {"ball_centre_mm": _rounded(centre), "ball_radius_mm": float(radius), "ball_factor": 5.0}
         return Physics(
             young=YOUNG_KPA,
             poisson=POISSON,
             contrast=lambda points: np.where(np.linalg.norm(points - centre, axis=-1) < radius, 5.0, 1.0),
         )
-    return Physics(young=plan.told.get("young_kpa", YOUNG_KPA), poisson=plan.told.get("poisson", POISSON))
+    return Physics(young=plan.truth.get("young_kpa", YOUNG_KPA), poisson=plan.truth.get("poisson", POISSON))
 
 
 def _unit(rng):

@@ -9,7 +9,7 @@ from loadfree.generator.draw import YOUNG_KPA, Skin, acting, largest_mm, physics
 from loadfree.generator.places import interpolation
 from loadfree.generator.solve import HeldBody, TooHardError, prepare, solve
 
-#: Of the pool, this share of places must move by more than this (mm): else no marker would say anything.
+#: This share of the pool's places must move by more than this (mm): otherwise the markers would be uninformative.
 MOVING_SHARE, MOVING_MM = 0.15, 0.3
 
 #: Draws of an event until one can be solved and moves markers.
@@ -85,13 +85,13 @@ class Bench:
         believed = YOUNG_KPA / run.physics.young
         forces, dipoles = believed * run.forces(), believed * run.dipoles([np.asarray(c.centre) for c in contacts])
         acts = [{"force_mN": _rounded(f), "dipole_mN_mm": _rounded(d, 3)} for f, d in zip(forces, dipoles, strict=True)]
-        told = {
+        description = {
             "body": plan.body,
             "event": plan.number,
             "kind": plan.kind,
             "difference": plan.difference,
-            "truth": plan.told,
-            "contacts": [c.told() | act for c, act in zip(contacts, acts, strict=True)],
+            "truth": plan.truth,
+            "contacts": [c.description() | act for c, act in zip(contacts, acts, strict=True)],
             "weight_mN_per_mm3": _rounded(run.stroke[0] * run.heavy * np.asarray(weight), 9),
             "largest_mm": float(np.linalg.norm(run.u, axis=1).max()),
             "gradient": float(run.gradient_size(run.u)),
@@ -102,10 +102,10 @@ class Bench:
             "seconds": run.seconds,
             "factorings": run.counts["factorings"],
         }
-        for contact, part in zip(told["contacts"], run.parts, strict=True):
+        for contact, part in zip(description["contacts"], run.parts, strict=True):
             if contact["kind"] != "traction":
                 contact["stroke_mm"] = float(run.stroke[0] * part[3])
-        return json.loads(json.dumps(told))
+        return json.loads(json.dumps(description))
 
 
 def _rounded(values, digits=4):

@@ -11,14 +11,14 @@ from loadfree.generator.meshing import skin_facets
 #: Shares of the final motion at which equilibrium is found on the way.
 STEPS = (0.5, 1.0)
 
-#: Largest change of the last iteration in mm: the force of a pad is its tie times what is left of its slip.
+#: Largest change of the last iteration in mm: the force of a pad is its tie stiffness times its remaining slip.
 TOLERANCE_MM = 2e-6
 
 #: Largest displacement gradient (99.5 % of the volume, first order) that an event may have.
 LARGEST_GRADIENT = 0.7
 
 
-#: An event that wants more factors than this is given up: its elements are about to turn inside out.
+#: An event that needs more factorisations than this is abandoned: its elements are about to invert.
 MOST_FACTORS = 20
 
 

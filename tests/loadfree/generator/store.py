@@ -13,7 +13,7 @@ from loadfree.generator.events import Bench
 #: Single events, not part of the repository.
 EVENTS = Path(__file__).resolve().parents[3] / "build" / "loadfree" / "events"
 
-#: Events of bodies that are held elsewhere than the user says; their meshes are those of ``data/<body>.npz``.
+#: Events of bodies that are held elsewhere than the user states; their meshes are those of ``data/<body>.npz``.
 SUPPORTS = DATA / "supports.npz"
 
 #: Displacements are stored in steps of this size, as 16-bit numbers.
@@ -56,18 +56,19 @@ def make_event(bench, plan, report=print):
     """Solve one event and store it."""
     path = path_of(plan)
     try:
-        fields, told = bench.run(plan)
+        fields, description = bench.run(plan)
     except FloatingPointError as error:
         path.with_suffix(".failed").write_text(f"{error}\n", encoding="utf-8")
         report(f"{path.stem}: failed: {error}")
         return
     partial = path.with_suffix(".part.npz")
-    np.savez_compressed(partial, told=np.array(json.dumps(told)), **fields)
+    np.savez_compressed(partial, told=np.array(json.dumps(description)), **fields)
     partial.rename(path)
     moved = np.linalg.norm(fields["pool"], axis=1)
     report(
-        f"{path.stem}: {plan.kind}, {plan.difference}: {told['largest_mm']:.1f} mm, median of the pool "
-        f"{np.median(moved):.2f} mm, {told['seconds']:.0f} s, {told['factorings']} factors, draw {told['draw']}"
+        f"{path.stem}: {plan.kind}, {plan.difference}: {description['largest_mm']:.1f} mm, median of the pool "
+        f"{np.median(moved):.2f} mm, {description['seconds']:.0f} s, {description['factorings']} factors, "
+        f"draw {description['draw']}"
     )
 
 

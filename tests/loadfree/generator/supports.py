@@ -1,4 +1,4 @@
-"""Events of bodies that are held elsewhere than the user says: at a part of the glued base, or above it too."""
+"""Events of bodies that are held elsewhere than the user states: at a part of the glued base, or above it too."""
 
 from dataclasses import asdict, dataclass
 
@@ -95,7 +95,7 @@ class Support:
 
 
 class PartlyHeldBody(HeldBody):
-    """A body held where a function of surface places says so; contacts keep away from there and from the base."""
+    """A body held according to a function of surface places; contacts keep away from there and from the base."""
 
     def __init__(self, mesh, axis, holds):
         super().__init__(mesh, axis)
@@ -107,7 +107,7 @@ class PartlyHeldBody(HeldBody):
 
 @dataclass
 class SupportPlan(Plan):
-    """An event of a body that is held elsewhere than the user says."""
+    """An event of a body that is held elsewhere than the user states."""
 
     support: str = "ring"
 

@@ -131,7 +131,7 @@ class Bisection:
             longest = np.concatenate([longest, np.empty(len(more_room), np.int64)])
             allowed[fresh] = size(self.nodes[self.tets[fresh]].mean(axis=1))
             length[fresh], longest[fresh] = self._longest(self.tets[fresh])
-        message = f"refinement must end within {_MOST_ROUNDS} rounds; the sizes asked for are too small"
+        message = f"refinement must end within {_MOST_ROUNDS} rounds; the requested sizes are too small"
         raise MeshError(message, where="refine")
 
     def mesh(self, node_sets: Mapping[str, IntArray]) -> Mesh:

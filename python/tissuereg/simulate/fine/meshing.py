@@ -114,8 +114,8 @@ def _groups(experiment: Experiment, rims: Mapping[str, Rim]) -> list[Any]:
 
 def _outline_nodes(cutter: Bisection, nodes: IntArray) -> IntArray:
     """Return the nodes of a patch that touch the surface outside it."""
-    beside = cutter.surface[~np.isin(cutter.surface, nodes).all(axis=1)]
-    return np.intersect1d(nodes, beside)
+    outside = cutter.surface[~np.isin(cutter.surface, nodes).all(axis=1)]
+    return np.intersect1d(nodes, outside)
 
 
 def _refine_outline(cutter: Bisection, pad: Actuator, meshing: FineMeshing) -> None:

@@ -164,14 +164,14 @@ class FineModel:
             readings = _by_load(fine, self.experiment.mesh, worked, wanted, threads, near, progress)
         answers = {}
         for case in wanted:
-            said = readings[case.name]
+            reading = readings[case.name]
             answers[case.name] = CaseSimulation(
                 case.times,
-                said.displacement,
-                seen_markers(fine, said.markers, case.times),
-                said.forces,
-                {target: said.targets[:, i] for i, target in enumerate(fine.targets)},
-                said.failed,
+                reading.displacement,
+                seen_markers(fine, reading.markers, case.times),
+                reading.forces,
+                {target: reading.targets[:, i] for i, target in enumerate(fine.targets)},
+                reading.failed,
             )
         return answers
 
@@ -198,7 +198,7 @@ class FineModel:
         twin = without_time(fine)
         of_rough = self._kept(twin, cases, rough, threads, report, "rough elastic frames")
         of_fine = self._kept(twin, cases, "tet10", threads, report, "fine elastic frames")
-        return {name: corrected(said, of_rough[name], of_fine[name]) for name, said in readings.items()}
+        return {name: corrected(reading, of_rough[name], of_fine[name]) for name, reading in readings.items()}
 
     def _kept(
         self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "Progress", part: str
@@ -207,11 +207,11 @@ class FineModel:
         keys = {case.name: (case.name, element, twin.mesh, twin.gravity is None, twin.effects) for case in cases}
         missing = [case for case in cases if keys[case.name] not in self._elastic]
         for case in cases:
-            if case not in missing and (told := report.of(f"{part} of {case.name}")) is not None:
-                told(len(case.times))
+            if case not in missing and (notify := report.of(f"{part} of {case.name}")) is not None:
+                notify(len(case.times))
         fresh = _elastic(twin, self.experiment.mesh, missing, element, threads, report, part) if missing else {}
         found = {name: fresh[name] if name in fresh else self._elastic.pop(key) for name, key in keys.items()}
-        self._elastic |= {keys[name]: said for name, said in found.items()}
+        self._elastic |= {keys[name]: reading for name, reading in found.items()}
         while len(self._elastic) > _MOST_KEPT:
             del self._elastic[next(iter(self._elastic))]
         return found
@@ -293,11 +293,11 @@ def _elastic(
     share = max(1, threads // max(len(cases), 1))
 
     def read(case: Case) -> Reading:
-        told = report.of(f"{part} of {case.name}")
+        notify = report.of(f"{part} of {case.name}")
         # Effects on actuators are worked into the cases.
         moved = ready.cases[case.name]
         begin = None if near is None else near.get(case.name)
-        solved = solve_states(ready, moved, element=element, threads=share, near=begin, progress=told)
+        solved = solve_states(ready, moved, element=element, threads=share, near=begin, progress=notify)
         if near is not None:
             near[case.name] = solved.all_displacement[first_frames(distinct_states(moved)[1])]
         return reader.read(solved)
@@ -366,8 +366,8 @@ def _remembering(
     share = max(1, threads // max(len(cases), 1))
 
     def solve(case: Case) -> SolvedCase:
-        told = report.of(f"history of {case.name}")
-        return solve_through_time(ready, [case], threads=share, progress=told, **settings)[case.name]
+        notify = report.of(f"history of {case.name}")
+        return solve_through_time(ready, [case], threads=share, progress=notify, **settings)[case.name]
 
     with ThreadPoolExecutor(max_workers=threads) as pool:
         return dict(zip([case.name for case in cases], pool.map(solve, cases), strict=True))
@@ -376,21 +376,21 @@ def _remembering(
 class Progress:
     """Frames done, summed over cases that run in parallel."""
 
-    def __init__(self, told: Callable[[int, int], None] | None, in_all: int) -> None:
+    def __init__(self, notify: Callable[[int, int], None] | None, in_all: int) -> None:
         self.in_all = in_all
-        self._told = told
+        self._notify = notify
         self._done: dict[str, int] = {}
         self._lock = Lock()
 
     def of(self, part: str) -> Callable[[int], None] | None:
         """Return the callback for one part of the work, which takes its number of frames done."""
-        if self._told is None:
+        if self._notify is None:
             return None
-        told = self._told
+        notify = self._notify
 
         def report(done: int) -> None:
             with self._lock:
                 self._done[part] = done
-                told(sum(self._done.values()), self.in_all)
+                notify(sum(self._done.values()), self.in_all)
 
         return report

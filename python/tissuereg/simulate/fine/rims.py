@@ -59,7 +59,7 @@ def samples(cutter: Bisection, rim: Rim) -> FloatArray:
     """Return points of the rim, one on every edge of the surface that crosses it, (n, 3) in mm.
 
     For an edge between outer nodes that enters the ball this is its deepest point. If no edge comes near, the
-    surface node next to the rim stands for it.
+    surface node next to the rim is used.
     """
     outer, inner = _crossing_edges(cutter, rim)
     share = rim.crossing(cutter.nodes[outer], cutter.nodes[inner])
