@@ -35,7 +35,7 @@ SEED = 12
 #: The organ lies on its back, the plane z = -18 mm.
 HELD = "plane 0 0 1 -18 2.5"
 LESION_MM, LESION_RADIUS_MM, LESION_CONTRAST = (22.0, 4.0, 4.0), 8.0, 4.0
-VESSEL_MM = (-14.0, 10.0, -2.0)
+VESSEL_MM = (-52.0, 2.0, 14.0)
 TRUE_YOUNG, TRUE_POISSON = 7.5, 0.46
 PUSH_AT_MM, PUSH_RADIUS_MM, PUSH_MM = (34.0, -22.0, 24.0), 13.0, (-3.0, 6.0, -11.0)
 N_MARKERS, MARKER_STD_MM = 15, 0.1
@@ -81,8 +81,8 @@ def make_surface(folder: Path) -> None:
         tr.Material(np.where(inside, LESION_CONTRAST, 1.0) * TRUE_YOUNG, TRUE_POISSON),
         element="tet10",
     )
-    # What a camera above sees, the pusher apart.
-    seen = (surface.vertices[:, 2] > -6) & (surface.vertex_normals[:, 2] > 0.25)
+    # What a camera above sees: the pusher and the far end of the organ are hidden.
+    seen = (surface.vertices[:, 2] > -6) & (surface.vertex_normals[:, 2] > 0.25) & (surface.vertices[:, 0] > -25)
     seen &= np.linalg.norm(surface.vertices - PUSH_AT_MM, axis=1) > PUSH_RADIUS_MM + 5
     places = surface.vertices[seen][scattered(surface.vertices[seen], N_MARKERS)]
     names = [f"M{i + 1}" for i in range(N_MARKERS)]
