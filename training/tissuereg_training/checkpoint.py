@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from tissuereg_training.errors import CheckpointError
+from tissuereg_training.errors import CheckpointError, OutputError
+from tissuereg_training.folder import remove_unfinished
 
 if TYPE_CHECKING:
     from tissuereg_training.fit import FitState
@@ -30,14 +31,17 @@ class Checkpoint:
     def __init__(self, folder: Path, fingerprint: str) -> None:
         self.folder, self.fingerprint = folder, fingerprint
         self.path = folder / "last.pt"
+        self._part = folder / "last.part"
 
     def exists(self) -> bool:
         """Return whether there is something to continue from."""
         return self.path.is_file()
 
     def discard(self) -> None:
-        """Delete the checkpoint, and its folder if nothing else is in it."""
+        """Delete the checkpoint and what a killed run left beside it, and the folder if nothing else is in it."""
         self.path.unlink(missing_ok=True)
+        self._part.unlink(missing_ok=True)
+        remove_unfinished(self.folder)
         shutil.rmtree(self.folder / "__pycache__", ignore_errors=True)
         with contextlib.suppress(OSError):
             self.folder.rmdir()
@@ -53,17 +57,27 @@ class Checkpoint:
             Its moments.
         state : FitState
             Progress and best weights.
+
+        Raises
+        ------
+        OutputError
+            If the operating system refuses, for want of room for instance; the file before it stays.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
         whole = {
             "fingerprint": self.fingerprint,
             "model": model.state_dict(),
             "optimiser": optimiser.state_dict(),
             **{name: getattr(state, name) for name in _STATE},
         }
-        unfinished = self.path.with_suffix(".part")
-        torch.save(whole, unfinished)
-        unfinished.replace(self.path)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            torch.save(whole, self._part)
+            self._part.replace(self.path)
+        except (OSError, RuntimeError) as error:  # torch's writer raises the latter where the disk is full
+            with contextlib.suppress(OSError):
+                self._part.unlink(missing_ok=True)
+            message = f"the checkpoint {self.path} must be writable: {str(error).splitlines()[0]}"
+            raise OutputError(message, where=str(self.path)) from error
 
     def load_into(self, model: "GraphVae", optimiser: torch.optim.Optimizer, state: "FitState") -> None:
         """Take everything from the file; do nothing where there is none.

@@ -3,9 +3,7 @@
 import argparse
 import contextlib
 import json
-import os
 import sys
-import tempfile
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -162,11 +160,12 @@ def _write_json(target: str, content: dict[str, Any]) -> None:
     path = Path(target)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
+        unfinished = path.with_name(f".{path.name}.part")  # of a killed run: the next one writes over it
+        try:
+            unfinished.write_text(text, encoding="utf-8")
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)
     except OSError as error:
         message = f"the JSON file {path} must be writable: {error.strerror or error}"
         raise OutputError(message, where=str(path)) from error

@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +43,7 @@ def check_out(out: Path) -> None:
 
 def write_model(
     out: Path,
+    scratch: Path,
     encoder: onnx.ModelProto,
     decoder: onnx.ModelProto,
     weights: dict[str, npt.NDArray[Any]],
@@ -55,6 +55,9 @@ def write_model(
     ----------
     out : Path
         Where it shall stand; an older model there is replaced.
+    scratch : Path
+        Folder beside `out` of the same run alone, made where absent. What a killed run left in it is replaced; of a
+        run that ends nothing of this stays in it.
     encoder, decoder : onnx.ModelProto
         The networks.
     weights : dict of str to ndarray
@@ -74,8 +77,10 @@ def write_model(
     """
     out = out.absolute()
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        new = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+        scratch.mkdir(parents=True, exist_ok=True)
+        new = scratch / "model"
+        remove_unfinished(scratch)
+        new.mkdir(mode=0o700)
         try:
             (new / "encoder.onnx").write_bytes(encoder.SerializeToString(deterministic=True))
             (new / "decoder.onnx").write_bytes(decoder.SerializeToString(deterministic=True))
@@ -87,22 +92,39 @@ def write_model(
             new.chmod(0o755)
             _put_in_place(new, out)
         finally:
-            shutil.rmtree(new, ignore_errors=True)
+            remove_unfinished(scratch)
     except OSError as error:
         message = f"the model folder {out} must be writable: {error.strerror or error}"
         raise OutputError(message, where=str(out)) from error
     return card
 
 
+def put_back(out: Path, scratch: Path) -> None:
+    """Put an old model back that a killed run had taken away to replace it.
+
+    Parameters
+    ----------
+    out, scratch : Path
+        As for `write_model`.
+    """
+    if not out.exists() and (scratch / "replaced").is_dir():
+        (scratch / "replaced").rename(out)
+
+
+def remove_unfinished(scratch: Path) -> None:
+    """Remove what `write_model` had in hand when it was killed: a new model, an old one that was being replaced."""
+    for name in ("model", "replaced"):
+        shutil.rmtree(scratch / name, ignore_errors=True)
+
+
 def _put_in_place(new: Path, out: Path) -> None:
     if not out.exists():
         new.rename(out)
         return
-    old = new.with_name(f"{new.name}-old")
+    old = new.with_name("replaced")
     out.rename(old)
     try:
         new.rename(out)
     except OSError:
         old.rename(out)
         raise
-    shutil.rmtree(old, ignore_errors=True)

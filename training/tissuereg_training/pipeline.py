@@ -29,7 +29,7 @@ from tissuereg_training.evaluate import (
 )
 from tissuereg_training.export import decoder_onnx, decoder_weights, encoder_onnx
 from tissuereg_training.fit import FitState, fit, new_model, set_normalisation
-from tissuereg_training.folder import check_out, write_model
+from tissuereg_training.folder import check_out, put_back, write_model
 from tissuereg_training.graph import hierarchy
 from tissuereg_training.host import Clock, machine, prepare, versions
 from tissuereg_training.model import GraphVae
@@ -96,6 +96,7 @@ def train(
         with clock.stage("read"):
             recipe = read_recipe(recipe_path)
             check_out(out)
+            put_back(out, _scratch(out))
             check_recipe_fits(recipe, read_dataset_recipe(data))
             dataset = read_dataset(data)
             seed = recipe.seed if seed is None else seed
@@ -121,7 +122,7 @@ def train(
             fields = dataset.fields[split.test][:32]
             card["parity"] = checked_parity(model, encoder, decoder, fields, seed)
             weights = {**decoder_weights(model), **errors}
-            write_model(out, encoder, decoder, weights, card)
+            write_model(out, checkpoint.folder, encoder, decoder, weights, card)
             checkpoint.discard()
     record = {k: card[k] for k in ("errors_mm", "epochs", "best_epoch", "parity", "kl_weight", "levels", "members")}
     return {
@@ -135,10 +136,14 @@ def train(
     }
 
 
+def _scratch(out: Path) -> Path:
+    return out.with_name(f"{out.name}.training")
+
+
 def _checkpoint(out: Path, dataset: Dataset, settings: TrainSettings, seed: int, start: str) -> Checkpoint:
     identity = [settings.as_dict(), seed, dataset.fingerprint()]
     fingerprint = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
-    checkpoint = Checkpoint(out.with_name(f"{out.name}.training"), fingerprint)
+    checkpoint = Checkpoint(_scratch(out), fingerprint)
     if start == "fresh":
         checkpoint.discard()
     elif start == "resume" and not checkpoint.exists():

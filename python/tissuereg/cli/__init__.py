@@ -12,6 +12,7 @@ from typing import Any
 
 from tissuereg.cli import bench, demo, diagnose, mesh, new, register, simulate, solve, train
 from tissuereg.cli.common import Outcome, envelope, paragraph, warnings_as_lines
+from tissuereg.cli.ending import NO_ROOM, ended_like_an_interrupt, mute_stdout
 from tissuereg.cli.options import Parser, UsageError, json_target, parse
 from tissuereg.errors import ConvergenceError, TissueRegError
 from tissuereg.io.atomic import check_file_target
@@ -35,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     target, debug = json_target(words), "--debug" in words
-    with warnings_as_lines(debug=debug) as notes:
+    with ended_like_an_interrupt(), warnings_as_lines(debug=debug) as notes:
         try:
             outcome = _run(words, target)
             if isinstance(outcome, int):
@@ -109,6 +110,8 @@ def _write(target: str, content: dict[str, Any]) -> None:
 def _fail(error: BaseException, target: str | None, *, debug: bool) -> int:
     """Say what went wrong, in words and where asked for in JSON; return the exit code."""
     code, message = _verdict(error)
+    if isinstance(error, OSError) and not isinstance(error, TissueRegError) and code == 2:
+        mute_stdout()
     if debug or code == 1:
         traceback.print_exception(error, file=sys.stderr)
     print(paragraph("interrupted" if code == 130 else f"error: {message}"), file=sys.stderr)
@@ -136,6 +139,8 @@ def _verdict(error: BaseException) -> tuple[int, str]:
         return 3, "the memory of this machine must hold the problem; it does not: use a coarser mesh or fewer members"
     if isinstance(error, BrokenPipeError):
         return 2, "the reader of the output must stay; it closed the pipe"
+    if isinstance(error, OSError) and error.errno in NO_ROOM:
+        return 2, f"there must be room for what is written, there is none: {error}"
     return 1, f"this is a bug in tissuereg, please report it with the lines above: {error or type(error).__name__}"
 
 

@@ -17,6 +17,9 @@ _SUFFIX = ".cached"
 _MAGIC = b"tissuereg cache 1\n"
 _DIGEST = 32
 
+#: Folders of which this process has said that they cannot be written; None stands for no home.
+_WARNED: set[Path | None] = set()
+
 
 def cache_folder() -> Path:
     """Return the folder of cached entries; it may not exist yet.
@@ -55,7 +58,7 @@ def read_entry(name: str) -> bytes | None:
 
 
 def keep_entry(name: str, content: bytes, most: int) -> None:
-    """Keep an entry, and let the oldest of its kind go; where that cannot be done, warn.
+    """Keep an entry, and let the oldest of its kind go; where that cannot be done, warn, once a process.
 
     Parameters
     ----------
@@ -75,10 +78,11 @@ def keep_entry(name: str, content: bytes, most: int) -> None:
         for old in sorted(alike, key=_age)[:-most]:
             old.unlink(missing_ok=True)
     except (OSError, RuntimeError, TissueRegError):
-        # In one sentence for all entries of a run, so that it is shown once.
-        place = "the user has no home" if folder is None else f"{folder} cannot be written"
-        text = f"nothing is kept for the next run, {place}; TISSUEREG_CACHE may name another folder for the cache"
-        warnings.warn(text, stacklevel=2)
+        if folder not in _WARNED:
+            _WARNED.add(folder)
+            place = "the user has no home" if folder is None else f"{folder} cannot be written"
+            text = f"nothing is kept for the next run, {place}; TISSUEREG_CACHE may name another folder for the cache"
+            warnings.warn(text, stacklevel=2)
 
 
 def _digest(name: str, content: bytes) -> bytes:

@@ -11,6 +11,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._machine import n_cores
 from tissuereg.errors import MeshingError, MissingPackageError
+from tissuereg.io.drafts import draft
 from tissuereg.meshing.worker import NO_MEMORY, NO_MESHER, SCRIPT
 from tissuereg.triangles import Triangles
 
@@ -71,8 +72,8 @@ def filled(
     The mesher draws random numbers from the system: two runs give two similar meshes.
     """
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
-    with tempfile.TemporaryDirectory(prefix="tissuereg-mesh-") as scratch:
-        given, made = Path(scratch) / "given.npz", Path(scratch) / "made.npz"
+    with draft(Path(tempfile.gettempdir())) as scratch:
+        given, made = scratch / "given.npz", scratch / "made.npz"
         np.savez(
             given,
             vertices=surface.vertices,
