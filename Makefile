@@ -19,7 +19,7 @@ PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
 	@echo "make test            tests of the Rust crates and the Python package (no torch); make test-slow: those of minutes"
-	@echo "make test-sturdy     a thousand known equilibria, two thousand random inputs"
+	@echo "make test-sturdy     a thousand known equilibria, two thousand random inputs, every reader on 10,000 spoilt files"
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make docs            the documentation site, to be read from files -> build/site/index.html"
 	@echo "make crates          what would be published of each crate, built; its examples, outside the repository (DIRTY=--allow-dirty)"
@@ -69,9 +69,10 @@ test: test-rust test-python
 test-rust:
 	$(CARGO) test --workspace --exclude tissuereg-bindings
 
-test-sturdy:
+test-sturdy: $(VENV)/.installed-dev
 	TISSUEREG_CASES=1000 $(CARGO) test -p tissuereg-fem --test manufactured -- --nocapture
 	TISSUEREG_CASES=2000 $(CARGO) test -p tissuereg-fem --test fuzz
+	TISSUEREG_CASES=10000 $(BIN)/python -m pytest tests/unit/test_fuzzed_files.py
 
 test-python: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow"

@@ -86,3 +86,26 @@ def test_a_data_set_does_not_begin_among_other_files(inputs, capsys, monkeypatch
     assert (code, said["where"]) == (2, str(out))
     assert "it holds other files" in said["message"]
     assert [file.name for file in out.iterdir()] == ["thesis.docx"]
+
+
+def test_a_data_set_with_a_spoilt_chunk_names_it_and_goes_on_without_it(inputs, capsys):
+    words = ("simulate", inputs / "recipe.toml", "--out", inputs / "out", "--quiet")
+    assert run_json(capsys, *words)[0] == 0
+    chunk = inputs / "out" / "chunk_0000.npz"
+    whole = chunk.read_bytes()
+    chunk.write_bytes(whole[:500])
+    code, said, _ = run_json(capsys, *words)
+    assert (code, said["error"], said["where"]) == (2, "FormatError", str(chunk))
+    chunk.unlink()
+    assert run_json(capsys, *words)[0] == 0
+    assert chunk.read_bytes() == whole
+
+
+def test_a_data_set_that_was_killed_before_its_mesh_was_written_is_gone_on_with(inputs, capsys):
+    words = ("simulate", inputs / "recipe.toml", "--out", inputs / "out", "--quiet")
+    assert run_json(capsys, *words)[0] == 0
+    whole = {file.name: file.read_bytes() for file in (inputs / "out").glob("*.npz")}
+    for name in [*whole, "dataset.json"]:
+        (inputs / "out" / name).unlink()
+    assert run_json(capsys, *words)[0] == 0
+    assert {file.name: file.read_bytes() for file in (inputs / "out").glob("*.npz")} == whole

@@ -65,7 +65,7 @@ def test_signals_that_are_ignored_stay_ignored_and_other_threads_leave_them_alon
 @pytest.mark.parametrize("name", NAMES)
 def test_a_signal_at_any_moment_ends_a_command_and_leaves_nothing(name, tmp_path):
     words = ("diagnose", write_experiment(tmp_path / "rig"), "--quiet", "--out", "{out}")
-    for number, seconds in enumerate(np.random.default_rng(7).uniform(0.3, 2.5, 4)):
+    for number, seconds in enumerate(np.random.default_rng(7).uniform(0.3, 2.5, 3)):
         command = Command(words, tmp_path / str(number))
         # A package that is just being imported may swallow an interrupt; the run is then whole.
         code, said = command.kill_after(seconds, getattr(signal, name), preexec_fn=usual_signals)

@@ -1,6 +1,10 @@
 """Files that are nearly right, with bytes flipped, ends cut, lines exchanged: read, or refused by an error of ours."""
 
+import hashlib
+import json
+import os
 import re
+import shutil
 import warnings
 from pathlib import Path
 
@@ -15,17 +19,22 @@ import tissuereg as tr
 from support.files import EXPERIMENT, FIDUCIALS, GOOD_MARKERS, TABLES, write_experiment, write_problem
 from support.meshes import block
 from tissuereg.errors import TissueRegError
+from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.problems import read_problem, read_simulation
 from tissuereg.io.surfaces import read_triangles
+from tissuereg.latent.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
 from tissuereg.simulate.recipe import read_recipe
+
+#: Examples of each file; `make test-sturdy` asks for 10,000.
+CASES = int(os.environ.get("TISSUEREG_CASES", "60"))
 
 #: The same examples at every run; a file is read within so many ms, whatever it holds.
 FUZZED = settings(
-    max_examples=60,
+    max_examples=CASES,
     derandomize=True,
-    deadline=3000,
+    deadline=3000 if CASES <= 60 else None,
     database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
@@ -51,6 +60,110 @@ STRANGE = st.sampled_from(
         "é",
     ]
 )
+SURFACES = (
+    "body.stl",
+    "letters.stl",
+    "body.ply",
+    "bytes.ply",
+    "body.obj",
+    "body.off",
+    "body.vtu",
+    "body.vtk",
+    "body.msh",
+)
+
+ENTRY = bytes(range(200))
+
+#: All columns that markers may have.
+WIDE_MARKERS = (
+    "marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm,std_mm,std_x_mm,std_y_mm,std_z_mm\n"
+    "P1,30,10,40,31,10,40,0.1,,,0.3\nP2,0,10,40,1,10,40,,0.1,0.1,0.1\nP3,15,0,20,,0,20,0.2,,,\n"
+)
+
+#: All tables that a recipe may have.
+RECIPE = """\
+seed = 3
+[mesh]
+file = "mesh.vtu"
+fixed = "plane 0 0 1 0 0.1"
+[material]
+young_kpa = [5.0, 15.0]
+poisson = 0.45
+[data]
+members = 12
+chunk = 6
+element = "tet10"
+largest_mm = [1.0, 9.0]
+n_patches = [1, 2]
+radius_mm = [10.0, 20.0]
+body_force_share = 0.5
+[pairs]
+members = 4
+element = "tet10"
+young_log_std = 0.2
+load_tilt_deg = 4.0
+inclusion_share = 0.5
+inclusion_radius_mm = [6.0, 9.0]
+inclusion_contrast = [2.0, 3.0]
+[train]
+epochs = 3
+"""
+
+#: What an experiment may say besides `EXPERIMENT`.
+MORE = """
+[gravity]
+direction = [0.0, 0.0, -1.0]
+g_mm_per_s2 = 9810.0
+in_reference = false
+[[effect]]
+id = "inclusion"
+centre_mm = [15.0, 10.0, 20.0]
+semi_axes_mm = [8.0, 7.0, 6.0]
+contrast = 3.0
+[[effect]]
+id = "stiffening"
+law = "yeoh"
+c2_over_c1 = 0.5
+c3_over_c1 = 0.1
+[[effect]]
+id = "relaxation"
+g = [0.3, 0.1]
+tau_s = [1.0, 10.0]
+[[effect]]
+id = "softening"
+r = 2.0
+m_kpa = 1.0
+[[effect]]
+id = "swelling"
+linear_strain = 0.01
+from_time_s = 0.0
+to_time_s = 10.0
+[[effect]]
+id = "detachment"
+boundary = "base"
+azimuth_deg = 20.0
+share = 0.1
+[[effect]]
+id = "actuator_direction"
+actuator = "push"
+rotation_deg = [0.0, 0.0, 5.0]
+[[effect]]
+id = "frame"
+rotation_deg = [1.0, 0.0, 0.0]
+shift_mm = [0.1, 0.0, 0.0]
+[[effect]]
+id = "marker_swap"
+markers = ["P1", "P2"]
+from_time_s = 10.5
+[[actuator]]
+name = "pull"
+nodes = { centre_mm = [0.0, 10.0, 40.0], radius_mm = 8.0 }
+kind = "force"
+edge_std_mm = 0.5
+"""
+
+FORCED = "case,time_s,actuator,x_mN,y_mN,z_mN\nlean,10.0,pull,0,0,0\nlean,11.0,pull,20,0,0\n"
+
 PLACES = st.floats(0.0, 1.0, exclude_max=True)
 
 
@@ -120,21 +233,77 @@ def good(tmp_path_factory) -> Path:
     (folder / "surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n4,5,6\n7,8,9\n")
     (folder / "sit.fcsv").write_text(FIDUCIALS)
     write_mrk_json(folder / "targets.mrk.json", {"lesion": ((1, 2, 3), "found"), "deep": ((4, 5, 6), "")}, "RAS")
+    body = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
     for suffix in ("stl", "ply", "obj", "off"):
-        body = trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
         body.export(folder / f"body.{suffix}", **({"encoding": "ascii"} if suffix == "ply" else {}))
-    meshio.Mesh(mesh.nodes, [("triangle", mesh.surface)]).write(folder / "body.vtu", binary=False)
+    body.export(folder / "letters.stl", file_type="stl_ascii")
+    body.export(folder / "bytes.ply")
+    skin = meshio.Mesh(mesh.nodes, [("triangle", mesh.surface)])
+    for suffix in ("vtu", "vtk"):
+        skin.write(folder / f"body.{suffix}", binary=False)
+    skin.write(folder / "body.msh", file_format="gmsh22", binary=False)
+    content.write(folder / "bytes.vtk")
+    meshio.Mesh(mesh.nodes, [("tetra", mesh.tets)]).write(folder / "four.msh", file_format="gmsh", binary=False)
+    (folder / "wide.csv").write_text(WIDE_MARKERS)
+    write_model(folder, mesh)
+    write_cached(folder)
     (folder / "recipe.toml").write_text(
         'seed = 3\n[mesh]\nfile = "mesh.vtu"\n[material]\nyoung_kpa = [5.0, 15.0]\npoisson = 0.45\n'
         "[data]\nmembers = 12\nchunk = 6\nlargest_mm = [1.0, 9.0]\n"
     )
+    (folder / "whole.toml").write_text(RECIPE)
     write_experiment(folder / "rig")
+    write_experiment(folder / "wide-rig", toml=EXPERIMENT + MORE, forces_applied=FORCED)
     test = folder / "test"
     test.mkdir()
     (test / "experiment.toml").write_text('kind = "material-test"\n[material]\nyoung_kpa = 3.0\npoisson = 0.49\n')
     rows = "".join(f"a,tension,,,{1 + 0.1 * i:.1f},{0.2 * i:.1f}\n" for i in range(1, 6))
     (test / "test.csv").write_text("specimen,mode,rate_per_s,time_s,stretch_or_shear,stress_kPa\n" + rows)
     return folder
+
+
+def write_model(folder, mesh):
+    """A model that is whole but for its networks, which no card can spoil."""
+    (folder / "model").mkdir()
+    for name in MODEL_FILES:
+        (folder / "model" / name).write_bytes(name.encode())
+    files = {name: hashlib.sha256(name.encode()).hexdigest() for name in MODEL_FILES}
+    square = [[1.0, 0.1], [0.1, 2.0]]
+    card = {
+        "schema": CARD_SCHEMA,
+        "kind": "gnn-vae",
+        "mesh_digest": mesh.digest(),
+        "n_nodes": mesh.n_nodes,
+        "n_latent": 2,
+        "members": 60,
+        "errors_mm": {"test": 0.2, "pca": 0.3},
+        "prior": {"mean": [0.0, 0.1], "covariance": square, "mismatch_covariance": square},
+        "files": files,
+    }
+    (folder / "model.json").write_text(json.dumps(card))
+
+
+def read_model(path):
+    """Read a card as that of the model, and look at its files."""
+    folder = path.parent / "model"
+    shutil.copy(path, folder / "model.json")
+    check_files(folder, read_card(folder))
+
+
+def write_cached(folder):
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("TISSUEREG_CACHE", str(folder / "cache"))
+        keep_entry("bank_one", ENTRY, 3)
+    shutil.copy(folder / "cache" / "bank_one.cached", folder / "bank_one.cached")
+
+
+def read_cached(path):
+    """Read a file as an entry of a cache: it is absent, or what was kept."""
+    shutil.copy(path, path.parent / "cache" / "bank_one.cached")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("TISSUEREG_CACHE", str(path.parent / "cache"))
+        found = read_entry("bank_one")
+    assert found == (ENTRY if path.read_bytes() == (path.parent / path.name[-15:]).read_bytes() else None)
 
 
 #: A reader, and the files that it is given.
@@ -151,8 +320,14 @@ READERS = [
     pytest.param(tr.read_surface, "surface.csv", id="surface.csv"),
     pytest.param(tr.read_targets, "sit.fcsv", id="sit.fcsv"),
     pytest.param(tr.read_targets, "targets.mrk.json", id="targets.mrk.json"),
-    *(pytest.param(read_triangles, f"body.{kind}", id=f"body.{kind}") for kind in ("stl", "ply", "obj", "off", "vtu")),
+    pytest.param(tr.read_mesh, "bytes.vtk", id="bytes.vtk"),
+    pytest.param(tr.read_mesh, "four.msh", id="four.msh"),
+    pytest.param(tr.read_markers, "wide.csv", id="wide.csv"),
+    *(pytest.param(read_triangles, name, id=name) for name in SURFACES),
     pytest.param(read_recipe, "recipe.toml", id="recipe.toml"),
+    pytest.param(read_recipe, "whole.toml", id="whole.toml"),
+    pytest.param(read_model, "model.json", id="model.json"),
+    pytest.param(read_cached, "bank_one.cached", id="bank_one.cached"),
 ]
 
 
@@ -191,6 +366,19 @@ def test_an_experiment_with_a_spoilt_file_is_read_or_refused(good, name, changes
         path.write_text(whole)
 
 
+@pytest.mark.parametrize("name", ["experiment.toml", "forces_applied.csv"])
+@FUZZED
+@given(changes=st.lists(CHANGES, min_size=1, max_size=3))
+def test_an_experiment_with_effects_and_a_spoilt_file_is_read_or_refused(good, name, changes):
+    path = good / "wide-rig" / name
+    whole = path.read_bytes()
+    try:
+        path.write_bytes(spoilt(whole, changes))
+        reads_or_refuses(tr.read_experiment, good / "wide-rig")
+    finally:
+        path.write_bytes(whole)
+
+
 @pytest.mark.parametrize("name", ["experiment.toml", "test.csv"])
 @FUZZED
 @given(changes=st.lists(CHANGES, min_size=1, max_size=3))
@@ -208,5 +396,6 @@ def test_a_material_test_with_a_spoilt_file_is_read_or_refused(good, name, chang
 def test_the_file_that_is_spoilt_is_a_good_one(good, name):
     next(one.values[0] for one in READERS if one.values[1] == name)(good / name)
     tr.read_experiment(good / "rig")
+    tr.read_experiment(good / "wide-rig")
     tr.read_material_experiment(good / "test")
     read_recipe(good / "recipe.toml")

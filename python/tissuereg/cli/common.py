@@ -1,6 +1,7 @@
 """What all commands share: the JSON envelope, warnings and progress on standard error, the clock."""
 
 import contextlib
+import logging
 import sys
 import textwrap
 import time
@@ -99,6 +100,8 @@ def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
         notes.append(text)
         print(paragraph(f"warning: {text}"), file=sys.stderr)
 
+    # Where its own folder for fonts cannot be written, matplotlib tells its users: here, nobody can do anything.
+    logging.getLogger("matplotlib").setLevel(logging.WARNING if debug else logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("default" if debug else "ignore")
         warnings.filterwarnings("default", category=UserWarning)

@@ -168,8 +168,13 @@ def _draft_in(folder: Path) -> Iterator[Path]:
 def _move_content(made: Path, target: Path) -> None:
     if not target.exists():
         made.chmod(0o777 & ~_umask())
-        made.rename(target)
-        return
+        try:
+            made.rename(target)
+        except OSError:
+            if not target.is_dir():  # made by another process in this very moment
+                raise
+        else:
+            return
     moves = [(one, target / one.relative_to(made)) for one in sorted(made.rglob("*"))]
     for one, final in moves:  # all are looked at before any is moved
         if final.exists() and final.is_dir() != one.is_dir():

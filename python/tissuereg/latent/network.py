@@ -1,7 +1,5 @@
 """A trained encoder and decoder, run by onnxruntime."""
 
-import hashlib
-import json
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -11,10 +9,10 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import ModelError
+from tissuereg.io.npz import Archive, open_npz
+from tissuereg.latent.card import check_files, read_card
 from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement
 from tissuereg.mesh import Mesh
-
-CARD_SCHEMA = "tissuereg.model/1"
 
 #: Least size of an event for the mismatch covariance, mm: a tiny simulated event does not make the truth certain.
 _LEAST_SIZE_MM = 0.3
@@ -41,14 +39,16 @@ class NetworkModel:
     ------
     ModelError
         If a file is missing or corrupt, or the model was trained for another mesh.
+    FormatError
+        If the weights lack an array.
     """
 
     def __init__(
         self, folder: str | os.PathLike[str], mesh: Mesh, *, threads: int = 0, source: str | None = None
     ) -> None:
         self.folder = Path(folder)
-        card = _read_card(self.folder)
-        _check_files(self.folder, card)
+        card = read_card(self.folder)
+        check_files(self.folder, card)
         if card["mesh_digest"] != mesh.digest():
             message = (
                 f"the model in {self.folder} must have been trained for this mesh: it knows a mesh of "
@@ -62,9 +62,9 @@ class NetworkModel:
         self._encoder = _session(self.folder / "encoder.onnx")
         self._decoder = _session(self.folder / "decoder.onnx")
         self._has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
-        with np.load(self.folder / "decoder_weights.npz", allow_pickle=False) as weights:
-            self._errors = ScaledErrors(weights["error_fields_mm"], weights["error_sizes_mm"])
-            self._change_errors = ScaledErrors(weights["change_error_fields_mm"], weights["change_sizes_mm"])
+        with open_npz(self.folder / "decoder_weights.npz") as weights:
+            self._errors = _errors_in(weights, "error_fields_mm", "error_sizes_mm", self.n_nodes)
+            self._change_errors = _errors_in(weights, "change_error_fields_mm", "change_sizes_mm", self.n_nodes)
         errors = card["errors_mm"]
         self.card = {
             "kind": card["kind"],
@@ -216,6 +216,11 @@ class AnchoredModel:
         return self._network.prior(simulation)
 
 
+def _errors_in(weights: Archive, fields: str, sizes: str, n_nodes: int) -> ScaledErrors:
+    errors = weights.floats(fields, None, n_nodes, 3)
+    return ScaledErrors(errors, weights.floats(sizes, len(errors)))
+
+
 def _session(path: Path) -> Any:
     import onnxruntime
 
@@ -228,34 +233,3 @@ def _session(path: Path) -> Any:
     except Exception as error:  # onnxruntime's exceptions share no public base class
         message = f"{path} must be an ONNX network that onnxruntime can load: {error}"
         raise ModelError(message, where=str(path)) from error
-
-
-def _read_card(folder: Path) -> dict[str, Any]:
-    path = folder / "model.json"
-    try:
-        card = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        message = f"a model folder must hold model.json; there is none in {folder}"
-        raise ModelError(message, where=str(folder)) from error
-    except (OSError, ValueError) as error:
-        message = f"{path} must be a JSON model card: {error}"
-        raise ModelError(message, where=str(path)) from error
-    needed = ("kind", "mesh_digest", "n_nodes", "n_latent", "members", "errors_mm", "prior", "files")
-    missing = [] if isinstance(card, dict) and card.get("schema") == CARD_SCHEMA else ["schema"]
-    missing += [name for name in needed if not missing and name not in card]
-    if missing:
-        message = f"{path} must be a card of schema {CARD_SCHEMA}; it lacks: {', '.join(missing)}"
-        raise ModelError(message, where=str(path))
-    return dict(card)
-
-
-def _check_files(folder: Path, card: dict[str, Any]) -> None:
-    for name, wanted in card["files"].items():
-        path = folder / name
-        if not path.is_file():
-            message = f"the model folder {folder} must hold {name}, as its card says; it is missing"
-            raise ModelError(message, where=str(path))
-        found = hashlib.sha256(path.read_bytes()).hexdigest()
-        if found != wanted:
-            message = f"{path} must be the file its card describes (SHA-256 {wanted[:12]}), got {found[:12]}"
-            raise ModelError(message, where=str(path))

@@ -7,6 +7,8 @@ same data as an uninterrupted one.
 import hashlib
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg._version import __version__
-from tissuereg.errors import EnsembleError, ExperimentError
+from tissuereg.errors import EnsembleError, ExperimentError, FormatError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.drafts import remove_stale_drafts
 from tissuereg.material import Material
@@ -66,6 +68,8 @@ def make_dataset(
     ------
     ExperimentError
         If the folder holds another recipe's data.
+    FormatError
+        If a chunk that is there already is spoilt.
     EnsembleError
         If more than half of a chunk fails.
     """
@@ -209,8 +213,7 @@ def _inclusion(mesh: Mesh, recipe: Recipe, rng: np.random.Generator) -> FloatArr
 def _finish(folder: Path, recipe: Recipe, mesh: Mesh, seed: int, n_chunks: int) -> list[list[Any]]:
     failed: list[list[Any]] = []
     for chunk in range(n_chunks):
-        with np.load(folder / _chunk_name(chunk), allow_pickle=False) as kept:
-            failed += [[int(i), str(r)] for i, r in zip(kept["failed_index"], kept["failed_reason"], strict=True)]
+        failed += _failed_of(folder / _chunk_name(chunk))
     card = {
         "schema": SCHEMA,
         "recipe": recipe.raw,
@@ -226,6 +229,17 @@ def _finish(folder: Path, recipe: Recipe, mesh: Mesh, seed: int, n_chunks: int) 
     with atomic_file(folder / "dataset.json") as path:
         path.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     return failed
+
+
+def _failed_of(path: Path) -> list[list[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            return [[int(i), str(r)] for i, r in zip(kept["failed_index"], kept["failed_reason"], strict=True)]
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        message = (
+            f"{path} must be a whole chunk of the data set: {error}. Delete it, and the same command makes it anew"
+        )
+        raise FormatError(message, where=str(path)) from error
 
 
 def _save(path: Path, **arrays: Any) -> None:
