@@ -56,6 +56,8 @@ def draft(folder: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(made, ignore_errors=True)
         os.close(lock)
+        if made.exists():  # some systems delete no file that is open, such as the lock
+            shutil.rmtree(made, ignore_errors=True)
 
 
 def remove_stale_drafts(folder: Path) -> None:
