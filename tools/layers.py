@@ -28,7 +28,7 @@ LAYERS: tuple[tuple[str, str], ...] = (
         "plain data",
         "experiment load markers material material_experiment material_tests mesh surface triangles trust",
     ),
-    ("checks of arguments, compiled core", "_arguments _arrays _choice _clock _core _locking _machine _version"),
+    ("checks of arguments, compiled core", "_arguments _arrays _choice _clock _core _laws _locking _machine _version"),
     ("exceptions", "errors"),
 )
 

@@ -11,19 +11,12 @@ import numpy as np
 from tissuereg import _core
 from tissuereg._arguments import flag, found, maybe, named, of_kind, real, text
 from tissuereg._arrays import FloatArray, depth, float_array
+from tissuereg._laws import DECLARED
 from tissuereg.errors import MaterialError, UnitWarning
 
 #: Laws of the solver, and the names of their shape parameters.
 SHAPE_KEYS: Mapping[str, tuple[str, ...]] = {
-    "neo-hookean": (),
-    "bimodular": ("excess",),
-    "mooney-rivlin": ("share",),
-    "yeoh": ("c2_over_c1", "c3_over_c1"),
-    "ogden": ("alpha", "weight"),
-    "fung": ("b",),
-    "veronda-westmann": ("b",),
-    "st-venant-kirchhoff": (),
-    "hooke": (),
+    name: tuple(key.name for key in law.shape) for name, law in DECLARED.items()
 }
 
 #: Names of the laws.

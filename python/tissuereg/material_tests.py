@@ -8,8 +8,9 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg._choice import check_choice
+from tissuereg._laws import DECLARED, shape_of
 from tissuereg.errors import MaterialError
-from tissuereg.material import SHAPE_KEYS, Material
+from tissuereg.material import Material
 
 #: Deformation of each mode of a test, by its name in the solver.
 MODES = {
@@ -213,29 +214,13 @@ class LawFit:
     standard_error: float
 
 
-@dataclass(frozen=True)
-class _Family:
-    """The shape of a law as a vector, with the starts and bounds of its search."""
-
-    starts: tuple[tuple[float, ...], ...]
-    lower: float = -np.inf
-    upper: float = np.inf
-
-
-_FAMILIES = {
-    "neo-hookean": _Family(((),)),
-    "bimodular": _Family(((-0.3,), (1.0,)), -0.95, 1e3),
-    "mooney-rivlin": _Family(((0.3,),), 0.0, 1.0),
-    "yeoh": _Family(((0.1, 0.01),)),
-    "fung": _Family(((0.3,), (5.0,)), 0.0, 1e3),
-    "veronda-westmann": _Family(((0.3,), (5.0,)), 0.0, 1e3),
-    "st-venant-kirchhoff": _Family(((),)),
-    "hooke": _Family(((),)),
-    # Exponents, then the shares of all terms but the first over that of the first.
-    "ogden": _Family(((-20.0,), (-5.0,), (3.0,), (15.0,))),
-}
-_OGDEN_2 = ((-20.0, 5.0, 1.0), (-5.0, 3.0, 1.0), (3.0, 12.0, 0.1), (-3.0, -25.0, 0.1))
-_OGDEN_3 = ((-20.0, -3.0, 5.0, 1.0, 1.0), (2.0, 8.0, -4.0, 0.5, 0.5))
+#: Of a law of one, two and three terms, where the search starts: exponents, then the shares of all terms but the first
+#: over that of the first.
+_OF_TERMS: tuple[tuple[tuple[float, ...], ...], ...] = (
+    ((-20.0,), (-5.0,), (3.0,), (15.0,)),
+    ((-20.0, 5.0, 1.0), (-5.0, 3.0, 1.0), (3.0, 12.0, 0.1), (-3.0, -25.0, 0.1)),
+    ((-20.0, -3.0, 5.0, 1.0, 1.0), (2.0, 8.0, -4.0, 0.5, 0.5)),
+)
 
 
 def fit_law(
@@ -293,7 +278,7 @@ def fit_law(
     """
     from scipy.optimize import least_squares
 
-    check_choice("law", law, _FAMILIES, MaterialError)
+    check_choice("law", law, DECLARED, MaterialError)
     if not tests:
         message = "a law is fitted to at least one test, got none"
         raise MaterialError(message, where="tests")
@@ -332,15 +317,16 @@ def _weights(tests: Sequence[MaterialTest], weighting: str) -> FloatArray:
 
 
 def _starts(law: str, terms: int) -> list[tuple[tuple[float, ...], tuple[Any, Any]]]:
-    family = _FAMILIES[law]
-    if law != "ogden":
-        return [(start, (family.lower, family.upper)) for start in family.starts]
+    declared = DECLARED[law]
+    if not declared.has_terms:
+        bounds = ([key.least for key in declared.shape], [key.largest for key in declared.shape])
+        return [(start, bounds) for start in declared.starts]
     if terms not in (1, 2, 3):
         message = f"`terms` of an Ogden law must be 1, 2 or 3, got {terms}"
         raise MaterialError(message, where="terms")
     # Beyond an exponent of 200 no test distinguishes laws; shares stay positive.
     lower, upper = [-200.0] * terms + [0.0] * (terms - 1), [200.0] * terms + [1e3] * (terms - 1)
-    return [(start, (lower, upper)) for start in (family.starts, _OGDEN_2, _OGDEN_3)[terms - 1]]
+    return [(start, (lower, upper)) for start in _OF_TERMS[terms - 1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,12 +344,12 @@ class _Problem:
         """Return the law of a shape with Young's modulus 1 kPa."""
         values = [float(v) for v in x]
         shape: dict[str, Any] = {}
-        if self.law == "ogden":
+        if DECLARED[self.law].has_terms:
             n = (len(values) + 1) // 2
             shares = np.array([1.0, *values[n:]])
             shape = {"alpha": values[:n], "weight": (shares / shares.sum()).tolist()}
         else:
-            shape = dict(zip(SHAPE_KEYS[self.law], values, strict=True))
+            shape = dict(shape_of(self.law, *values))
         return replace(self.unit, law=self.law, shape=shape, volumetric=self.volumetric)
 
     def unit_stress(self, x: FloatArray) -> FloatArray:

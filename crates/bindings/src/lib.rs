@@ -27,7 +27,7 @@ mod _core {
     #[pymodule_export]
     use super::fem::{
         Adjoints, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig, RigFrame, Solution,
-        check_mesh, surface_triangles,
+        check_mesh, laws, surface_triangles,
     };
 
     /// Version of all parts, from the workspace.

@@ -278,7 +278,7 @@ fn the_law_and_fields_of_moduli_agree_with_differences_under_every_behaviour() {
         };
         let story = Story { material: make(1.5, 0.0, 0.0), ..Story::new(element, behaviour) };
         let causes = [
-            FrameCause::Always(Cause::Parameter(Parameter::B)),
+            FrameCause::Always(Cause::Parameter(Parameter::shape("b"))),
             FrameCause::Always(Cause::YoungField(rates.clone())),
             FrameCause::Always(Cause::PoissonField(rates.clone())),
         ];

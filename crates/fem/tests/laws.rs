@@ -264,7 +264,7 @@ fn an_exponential_that_overflows_is_too_far() {
     let h = [[0.0, 4.0, 0.0], [0.0; 3], [0.0; 3]];
     assert!(det_f_minus_one(&h) == 0.0);
     assert_eq!((law.energy(&h), law.stress(&h), law.tangent(&h)), (None, None, None));
-    assert_eq!(law.stress_by(&h, Parameter::B), None);
+    assert_eq!(law.stress_by(&h, Parameter::shape("b")), None);
 }
 
 #[test]

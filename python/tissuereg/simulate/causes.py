@@ -18,8 +18,8 @@ class Parameter:
     Parameters
     ----------
     name : str
-        ``"young"``, ``"poisson"``, a shape parameter (``"excess"``, ``"share"``, ``"c2_over_c1"``, ``"c3_over_c1"``,
-        ``"alpha"``, ``"weight"``, ``"b"``), or ``"k1_over_mu"`` and ``"k2"`` of fibres. For frames also those of a
+        ``"young"``, ``"poisson"``, a shape parameter of the law (as in `Material.shape`), or ``"k1_over_mu"`` and
+        ``"k2"`` of fibres. For frames also those of a
         behaviour (``"relaxation.g"``, ``"relaxation.tau_s"``, ``"rate.viscosity_kpa_s"``, ``"softening.r"``,
         ``"softening.m_kpa"``, ``"softening.beta"``, ``"set.fraction"``, ``"drainage.share"``, ``"drainage.tau_s"``,
         ``"swelling.linear_strain"``, ``"swelling.from_time_s"``, ``"swelling.to_time_s"``), of springs

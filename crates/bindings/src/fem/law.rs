@@ -2,15 +2,22 @@
 
 use std::collections::BTreeMap;
 
-use numpy::{IntoPyArray, PyArray1};
+use numpy::prelude::*;
+use numpy::{IntoPyArray, PyArray1, PyArray3};
 use pyo3::prelude::*;
+use tissuereg_fem::material as fem;
 use tissuereg_fem::material::homogeneous::{Compressibility, Mode, nominal_stress};
-use tissuereg_fem::material::{Directions, Fibres, LawKind, Volumetric};
+use tissuereg_fem::material::{
+    Declaration, Directions, Fibres, Hyperelastic, LawKind, ShapeParameter, Volumetric,
+};
 use tissuereg_fem::{Element, FemError, Material, Stiffness};
 
 use super::bad_choice;
 use crate::arrays::View;
 use crate::errors::{self, Class};
+
+/// Energies (n,) and stresses (n, 3, 3).
+type Answers<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
 
 /// A law, its shape and its fibres; moduli come with each solve.
 #[pyclass(frozen, module = "tissuereg._core")]
@@ -90,10 +97,7 @@ impl Law {
         };
         let limit = if incompressible { Compressibility::Limit } else { Compressibility::OfLaw };
         let amounts = View::<f64>::new("amounts", amounts, &[&[None]])?;
-        let material = self
-            .with_moduli(Stiffness::Uniform { young, poisson })
-            .map_err(|error| errors::from_fem(py, &error, None))?;
-        let law = material.law_at(0, 0);
+        let law = self.point_law(py, young, poisson)?;
         let stress: Vec<f64> = amounts
             .slice()
             .iter()
@@ -102,12 +106,43 @@ impl Law {
         Ok(stress.into_pyarray(py))
     }
 
+    /// Energy density, float64 (n,) kPa, and first Piola-Kirchhoff stress, float64 (n, 3, 3) kPa, at displacement
+    /// gradients, float64 (n, 3, 3); NaN where the law has none.
+    fn response<'py>(
+        &self,
+        py: Python<'py>,
+        gradients: &Bound<'py, PyAny>,
+        young: f64,
+        poisson: f64,
+    ) -> PyResult<Answers<'py>> {
+        let view = View::<f64>::new("gradients", gradients, &[&[None, Some(3), Some(3)]])?;
+        let law = self.point_law(py, young, poisson)?;
+        let n = view.shape()[0];
+        let (mut energies, mut stresses) = (Vec::with_capacity(n), Vec::with_capacity(9 * n));
+        for rows in view.rows::<3>().as_chunks::<3>().0 {
+            let answer = law.response(rows);
+            energies.push(answer.map_or(f64::NAN, |answer| answer.energy));
+            let stress = answer.map_or([[f64::NAN; 3]; 3], |answer| answer.stress);
+            stresses.extend_from_slice(stress.as_flattened());
+        }
+        let stresses = stresses.into_pyarray(py).reshape([n, 3, 3])?;
+        Ok((energies.into_pyarray(py), stresses))
+    }
+
     fn __repr__(&self) -> String {
         format!("Law({:?}, {:?}, {:?})", self.kind, self.volumetric, self.fibres)
     }
 }
 
 impl Law {
+    /// The law at the one point of a homogeneous body.
+    fn point_law(&self, py: Python<'_>, young: f64, poisson: f64) -> PyResult<fem::Law> {
+        let material = self
+            .with_moduli(Stiffness::Uniform { young, poisson })
+            .map_err(|error| errors::from_fem(py, &error, None))?;
+        Ok(material.law_at(0, 0))
+    }
+
     fn with_moduli(&self, stiffness: Stiffness) -> Result<Material, FemError> {
         let material =
             Material::new(stiffness)?.with_law(self.kind)?.with_volumetric(self.volumetric)?;
@@ -140,35 +175,42 @@ impl Law {
     }
 }
 
+/// Name of a law; name, whether it is a series, least and largest value of a fit of each shape parameter; shapes at
+/// which fits begin.
+type Declared = (&'static str, Vec<(&'static str, bool, f64, f64)>, Vec<Vec<f64>>);
+
+/// Every law that there is, as the crate declares it.
+#[pyfunction]
+pub(crate) fn laws() -> Vec<Declared> {
+    let declared = LawKind::declarations();
+    let shape = |law: &Declaration| {
+        law.shape.iter().map(|p| (p.name, p.series, p.searched[0], p.searched[1])).collect()
+    };
+    declared
+        .iter()
+        .map(|law| (law.name, shape(law), law.starts.iter().map(|start| start.to_vec()).collect()))
+        .collect()
+}
+
 /// Takes the shape parameters of a law out of a table, and refuses the other entries.
 fn kind_of(py: Python<'_>, name: &str, mut shape: BTreeMap<String, Vec<f64>>) -> PyResult<LawKind> {
-    let mut list = |key: &str| {
-        let wanted = format!("given for the law `{name}`");
-        shape.remove(key).ok_or_else(|| refuse(py, key, &wanted, "nothing"))
+    let all = LawKind::declarations();
+    let Some(law) = all.iter().find(|law| law.name == name) else {
+        let names: Vec<&str> = all.iter().map(|law| law.name).collect();
+        let wanted = format!("one of {}", names.join(", "));
+        return Err(refuse(py, "law", &wanted, &format!("'{name}'")));
     };
-    let mut number = |key: &str| match list(key)?.as_slice() {
-        &[value] => Ok(value),
-        more => Err(refuse(py, key, "one number", &format!("{} numbers", more.len()))),
-    };
-    let kind = match name {
-        "neo-hookean" => LawKind::NeoHookean,
-        "bimodular" => LawKind::Bimodular { excess: number("excess")? },
-        "mooney-rivlin" => LawKind::MooneyRivlin { share: number("share")? },
-        "yeoh" => {
-            LawKind::Yeoh { c2_over_c1: number("c2_over_c1")?, c3_over_c1: number("c3_over_c1")? }
+    let mut take = |one: &ShapeParameter| match (one.series, shape.remove(one.name)) {
+        (_, None) => Err(refuse(py, one.name, &format!("given for the law `{name}`"), "nothing")),
+        (false, Some(list)) if list.len() != 1 => {
+            Err(refuse(py, one.name, "one number", &format!("{} numbers", list.len())))
         }
-        "ogden" => LawKind::ogden(&list("alpha")?, &list("weight")?)
-            .map_err(|error| errors::from_fem(py, &error, None))?,
-        "fung" => LawKind::Fung { b: number("b")? },
-        "veronda-westmann" => LawKind::VerondaWestmann { b: number("b")? },
-        "st-venant-kirchhoff" => LawKind::StVenantKirchhoff,
-        "hooke" => LawKind::Hooke,
-        other => {
-            let wanted = "one of neo-hookean, bimodular, mooney-rivlin, yeoh, ogden, fung, veronda-westmann, \
-                          st-venant-kirchhoff, hooke";
-            return Err(refuse(py, "law", wanted, &format!("'{other}'")));
-        }
+        (_, Some(list)) => Ok(list),
     };
+    let lists = law.shape.iter().map(&mut take).collect::<PyResult<Vec<_>>>()?;
+    let kind = LawKind::from_shape(name, &lists)
+        .map_err(|error| errors::from_fem(py, &error, None))?
+        .ok_or_else(|| refuse(py, "law", "a law of the catalogue", &format!("'{name}'")))?;
     match shape.keys().next() {
         None => Ok(kind),
         Some(key) => {

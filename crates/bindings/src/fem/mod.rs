@@ -18,7 +18,7 @@ use tissuereg_fem::{
 };
 
 use self::bed::{Bed, Sheet, SheetOut};
-pub(crate) use self::law::Law;
+pub(crate) use self::law::{Law, laws};
 pub(crate) use self::many::ManySolutions;
 pub(crate) use self::rig::{Rig, RigFrame};
 pub(crate) use self::sensitivity::{Adjoints, Cause, Compliance, Linearised};

@@ -35,23 +35,16 @@ impl Cause {
         let parameter = match name {
             "young" => Parameter::Young,
             "poisson" => Parameter::Poisson,
-            "excess" => Parameter::Excess,
-            "share" => Parameter::Share,
-            "c2_over_c1" => Parameter::C2OverC1,
-            "c3_over_c1" => Parameter::C3OverC1,
-            "alpha" => Parameter::Alpha(term),
-            "weight" => Parameter::Weight(term),
-            "b" => Parameter::B,
             "k1_over_mu" => Parameter::FibreK1,
             "k2" => Parameter::FibreK2,
             "springs.normal_kpa_per_mm" => return always(fem::Cause::SpringNormal(term)),
             "springs.tangential_kpa_per_mm" => return always(fem::Cause::SpringTangential(term)),
             "skins.young_kpa" => return always(fem::Cause::SkinYoung(term)),
             "skins.thickness_mm" => return always(fem::Cause::SkinThickness(term)),
-            other => {
+            other => Parameter::shape_named(other, term).ok_or_else(|| {
                 let wanted = "a parameter of a law, a behaviour, springs or skins";
-                return Err(bad_choice(py, "name", wanted, other));
-            }
+                bad_choice(py, "name", wanted, other)
+            })?,
         };
         always(fem::Cause::Parameter(parameter))
     }

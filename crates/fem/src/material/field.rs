@@ -1,6 +1,6 @@
 //! A law over a body.
 
-use super::kind::not_negative;
+use super::declaration::Range;
 use super::stiffness::Layout;
 use super::{Fibre, Fibres, Law, LawKind, NeoHookean, Parameter, Stiffness, Volumetric};
 use crate::error::FemError;
@@ -131,8 +131,8 @@ impl Material {
     /// [`FemError::BadLaw`] for a stiffness or rate that is negative or not finite,
     /// [`FemError::BadFibre`] for a direction without length.
     pub fn with_fibres(mut self, mut fibres: Fibres) -> Result<Self, FemError> {
-        not_negative("k1_over_mu", fibres.k1_over_mu)?;
-        not_negative("k2", fibres.k2)?;
+        Range::NotNegative.check("k1_over_mu", fibres.k1_over_mu)?;
+        Range::NotNegative.check("k2", fibres.k2)?;
         for (entry, n) in fibres.directions.vectors_mut().iter_mut().enumerate() {
             let length = n[0].hypot(n[1]).hypot(n[2]);
             if !(length > 0.0 && length.is_finite()) {

@@ -18,71 +18,14 @@
 
 use super::kinematics::Kinematics;
 use super::tensor::{
-    add_columns, add_outer, add_rows, add_twist, matrix, phi1, phi2, plus_identity, product,
-    square, strain, trace, x_minus_log,
+    add_columns, add_outer, add_rows, add_twist, matrix, phi2, plus_identity, product, square,
+    strain, trace, x_minus_log,
 };
-use super::{LawKind, Matrix3, Parameter, Tangent, Volumetric};
+use super::{LawKind, Matrix3, Tangent, Volumetric};
 
 const IDENTITY: Matrix3 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-/// Energy per shear modulus and its derivatives in `(a, b)`; the others vanish for all laws here.
-pub(super) struct Slopes {
-    energy: f64,
-    a: f64,
-    b: f64,
-    aa: f64,
-}
-
 impl LawKind {
-    /// None for a law that is not one in invariants.
-    fn slopes(&self, a: f64, b: f64) -> Option<Slopes> {
-        Some(match *self {
-            Self::MooneyRivlin { share } => Slopes {
-                energy: 0.5 * ((1.0 - share) * a + share * b),
-                a: 0.5 * (1.0 - share),
-                b: 0.5 * share,
-                aa: 0.0,
-            },
-            Self::Yeoh { c2_over_c1: c2, c3_over_c1: c3 } => Slopes {
-                energy: 0.5 * a * (1.0 + a * (c2 + a * c3)),
-                a: 0.5 + a * (c2 + 1.5 * a * c3),
-                b: 0.0,
-                aa: c2 + 3.0 * a * c3,
-            },
-            Self::Fung { b: rate } => Slopes {
-                energy: 0.5 * a * phi1(rate * a),
-                a: 0.5 * (rate * a).exp(),
-                b: 0.0,
-                aa: 0.5 * rate * (rate * a).exp(),
-            },
-            Self::VerondaWestmann { b: rate } => Slopes {
-                energy: a * phi1(rate * a) - 0.5 * b,
-                a: (rate * a).exp(),
-                b: -0.5,
-                aa: rate * (rate * a).exp(),
-            },
-            _ => return None,
-        })
-    }
-
-    /// Derivatives of the energy and of its slopes in `a` and `b` by a shape parameter.
-    fn slopes_by(&self, parameter: Parameter, a: f64, b: f64) -> (f64, f64, f64) {
-        let stiffened = |rate: f64| a * a * (phi1(rate * a) - phi2(rate * a));
-        match (*self, parameter) {
-            (Self::MooneyRivlin { .. }, Parameter::Share) => (0.5 * (b - a), -0.5, 0.5),
-            (Self::Yeoh { .. }, Parameter::C2OverC1) => (0.5 * a * a, a, 0.0),
-            (Self::Yeoh { .. }, Parameter::C3OverC1) => (0.5 * a * a * a, 1.5 * a * a, 0.0),
-            (Self::Fung { b }, Parameter::B) => (0.5 * stiffened(b), 0.5 * a * (b * a).exp(), 0.0),
-            (Self::VerondaWestmann { b }, Parameter::B) => (stiffened(b), a * (b * a).exp(), 0.0),
-            _ => (0.0, 0.0, 0.0),
-        }
-    }
-
-    /// Whether the energy depends on the second invariant.
-    fn has_second(&self) -> bool {
-        matches!(self, Self::MooneyRivlin { .. } | Self::VerondaWestmann { .. })
-    }
-
     /// Energy and stress of shear modulus 1.
     pub(super) fn invariant_response(
         &self,
@@ -102,10 +45,10 @@ impl LawKind {
         Some((slopes.energy, stress))
     }
 
-    /// Derivatives by a shape parameter of energy and stress of shear modulus 1.
+    /// Derivatives by the n-th shape parameter of energy and stress of shear modulus 1.
     pub(super) fn invariant_response_by(
         &self,
-        parameter: Parameter,
+        nth: usize,
         volumetric: Volumetric,
         h: &Matrix3,
         k: &Kinematics,
@@ -116,7 +59,7 @@ impl LawKind {
             true => invariants.second(h, k),
             false => (0.0, [[0.0; 3]; 3]),
         };
-        let (energy, by_a, by_b) = self.slopes_by(parameter, a, b);
+        let (energy, by_a, by_b) = self.slopes_by(nth, a, b);
         (energy, matrix(|i, j| by_a * slope_of_a[i][j] + by_b * slope_of_b[i][j]))
     }
 

@@ -1,79 +1,179 @@
-//! Which law, and its shape parameters.
+//! Which law, and its shape parameters: the catalogue of laws.
 
-use super::Volumetric;
+use std::fmt;
+
+use super::declaration::{Declaration, Range, ShapeParameter, Slopes};
+use super::{Volumetric, laws};
 use crate::error::FemError;
 
-/// A law and its shape parameters, without its small-strain moduli.
-///
-/// Every law but the bimodular one has the linear response of Young's modulus and Poisson's ratio,
-/// so laws can be exchanged. With `I₁, I₂` the invariants of `C`, a bar for the isochoric ones, `λ̄ᵢ` the isochoric
-/// principal stretches and `U` a [`Volumetric`] energy of the bulk modulus `K = λ + 2μ/3`:
-///
-/// | law | energy density |
-/// |---|---|
-/// | neo-Hookean | `μ/2 (I₁ − 3) − μ ln J + U`, with `λ` in place of `K` |
-/// | bimodular | neo-Hookean `+ μ excess Σ ⟨ln λᵢ⟩²`, of the principal stretches |
-/// | Mooney–Rivlin | `μ/2 ((1 − share)(Ī₁ − 3) + share (Ī₂ − 3)) + U` |
-/// | Yeoh | `c₁ (a + c₂/c₁ a² + c₃/c₁ a³) + U`, `c₁ = μ/2`, `a = Ī₁ − 3` |
-/// | Ogden | `Σ 2 μ_p/α_p² (Σ λ̄ᵢ^α_p − 3) + U`, `μ_p` a share of `μ` |
-/// | Fung | `μ/(2 b) (exp(b (Ī₁ − 3)) − 1) + U` |
-/// | Veronda–Westmann | `μ/b (exp(b (Ī₁ − 3)) − 1) − μ/2 (Ī₂ − 3) + U` |
-/// | St. Venant–Kirchhoff | `λ/2 (tr E)² + μ E : E`, `E = (C − I)/2` |
-/// | Hooke | the same of `sym h`; small strain, holds at any `h` |
-///
-/// That is [`Volumetric::Log`] or [`Volumetric::Quadratic`]. With [`Volumetric::Coupled`] `Ī₁ − 3`
-/// is `I₁ − 3 − 2 ln J`, `Ī₂ − 3` is `I₂ − 3 − 4 ln J − 2 ln²J`, `λ̄ᵢ^α − 1` is
-/// `λᵢ^α − 1 − α ln λᵢ` and `K` is `λ`: the forms that FEBio calls coupled or unconstrained.
-///
-/// Exponents and rates may be 0: the limit is taken (`α = 0`: logarithmic strains; `b = 0`: no
-/// stiffening).
-///
-/// # Reference
-///
-/// Curnier, He and Zysset, *Journal of Elasticity* 37, 1994 (bimodular, conewise linear);
-/// Holzapfel, *Nonlinear Solid Mechanics*, Wiley, 2000, chapter 6; Veronda and Westmann, *Journal
-/// of Biomechanics* 3, 1970.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[non_exhaustive]
-pub enum LawKind {
-    /// Coupled compressible neo-Hookean law.
-    #[default]
-    NeoHookean,
-    /// Stiffer, or softer, where it is stretched than where it is compressed; the moduli of small
-    /// strain are those of compression in all directions.
-    Bimodular {
-        /// What stretched directions have more, over `μ`, dimensionless, above −1.
-        excess: f64,
-    },
-    /// Mooney–Rivlin; polyconvex for a share in `[0, 1]`.
-    MooneyRivlin {
-        /// `c₀₁ / (c₁₀ + c₀₁)`, dimensionless.
-        share: f64,
-    },
-    /// Yeoh, three terms.
-    Yeoh {
-        /// `c₂ / c₁`, dimensionless.
-        c2_over_c1: f64,
-        /// `c₃ / c₁`, dimensionless.
-        c3_over_c1: f64,
-    },
-    /// Ogden with one to three terms; made by [`LawKind::ogden`].
-    Ogden(OgdenTerms),
-    /// Isotropic exponential law of Fung.
-    Fung {
-        /// Rate of stiffening, dimensionless, not negative.
-        b: f64,
-    },
-    /// Exponential law of Veronda and Westmann.
-    VerondaWestmann {
-        /// Rate of stiffening, dimensionless, not negative.
-        b: f64,
-    },
-    /// Linear between `E` and the second Piola–Kirchhoff stress.
-    StVenantKirchhoff,
-    /// Linear between `sym h` and stress.
-    Hooke,
+/// Writes [`LawKind`] and how its laws in invariants are reached, each in a match of its own: the
+/// element loops know the law before they begin.
+macro_rules! catalogue {
+    (
+        $(#[$doc:meta])*
+        special { $($special:tt)* }
+        invariants { $(
+            $(#[$law_doc:meta])*
+            $law:ident in $module:ident { $( $(#[$field_doc:meta])* $field:ident ),* $(,)? }
+        )* }
+    ) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Default)]
+        #[non_exhaustive]
+        pub enum LawKind {
+            $($special)*
+            $( $(#[$law_doc])* $law { $( $(#[$field_doc])* $field: f64 ),* }, )*
+        }
+
+        /// Laws in invariants, as they declare themselves.
+        const IN_INVARIANTS: &[Declaration] = &[ $( laws::$module::DECLARATION ),* ];
+
+        impl LawKind {
+            /// The law in invariants of a name, if there is one and the numbers are as many as its
+            /// shape parameters.
+            fn in_invariants(name: &str, numbers: &[f64]) -> Option<Self> {
+                $( if name == laws::$module::DECLARATION.name {
+                    let &[ $($field),* ] = numbers else { return None };
+                    return Some(Self::$law { $($field),* });
+                } )*
+                None
+            }
+
+            /// What a law in invariants says of itself.
+            fn declared_in_invariants(&self) -> Option<Declaration> {
+                match self {
+                    $( Self::$law { .. } => Some(laws::$module::DECLARATION), )*
+                    _ => None,
+                }
+            }
+
+            /// Shape parameters of a law in invariants.
+            fn numbers_in_invariants(&self) -> Vec<f64> {
+                match *self {
+                    $( Self::$law { $($field),* } => vec![ $($field),* ], )*
+                    _ => vec![],
+                }
+            }
+
+            /// None for a law that is not one in invariants.
+            #[inline(always)]
+            pub(super) fn slopes(&self, a: f64, b: f64) -> Option<Slopes> {
+                Some(match *self {
+                    $( Self::$law { $($field),* } => laws::$module::slopes([ $($field),* ], a, b), )*
+                    _ => return None,
+                })
+            }
+
+            /// Derivatives of the energy and of its slopes in `a` and `b` by a shape parameter.
+            pub(super) fn slopes_by(&self, nth: usize, a: f64, b: f64) -> (f64, f64, f64) {
+                match *self {
+                    $( Self::$law { $($field),* } => {
+                        laws::$module::slopes_by([ $($field),* ], nth, a, b)
+                    } )*
+                    _ => (0.0, 0.0, 0.0),
+                }
+            }
+
+            /// Whether the energy depends on the second invariant.
+            #[inline(always)]
+            pub(super) fn has_second(&self) -> bool {
+                match self {
+                    $( Self::$law { .. } => laws::$module::SECOND, )*
+                    _ => false,
+                }
+            }
+        }
+    };
 }
+
+catalogue! {
+    /// A law and its shape parameters, without its small-strain moduli.
+    ///
+    /// Every law but the bimodular one has the linear response of Young's modulus and Poisson's ratio,
+    /// so laws can be exchanged. With `I₁, I₂` the invariants of `C`, a bar for the isochoric ones, `λ̄ᵢ` the isochoric
+    /// principal stretches and `U` a [`Volumetric`] energy of the bulk modulus `K = λ + 2μ/3`:
+    ///
+    /// | law | energy density |
+    /// |---|---|
+    /// | neo-Hookean | `μ/2 (I₁ − 3) − μ ln J + U`, with `λ` in place of `K` |
+    /// | bimodular | neo-Hookean `+ μ excess Σ ⟨ln λᵢ⟩²`, of the principal stretches |
+    /// | Mooney–Rivlin | `μ/2 ((1 − share)(Ī₁ − 3) + share (Ī₂ − 3)) + U` |
+    /// | Yeoh | `c₁ (a + c₂/c₁ a² + c₃/c₁ a³) + U`, `c₁ = μ/2`, `a = Ī₁ − 3` |
+    /// | Ogden | `Σ 2 μ_p/α_p² (Σ λ̄ᵢ^α_p − 3) + U`, `μ_p` a share of `μ` |
+    /// | Fung | `μ/(2 b) (exp(b (Ī₁ − 3)) − 1) + U` |
+    /// | Veronda–Westmann | `μ/b (exp(b (Ī₁ − 3)) − 1) − μ/2 (Ī₂ − 3) + U` |
+    /// | St. Venant–Kirchhoff | `λ/2 (tr E)² + μ E : E`, `E = (C − I)/2` |
+    /// | Hooke | the same of `sym h`; small strain, holds at any `h` |
+    ///
+    /// That is [`Volumetric::Log`] or [`Volumetric::Quadratic`]. With [`Volumetric::Coupled`] `Ī₁ − 3`
+    /// is `I₁ − 3 − 2 ln J`, `Ī₂ − 3` is `I₂ − 3 − 4 ln J − 2 ln²J`, `λ̄ᵢ^α − 1` is
+    /// `λᵢ^α − 1 − α ln λᵢ` and `K` is `λ`: the forms that FEBio calls coupled or unconstrained.
+    ///
+    /// Exponents and rates may be 0: the limit is taken (`α = 0`: logarithmic strains; `b = 0`: no
+    /// stiffening).
+    ///
+    /// # Reference
+    ///
+    /// Curnier, He and Zysset, *Journal of Elasticity* 37, 1994 (bimodular, conewise linear);
+    /// Holzapfel, *Nonlinear Solid Mechanics*, Wiley, 2000, chapter 6; Veronda and Westmann, *Journal
+    /// of Biomechanics* 3, 1970.
+    special {
+        /// Coupled compressible neo-Hookean law.
+        #[default]
+        NeoHookean,
+        /// Stiffer, or softer, where it is stretched than where it is compressed; the moduli of small
+        /// strain are those of compression in all directions.
+        Bimodular {
+            /// What stretched directions have more, over `μ`, dimensionless, above −1.
+            excess: f64,
+        },
+        /// Ogden with one to three terms; made by [`LawKind::ogden`].
+        Ogden(OgdenTerms),
+        /// Linear between `E` and the second Piola–Kirchhoff stress.
+        StVenantKirchhoff,
+        /// Linear between `sym h` and stress.
+        Hooke,
+    }
+    invariants {
+        /// Mooney–Rivlin; polyconvex for a share in `[0, 1]`.
+        MooneyRivlin in mooney_rivlin {
+            /// `c₀₁ / (c₁₀ + c₀₁)`, dimensionless.
+            share,
+        }
+        /// Yeoh, three terms.
+        Yeoh in yeoh {
+            /// `c₂ / c₁`, dimensionless.
+            c2_over_c1,
+            /// `c₃ / c₁`, dimensionless.
+            c3_over_c1,
+        }
+        /// Isotropic exponential law of Fung.
+        Fung in fung {
+            /// Rate of stiffening, dimensionless, not negative.
+            b,
+        }
+        /// Exponential law of Veronda and Westmann.
+        VerondaWestmann in veronda_westmann {
+            /// Rate of stiffening, dimensionless, not negative.
+            b,
+        }
+    }
+}
+
+const NEO_HOOKEAN: Declaration = Declaration { name: "neo-hookean", shape: &[], starts: &[&[]] };
+const BIMODULAR: Declaration = Declaration {
+    name: "bimodular",
+    shape: &[ShapeParameter::number("excess", Range::AboveMinusOne).searched(-0.95, 1e3)],
+    starts: &[&[-0.3], &[1.0]],
+};
+const OGDEN: Declaration = Declaration {
+    name: "ogden",
+    shape: &[ShapeParameter::series("alpha"), ShapeParameter::series("weight")],
+    starts: &[],
+};
+const ST_VENANT_KIRCHHOFF: Declaration =
+    Declaration { name: "st-venant-kirchhoff", shape: &[], starts: &[&[]] };
+const HOOKE: Declaration = Declaration { name: "hooke", shape: &[], starts: &[&[]] };
 
 /// Exponents and weights of an Ogden law.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -112,24 +212,42 @@ pub enum Parameter {
     Young,
     /// Poisson's ratio.
     Poisson,
-    /// Excess of a bimodular law.
-    Excess,
-    /// Share of a Mooney–Rivlin law.
-    Share,
-    /// Second coefficient of a Yeoh law over its first.
-    C2OverC1,
-    /// Third coefficient of a Yeoh law over its first.
-    C3OverC1,
-    /// Exponent of one term of an Ogden law.
-    Alpha(usize),
-    /// Weight of one term of an Ogden law as given, the others held.
-    Weight(usize),
-    /// Rate of a Fung or Veronda–Westmann law.
-    B,
+    /// A shape parameter by the name in the law's [`Declaration`]. Of a series the term: an Ogden
+    /// weight moves as given, the others held.
+    Shape {
+        /// Name.
+        name: &'static str,
+        /// Term of a series, from 0 on; 0 of one number.
+        term: usize,
+    },
     /// Fibre stiffness over the shear modulus.
     FibreK1,
     /// Rate of stiffening of the fibres.
     FibreK2,
+}
+
+impl Parameter {
+    /// A shape parameter that is one number.
+    pub const fn shape(name: &'static str) -> Self {
+        Self::Shape { name, term: 0 }
+    }
+
+    /// The shape parameter of a name that a caller spells, if any law has one.
+    pub fn shape_named(name: &str, term: usize) -> Option<Self> {
+        let all = LawKind::declarations();
+        let mut shapes = all.iter().flat_map(|law| law.shape);
+        shapes.find(|one| one.name == name).map(|one| Self::Shape { name: one.name, term })
+    }
+}
+
+impl fmt::Display for Parameter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Shape { name, term: 0 } => write!(f, "`{name}`"),
+            Self::Shape { name, term } => write!(f, "`{name}` of term {term}"),
+            other => write!(f, "{other:?}"),
+        }
+    }
 }
 
 impl LawKind {
@@ -160,10 +278,10 @@ impl LawKind {
             return refuse("weight", "a list as long as `alpha`", weight.len() as f64);
         }
         for &v in alpha {
-            finite("alpha", v)?;
+            Range::Finite.check("alpha", v)?;
         }
         for &v in weight {
-            finite("weight", v)?;
+            Range::Finite.check("weight", v)?;
         }
         let total: f64 = weight.iter().sum();
         if !(total > 0.0 && total.is_finite()) {
@@ -174,19 +292,75 @@ impl LawKind {
         Ok(Self::Ogden(OgdenTerms { n, alpha: padded(alpha), weight: padded(weight), total }))
     }
 
+    /// Every law that there is, by name with its shape parameters.
+    pub fn declarations() -> Vec<Declaration> {
+        let mut all = vec![NEO_HOOKEAN, BIMODULAR];
+        all.extend_from_slice(IN_INVARIANTS);
+        all.extend([OGDEN, ST_VENANT_KIRCHHOFF, HOOKE]);
+        all
+    }
+
+    /// The law of a name, with the numbers of each shape parameter in the order of its
+    /// [`Declaration`]: one, or of a series one a term.
+    ///
+    /// None for an unknown name or another count of numbers.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::BadLaw`] for Ogden terms that are not sound; ranges of other laws are checked by
+    /// [`Material::with_law`](super::Material::with_law).
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use tissuereg_fem::material::LawKind;
+    ///
+    /// let fung = LawKind::from_shape("fung", &[vec![5.0]])?;
+    /// assert_eq!(fung, Some(LawKind::Fung { b: 5.0 }));
+    /// assert_eq!(LawKind::from_shape("fung", &[])?, None);
+    /// # Ok::<(), tissuereg_fem::FemError>(())
+    /// ```
+    pub fn from_shape(name: &str, lists: &[Vec<f64>]) -> Result<Option<Self>, FemError> {
+        Ok(match (name, lists) {
+            ("neo-hookean", []) => Some(Self::NeoHookean),
+            ("st-venant-kirchhoff", []) => Some(Self::StVenantKirchhoff),
+            ("hooke", []) => Some(Self::Hooke),
+            ("bimodular", [one]) => {
+                one.first().filter(|_| one.len() == 1).map(|&excess| Self::Bimodular { excess })
+            }
+            ("ogden", [alpha, weight]) => Some(Self::ogden(alpha, weight)?),
+            _ if lists.iter().all(|list| list.len() == 1) => {
+                Self::in_invariants(name, &lists.concat())
+            }
+            _ => None,
+        })
+    }
+
+    /// Name and shape parameters of the law.
+    pub fn declaration(&self) -> Declaration {
+        match self {
+            Self::NeoHookean => NEO_HOOKEAN,
+            Self::Bimodular { .. } => BIMODULAR,
+            Self::Ogden(_) => OGDEN,
+            Self::StVenantKirchhoff => ST_VENANT_KIRCHHOFF,
+            Self::Hooke => HOOKE,
+            _ => self.declared_in_invariants().unwrap_or(NEO_HOOKEAN),
+        }
+    }
+
+    /// Which of the shape parameters has a name.
+    pub(super) fn place_of(&self, name: &str) -> Option<usize> {
+        self.declaration().shape.iter().position(|one| one.name == name)
+    }
+
     /// Shape parameters of the law.
     pub fn parameters(&self) -> Vec<Parameter> {
-        match self {
-            Self::NeoHookean | Self::StVenantKirchhoff | Self::Hooke => vec![],
-            Self::Bimodular { .. } => vec![Parameter::Excess],
-            Self::MooneyRivlin { .. } => vec![Parameter::Share],
-            Self::Yeoh { .. } => vec![Parameter::C2OverC1, Parameter::C3OverC1],
-            Self::Ogden(terms) => (0..terms.n)
-                .map(Parameter::Alpha)
-                .chain((0..terms.n).map(Parameter::Weight))
-                .collect(),
-            Self::Fung { .. } | Self::VerondaWestmann { .. } => vec![Parameter::B],
-        }
+        let n_terms = if let Self::Ogden(terms) = self { terms.n } else { 1 };
+        let of = |one: &ShapeParameter| {
+            let name = one.name;
+            (0..n_terms).map(move |term| Parameter::Shape { name, term })
+        };
+        self.declaration().shape.iter().flat_map(of).collect()
     }
 
     /// Whether this is the neo-Hookean law with a logarithmic volumetric energy, which is coupled
@@ -200,16 +374,7 @@ impl LawKind {
     pub(super) fn check(&self, volumetric: Volumetric) -> Result<(), FemError> {
         match *self {
             Self::NeoHookean | Self::Ogden(_) => Ok(()),
-            Self::Bimodular { excess } => match excess.is_finite() && excess > -1.0 {
-                true => Ok(()),
-                false => Err(FemError::BadLaw { name: "excess", must: "above -1", found: excess }),
-            },
-            Self::MooneyRivlin { share } => finite("share", share),
-            Self::Yeoh { c2_over_c1, c3_over_c1 } => {
-                finite("c2_over_c1", c2_over_c1)?;
-                finite("c3_over_c1", c3_over_c1)
-            }
-            Self::Fung { b } | Self::VerondaWestmann { b } => not_negative("b", b),
+            Self::Bimodular { excess } => Range::AboveMinusOne.check("excess", excess),
             Self::StVenantKirchhoff | Self::Hooke if volumetric != Volumetric::Log => {
                 Err(FemError::BadLaw {
                     name: "volumetric",
@@ -218,20 +383,10 @@ impl LawKind {
                 })
             }
             Self::StVenantKirchhoff | Self::Hooke => Ok(()),
+            _ => {
+                let mut each = self.declaration().shape.iter().zip(self.numbers_in_invariants());
+                each.try_for_each(|(one, found)| one.range.check(one.name, found))
+            }
         }
-    }
-}
-
-pub(super) fn finite(name: &'static str, found: f64) -> Result<(), FemError> {
-    match found.is_finite() {
-        true => Ok(()),
-        false => Err(FemError::BadLaw { name, must: "finite", found }),
-    }
-}
-
-pub(super) fn not_negative(name: &'static str, found: f64) -> Result<(), FemError> {
-    match found.is_finite() && found >= 0.0 {
-        true => Ok(()),
-        false => Err(FemError::BadLaw { name, must: "finite and not negative", found }),
     }
 }

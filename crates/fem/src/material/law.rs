@@ -74,14 +74,20 @@ impl Law {
                 Fibre { k1_over_mu: 1.0, ..fibre }.response(h, &k)
             }
             (Parameter::FibreK2, _, Some(fibre)) => fibre.response_by_k2(h, &k),
-            (Parameter::Excess, LawKind::Bimodular { .. }, _) => bimodular::response(h),
-            (Parameter::Alpha(term), LawKind::Ogden(terms), _) => {
+            (Parameter::Shape { name: "excess", .. }, LawKind::Bimodular { .. }, _) => {
+                bimodular::response(h)
+            }
+            (Parameter::Shape { name: "alpha", term }, LawKind::Ogden(terms), _) => {
                 terms.response_by_alpha(term, self.volumetric, h, &k)
             }
-            (Parameter::Weight(term), LawKind::Ogden(terms), _) => {
+            (Parameter::Shape { name: "weight", term }, LawKind::Ogden(terms), _) => {
                 terms.response_by_weight(term, self.volumetric, h, &k)
             }
-            _ => self.kind.invariant_response_by(parameter, self.volumetric, h, &k),
+            (Parameter::Shape { name, .. }, kind, _) => match kind.place_of(name) {
+                Some(nth) => kind.invariant_response_by(nth, self.volumetric, h, &k),
+                None => (0.0, [[0.0; 3]; 3]),
+            },
+            _ => (0.0, [[0.0; 3]; 3]),
         };
         let stress = stress.map(|row| row.map(|v| self.moduli.mu * v));
         let energy = self.moduli.mu * energy;

@@ -8,6 +8,7 @@
 //! of 1e-10 energy and stress keep some fourteen digits.
 
 mod bimodular;
+mod declaration;
 mod fibre;
 mod field;
 pub mod homogeneous;
@@ -15,6 +16,7 @@ mod invariants;
 mod kind;
 mod kinematics;
 mod law;
+mod laws;
 mod linear;
 mod neo_hookean;
 mod principal;
@@ -22,6 +24,7 @@ mod spectrum;
 mod stiffness;
 mod tensor;
 
+pub use declaration::{Declaration, Range, ShapeParameter};
 pub use fibre::Fibre;
 pub use field::Material;
 pub(crate) use field::PlainLaws;

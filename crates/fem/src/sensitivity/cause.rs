@@ -201,6 +201,6 @@ pub(crate) fn stresses_by(
 pub(crate) fn check_parameter(material: &Material, parameter: Parameter) -> Result<(), FemError> {
     match material.parameters().contains(&parameter) {
         true => Ok(()),
-        false => Err(FemError::NoSuchCause { what: format!("{parameter:?} of this law") }),
+        false => Err(FemError::NoSuchCause { what: format!("{parameter} of this law") }),
     }
 }

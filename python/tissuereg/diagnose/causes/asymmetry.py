@@ -5,6 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg._laws import main_key, shape_of
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Knobs, Values, Variant, knobs
 from tissuereg.diagnose.causes.laws import LawCause
@@ -33,7 +34,7 @@ class AsymmetryCause(LawCause):
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return a bimodular law of some excess, or Ogden's law at some distance from the neo-Hookean exponent."""
         if law == "bimodular":
-            return Asymmetry(law=law, excess=size, volumetric=form)
+            return Asymmetry(law=law, volumetric=form, **shape_of(law, size))
         exponent = EVEN + size
         if abs(exponent) < 0.1:
             exponent = 0.1 if exponent >= 0 else -0.1
@@ -52,7 +53,7 @@ class AsymmetryCause(LawCause):
         return knobs(
             [(float(np.log1p(start)), 0.0, 0.7, 0.05)],
             lambda x, young: (self.effect(law, float(np.expm1(x[0])), form),),
-            lambda x, young: {"law": law, "excess": float(np.expm1(x[0])), "volumetric": form},
+            lambda x, young: {"law": law, main_key(law): float(np.expm1(x[0])), "volumetric": form},
         )
 
     def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
@@ -60,9 +61,9 @@ class AsymmetryCause(LawCause):
         return () if variant.settings["law"] == "bimodular" else super().alternatives(bench, variant)
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
-        if "excess" in values:
-            factor = 1.0 + values["excess"]
+        """Return the finding in plain words."""
+        if values["law"] == "bimodular":
+            factor = 1.0 + values[main_key("bimodular")]
             return f"Stretched directions of the body have {factor:.3g} times the stiffness of compressed ones."
         exponent = values["alpha"][0]
         side = "compression" if exponent < 0 else "tension"

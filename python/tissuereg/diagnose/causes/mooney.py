@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 from tissuereg._arrays import FloatArray
+from tissuereg._laws import main_key, shape_of
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Knobs, Values, Variant, knobs, logistic, logit
 from tissuereg.diagnose.causes.laws import LawCause
@@ -19,7 +20,7 @@ class MooneyCause(LawCause):
 
     def effect(self, law: str, size: float, form: str) -> Effect:
         """Return the law with a share."""
-        return Mooney(law=law, share=size, volumetric=form)
+        return Mooney(law=law, volumetric=form, **shape_of(law, size))
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return the logit of the share."""
@@ -27,9 +28,9 @@ class MooneyCause(LawCause):
         return knobs(
             [(logit(0.5 * float(amplitudes[0])), 0.0, 1.5, 0.1)],
             lambda x, young: (self.effect(LAW, logistic(x[0]), form),),
-            lambda x, young: {"law": LAW, "share": logistic(x[0]), "volumetric": form},
+            lambda x, young: {"law": LAW, main_key(LAW): logistic(x[0]), "volumetric": form},
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
-        return f"A share of {values['share']:.2g} of the energy depends on the second invariant (Mooney-Rivlin)."
+        """Return the finding in plain words."""
+        return f"A share of {values[main_key(LAW)]:.2g} of the energy follows the second invariant (Mooney-Rivlin)."

@@ -5,14 +5,15 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg._laws import main_key, shape_of
 from tissuereg.diagnose.bench import Bench
 from tissuereg.diagnose.causes.base import Knobs, Values, Variant, knobs
 from tissuereg.diagnose.causes.laws import LawCause
 from tissuereg.effects import Effect, Stiffening
 
-#: Exponents of Fung's law, and ratio of Yeoh's, at which changes are simulated. Skin has exponents of some tens.
-EXPONENTS = (1.0, 4.0, 16.0)
-RATIO = 2.0
+#: Laws, and values of their first shape parameter where secants are taken: exponents of Fung's law, a ratio of Yeoh's.
+#: Skin has exponents of some tens.
+TRIED = {"fung": (1.0, 4.0, 16.0), "yeoh": (2.0,)}
 
 #: Largest logarithm of a shape parameter; a strain of 0.1 then multiplies the modulus by some thousands.
 LARGEST = 7.0
@@ -22,13 +23,13 @@ class StiffeningCause(LawCause):
     """Fung's exponential law or Yeoh's polynomial law in place of the neo-Hookean one."""
 
     id: ClassVar[str] = "stiffening"
-    tried: ClassVar[tuple[tuple[str, float], ...]] = (*(("fung", b) for b in EXPONENTS), ("yeoh", RATIO))
+    tried: ClassVar[tuple[tuple[str, float], ...]] = tuple(
+        (law, size) for law, sizes in TRIED.items() for size in sizes
+    )
 
     def effect(self, law: str, size: float, form: str) -> Effect:
-        """Return one of the two laws with an exponent or a ratio."""
-        if law == "fung":
-            return Stiffening(law="fung", b=size, volumetric=form)
-        return Stiffening(law="yeoh", c2_over_c1=size, c3_over_c1=0.0, volumetric=form)
+        """Return a law by its first shape parameter, the others zero."""
+        return Stiffening(law=law, volumetric=form, **shape_of(law, size))
 
     def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
         """Return the logarithm of the law's shape parameter."""
@@ -38,16 +39,13 @@ class StiffeningCause(LawCause):
         return knobs(
             [(start, float(np.log(2.0)), 1.2, 0.05)],
             lambda x, young: (self.effect(law, _shape(x), form),),
-            lambda x, young: {"law": law, _KEY[law]: _shape(x), "volumetric": form},
+            lambda x, young: {"law": law, main_key(law): _shape(x), "volumetric": form},
         )
 
     def sentence(self, values: Values) -> str:
-        """Return the finding in words."""
-        key = "b" if "b" in values else "c2_over_c1"
-        return f"The body stiffens with strain ({key} = {values[key]:.3g}), more than the believed law."
-
-
-_KEY = {"fung": "b", "yeoh": "c2_over_c1"}
+        """Return the finding in plain words."""
+        key = main_key(str(values["law"]))
+        return f"The body stiffens with strain ({key} = {values[key]:.3g}): large pushes meet more than is believed."
 
 
 def _shape(x: FloatArray) -> float:

@@ -5,11 +5,17 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissuereg._arrays import FloatArray
+from tissuereg._laws import main_key, shape_of
 from tissuereg.diagnose.material.causes.base import Cause, Form, exponential, form, sigmoid
 from tissuereg.diagnose.material.scene import Scene
 from tissuereg.effects.elastic import Asymmetry, Mooney, OtherLaw, Stiffening
 
-#: Prior standard deviation of Ogden's exponents about 0: rubber has some -5 to 10, brain -20.
+#: Laws of one rate of stiffening.
+BY_RATE = ("fung", "veronda-westmann")
+
+_MOONEY = "mooney-rivlin"
+
+#: Spread of Ogden's exponents about 0: rubber has some -5 to 10, brain -20.
 _ALPHA = 15.0
 _LARGEST_ALPHA = 80.0
 
@@ -36,20 +42,24 @@ def _ogden_forms(kind: type[OtherLaw]) -> list[Form]:
 
 
 def _stiffening_forms(scene: Scene) -> list[Form]:
-    a = scene.invariant
-    b = [(math.log(0.5 / a), 1.5)]
-    forms = [
-        form("fung", b, [], lambda x: Stiffening(law="fung", b=exponential(float(x[0])))),
-        form("veronda-westmann", b, [], lambda x: Stiffening(law="veronda-westmann", b=exponential(float(x[0])))),
-        form(
-            "yeoh",
-            [(0.0, 3.0), (0.0, 3.0)],
-            [(0.5, 0.1), (-0.3, 1.0)],
-            lambda x: Stiffening(law="yeoh", c2_over_c1=float(x[0]) / a, c3_over_c1=float(x[1]) / a**2),
-        ),
-    ]
-    # In tension or compression alone Ogden's exponent describes how the tangent modulus changes, like other laws.
+    forms = [*(_by_rate(law, scene.invariant) for law in BY_RATE), _by_ratios("yeoh", scene.invariant)]
+    # Where pull or push alone was tested an exponent says no more than how the tangent changes.
     return forms if scene.two_sided else [*forms, *_ogden_forms(Stiffening)]
+
+
+def _by_rate(law: str, invariant: float) -> Form:
+    """Return a law of one positive rate, near one that matters at the largest strain."""
+    prior = [(math.log(0.5 / invariant), 1.5)]
+    return form(law, prior, [], lambda x: Stiffening(law=law, **shape_of(law, exponential(float(x[0])))))
+
+
+def _by_ratios(law: str, invariant: float) -> Form:
+    """Return a law of ratios of its second and third coefficient to its first, of either sign."""
+
+    def effect(x: FloatArray) -> Stiffening:
+        return Stiffening(law=law, **shape_of(law, float(x[0]) / invariant, float(x[1]) / invariant**2))
+
+    return form(law, [(0.0, 3.0), (0.0, 3.0)], [(0.5, 0.1), (-0.3, 1.0)], effect)
 
 
 def _mooney_forms(scene: Scene) -> list[Form]:
@@ -58,7 +68,7 @@ def _mooney_forms(scene: Scene) -> list[Form]:
         return []
     share = [(-1.5,), (1.5,)]
     return [
-        form("mooney-rivlin", [(0.0, 1.5)], share, lambda x: Mooney(law="mooney-rivlin", share=sigmoid(float(x[0]))))
+        form(_MOONEY, [(0.0, 1.5)], share, lambda x: Mooney(law=_MOONEY, **shape_of(_MOONEY, sigmoid(float(x[0])))))
     ]
 
 
@@ -90,6 +100,8 @@ MOONEY = Cause(
     "mooney",
     "law",
     _mooney_forms,
-    lambda table: f"The second invariant has a share of {table['share']:.2g} of the stiffness (Mooney-Rivlin).",
+    lambda table: (
+        f"The second invariant has a share of {table[main_key(_MOONEY)]:.2g} of the stiffness (Mooney-Rivlin)."
+    ),
 )
 ASYMMETRY = Cause("asymmetry", "law", _asymmetry_forms, _asymmetry_sentence)

@@ -1,0 +1,10 @@
+//! One file a law in invariants; each is told of in the catalogue (`material/kind.rs`).
+//!
+//! A file holds the law's [`DECLARATION`](yeoh::DECLARATION), whether its energy has the second
+//! invariant (`SECOND`), its energy with slopes (`slopes`) and their derivatives by a shape
+//! parameter (`slopes_by`).
+
+pub(super) mod fung;
+pub(super) mod mooney_rivlin;
+pub(super) mod veronda_westmann;
+pub(super) mod yeoh;

@@ -1,0 +1,31 @@
+//! The law of Veronda and Westmann: `(exp(rate a) − 1) / rate − ½ b` of shear modulus 1.
+
+use crate::material::declaration::{Declaration, Range, ShapeParameter, Slopes};
+use crate::material::tensor::{phi1, phi2};
+
+pub(in crate::material) const DECLARATION: Declaration = Declaration {
+    name: "veronda-westmann",
+    shape: &[ShapeParameter::number("b", Range::NotNegative).searched(0.0, 1e3)],
+    starts: &[&[0.3], &[5.0]],
+};
+
+pub(in crate::material) const SECOND: bool = true;
+
+#[inline]
+pub(in crate::material) fn slopes([rate]: [f64; 1], a: f64, b: f64) -> Slopes {
+    Slopes {
+        energy: a * phi1(rate * a) - 0.5 * b,
+        a: (rate * a).exp(),
+        b: -0.5,
+        aa: rate * (rate * a).exp(),
+    }
+}
+
+pub(in crate::material) fn slopes_by(
+    [rate]: [f64; 1],
+    _nth: usize,
+    a: f64,
+    _b: f64,
+) -> (f64, f64, f64) {
+    (a * a * (phi1(rate * a) - phi2(rate * a)), a * (rate * a).exp(), 0.0)
+}
