@@ -22,7 +22,7 @@ help:
 	@echo "make test-sturdy     a thousand known equilibria, two thousand random inputs, every reader on 10,000 spoilt files"
 	@echo "make test-training   set up training/ with torch and test it"
 	@echo "make docs            the documentation site, to be read from files -> build/site/index.html"
-	@echo "make crates          what would be published of each crate, built; its examples, outside the repository (DIRTY=--allow-dirty)"
+	@echo "make crates          what would be published of each crate, built and run outside the repository (DIRTY=--allow-dirty)"
 	@echo "make test-wheel      the wheel installed without a compiler, and another one built from the source archive"
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
