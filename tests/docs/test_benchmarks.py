@@ -75,3 +75,17 @@ def test_parts_are_compared_by_their_difference_or_by_the_smaller_one():
         ("a", "both", "within"),
         ("b", "both", "within"),
     ]
+
+
+def test_the_page_of_large_bodies_is_that_of_its_archive_and_estimates_hold():
+    script = loaded("large_bodies")
+    archive = json.loads((BENCHMARKS / "results" / "large-bodies.json").read_text(encoding="utf-8"))
+    assert script.page(archive) == (BENCHMARKS.parent / "docs" / "large-bodies.md").read_text(encoding="utf-8")
+    assert [row["size"]["n_nodes"] // 1000 for row in archive["rows"]] == [4, 20, 101, 201]
+    for row in archive["rows"]:
+        for command in ("register", "solve"):
+            # Never much too low, since bodies are refused by it; never twice too high.
+            told, found = row["expected"][command]["peak_bytes"], row["measured"][command]["peak_bytes"]
+            assert 0.95 * found < told < 2.0 * found, (row["size"]["n_nodes"], command)
+    archive["rows"][0]["measured"]["register"]["peak_bytes"] += 10**8
+    assert script.page(archive) != script.page(json.loads((BENCHMARKS / "results" / "large-bodies.json").read_text()))

@@ -248,6 +248,7 @@ CALLS = {
             "polish": False,
             "ensemble": 0,
             "progress": None,
+            "tell": None,
         },
     ),
     "register of a surface": (

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> Outcome:
     clock.lap("read")
     simulator = Simulator(problem.mesh, element=args.element)
     estimate = Estimate.of(BodySize.of(simulator), SOLVE, args.threads)
-    if not args.quiet:
+    if not (args.quiet or estimate.is_small):
         note(estimate.sentence())
     estimate.check()
     clock.lap("analyse")

@@ -26,7 +26,7 @@ WARNED_SHARE, LONG_SECONDS = 0.5, 60.0
 #: Entries that are held while a factor is made, over those that one thread holds: threads work on several fronts.
 _WORKING = 1.5
 
-#: What is imported and drawn later, in bytes.
+#: What is imported and drawn later, in bytes; no part of the rule, since it does not depend on the body.
 _LATER = 200e6
 
 #: A factor of so many entries is looked at in any case, whatever is done with the body.
@@ -37,6 +37,9 @@ _PER_ENTRY, _PER_TET = 42.0, 4e5
 
 #: Order of the matrix product that measures the speed, and how often it is made.
 _ORDER, _REPEATS = 512, 5
+
+#: Meshes of fewer nodes are not suggested.
+_SMALLEST = 50
 
 #: What a mesh that fits should leave free of the memory.
 _ROOM = 0.85
@@ -121,7 +124,7 @@ class Estimate:
     seconds : float
         Wall time, while nothing else runs on the machine.
     added_bytes : int
-        Memory in addition to what the process holds.
+        Memory that the body takes in addition to what the process holds.
     peak_bytes : int
         Memory of the process at most.
     available_bytes : int or None
@@ -147,10 +150,15 @@ class Estimate:
         element_nodes = size.n_nodes if size.element != "tet10" else max(size.n_nodes, size.n_unknowns // 3)
         # A factor that is kept in fewer bytes is made in single precision.
         making = max(work.entry_bytes, 4) * _WORKING * size.n_working
-        added = _LATER + work.entry_bytes * work.factors_held * size.n_entries + making
+        added = work.entry_bytes * work.factors_held * size.n_entries + making
         added += 24.0 * work.fields * element_nodes + 8.0 * work.tet_fields * size.n_tets
-        held = resident_bytes() or 0
+        held = int(_LATER) + (resident_bytes() or 0)
         return cls(size, work, flops / (n_threads * product_rate()), int(added), int(added) + held, available_bytes())
+
+    @property
+    def is_small(self) -> bool:
+        """Whether it takes about a second at most, and little of the memory that there is."""
+        return self.seconds < 1.0 and self.added_bytes < 1e9
 
     @property
     def is_long(self) -> bool:
@@ -175,12 +183,13 @@ class Estimate:
             Nodes, tets, unknowns, the factor, how often it is made, time and memory.
         """
         size, work = self.size, self.work
+        times = f"about {work.factorisations} factorisation{'' if work.factorisations == 1 else 's'}"
         there = "" if self.available_bytes is None else f", {_gb(self.available_bytes)} more are available"
         return (
             f"{size.n_nodes:,} nodes, {size.n_tets:,} {size.element}, {size.n_unknowns:,} unknowns; a factor has "
-            f"{size.n_entries / 1e6:,.1f} million entries ({_gb(work.entry_bytes * size.n_entries)}) and takes "
-            f"{size.flops / 1e9:,.1f} GFlop; about {work.factorisations} factorisation{_plural(work.factorisations)}, "
-            f"{self.duration()}, peak memory {_gb(self.peak_bytes)}{there}"
+            f"{_count(size.n_entries)} entries ({_gb(work.entry_bytes * size.n_entries)}) and takes "
+            f"{_figure(size.flops / 1e9)} GFlop; {times}, {self.duration()}, "
+            f"peak memory {_gb(self.peak_bytes)}{there}"
         )
 
     def check(self) -> None:
@@ -196,7 +205,7 @@ class Estimate:
             return
         need = (
             f"this body needs about {_gb(self.added_bytes)} more memory and {_gb(there)} are available "
-            f"({self.size.n_nodes:,} nodes, {self.size.element}; a factor has {self.size.n_entries / 1e6:,.1f} million "
+            f"({self.size.n_nodes:,} nodes, {self.size.element}; a factor has {_count(self.size.n_entries)} "
             "entries)"
         )
         if self.added_bytes > there:
@@ -210,10 +219,13 @@ class Estimate:
         """Return what to do where there is too little memory."""
         # Entries of a factor grow with the power 4/3 of the nodes (nested dissection in space).
         share = (_ROOM * there / self.added_bytes) ** 0.75
-        fits = int(float(f"{max(share * self.size.n_nodes, 1.0):.2g}"))
+        fits = int(float(f"{share * self.size.n_nodes:.2g}"))
+        more = f"a machine with more memory; where that is wrong, set {LIMIT} in the environment"
+        if fits < _SMALLEST:
+            return f"use {more}"
         coarser = f"use a mesh of at most about {fits:,} nodes (edges {share ** (-1 / 3):.2g} times as long)"
         linear = ", or element 'tet4', which has an eighth of the unknowns" if self.size.element == "tet10" else ""
-        return f"{coarser}{linear}, or a machine with more memory; {LIMIT} in the environment says otherwise"
+        return f"{coarser}{linear}, or {more}"
 
 
 def check_fits(simulator: "Simulator") -> None:
@@ -252,14 +264,18 @@ def product_rate() -> float:
     return 2.0 * _ORDER**3 / max(sorted(spent)[_REPEATS // 2], 1e-9)
 
 
-def _plural(count: int) -> str:
-    return "" if count == 1 else "s"
+def _figure(value: float) -> str:
+    """Return a figure with two digits at least, never with an exponent."""
+    return f"{value:,.0f}" if value >= 10.0 else f"{max(value, 0.01):.2g}"
+
+
+def _count(number: int) -> str:
+    return f"{number:,}" if number < 1e6 else f"{_figure(number / 1e6)} million"
 
 
 def _gb(size: float) -> str:
-    """Return bytes in GB (1e9), two digits."""
-    value = size / 1e9
-    return f"{value:.2g} GB" if value < 10.0 else f"{value:,.0f} GB"
+    """Return bytes in GB (1e9)."""
+    return f"{_figure(size / 1e9)} GB"
 
 
 def _duration(seconds: float) -> str:
