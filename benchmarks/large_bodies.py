@@ -180,12 +180,12 @@ analysed, before anything is factored.
 
 ## What is said
 
-`tissuereg register` and `tissuereg solve` write one line to standard error then (not with `--quiet`): nodes,
-elements, unknowns, entries and memory of a factor, operations of a factorisation, how many factorisations to
-expect, the time and the peak memory that are estimated, and what memory there is. From then on `register` shows its
-stages: analysis, factorisation of the tangent, responses (how many of how many), sampling, equilibrium, pass by
-pass, draws, files; on a terminal as a bar, else as lines. In Python `tissuereg.register(..., tell=print)` gives the
-same.
+`tissuereg register` and, from about a second or 1 GB on, `tissuereg solve` write one line to standard error then
+(not with `--quiet`): nodes, elements, unknowns, entries and memory of a factor, operations of a factorisation, how
+many factorisations to expect, the time and the peak memory that are estimated, and what memory there is. From then
+on `register` shows its stages: analysis, factorisation of the tangent, responses (how many of how many), sampling,
+equilibrium, pass by pass, draws, files; on a terminal as a bar, else as lines. In Python `tissuereg.register(...,
+tell=print)` gives the same.
 
 The time is estimated from the operations and the speed of the machine, which is measured by a few products of
 matrices; the memory from the entries of the factors that are held at the same time (two of single precision, with
@@ -201,7 +201,7 @@ points of a surface three), the largest fronts, and what is held at every node a
   than a minute.
 * The memory that a process may take is the least of what the system has without swapping (`MemAvailable`), what the
   control groups of the process leave, and `TISSUEREG_MEMORY_GB` in the environment, where it is set. Where nobody
-  knows, nothing is refused.
+  knows, nothing is refused. What other programs take later is not known: leave room for them.
 
 A result holds the factor at its end until it is dropped, for the spread of the nodes and for draws. The factor at
 rest is kept for the next call, unless it has more than 250 million entries (1 GB).
