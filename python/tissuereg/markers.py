@@ -114,7 +114,7 @@ def _kept(keep: Any, n_markers: int) -> IntArray:
 
 
 def _spread(std: Any, n_markers: int) -> FloatArray:
-    """Return standard deviations (n_markers, 3) of one for all, one per marker, or one an axis."""
+    """Return standard deviations (n_markers, 3) of one for all, one per marker, or one per axis."""
     if depth("std", std) == 2:
         return float_array("std", std, (n_markers, 3))
     by_marker = (

@@ -170,7 +170,7 @@ def test_control_c_stops_a_call_that_would_last_minutes(work, threads):
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "started\n"
         process.send_signal(signal.SIGINT)
-        # Idle machines take a few hundredths of a second; this only tells stopping from finishing.
+        # Idle machines take a few hundredths of a second; this only distinguishes stopping from finishing.
         timer = threading.Timer(30.0, process.kill)
         timer.start()
         answer = process.stdout.readline()

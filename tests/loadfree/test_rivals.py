@@ -69,21 +69,21 @@ def test_a_wrong_load_is_half_as_large_turned_by_30_degrees_and_12_mm_away_on_th
     body = read_body(name)
     skin = np.setdiff1d(body.mesh.surface_nodes, body.mesh.fixed_nodes)
     for event in body.events:
-        wrong = wrong_description(body, event)
-        pairs = list(zip(event.description["contacts"], wrong["contacts"], strict=True))
+        changed = wrong_description(body, event)
+        pairs = list(zip(event.description["contacts"], changed["contacts"], strict=True))
         for true, wrong in pairs:
             assert np.abs(body.mesh.nodes[skin] - wrong["centre"]).max(axis=1).min() == 0.0
             off = np.linalg.norm(np.subtract(wrong["centre"], true["centre"]))
             assert off == pytest.approx(12.0, abs=2.0)  # there must be a node
         turned = [(true["force_mN"], wrong["force_mN"]) for true, wrong in pairs]
         if event.kind == "gravity":
-            turned.append((event.description["weight_mN_per_mm3"], wrong["weight_mN_per_mm3"]))
+            turned.append((event.description["weight_mN_per_mm3"], changed["weight_mN_per_mm3"]))
         for true, wrong in turned:
             size = np.linalg.norm(true)
             assert np.linalg.norm(wrong) == pytest.approx(0.5 * size)
             assert np.dot(true, wrong) == pytest.approx(0.5 * size**2 * np.cos(np.pi / 6))
         load = wrong_load(body, event)
-        whole = np.sum([contact["force_mN"] for contact in wrong["contacts"]], axis=0)
+        whole = np.sum([contact["force_mN"] for contact in changed["contacts"]], axis=0)
         np.testing.assert_allclose(load.forces.sum(axis=0), whole, atol=1e-9 * np.abs(load.forces).sum())
         assert np.array_equal(load.forces, wrong_load(body, event).forces)
 

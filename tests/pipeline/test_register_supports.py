@@ -106,7 +106,7 @@ def test_supports_that_hold_at_two_corners_are_found_in_part(body):
     assert error(perhaps, places) < 0.6 * error(sure, places)
 
 
-def test_a_tracker_that_drifts_is_told_from_a_pull(body):
+def test_a_tracker_that_drifts_is_distinguished_from_a_pull(body):
     places = body.nodes + pulled(body, np.flatnonzero(body.nodes[:, 2] == 0.0))
     drifted = turned(0.5, (0.6, -0.45, 0.2)).apply(places)
     known, drifts = (tr.register(body, seen(body, drifted), frame=frame) for frame in ("known", "drifts"))

@@ -108,8 +108,8 @@ def test_points_of_something_else_do_not_bend_the_body_and_are_listed(block_mesh
     assert len(listed - set(wrong.tolist())) <= 6
 
 
-def test_tangential_motion_is_not_told_by_points_and_regions_know_it(block_mesh):
-    # The top slides over itself: points of the flat top alone tell its height, and nothing along it.
+def test_tangential_motion_is_not_determined_by_points_and_regions_show_it(block_mesh):
+    # The top slides over itself: points of the flat top alone determine its height, and nothing along it.
     rng = np.random.default_rng(5)
     top = np.column_stack([rng.uniform(6, 24, 120), rng.uniform(4, 16, 120), 40.0 + 0.05 * rng.standard_normal(120)])
     result = tr.register(block_mesh, surface=top, surface_std=0.05, targets={"top": (15.0, 10.0, 39.0)})
@@ -127,7 +127,7 @@ def test_a_free_body_is_found_by_its_points(block_mesh, leaned):
     free = tr.Mesh(block_mesh.nodes, block_mesh.tets)
     points = turn.apply(cloud(block_mesh, 0.3 * leaned, 300, rng, 0.05))
     result = tr.register(free, surface=points, surface_std=0.05)
-    # A block slides in its own skin by nothing, but its middle is not told exactly.
+    # A block slides in its own skin by nothing, but its centre is not determined exactly.
     assert np.linalg.norm(result.mesh.nodes + result.displacement - true, axis=1).mean() < 0.5
 
 

@@ -49,7 +49,7 @@ def words(figure):
     return [text.get_text() for text in figure.texts]
 
 
-def test_the_picture_says_the_verdict_and_names_markers_that_do_not_count(spoilt, figure):
+def test_the_picture_states_the_verdict_and_names_markers_that_do_not_count(spoilt, figure):
     assert dict(spoilt.markers.dropped) == {"M3": "wrong", "M6": "not seen"}
     assert "Do not trust this registration." in words(figure)
     assert any("wrong marker: M3 " in text for text in words(figure))
@@ -74,7 +74,7 @@ def test_labels_do_not_cover_each_other(figure):
             assert not one.overlaps(other)
 
 
-def test_a_flagged_target_is_dashed_and_said_in_words(spoilt):
+def test_a_flagged_target_is_dashed_and_stated_in_words(spoilt):
     flagged = replace(spoilt.target("at the top"), constrained=0.3, flag="no marker tells")
     result = replace(spoilt, targets={**spoilt.targets, "at the top": flagged})
     figure = result.plot()
@@ -106,7 +106,7 @@ def test_the_forces_hold_the_body_and_are_written(block_mesh, spoilt, tmp_path):
     )
 
 
-def test_an_untrusted_answer_is_said_on_the_last_line(block_mesh, pulled, tmp_path, capsys):
+def test_an_untrusted_answer_is_stated_on_the_last_line(block_mesh, pulled, tmp_path, capsys):
     reference, measured = pulled
     measured = measured.copy()
     measured[2] += (3.0, -3.0, 3.0)

@@ -32,7 +32,7 @@ def test_a_linear_model_gives_the_kalman_posterior(n_steps):
     np.testing.assert_allclose(np.cov(found.latents), covariance, atol=1e-9)
 
 
-def test_plain_draws_are_used_and_said_where_the_ensemble_is_small():
+def test_plain_draws_are_used_and_reported_where_the_ensemble_is_small():
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(4))
     found = assimilate(
         lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), n_members=12, min_members=5

@@ -67,7 +67,7 @@ def flat() -> np.ndarray:
 
 
 def two_parts() -> dict[str, np.ndarray]:
-    """A held block, and another beside it that nothing holds."""
+    """A held block, and another next to it that nothing holds."""
     one = block()
     return {
         "nodes_mm": np.vstack([one.nodes, one.nodes + np.array([60.0, 0.0, 0.0])]),
@@ -89,7 +89,7 @@ def one_nan() -> np.ndarray:
     return nodes
 
 
-#: What is changed in a good problem; the error; what its message says.
+#: Change of a good problem; the error; a part of its message.
 PROBLEMS: dict[str, tuple[dict[str, Any], type[TissueRegError], str]] = {
     "a tet is inverted": ({"tets": inverted()}, MeshError, r"tetrahedron 17 is inverted"),
     "a tet is flat": ({"nodes_mm": flat()}, MeshError, r"tetrahedron \d+ is (degenerate|inverted)"),
@@ -149,7 +149,7 @@ def test_a_bad_problem_is_refused(tmp_path, capsys, changes, error, pattern):
     refuses(capsys, call, ["solve", path, "--out", tmp_path / "u.npz"], error, pattern, tmp_path)
 
 
-def test_a_load_beyond_equilibrium_tells_how_far_it_got_and_where(tmp_path, capsys):
+def test_a_load_beyond_equilibrium_reports_how_far_it_got_and_where(tmp_path, capsys):
     forces = np.zeros((120, 3))
     forces[block().nodes[:, 2] == 40.0, 2] = -1e6
     path = write_problem(tmp_path / "problem.npz", forces_mN=forces)
@@ -312,7 +312,7 @@ def test_a_bad_recipe_is_refused(tmp_path, capsys, text):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("tissuereg_training") is not None, reason="the training package is there")
-def test_training_without_its_package_says_how_to_get_it(tmp_path, capsys):
+def test_training_without_its_package_states_how_to_get_it(tmp_path, capsys):
     code, output, _ = run_json(capsys, "train", tmp_path / "r.toml", "--data", tmp_path, "--out", tmp_path / "model")
     assert (code, output["error"]) == (2, MissingPackageError.__name__)
     assert "make training" in output["message"]
@@ -353,7 +353,7 @@ ARRAYS: dict[str, tuple[Callable[[], Any], type[TissueRegError], str]] = {
     "moduli of another mesh": (
         lambda: tr.simulate(block(), tr.Load(body_force=[0, 0, 1e-3]), tr.Material(young=np.ones(7))),
         MaterialError,
-        r"one value or one a tet \(360\), got 7",
+        r"one value or one per tet \(360\), got 7",
     ),
     "an infinite force": (
         lambda: tr.simulate(block(), tr.Load(forces=np.full((120, 3), np.inf)), tr.Material()),

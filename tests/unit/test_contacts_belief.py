@@ -1,4 +1,4 @@
-"""Beliefs that cannot be right: left out, and said."""
+"""Believed loads that cannot be right are left out, and reported."""
 
 import numpy as np
 import pytest

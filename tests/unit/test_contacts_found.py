@@ -57,7 +57,7 @@ def test_the_work_is_the_pinned_one(result):
     work = result.work
     settings = tr.RegisterSettings().contacts
     assert work["passes"] == 2
-    # The tangent at rest is kept from call to call, and the last step came out as predicted: its tangent serves on.
+    # The tangent at rest is cached between calls, and the last step ended as predicted: its tangent is reused.
     assert work["factorisations"] in (1, 2)
     assert work["right_hand_sides"] in [3 * (n * len(push().nodes) + len(result.targets)) for n in (1, 2)]
     assert work["sweeps"] == 8 * len(settings.powers) + 16 * len(settings.powers_again)
@@ -93,7 +93,7 @@ def registered_at(markers, seed, threads):
 
 
 # A marker that stands alone might as well sit on a small push of its own; then its probability is near a half, and half
-# of the samples bend the body. These are beside others, and the last two are not.
+# of the samples bend the body. These are near others, and the last two are not.
 @pytest.mark.parametrize(("wrong", "bent"), [([1], 0.15), ([8], 0.15), ([14, 4], 0.6)])
 def test_wrong_markers_are_named_and_bend_little(wrong, bent):
     markers = push().markers()
@@ -150,7 +150,7 @@ def test_three_markers_are_enough_to_answer_and_leave_more_unknown(result):
         assert found.target(name).constrained < result.target(name).constrained
 
 
-def test_no_marker_tells_of_a_target_that_few_markers_leave_to_itself(result):
+def test_a_target_that_few_markers_constrain_is_flagged(result):
     targets = {"beside them": (57.0, 3.0, 20.0), "in the far corner": (57.0, 57.0, 22.0)}
     found = registered(push().markers().only([1, 6, 11]), targets=targets)
     assert found.target("beside them").flag is None
@@ -189,7 +189,7 @@ def test_targets_lie_in_their_regions(result):
         inside = TargetObservation(push().mesh, {name: point})
         truth = np.asarray(point) + inside.predict(push().displacement[inside.nodes])[0]
         assert result.target(name).region(0.999).contains(truth)
-        # Neither 25 times too wide nor too narrow: a region is of the size of what is left to know.
+        # Neither 25 times too wide nor too narrow: a region has the size of the remaining uncertainty.
         assert 0.005 < np.sqrt(np.trace(result.target(name).covariance)) < 0.5
 
 
@@ -220,7 +220,7 @@ def test_draws_lie_about_the_registration_as_far_as_the_spread_says(result):
     # The mean of 48 draws; equilibria are not quite linear in their loads, and passes end where the markers are met.
     assert off.mean() < 0.6 * result.std[free].mean()
     found = np.sqrt(np.mean(np.sum((draws - draws.mean(axis=0)) ** 2, axis=2), axis=0))[free]
-    # The spread has the model's own error besides.
+    # The spread includes the model's own error.
     assert 0.5 < found.mean() / result.std[free].mean() < 1.05
 
 
@@ -267,7 +267,7 @@ def test_a_simulation_that_the_markers_contradict_is_left():
 
 
 def test_an_error_of_a_believed_load_is_of_the_size_of_the_load():
-    # One marker that hardly tells anything: what is left is the prior.
+    # One marker with hardly any information: the prior remains.
     markers = tr.Markers(push().markers().reference[:1], push().markers().measured[:1], 50.0)
     drawn = registered(markers, load=tr.Load(body_force=(0.0, 0.0, -1e-3))).draw
     (believed,) = [family.columns for family in drawn.fit.columns.families if family.name == "believed"]

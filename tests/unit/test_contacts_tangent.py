@@ -48,7 +48,7 @@ def test_the_tangent_at_rest_is_factored_once_a_body_material_and_number_of_thre
         found, factored = tangent_at(other[0], other[1], at_rest(other[0]), other[2])
         assert factored == 1, other
         assert found is not here
-    # Under a load the rest shape is no equilibrium, and nothing kept stands in for it.
+    # Under a load the rest shape is no equilibrium, and no cached tangent may be used for it.
     loaded = columns_of(believed={"body_force": np.array([0.0, 0.0, -1e-3])})
     with pytest.raises(ConvergenceError):
         tangent_at(loaded, MATERIAL, at_rest(loaded), 1)
@@ -128,7 +128,7 @@ def test_the_skin_follows_the_set_of_held_nodes():
     assert np.array_equal(skin_of(mesh).held, [0, 1, 2])
 
 
-def test_a_step_that_came_out_otherwise_than_predicted_is_linearised_anew(monkeypatch):
+def test_a_step_that_ends_otherwise_than_predicted_is_linearised_anew(monkeypatch):
     def fit(margin):
         forget_rest()
         monkeypatch.setattr("tissuereg.contacts.fit._AS_PREDICTED", margin)

@@ -44,8 +44,8 @@ def test_two_components_are_as_unlikely_as_where_the_third_could_be_anything() -
     assert _chance(np.full(3, np.nan), COVARIANCE) == 1.0
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.5, True), (2.0, False)])
-def test_a_dropped_marker_is_told_of_below_one_percent_shared_out_among_all(share: float, summary: bool) -> None:
+@pytest.mark.parametrize(("share", "reported"), [(0.5, True), (2.0, False)])
+def test_a_dropped_marker_is_reported_below_one_percent_divided_among_all(share: float, reported: bool) -> None:
     places = np.random.default_rng(0).normal(size=(20, 3))
     size = np.sqrt(chi2.isf(share * 0.01 / 20, 3))
     lost = SimpleNamespace(mean=places[7] - size * np.linalg.cholesky(COVARIANCE)[:, 0], covariance=COVARIANCE)
@@ -56,7 +56,7 @@ def test_a_dropped_marker_is_told_of_below_one_percent_shared_out_among_all(shar
     )
     unseen: Any = [lost]
     found = Answer._wrong(answer, unseen)
-    assert [reason[: len("wrong marker: M8 ")] for reason in found] == (["wrong marker: M8 "] if summary else [])
+    assert [reason[: len("wrong marker: M8 ")] for reason in found] == (["wrong marker: M8 "] if reported else [])
 
 
 def test_the_misfit_is_that_of_the_innovation_where_the_prior_has_a_part_in_it(result: tr.Registration) -> None:

@@ -30,7 +30,7 @@ def test_the_examples_are_read(shared_data, name):
         assert np.isfinite(case.markers).all()
         assert case.markers.shape == (len(case.times), 25, 3)
         assert list(case.displacements) == [pad for pad in ("push_x", "push_y", "push_z") if pad == case.name]
-    # the file's own node sets say the same as plane and spheres
+    # the file's own node sets are the same as plane and spheres
     for rule, own in (("fixed", "base"), ("push_x", "pad_x"), ("push_y", "pad_y"), ("push_z", "pad_z")):
         assert np.array_equal(rig.mesh.node_set(rule), rig.mesh.node_set(own))
 

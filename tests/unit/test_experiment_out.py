@@ -58,7 +58,7 @@ def test_what_is_written_is_read_back_the_same_from_any_folder(rig, tmp_path, pl
     assert back.folder.resolve() == rig.folder.resolve()
 
 
-def test_a_file_beside_its_tables_names_no_folder(rig, tmp_path):
+def test_a_file_next_to_its_tables_names_no_folder(rig, tmp_path):
     write(rig, tmp_path / "rig" / "experiment.extended.toml")
     assert "tables" not in read_toml(tmp_path / "rig" / "experiment.extended.toml").rest()
     write(rig, tmp_path / "out" / "experiment.extended.toml")

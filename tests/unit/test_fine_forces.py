@@ -33,9 +33,9 @@ def test_frames_without_equilibrium_tell_nothing(rough):
     np.testing.assert_allclose(maps, np.broadcast_to(1.1 * np.eye(3), (7, 3, 3)), atol=1e-12)
 
 
-@pytest.mark.parametrize("said", [0.0, np.nan])
-def test_a_pad_that_never_pushes_keeps_its_force(output):
-    assert np.array_equal(force_maps(np.full((4, 3), output), np.zeros((4, 3))), np.broadcast_to(np.eye(3), (4, 3, 3)))
+@pytest.mark.parametrize("force", [0.0, np.nan])
+def test_a_pad_that_never_pushes_keeps_its_force(force):
+    assert np.array_equal(force_maps(np.full((4, 3), force), np.zeros((4, 3))), np.broadcast_to(np.eye(3), (4, 3, 3)))
 
 
 def test_forces_that_are_another_thing_give_no_wild_ratio(rough):

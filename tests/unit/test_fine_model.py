@@ -1,4 +1,4 @@
-"""What a fine model says: what solving every frame says, what is known exactly, what data of another mesh say."""
+"""Predictions of a fine model against solves of every frame, exact solutions, and data of another mesh."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ from tissuereg.simulate.fine.elastic import guess
 from tissuereg.simulate.loading import distinct_states
 from tissuereg.simulate.solve import Simulator
 
-#: Coarse at the rim: these tests ask whether things are the same, not whether they are right.
+#: Coarse at the rim: these tests check that results are the same, not that they are accurate.
 COARSE = FineMeshing(rim_edge=1.0)
 
 

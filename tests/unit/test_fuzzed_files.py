@@ -39,7 +39,7 @@ FUZZED = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
-#: What may stand in the place of a number or a word.
+#: Replacements for a number or a word.
 STRANGE = st.sampled_from(
     [
         "nan",

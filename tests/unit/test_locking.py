@@ -1,4 +1,4 @@
-"""Where linear tets lock is said once a call, at the caller's line; nowhere else."""
+"""A warning that linear tets lock is given once per call, at the caller's line; nowhere else."""
 
 import warnings
 
@@ -50,7 +50,7 @@ WAYS = [one, one_by_function, many, frames, core]
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_every_way_to_solve_says_once_that_linear_tets_lock_and_where_they_were_asked_for(block_mesh, way):
+def test_every_way_to_solve_warns_once_that_linear_tets_lock_at_the_callers_line(block_mesh, way):
     with pytest.warns(LockingWarning, match=r"ratio 0\.49 .*tet4-averaged") as warned:
         way(block_mesh, "tet4", 0.49)
     assert [warning.filename for warning in warned] == [__file__]
@@ -60,7 +60,7 @@ def test_every_way_to_solve_says_once_that_linear_tets_lock_and_where_they_were_
 @pytest.mark.parametrize(
     ("element", "poisson"), [("tet4", 0.45), ("tet4", 0.475), ("tet4-averaged", 0.499), ("tet10", 0.499)]
 )
-def test_nothing_is_said_where_nothing_locks(block_mesh, way, element, poisson):
+def test_there_is_no_warning_where_nothing_locks(block_mesh, way, element, poisson):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         way(block_mesh, element, poisson)

@@ -159,7 +159,7 @@ def test_fields_of_another_element_are_refused(block_mesh):
     n = block_mesh.n_tets
     for element, shape in (("tet4", (n, 4)), ("tet10", (n, 3)), ("tet10", (n - 1, 4))):
         simulator = tr.Simulator(block_mesh, element=element)
-        with pytest.raises(MaterialError, match="`young` must hold one value or one a tet"):
+        with pytest.raises(MaterialError, match="`young` must hold one value or one per tet"):
             simulator.solve(load, tr.Material(np.ones(shape)))
     with pytest.raises(tr.errors.ShapeError, match="fibre directions"):
         tr.Simulator(block_mesh).solve(load, tr.Material(fibre=tr.Fibre(direction=np.ones((n + 1, 3)))))

@@ -13,7 +13,7 @@ from tissuereg.diagnose.material.model import Model
 from tissuereg.effects.history import Rate, Relaxation, Set, Softening
 from tissuereg.material_tests import shear_stress
 
-#: So near to no volume change that what is left is far below the tolerances.
+#: So near to incompressible that the volume change is far below the tolerances.
 GEL = tr.Material(3.0 * made.MU, 0.49999)
 LAWS = [
     ("neo-hookean", {}),
@@ -89,7 +89,7 @@ def test_viscosity_softening_and_set_follow_their_formulas(mode):
 
 @pytest.mark.parametrize(("law", "shape"), [LAWS[0], LAWS[1], LAWS[3], LAWS[4], LAWS[5]])
 @pytest.mark.parametrize(
-    ("said", "memory"),
+    ("numbers", "memory"),
     [
         ({"relaxation": ([0.3, 0.2], [1.0, 8.0], "whole")}, {"relaxation": Relaxation(g=(0.3, 0.2), tau_s=(1.0, 8.0))}),
         ({"viscosity_kpa_s": 2.0}, {"rate": Rate(viscosity_kpa_s=2.0)}),
@@ -101,22 +101,22 @@ def test_viscosity_softening_and_set_follow_their_formulas(mode):
         ({"set": 0.1}, {"set": Set(fraction=0.1)}),
     ],
 )
-def test_a_sheared_block_in_the_solver_answers_alike(law, shape, output, memory):
+def test_a_sheared_block_in_the_solver_answers_alike(law, shape, numbers, memory):
     material = tr.Material(5.0, 0.45, law, shape=shape)
     times = np.array([1.0, 2.0, 3.0, 6.0, 8.0, 9.0])
     shear = np.array([0.2, 0.4, 0.5, 0.5, 0.1, 0.3])
     # At this rate the first row is one second from rest, as in the solver.
     path = made.Curve("a", "simple-shear", 0.2, times, shear, shear)
     found = stress_of(Model(material, **memory), path)
-    assert found == pytest.approx(solved(material, output, times, shear), rel=1e-6, abs=1e-6)
+    assert found == pytest.approx(solved(material, numbers, times, shear), rel=1e-6, abs=1e-6)
 
 
-def solved(material, output, times, shear):
+def solved(material, numbers, times, shear):
     """Return the nominal shear stress of a block whose surface moves as simple shear has it."""
     mesh = block((10.0, 10.0, 10.0), (2, 2, 2))
     held = np.flatnonzero(((mesh.nodes == 0.0) | (mesh.nodes == 10.0)).any(axis=1)).astype(np.int64)
     fields = np.full(len(mesh.tets), material.young), np.full(len(mesh.tets), material.poisson)
-    rig = _core.Rig(mesh.nodes, mesh.tets, held, *fields, law=material.core_law(), behaviour=output)
+    rig = _core.Rig(mesh.nodes, mesh.tets, held, *fields, law=material.core_law(), behaviour=numbers)
     stress = []
     for time, amount in zip([0.0, *times], [0.0, *shear], strict=True):
         moved = np.zeros((len(held), 3))

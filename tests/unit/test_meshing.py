@@ -1,4 +1,4 @@
-"""Surfaces become bodies: positive tetrahedra, the volume of the surface, node sets, and errors that say what to do."""
+"""Surfaces become bodies: positive tetrahedra, the volume of the surface, node sets, errors that state what to do."""
 
 import subprocess
 import sys
@@ -43,7 +43,7 @@ def test_the_body_keeps_volume_and_faces_of_the_surface(beam):
     assert max(sides(beam, box())) <= 1.5 * deviation
 
 
-def test_what_was_repaired_is_said(beam):
+def test_repairs_are_reported(beam):
     assert [sentence.split(":")[0] for sentence in beam.repaired] == [
         "1 hole was closed",
         "all normals pointed inwards and were turned outwards",
@@ -135,7 +135,7 @@ def test_what_cannot_be_meant_is_refused_before_the_mesher_runs(settings, error,
         tr.tetrahedralize(BALL, **settings)
 
 
-def test_the_unit_is_told_before_anything_else(monkeypatch):
+def test_the_unit_is_checked_before_anything_else(monkeypatch):
     monkeypatch.setitem(sys.modules, "pytetwild", None)
     broken = without((BALL[0] / 1000.0, BALL[1]), range(10))
     with pytest.raises(UnitError, match=r"extent 0\.04: looks like metres; say --unit m"):
@@ -149,7 +149,7 @@ def test_a_missing_mesher_names_the_extra(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("code", "said", "error", "words"),
+    ("code", "output", "error", "words"),
     [
         (65, "No module named 'pyvista'", MissingPackageError, r"tissuereg\[mesh\].*No module named 'pyvista'"),
         (67, "the input is odd", MeshingError, "ended with code 67: the input is odd. Try another size"),

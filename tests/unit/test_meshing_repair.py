@@ -1,4 +1,4 @@
-"""Surfaces are put in order before they are filled, and whatever is done is said."""
+"""Surfaces are repaired before they are filled, and every repair is reported."""
 
 import numpy as np
 import pytest
@@ -26,14 +26,14 @@ def is_closed_and_agreed(surface):
     return (edges.count == 2).all() and not same.any() and 2 * len(neighbours) == 3 * len(surface.triangles)
 
 
-def test_a_surface_in_order_is_left_as_it_is_and_nothing_is_said():
+def test_a_surface_in_order_is_left_as_it_is_and_nothing_is_reported():
     found, summary = order(BALL)
     assert summary == []
     assert found.volume == pytest.approx(volume(BALL), rel=1e-12)
     assert len(found.triangles) == len(BALL[1])
 
 
-def test_inverted_normals_are_turned_and_said():
+def test_inverted_normals_are_turned_and_reported():
     found, summary = order(inverted(BALL))
     assert found.volume == pytest.approx(volume(BALL), rel=1e-12)
     assert summary == ["all normals pointed inwards and were turned outwards"]
@@ -52,7 +52,7 @@ def test_triangles_that_face_the_other_way_are_turned_and_counted(every):
     assert any(summary[0].startswith(f"{count} triangles facing the other way") for count in (n, len(mixed) - n))
 
 
-def test_a_soup_of_triangles_is_merged_and_said():
+def test_a_soup_of_triangles_is_merged_and_reported():
     vertices, triangles = BALL
     found, summary = order((vertices[triangles].reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)))
     assert len(found.vertices) == len(vertices)
@@ -107,7 +107,7 @@ def test_ragged_holes_are_closed_without_new_walls(seed):
     assert found.volume == pytest.approx(volume(ball), rel=0.03)
 
 
-def test_a_triangle_that_hangs_on_nothing_is_left_out():
+def test_a_triangle_without_neighbours_is_left_out():
     vertices = np.concatenate([BALL[0], [[30.0, 0, 0], [34, 0, 0], [30, 4, 0]]])
     loose = np.array([[len(vertices) - 3, len(vertices) - 2, len(vertices) - 1]])
     found, summary = order((vertices, np.concatenate([BALL[1], loose])))
@@ -161,7 +161,7 @@ def test_a_wall_that_faces_inwards_is_a_cavity_and_one_that_faces_outwards_is_so
     assert summary[0] == "all normals pointed inwards and were turned outwards"
 
 
-def test_separate_shells_are_told_and_each_is_turned_outwards():
+def test_separate_shells_are_reported_and_each_is_turned_outwards():
     found, summary = order(together(BALL, inverted(sphere(10.0, centre=(50.0, 0.0, 0.0)))))
     assert found.volume == pytest.approx(volume(BALL) + volume(sphere(10.0)), rel=1e-12)
     assert summary[0] == "the normals of 1 of 2 shells pointed inwards and were turned outwards"
@@ -175,7 +175,7 @@ def test_a_crumb_less_than_a_tetrahedron_is_left_out():
     assert summary == ["1 shell of at most 2.54 mm^3, less than a tetrahedron, was left out"]
 
 
-def test_shells_that_cross_are_told_and_not_taken_for_nested():
+def test_shells_that_cross_are_reported_and_not_taken_for_nested():
     _, summary = order(together(BALL, sphere(20.0, centre=(15.0, 0.3, 0.1))))
     assert summary[0].startswith("2 separate shells")
     assert "pairs of triangles cross each other" in summary[1]

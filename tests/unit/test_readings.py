@@ -1,4 +1,4 @@
-"""Misread inputs are found, and said so; good ones are left in peace; names and order do not matter."""
+"""Misread inputs are found and reported; good ones raise no suspicion; names and order do not matter."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_good_events_are_left_in_peace(body):
         assert asked(good(body, number)) == []
 
 
-def test_the_sentence_of_a_wrong_unit_says_which_and_how_much_better(event):
+def test_the_sentence_of_a_wrong_unit_states_which_and_how_much_better(event):
     (found,) = asked(event.but(reference=event.reference / 1000, measured=event.measured / 1000))
     assert found.kind == "unit"
     assert "metres (times 1000)" in found.sentence

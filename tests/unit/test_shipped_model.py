@@ -1,4 +1,4 @@
-"""The network that ships with the package: a graph network on the phantom's mesh, as its file says itself."""
+"""The network that ships with the package: a graph network on the phantom's mesh, according to its file."""
 
 import json
 
@@ -65,7 +65,7 @@ def test_the_pair_of_files_is_small():
     assert size < 5_000_000
 
 
-def test_the_card_tells_the_test_error_beside_that_of_pca(network):
+def test_the_card_has_the_test_error_and_that_of_pca(network):
     errors = CARD["errors_mm"]
     assert 0 < errors["train"] < errors["test"]
     assert errors["pca"] > 0

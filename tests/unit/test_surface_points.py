@@ -66,7 +66,7 @@ def test_the_row_of_a_point_is_the_derivative_of_its_residual(block_mesh, leanin
     points = cloud(block_mesh, leaning.displacement, 40, np.random.default_rng(2), noise=0.3)
     seen = SeenPoints(block_mesh, points, 0.1, 0.02)
     reading = seen.read(leaning)
-    # A rigid push of every node along an axis moves each foot by it: what is left shrinks by its part along the normal.
+    # A rigid push of every node along an axis moves each foot by it: the residual shrinks by its part along the normal.
     for axis in range(3):
         step = np.zeros(3)
         step[axis] = 1e-6
@@ -167,7 +167,7 @@ def test_points_in_another_frame_are_suspected(block_mesh):
     assert (found.kind, "-x, -y, z" in found.sentence) == ("frame", True)
 
 
-def test_a_free_bodys_units_are_told_from_its_size(block_mesh):
+def test_a_free_bodys_units_are_recognised_by_its_size(block_mesh):
     points = cloud(block_mesh, bent(block_mesh), 100, np.random.default_rng(4), 0.1)
     assert suspect_points(block_mesh, points + 300.0, free=True) == []
     assert suspect_points(block_mesh, 0.001 * points, free=True)[0].kind == "unit"

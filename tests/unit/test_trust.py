@@ -77,7 +77,7 @@ def test_components_that_were_not_seen_are_no_observations():
         assert trust.n_obs == 16
         p.append(trust.p_value)
     assert np.abs(np.sort(p) - (np.arange(400) + 0.5) / 400).max() < 1.63 / np.sqrt(400)
-    # A marker of one component is wrong where one component says so.
+    # A marker of one component is wrong if that component is.
     one = np.full((8, 3), np.nan)
     one[:, 0] = 0.0
     limit = float(chi2.isf(0.01 / 8, 1))

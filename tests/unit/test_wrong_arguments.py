@@ -127,7 +127,7 @@ def diagnosis_of_nothing(**given):
             raise
 
 
-#: Every public function and class: a call that works, and what its arguments are called in messages besides.
+#: Every public function and class: a call that works, and other names of its arguments in messages.
 CALLS = {
     "Mesh": (tr.Mesh, {"nodes": mesh().nodes, "tets": mesh().tets, "node_sets": {"fixed": [0, 1, 2]}, "frame": "LPS"}),
     "Mesh.node_set": (mesh().node_set, {"name": "fixed"}),
@@ -450,7 +450,7 @@ def test_options_of_a_reader_that_are_wrong_are_refused(tmp_path):
     ("said", "unit"),
     [({"young": 3e5}, "Pa: divide by 1000"), ({"young": 1e-4}, "MPa: multiply by 1000")],
 )
-def test_a_modulus_that_no_soft_material_has_is_taken_and_its_likely_unit_told(said, unit):
+def test_a_modulus_that_no_soft_material_has_is_accepted_and_its_likely_unit_named(said, unit):
     with pytest.warns(UnitWarning, match=unit):
         assert tr.Material(**said).young == said["young"]
 
@@ -476,5 +476,5 @@ def test_every_public_name_is_swept():
 
 
 def filed(folder: Path):
-    """An experiment that was read from a file, beside the folder."""
+    """An experiment that was read from a file, next to the folder."""
     return read_experiment(write_experiment(folder.parent / f"{folder.name}-rig"))
