@@ -15,9 +15,9 @@ def check_choice(name: str, value: Any, choices: Collection[str], error: type[Ti
     name : str
         The argument.
     value : object
-        What was given for it.
+        The given value.
     choices : collection of str
-        What it may be.
+        The allowed values.
     error : type of TissueRegError
         Raised where the value is none of these.
     """

@@ -20,7 +20,7 @@ from tissuereg.surface import SurfacePoints
 
 @dataclass(frozen=True)
 class RegisterSettings:
-    """How a registration runs.
+    """Settings of a registration.
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ class RegisterInput:
     mesh : Mesh
         Undeformed body.
     markers : Markers
-        What was measured.
+        Checked markers.
     observed : MarkerObservation
         Attachment of the markers to the mesh.
     targets : TargetObservation
         Inner points.
     settings : RegisterSettings
-        How to run.
+        Settings of the registration.
     seed, threads : int
         Seed of all random numbers; threads to use.
     suspicions : tuple of str

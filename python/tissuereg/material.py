@@ -1,4 +1,4 @@
-"""What the body is made of: law, small-strain moduli, fibres and density."""
+"""Materials: law, small-strain moduli, fibres and density."""
 
 import hashlib
 import warnings

@@ -138,7 +138,7 @@ class Registration:
     markers : MarkerFit
         Residuals, used and dropped markers.
     all_markers : Markers
-        What was measured.
+        The markers as given.
     start_markers : ndarray of float64, shape (n_markers, 3)
         Places of the markers by the simulation, or at rest, mm.
     min_det_f : float

@@ -1,4 +1,4 @@
-//! What samples mean: coefficients, and means and covariances of whatever follows the causes linearly.
+//! Moments of the samples: coefficients, and means and covariances of anything linear in the causes.
 //!
 //! Given a configuration everything is Gaussian. With `D` the variances of the coefficients, `J` the columns, `C` the
 //! covariance of the observations and `d` the innovation,

@@ -163,8 +163,8 @@ pub enum EsmdaError {
 }
 
 impl EsmdaError {
-    /// Whether the caller may go on with fewer members or observations: true for what the data of one update cause,
-    /// false for settings that stay wrong whatever the data.
+    /// Whether the caller may continue with fewer members or observations: true for errors caused by the data of one
+    /// update, false for settings that are wrong for any data.
     pub fn is_recoverable(&self) -> bool {
         match self {
             Self::NotFinite { .. }

@@ -81,7 +81,7 @@ impl Body {
     }
 
     /// The same body with other supports; mesh and element data are shared, the elimination order
-    /// is made anew. A history goes on from one to the other.
+    /// is made anew. A history can continue from one to the other.
     ///
     /// # Errors
     ///
@@ -333,7 +333,7 @@ impl Body {
     }
 }
 
-/// What a body is, whatever holds it.
+/// The part of a body that does not depend on its supports.
 #[derive(Debug)]
 struct ShapeOfBody {
     mesh: Mesh,

@@ -271,7 +271,7 @@ pub enum FemError {
         "derivatives need an equilibrium: the residual of this displacement is {residual:.3e} mN and must be at most {limit:.3e} mN; solve with a smaller tolerance, and with this material and load"
     )]
     NotInEquilibrium {
-        /// Norm of the forces out of balance on free unknowns, mN.
+        /// Norm of the unbalanced forces on free unknowns, mN.
         residual: f64,
         /// Largest admissible norm, mN.
         limit: f64,
@@ -315,7 +315,7 @@ pub enum FemError {
 }
 
 impl FemError {
-    /// Return whether an ensemble may drop this member and go on.
+    /// Return whether an ensemble may drop this member and continue.
     ///
     /// True for what depends on how far one member is loaded, false for wrong input and for a
     /// cancelled solve.

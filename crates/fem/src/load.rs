@@ -6,7 +6,7 @@ use crate::body::Body;
 use crate::error::FemError;
 use crate::surface::Springs;
 
-/// What acts on a body; the default is nothing.
+/// The load on a body; the default is none.
 ///
 /// Surface tractions become nodal forces by [`Body::traction_forces`].
 ///

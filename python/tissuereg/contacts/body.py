@@ -33,7 +33,7 @@ class ContactBody:
     mesh : Mesh
         Undeformed body.
     supports : Supports
-        What holds it.
+        Its supports.
     simulator : Simulator
         Analysed solver.
     patches : Patches
@@ -80,7 +80,7 @@ class ContactBody:
         mesh : Mesh
             Undeformed body.
         supports : Supports
-            What holds it.
+            Its supports.
         element : str
             Elements of the solver.
 

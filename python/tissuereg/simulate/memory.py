@@ -301,7 +301,7 @@ def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Growing:
-    """How far a body that grows moves where nothing touches it, (n_nodes, 3) in mm when all growth is done."""
+    """Final displacement of a growing body that nothing touches, (n_nodes, 3) in mm."""
 
     swelling: Swelling
     field: FloatArray

@@ -280,7 +280,7 @@ impl Linearised {
         arrays::from_vec(py, found.into_flattened(), [n, n_nodes, 3])
     }
 
-    /// Nodal forces out of balance, float64 (n_causes, n_nodes, 3) mN over the unit of each cause, that it leaves where
+    /// Unbalanced nodal forces, float64 (n_causes, n_nodes, 3) mN over the unit of each cause, that it leaves where
     /// nothing moves.
     fn unbalanced<'py>(
         &self,

@@ -1,4 +1,4 @@
-//! What holds within a time step, and how a point's memory goes on at its end: over any [`Scalar`].
+//! The state within a time step, and the update of a point's memory at its end, over any [`Scalar`].
 
 use super::behaviour::SofteningForm;
 use super::numbers::Numbers;

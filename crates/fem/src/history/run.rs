@@ -418,7 +418,7 @@ impl Frame<'_> {
 }
 
 impl Solver<'_> {
-    /// Norm of the forces on free unknowns that are out of balance at a state, mN.
+    /// Norm of the unbalanced forces on free unknowns at a state, mN.
     fn unbalanced(&mut self, problem: &Problem, state: &mut State) -> f64 {
         let mut residual = vec![0.0; problem.body.n_unknowns()];
         if !self.evaluate(problem, state) {

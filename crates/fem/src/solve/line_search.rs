@@ -6,7 +6,7 @@
 
 use super::problem::{Problem, State, Workspace, dot};
 
-/// Trials before a direction is given up.
+/// Trials before a direction is abandoned.
 const TRIALS: usize = 30;
 
 /// Fraction of the energy predicted by the slope that must be gained.

@@ -50,7 +50,7 @@ pub(super) struct Path<'a> {
     pub(super) allowed: f64,
 }
 
-/// An equilibrium on the way, with the metric to go on from there.
+/// An intermediate equilibrium, with the metric to continue from there.
 struct Reached {
     state: State,
     fraction: f64,

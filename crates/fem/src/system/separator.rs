@@ -14,7 +14,7 @@ use super::graph::Graph;
 /// Largest share of all vertices in one part.
 const LARGEST_PART: f64 = 0.6;
 
-/// Moves after which a separator that has not become smaller is given up.
+/// Moves after which the search for a smaller separator ends.
 const PATIENCE: usize = 20;
 
 /// Rounds of moves.
