@@ -29,14 +29,14 @@ help:
 	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls -> docs/blind-quick.md"
 	@echo "make blind           all of it: 514 cases of 600 nodes (make blind-full) -> docs/blind.md, 24 of 4,000 (make blind-fine)"
 	@echo "                     -> docs/blind-fine.md; hours; JOBS=2: two cases side by side"
-	@echo "make blind-beside    after it: fits that are told, rivals and ablations on the same cases (each alone: blind-oracle,"
+	@echo "make blind-beside    after it: oracle fits, rivals and ablations on the same cases (each alone: blind-oracle,"
 	@echo "                     blind-without, blind-rivals, blind-ablations; TIER=quick or fine: of that tier)"
-	@echo "make blind-sizes     how large what is uncertain must be, on its nulls that have been answered"
-	@echo "make blind-data      its data, made by a foreign solver (hours; resumable; ONE=name: one, compared)"
-	@echo "make loadfree        registration with nothing known of the load, on 200 true events -> docs/loadfree.md (HALF=test or"
-	@echo "                     both, METHODS=..., JOBS=2); make loadfree-data: the events, by a foreign solver (an hour; resumable)"
-	@echo "make loadfree-supports  the same where supports are partly wrong, on 24 events of their own; make loadfree-supports-data"
-	@echo "make loadfree-time   whole registrations, timed"
+	@echo "make blind-sizes     prior standard deviations of the nuisances, estimated from diagnosed nulls"
+	@echo "make blind-data      its data, made by another solver (hours; resumable; ONE=name: one, compared)"
+	@echo "make loadfree        registration with an unknown load, on 200 simulated events -> docs/loadfree.md (HALF=test or"
+	@echo "                     both, METHODS=..., JOBS=2); make loadfree-data: the events, by another solver (an hour; resumable)"
+	@echo "make loadfree-supports  the same with partly wrong supports, on 24 further events; make loadfree-supports-data"
+	@echo "make loadfree-time   wall times of whole registrations"
 	@echo "make bench           times by stage -> benchmarks/results/"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
@@ -163,7 +163,7 @@ blind-data: $(VENV)/.installed-dev
 	PYTHONPATH=tests OMP_NUM_THREADS=1 ONE=$(ONE) $(BIN)/python -m blind.generator
 	$(if $(ONE),,PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m blind.generator.store)
 
-# Registration without a known load on true events (tests/loadfree/README.md): a run that was stopped goes on.
+# Registration with an unknown load on simulated events (tests/loadfree/README.md); an interrupted run resumes.
 HALF ?= dev
 METHODS ?= contacts none rigid spline gaussian
 
