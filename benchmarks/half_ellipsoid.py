@@ -61,7 +61,7 @@ def half_ellipsoid(n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def write_size(path: Path, n_nodes: int) -> None:
-    """Write the problem of one size: base held, a patch beside the top pulled outward, E 10 kPa, nu 0.45."""
+    """Write the problem of one size: base held, a patch near the top pulled outward, E 10 kPa, nu 0.45."""
     nodes, tets = half_ellipsoid(n_nodes)
     faces = np.sort(tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
     faces, count = np.unique(faces, axis=0, return_counts=True)

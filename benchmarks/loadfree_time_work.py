@@ -48,7 +48,7 @@ def small(threads: int) -> None:
 
 
 def registered(mesh, truth, threads: int, labels: dict, **given) -> dict:
-    """Return times, work and error of one call; `said` is kept beside them."""
+    """Return times, work and error of one call, with the given labels."""
     import numpy as np
 
     import tissuereg as tr

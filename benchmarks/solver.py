@@ -4,7 +4,7 @@
     python benchmarks/solver.py --again many dome_4k_pull_x2   (measures these again, and keeps all else in the JSON)
     python benchmarks/solver.py --table     (only writes the tables of benchmarks/README.md from the JSON)
 
-Every measurement is a process of its own (`solver_work.py`, `peers/with_*.py`); its command stands beside its figures.
+Every measurement is a process of its own (`solver_work.py`, `peers/with_*.py`); its command is stored with its figures.
 """
 
 import argparse

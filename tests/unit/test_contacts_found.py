@@ -151,9 +151,9 @@ def test_three_markers_are_enough_to_answer_and_leave_more_unknown(result):
 
 
 def test_a_target_that_few_markers_constrain_is_flagged(result):
-    targets = {"beside them": (57.0, 3.0, 20.0), "in the far corner": (57.0, 57.0, 22.0)}
+    targets = {"near them": (57.0, 3.0, 20.0), "in the far corner": (57.0, 57.0, 22.0)}
     found = registered(push().markers().only([1, 6, 11]), targets=targets)
-    assert found.target("beside them").flag is None
+    assert found.target("near them").flag is None
     assert found.target("in the far corner").flag == "no marker tells"
     assert all(target.flag is None for target in result.targets.values())
     # The region keeps room for a contact that no marker would have seen.
@@ -161,7 +161,7 @@ def test_a_target_that_few_markers_constrain_is_flagged(result):
     settings = replace(settings, contacts=replace(settings.contacts, unseen_chance=0.0))
     without = registered(push().markers().only([1, 6, 11]), targets=targets, settings=settings)
     room = {name: np.trace(found.target(name).covariance - without.target(name).covariance) for name in targets}
-    assert room["in the far corner"] > 10 * room["beside them"] > 0.0
+    assert room["in the far corner"] > 10 * room["near them"] > 0.0
 
 
 def test_the_nodal_forces_hold_the_registered_body(result):

@@ -45,7 +45,7 @@ class VertexConv(nn.Module):
         self.mixes_first = n_in < n_out
         self.pattern = EdgePattern(edges, n_nodes, n_nodes, n_bases)
         degree = len(edges) / n_nodes
-        # Small coefficients beside bases of size one: Adam's steps, alike for all, then move the coefficients most.
+        # Small coefficients with bases of size one: equal steps of Adam then change the coefficients most.
         # Starts of the same product but other shares (a / sqrt(degree M), B / sqrt(I)) learned far more slowly.
         self.coefficients = nn.Parameter(torch.randn(n_bases, len(edges)) / (degree * n_bases))
         self.bases = nn.Parameter(torch.randn(n_bases, n_in, n_out))

@@ -19,7 +19,7 @@ fn organ(criterion: &mut Criterion) {
     group.sample_size(10);
     group.bench_function("problem", |b| b.iter(|| black_box(&case).problem()));
     for (name, powers, n_local, n_level) in [
-        // 48 tables of all patches and sizes with hardly anything beside them.
+        // 48 tables of all patches and sizes with hardly anything else.
         ("tables", vec![1.0], 0, 0),
         ("steps", vec![1.0], 20, 0),
         ("levels", vec![1.0], 0, 20),

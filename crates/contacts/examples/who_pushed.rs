@@ -74,7 +74,7 @@ fn found() -> Result<(f64, [f64; 3], f64), ContactsError> {
 
 fn main() -> Result<(), ContactsError> {
     let (share, [x, y, z], std) = found()?;
-    println!("pushed at place {} or beside it: {:.0} % of samples", PUSH.0, 100.0 * share);
+    println!("pushed at place {} or next to it: {:.0} % of samples", PUSH.0, 100.0 * share);
     println!("the middle has moved by {x:.3}, {y:.3}, {z:.3} mm, known to {std:.3} mm");
     Ok(())
 }

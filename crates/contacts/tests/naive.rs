@@ -1,4 +1,4 @@
-//! Exact: chains, moments and draws beside a textbook that lists every configuration and writes its algebra plainly.
+//! Exact: chains, moments and draws against a textbook version that enumerates every configuration.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;

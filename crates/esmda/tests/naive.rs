@@ -1,4 +1,4 @@
-//! Equivalence: the step beside the textbook's, and every route beside every other.
+//! Equivalence: the step against the textbook's, and every route against every other.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;

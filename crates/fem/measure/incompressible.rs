@@ -1,4 +1,4 @@
-//! Cook's membrane and a pressed block near incompressibility, beside published values.
+//! Cook's membrane and a pressed block near incompressibility, compared with published values.
 //!
 //! `cargo run --release --example incompressible [-- --fine]`
 //!

@@ -29,7 +29,7 @@ fn the_incompressible_limit_has_its_closed_forms() {
             } else {
                 (stretch.powi(2) + 2.0 * free.powi(2), stretch - stretch.powi(-2))
             };
-            // Factor of ∂ψ/∂I₂ beside that of ∂ψ/∂I₁.
+            // Factor of ∂ψ/∂I₂ relative to that of ∂ψ/∂I₁.
             let second = if pulled_two { stretch.powi(2) } else { 1.0 / stretch };
             let slopes = |d1: f64, d2: f64| 2.0 * base * (d1 + d2 * second);
             let mu = law(LawKind::NeoHookean, 0.49).moduli.mu;

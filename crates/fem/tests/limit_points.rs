@@ -74,7 +74,7 @@ fn an_arch_snaps_through() {
 }
 
 /// From far below the load that the straight column carries to 40 times that. How a search gets past
-/// the limit point hangs on rounding, and now and then one runs out of iterations.
+/// the limit point depends on rounding, and now and then one runs out of iterations.
 #[test]
 fn a_column_buckles() {
     let material = Material::neo_hookean(10.0, 0.45).expect("sound");

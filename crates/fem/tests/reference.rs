@@ -62,7 +62,7 @@ fn a_softening_bar_agrees_with_felupe_through_load_and_unload() {
     }
 }
 
-/// Files beside the repository: domes solved by FEBio, felupe, scikit-fem and dolfinx.
+/// Files next to the repository: domes solved by FEBio, felupe, scikit-fem and dolfinx.
 #[test]
 fn the_shared_domes_agree_with_four_solvers() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference");
