@@ -25,6 +25,7 @@ __all__ = [
     "__version__",
     "check_mesh",
     "check_schedule",
+    "laws",
     "schedule_constant",
     "schedule_geometric",
     "screen_members",
