@@ -260,7 +260,7 @@ def report(
         "# Blind test bench",
         "",
         "Simulated experiments, most with a hidden effect, made by other code than the package and diagnosed without "
-        "access to the answers ([how](../tests/blind/README.md)).",
+        "access to the answers (how: `tests/blind/README.md`).",
         "",
         f"{len(cases)} of {len(case_names())} sealed cases scored; intervals are 95 % (Wilson). Cases are diagnosed in "
         f"the order of their names, which are random. Verdicts: {made(cases)}.",
