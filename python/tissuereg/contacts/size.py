@@ -19,6 +19,12 @@ _FIELDS = 260
 #: Numbers a tet: fields of uncertain stiffness with a copy of each, and what the solver keeps.
 _TET_FIELDS = 160
 
+#: What is imported and drawn later, in bytes.
+_LATER = 200_000_000
+
+#: Reading, attaching, regions, files and pictures, in operations a tet.
+_TET_FLOPS = 7e6
+
 
 def announce(body: ContactBody, seen: Seen, given: RegisterInput, clock: Clock) -> Estimate:
     """Say how large a body is and what it will take, and refuse it where that is too much.
@@ -75,7 +81,16 @@ def expected_work(n_obs: int, n_targets: int, n_draws: int, *, matched: bool) ->
     again = min(n_obs, MOST_KEPT) if matched else n_obs
     right_hand_sides = n_obs + (passes - 1) * again + n_targets + n_draws
     fields = n_obs + again + n_targets + _FIELDS
-    return Work(passes, _FACTORS_OF_POINTS if matched else _FACTORS, 4, right_hand_sides, fields, _TET_FIELDS)
+    return Work(
+        passes,
+        _FACTORS_OF_POINTS if matched else _FACTORS,
+        4,
+        right_hand_sides,
+        fields,
+        _TET_FIELDS,
+        _LATER,
+        _TET_FLOPS,
+    )
 
 
 __all__ = ["announce", "expected_work"]

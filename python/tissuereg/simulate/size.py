@@ -24,10 +24,7 @@ if TYPE_CHECKING:
 WARNED_SHARE, LONG_SECONDS = 0.5, 60.0
 
 #: Entries that are held while a factor is made, over those that one thread holds: threads work on several fronts.
-_WORKING = 1.5
-
-#: What is imported and drawn later, in bytes; no part of the rule, since it does not depend on the body.
-_LATER = 200e6
+_WORKING = 2.4
 
 #: A factor of so many entries is looked at in any case, whatever is done with the body.
 _LARGE_ENTRIES = 10_000_000
@@ -97,6 +94,10 @@ class Work:
         Whole fields, three numbers a node, that are held at the same time.
     tet_fields : int
         Numbers a tet that are held at the same time.
+    later_bytes : int
+        What is imported and drawn later; no part of the rule, since it does not depend on the body.
+    tet_flops : float
+        All else that is done at every tet, in operations at the speed of products of matrices.
     """
 
     factorisations: int
@@ -104,7 +105,9 @@ class Work:
     entry_bytes: int
     right_hand_sides: int
     fields: int
-    tet_fields: int = 0
+    tet_fields: int
+    later_bytes: int = 0
+    tet_flops: float = 0.0
 
 
 #: One static solve: the metric at rest in whole numbers, and the iterations of a large deformation.
@@ -146,13 +149,13 @@ class Estimate:
         """
         n_threads = min(threads or n_cores(), n_cores())
         flops = work.factorisations * (size.flops + _PER_TET * size.n_tets)
-        flops += _PER_ENTRY * size.n_entries * work.right_hand_sides
+        flops += _PER_ENTRY * size.n_entries * work.right_hand_sides + work.tet_flops * size.n_tets
         element_nodes = size.n_nodes if size.element != "tet10" else max(size.n_nodes, size.n_unknowns // 3)
         # A factor that is kept in fewer bytes is made in single precision.
         making = max(work.entry_bytes, 4) * _WORKING * size.n_working
         added = work.entry_bytes * work.factors_held * size.n_entries + making
         added += 24.0 * work.fields * element_nodes + 8.0 * work.tet_fields * size.n_tets
-        held = int(_LATER) + (resident_bytes() or 0)
+        held = work.later_bytes + (resident_bytes() or 0)
         return cls(size, work, flops / (n_threads * product_rate()), int(added), int(added) + held, available_bytes())
 
     @property
