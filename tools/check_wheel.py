@@ -15,11 +15,13 @@ import argparse
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
+import time
 import venv
 import zipfile
 from pathlib import Path
@@ -107,20 +109,27 @@ def use(commands: Path, folder: Path, environment: dict[str, str]) -> None:
     print(f"tissuereg {version}: installed without a compiler, demo and register answer")
 
 
+def as_new(member: tarfile.TarInfo, folder: str) -> tarfile.TarInfo:
+    """Give a file of an archive the present time: cargo takes one that is older than its last build for built."""
+    return tarfile.data_filter(member, folder).replace(mtime=int(time.time()))
+
+
 def rebuild(sdist: Path, folder: Path) -> Path:
     """Build a wheel from a source archive, outside this repository."""
     size = sdist.stat().st_size
     must(size <= LARGEST_SDIST, f"{sdist.name} must have at most {LARGEST_SDIST} bytes, it has {size}")
     with tarfile.open(sdist) as archive:
         names = {member.name.split("/", 1)[1] for member in archive.getmembers() if member.isfile()}
+        archive.extractall(folder, filter=as_new)
     missing = sorted({"Cargo.lock", "pyproject.toml", "README.md", *LICENCES} - names)
     must(not missing, f"{sdist.name} lacks {missing}")
     strange = sorted(name for name in names if re.search(r"\.(so|pyc|whl)$|/target/", name))
     must(not strange, f"{sdist.name} holds what was built: {strange}")
     # Crates of other authors are built as in this repository, and not again.
-    environment = {**os.environ, "CARGO_TARGET_DIR": str(ROOT / "target")}
+    out = f"--out {shlex.quote(str(folder / 'built'))}"  # not among the wheels of this repository
+    environment = {**os.environ, "CARGO_TARGET_DIR": str(ROOT / "target"), "MATURIN_PEP517_ARGS": out}
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder / "rebuilt")]
-    run([*command, str(sdist.resolve())], folder, environment)
+    run([*command, str(folder / sdist.name.removesuffix(".tar.gz"))], folder, environment)
     print(f"{sdist.name}: {len(names)} files, {size} bytes")
     return next((folder / "rebuilt").glob("tissuereg-*.whl"))
 
