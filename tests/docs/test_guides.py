@@ -1,8 +1,12 @@
 """Do the guides work? They are followed to the letter in a copy of the sources, and their own tests are run there."""
 
+import os
+import shutil
+
 import pytest
 
-from support.guides import GUIDES, copy_of_package, follow, lint, run, steps
+from support.guides import GUIDES, build_core, cargo, copy_of_crates, copy_of_package, follow, lint, run, steps
+from support.scripts import REPOSITORY
 
 
 @pytest.fixture
@@ -43,6 +47,22 @@ print(found["verdict"], cause["group"], bool((np.abs(slope[:, 0] - [0.0, 0.0, 0.
 def test_a_whole_diagnosis_names_the_cause_of_the_guide(root):
     follow("cause", root)
     assert run(root, ["python", "-c", DIAGNOSED]).split("\n")[0] == "named ['gradient'] True"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("cargo") is None or os.name == "nt", reason="builds the core: needs cargo")
+def test_a_law_is_added_as_the_guide_says():
+    # Always the same place: cargo knows a crate by its folder.
+    root = REPOSITORY / "target" / "guides" / "law"
+    shutil.rmtree(root, ignore_errors=True)
+    root.mkdir(parents=True)
+    copy_of_crates(copy_of_package(root))
+    in_rust, in_python = follow("law", root)
+    lint("law", root)
+    cargo(root, "fmt", "--all", "--check")
+    assert "3 passed" in cargo(root, *in_rust[1:])
+    build_core(root)
+    assert "2 passed" in run(root, in_python)
 
 
 def test_a_step_whose_line_is_gone_is_noticed(root):

@@ -1,5 +1,6 @@
 """Guides of docs/guides: their blocks of code, and a copy of the sources in which they are followed."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -80,6 +81,30 @@ def copy_of_package(root: Path) -> Path:
     (root / "tests" / "unit").mkdir(parents=True)
     (root / "tests" / "support").symlink_to(REPOSITORY / "tests" / "support")
     return root
+
+
+def copy_of_crates(root: Path) -> Path:
+    """Lay the crates below `root`, as new as they are: what did not change is not compiled again."""
+    for name in ("Cargo.toml", "Cargo.lock", "rustfmt.toml", "clippy.toml", "README.md"):
+        shutil.copy2(REPOSITORY / name, root / name)
+    shutil.copytree(REPOSITORY / "crates", root / "crates", ignore=shutil.ignore_patterns("target"))
+    return root
+
+
+def cargo(root: Path, *words: str) -> str:
+    """Run cargo in a copy, with the repository's folder of builds, and return what it prints."""
+    environment = {**os.environ, "CARGO_TARGET_DIR": str(REPOSITORY / "target")}
+    done = subprocess.run(["cargo", *words], cwd=root, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def build_core(root: Path) -> None:
+    """Build the compiled core of a copy and put it in the place of the linked one."""
+    cargo(root, "build", "-p", "tissuereg-bindings", "--features", "pyo3/extension-module")
+    for linked in (root / "python" / "tissuereg").glob("_core*.so"):
+        linked.unlink()
+    shutil.copy2(REPOSITORY / "target" / "debug" / "lib_core.so", root / "python" / "tissuereg" / "_core.abi3.so")
 
 
 def lint(guide: str, root: Path) -> None:
