@@ -71,7 +71,7 @@ def test_the_row_of_a_point_is_the_derivative_of_its_residual(block_mesh, leanin
         step = np.zeros(3)
         step[axis] = 1e-6
         moved = Moment(leaning.coefficients, leaning.displacement + step, Frame.still())
-        change = (seen.read(moved).left - reading.left) / 1e-6
+        change = (seen.read(moved).residual - reading.residual) / 1e-6
         by_row = -np.array([weights.sum(axis=0)[axis] for _, weights in reading.rows])
         inner = seen.feet(leaning).weights.min(axis=1) > 0.02  # a foot on an edge may jump to the next triangle
         assert inner.sum() > 20
@@ -83,7 +83,7 @@ def test_sliding_along_the_surface_is_not_seen(block_mesh):
     top = np.stack([*np.meshgrid(np.linspace(8, 22, 6), np.linspace(6, 14, 5)), np.full((5, 6), 40.0)], axis=-1)
     seen = SeenPoints(block_mesh, top.reshape(-1, 3), 0.1, 0.02)
     slid = Moment(np.zeros(1), np.tile((1.5, -1.0, 0.0), (block_mesh.n_nodes, 1)), Frame.still())
-    assert np.allclose(seen.read(slid).left, seen.read(still).left, atol=1e-12)
+    assert np.allclose(seen.read(slid).residual, seen.read(still).residual, atol=1e-12)
     assert np.allclose(seen.read(still).directions, (0.0, 0.0, 1.0))
 
 
@@ -202,7 +202,7 @@ def test_a_projection_keeps_what_causes_can_do(block_mesh):
     lost = white - basis.vectors.T @ (basis.vectors @ white)
     # No patch has a signal above the stated one in any direction that was dropped.
     signal = np.sum(lost**2, axis=0) * variances
-    assert signal.max() <= basis.dropped_signal * (len(reading.left) - len(basis.vectors))
+    assert signal.max() <= basis.dropped_signal * (len(reading.residual) - len(basis.vectors))
     assert signal.max() < 0.02 * (np.sum(white**2, axis=0) * variances).max()
     # The rows of the projection are the projection of the rows.
     few = columns.responses(here.compliance([Observation(*row) for row in basis.rows(reading)]), np.empty((0, 3)))
