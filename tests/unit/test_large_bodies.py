@@ -231,3 +231,17 @@ def test_what_is_said_in_the_environment_limits_the_memory(monkeypatch):
     monkeypatch.setattr(_machine, "_system_left", lambda: 7)
     monkeypatch.setattr(_machine, "_groups_left", lambda: [9])
     assert _machine.available_bytes() == 7
+
+
+def test_memory_is_that_of_the_factors_held_where_nothing_else_counts():
+    """With 1e9 entries everything but factors and working storage is a hundredth."""
+    large = BodySize(1_000, 5_000, 3_000, 10**9, 1e12, 10**7, "tet4")
+    work = replace(SOLVE, factors_held=2, entry_bytes=4)
+    assert Estimate.of(large, work, 1).added_bytes == pytest.approx(2 * 4 * 1e9, rel=0.02)
+    assert Estimate.of(large, replace(work, factors_held=3), 1).added_bytes == pytest.approx(3 * 4 * 1e9, rel=0.02)
+
+
+def test_the_rule_begins_where_all_memory_is_needed(monkeypatch, block_mesh):
+    needed = told(monkeypatch, None, block_mesh).added_bytes
+    assert told(monkeypatch, needed - 1, block_mesh).is_too_large
+    assert not told(monkeypatch, needed, block_mesh).is_too_large
