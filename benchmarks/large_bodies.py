@@ -206,9 +206,10 @@ points of a surface three), the largest fronts, and what is held at every node a
   and `diagnose`, refuse where one factor would not fit.
 * **Warned of** (`LargeBodyWarning`): more than half of that memory; `register` also says so where it takes longer
   than a minute.
-* The memory that a process may take is the least of what the system has without swapping (`MemAvailable`), what the
-  control groups of the process leave, and `TISSUEREG_MEMORY_GB` in the environment, where it is set. Where nobody
-  knows, nothing is refused. What other programs take later is not known: leave room for them.
+* The memory that a process may take is the least of what the system has without swapping (`MemAvailable`) and what the
+  control groups of the process leave. `TISSUEREG_MEMORY_GB` in the environment replaces that figure; `inf` is no
+  limit. Where the memory is unknown, nothing is refused. What other programs take later is not known: leave room
+  for them.
 
 A result holds the factor at its end until it is dropped, for the spread of the nodes and for draws. The factor at
 rest is kept for the next call, unless it has more than 250 million entries (1 GB).

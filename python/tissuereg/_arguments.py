@@ -12,6 +12,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from tissuereg.errors import ArgumentError, TissueRegError
 
 _T = TypeVar("_T")
@@ -40,6 +42,16 @@ def found(value: object) -> str:
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return _short.repr(value)[:_SHOWN]
     return type(value).__name__
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value is a finite number that fits a float; booleans are none."""
+    if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def whole(name: str, value: Any, *, least: int = 0, most: int = MOST_COUNTED, error: _Error = ArgumentError) -> int:

@@ -1,6 +1,7 @@
 """Description of the machine and versions, recorded with every measurement."""
 
 import contextlib
+import math
 import os
 import platform
 import sys
@@ -8,10 +9,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from tissuereg.errors import ArgumentError
+
 #: Packages whose versions are reported if they were imported.
 _PACKAGES = ("scipy", "onnxruntime", "meshio", "trimesh", "matplotlib", "torch")
 
-#: Name in the environment of the memory in GB (1e9 bytes) that a process may take, where the system does not tell it.
+#: Name in the environment of the memory in GB (1e9 bytes) that a process may take, in place of what the system states.
 LIMIT = "TISSUEREG_MEMORY_GB"
 
 
@@ -33,18 +36,31 @@ def resident_bytes() -> int | None:
 
 
 def available_bytes() -> int | None:
-    """Return the memory that this process may still take; None where nobody knows.
+    """Return the memory that this process may still take; None if it is unknown or without limit.
 
-    The least of what the system has without swapping (``MemAvailable``), what the control groups of the process leave
-    of their limits, and what `LIMIT` leaves, where that is set.
+    What `LIMIT` leaves, where that is set. Otherwise the least of what the system has without swapping
+    (``MemAvailable``), and of what the control groups of the process leave of their limits.
+
+    Raises
+    ------
+    ArgumentError
+        If `LIMIT` is set to anything but a positive number; ``inf`` is no limit.
     """
-    left = [_system_left(), *_groups_left()]
-    said = os.environ.get(LIMIT)
-    if said is not None:
-        with contextlib.suppress(ValueError):
-            left.append(int(1e9 * float(said)) - (resident_bytes() or 0))
-    known = [max(0, one) for one in left if one is not None]
+    stated = os.environ.get(LIMIT)
+    if stated is not None:
+        most = _positive(stated)
+        return None if math.isinf(most) else max(0, int(1e9 * most) - (resident_bytes() or 0))
+    known = [max(0, one) for one in (_system_left(), *_groups_left()) if one is not None]
     return min(known, default=None)
+
+
+def _positive(stated: str) -> float:
+    with contextlib.suppress(ValueError):
+        number = float(stated)
+        if number > 0.0:
+            return number if number < 1e12 else math.inf
+    message = f"{LIMIT} in the environment must be a positive number of GB, got {stated!r}"
+    raise ArgumentError(message, where=LIMIT)
 
 
 def _system_left() -> int | None:

@@ -10,7 +10,9 @@ import pytest
 import tissuereg as tr
 from support.files import EXPERIMENT, run_json, write_experiment
 from support.meshes import block
-from tissuereg.errors import ExperimentError
+from tissuereg import skeleton
+from tissuereg.errors import ConvergenceError, ExperimentError, MeshError
+from tissuereg.io import drafts
 from tissuereg.io import experiment_keys as keys
 from tissuereg.io.atomic import OutputError
 from tissuereg.io.meshes import write_vtu
@@ -119,6 +121,56 @@ def test_a_new_experiment_wants_a_folder_of_its_own(begun):
         new_experiment(begun, begun.parent / "body.vtu")
 
 
+def test_a_new_experiment_takes_a_folder_that_holds_a_killed_ones_draft(tmp_path):
+    write_vtu(tmp_path / "body.vtu", block())
+    stale = tmp_path / "rig" / f"{drafts.DRAFT_PREFIX}{drafts._machine()}-0123abcd"
+    stale.mkdir(parents=True)
+    new_experiment(tmp_path / "rig", tmp_path / "body.vtu")
+    assert not stale.exists()
+    assert len(tr.read_experiment(tmp_path / "rig").cases) == 3
+
+
+def test_a_new_experiment_names_its_mesh_through_links(tmp_path):
+    (tmp_path / "deep" / "er" / "est").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "deep" / "er" / "est")
+    write_vtu(tmp_path / "body.vtu", block())
+    new_experiment(tmp_path / "link" / "rig", tmp_path / "body.vtu")
+    assert tr.read_experiment(tmp_path / "link" / "rig").mesh.n_nodes == block().n_nodes
+
+
+@pytest.mark.parametrize(
+    ("size", "cells"),
+    [((100, 100, 5), (12, 12, 2)), ((60, 50, 12), (10, 8, 3)), ((20, 20, 90), (4, 4, 14)), ((40, 40, 40), (5, 5, 5))],
+    ids=["sheet", "slab", "rod", "cube"],
+)
+def test_thin_and_long_bodies_get_pads_on_one_side_that_the_body_bears(size, cells, tmp_path):
+    write_vtu(tmp_path / "body.vtu", block(size, cells))
+    new_experiment(tmp_path / "rig", tmp_path / "body.vtu")
+    rig = tr.read_experiment(tmp_path / "rig")
+    one, two = (set(map(int, pad.nodes)) for pad in rig.actuators)
+    assert not one & two
+    assert not (one | two) & set(map(int, rig.mesh.fixed_nodes))
+    for case in rig.cases.values():
+        assert np.isfinite(case.markers).all()
+        assert all(np.isfinite(force).all() for force in case.forces.values())
+
+
+def test_a_body_without_room_for_pads_is_refused(tmp_path):
+    write_vtu(tmp_path / "body.vtu", block((100, 100, 5), (2, 2, 1)))
+    with pytest.raises(MeshError, match=r"free ones at least|must find room"):
+        new_experiment(tmp_path / "rig", tmp_path / "body.vtu")
+    assert not (tmp_path / "rig").exists()
+
+
+def test_pushes_that_no_body_bears_are_refused(tmp_path, monkeypatch):
+    write_vtu(tmp_path / "body.vtu", block())
+    monkeypatch.setattr(skeleton, "_HALVINGS", 0)
+    monkeypatch.setattr(skeleton, "_STROKE", np.array([0.0, 1e4]))
+    with pytest.raises(ConvergenceError, match="must have an equilibrium on this mesh"):
+        new_experiment(tmp_path / "rig", tmp_path / "body.vtu")
+    assert not (tmp_path / "rig").exists()
+
+
 def test_new_says_what_it_guessed_and_takes_a_rule(tmp_path, capsys):
     write_vtu(tmp_path / "body.vtu", tr.Mesh(block().nodes, block().tets))
     code, report, err = run_json(capsys, "new", tmp_path / "a", "--mesh", tmp_path / "body.vtu")
@@ -141,6 +193,19 @@ def test_the_sample_rig_is_read_and_its_truth_is_hidden(tmp_path):
         15,
         ["lesion", "vessel"],
     )
+
+
+def test_the_samples_never_replace_files_of_the_user(tmp_path):
+    mine = tmp_path / "mine" / "rig" / "markers.csv"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("my measured data")
+    with pytest.raises(OutputError, match=r"markers\.csv must be absent"):
+        write_samples(tmp_path / "mine")
+    assert mine.read_text() == "my measured data"
+    assert not (tmp_path / "mine" / "surface").exists()
+    mine.unlink()
+    write_samples(tmp_path / "mine")
+    write_samples(tmp_path / "mine")
 
 
 def test_demo_writes_its_files_and_nothing_else(tmp_path, capsys):

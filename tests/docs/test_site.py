@@ -34,6 +34,12 @@ def mirrored():
 
 
 def test_the_nav_leads_to_every_page_once_and_to_no_other():
+    pages = [page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")]
+    assert sorted(nav()) == sorted([*pages, *mirrored()])
+    assert all((REPOSITORY / source).is_file() for source in mirrored().values())
+
+
+def test_every_public_name_is_on_a_page_of_the_api():
     pages = "\n".join(page.read_text(encoding="utf-8") for page in sorted((DOCS / "api").glob("*.md")))
     shown = [pkgutil.resolve_name(name) for name in re.findall(r"^::: (tissuereg[\w.]+)$", pages, flags=re.MULTILINE)]
     assert all(found.__doc__ for found in shown)

@@ -63,16 +63,54 @@ def test_many_writers_of_one_file_take_nothing_from_each_other(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["note.txt"]
 
 
-def test_a_draft_of_another_machine_goes_after_a_day(tmp_path, monkeypatch):
+def test_a_draft_of_another_machine_goes_after_a_day_without_change(tmp_path, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr(drafts.socket, "gethostname", lambda: "elsewhere")
+        patched.setattr(drafts, "_machine", lambda: "elsewhere")
         made, lock = drafts._make(tmp_path)
         os.close(lock)
+    (made / "content" / "growing").write_text("half")
     remove_stale_drafts(tmp_path)
     assert made.name.startswith(f"{DRAFT_PREFIX}elsewhere-")
     assert made.exists()
     long_ago = made.stat().st_mtime - OTHERS_AGE - 1
-    os.utime(made, (long_ago, long_ago))
+    for old in (made / "lock", made / "content", made):
+        os.utime(old, (long_ago, long_ago))
+    remove_stale_drafts(tmp_path)
+    assert made.exists(), "a file in it still grows"
+    os.utime(made / "content" / "growing", (long_ago, long_ago))
+    remove_stale_drafts(tmp_path)
+    assert not made.exists()
+
+
+def test_machines_of_like_names_have_words_of_their_own(monkeypatch):
+    names = ("node-1.a", "node-11a", "worker-deployment-of-registrations-1", "worker-deployment-of-registrations-2")
+    words = set()
+    for name in names:
+        monkeypatch.setattr(drafts.socket, "gethostname", lambda name=name: name)
+        drafts._machine.cache_clear()
+        words.add(drafts._machine())
+    monkeypatch.undo()
+    drafts._machine.cache_clear()
+    assert len(words) == len(names)
+
+
+@pytest.mark.parametrize("name", ["backup", "elsewhere-0123456", f"{'a' * 12}-0123456z"])
+def test_a_folder_of_a_like_name_is_no_draft(tmp_path, name):
+    (tmp_path / f"{DRAFT_PREFIX}{name}" / "keep").mkdir(parents=True)
+    long_ago = 1.0
+    os.utime(tmp_path / f"{DRAFT_PREFIX}{name}", (long_ago, long_ago))
+    remove_stale_drafts(tmp_path)
+    assert (tmp_path / f"{DRAFT_PREFIX}{name}" / "keep").is_dir()
+
+
+def test_a_folder_with_other_files_is_no_draft(tmp_path):
+    made = tmp_path / f"{DRAFT_PREFIX}{drafts._machine()}-01234567"
+    made.mkdir()
+    (made / "mine").write_text("mine")
+    remove_stale_drafts(tmp_path)
+    assert (made / "mine").exists()
+    (made / "mine").unlink()
+    (made / "content").mkdir()  # of a draft whose removal was interrupted
     remove_stale_drafts(tmp_path)
     assert not made.exists()
 

@@ -155,6 +155,8 @@ BAD = {
     ),
     "unknown kind of boundary": (changed('kind = "fixed"', 'kind = "sliding"'), "`kind` must be one of fixed"),
     "unknown kind of actuator": (changed('kind = "displacement"', 'kind = "heat"'), "one of displacement, force"),
+    "a number of many digits": (changed("poisson = 0.45", f"poisson = {400 * '9'}"), "`poisson` must be a number or"),
+    "a number of thousands of digits": (changed("poisson = 0.45", f"poisson = {5000 * '9'}"), "must be a TOML file"),
     "plane in words, half given": (
         changed("{ centre_mm = [30.0, 10.0, 40.0], radius_mm = 8.0 }", '"plane 0 0 1"'),
         r"`nodes` must be 'plane nx ny nz d \[tol\]'.*in \[\[actuator\]\] number 1",

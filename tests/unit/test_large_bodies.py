@@ -15,7 +15,7 @@ from tissuereg.contacts import fit, linear, tangent
 from tissuereg.contacts.body import forget_bodies
 from tissuereg.contacts.size import expected_work
 from tissuereg.contacts.tangent import Tangent, forget_rest
-from tissuereg.errors import LargeBodyError, LargeBodyWarning
+from tissuereg.errors import ArgumentError, LargeBodyError, LargeBodyWarning
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.tables import write_markers
 from tissuereg.simulate import size
@@ -224,13 +224,21 @@ def test_groups_of_both_kinds_limit_the_memory(tmp_path):
     assert _machine._groups_left(root, tmp_path / "nothing") == []
 
 
-def test_what_is_said_in_the_environment_limits_the_memory(monkeypatch):
-    monkeypatch.setenv(_machine.LIMIT, "1e-9")
-    assert _machine.available_bytes() == 0
-    monkeypatch.setenv(_machine.LIMIT, "no number")
+def test_the_environment_replaces_what_the_system_states_of_memory(monkeypatch):
     monkeypatch.setattr(_machine, "_system_left", lambda: 7)
     monkeypatch.setattr(_machine, "_groups_left", lambda: [9])
     assert _machine.available_bytes() == 7
+    monkeypatch.setenv(_machine.LIMIT, "1e-9")
+    assert _machine.available_bytes() == 0
+    monkeypatch.setenv(_machine.LIMIT, "1000")
+    assert 9e11 < _machine.available_bytes() < 1e12
+    for endless in ("inf", "1e400"):
+        monkeypatch.setenv(_machine.LIMIT, endless)
+        assert _machine.available_bytes() is None
+    for wrong in ("no number", "8GB", "-1", "nan", ""):
+        monkeypatch.setenv(_machine.LIMIT, wrong)
+        with pytest.raises(ArgumentError, match=f"{_machine.LIMIT} in the environment must be a positive number"):
+            _machine.available_bytes()
 
 
 def test_memory_is_that_of_the_factors_held_where_nothing_else_counts():

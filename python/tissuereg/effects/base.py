@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
+from tissuereg._arguments import is_number
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment import Experiment
@@ -245,12 +246,6 @@ def rotation_from_vector(degrees: Vector) -> FloatArray:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(np.asarray(degrees), degrees=True).as_matrix())
-
-
-def is_number(value: Any) -> bool:
-    """Say whether a value is a finite number, booleans left out."""
-    real = isinstance(value, int | float | np.floating | np.integer) and not isinstance(value, bool)
-    return real and math.isfinite(value)
 
 
 def _range(above: float, least: float, below: float) -> tuple[Callable[[float], bool], str]:

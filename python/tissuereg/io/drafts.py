@@ -3,10 +3,12 @@
 A draft is a folder ``.tissuereg-tmp-MACHINE-RANDOM`` beside the output, with a file ``lock`` that its writer keeps
 locked. The system frees the lock when the process ends, however it ends: a draft whose lock is free was left by a
 killed process, and the next writer to the same folder removes it. Locks may not reach other machines through a shared
-folder, so a draft of another machine is removed only if it is also a day old.
+folder, so a draft of another machine is removed only if nothing in it has changed for a day. Windows and file systems
+without locks keep drafts until somebody deletes them.
 """
 
 import contextlib
+import hashlib
 import os
 import re
 import secrets
@@ -15,6 +17,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 if sys.platform != "win32":
@@ -28,6 +31,10 @@ OTHERS_AGE = 86_400.0
 
 #: Names that are tried before giving up; one is lost to a writer that tidies at the same moment.
 _TRIES = 100
+
+#: Names that this module gives, and what a draft holds: nothing else is ever removed.
+_NAME = re.compile(rf"{re.escape(DRAFT_PREFIX)}[A-Za-z0-9]+-[0-9a-f]{{8}}")
+_LOCK, _CONTENT = "lock", "content"
 
 
 @contextlib.contextmanager
@@ -52,7 +59,7 @@ def draft(folder: Path) -> Iterator[Path]:
     remove_stale_drafts(folder)
     made, lock = _make(folder)
     try:
-        yield made / "content"
+        yield made / _CONTENT
     finally:
         shutil.rmtree(made, ignore_errors=True)
         os.close(lock)
@@ -70,7 +77,7 @@ def remove_stale_drafts(folder: Path) -> None:
     """
     with contextlib.suppress(OSError):
         for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
-            if entry.name.startswith(DRAFT_PREFIX) and entry.is_dir(follow_symlinks=False):
+            if _NAME.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
                 _remove_if_stale(Path(entry.path))
 
 
@@ -84,7 +91,7 @@ def _make(folder: Path) -> tuple[Path, int]:
         except (FileExistsError, FileNotFoundError):  # another writer's name, or tidied away before it was locked
             continue
         if _take(lock) is not False and _still_there(made, lock):
-            (made / "content").mkdir(mode=0o700)
+            (made / _CONTENT).mkdir(mode=0o700)
             return made, lock
         os.close(lock)
     message = "no draft could be made"
@@ -92,11 +99,12 @@ def _make(folder: Path) -> tuple[Path, int]:
 
 
 def _remove_if_stale(found: Path) -> None:
-    if not found.name.startswith(f"{DRAFT_PREFIX}{_machine()}-"):
-        with contextlib.suppress(OSError):
-            if time.time() - found.stat().st_mtime < OTHERS_AGE:
-                return
     try:
+        held = {entry.name for entry in os.scandir(found)}
+        if not held <= {_LOCK, _CONTENT}:
+            return
+        if not found.name.startswith(f"{DRAFT_PREFIX}{_machine()}-") and time.time() - _changed(found) < OTHERS_AGE:
+            return
         lock = _opened(found)
     except OSError:
         return
@@ -107,13 +115,30 @@ def _remove_if_stale(found: Path) -> None:
         os.close(lock)
 
 
+@cache
 def _machine() -> str:
-    return re.sub(r"[^A-Za-z0-9]", "", socket.gethostname())[:32] or "unknown"
+    """Return a word for this machine, another one for every other machine and container."""
+    known = socket.gethostname()
+    for file in ("/etc/machine-id", "/proc/sys/kernel/random/boot_id"):
+        with contextlib.suppress(OSError):
+            known += f"\n{Path(file).read_text(encoding='ascii').strip()}"
+            break
+    return hashlib.sha256(known.encode()).hexdigest()[:12]
+
+
+def _changed(found: Path) -> float:
+    """Return when anything in a draft was last changed, s since the epoch."""
+    times = [found.stat().st_mtime]
+    for folder, folders, files in os.walk(found):
+        for name in (*folders, *files):
+            with contextlib.suppress(OSError):
+                times.append((Path(folder) / name).stat(follow_symlinks=False).st_mtime)
+    return max(times)
 
 
 def _opened(made: Path) -> int:
     # Where anybody may write, another user's link must not lead anywhere.
-    return os.open(made / "lock", os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+    return os.open(made / _LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
 
 
 def _take(lock: int) -> bool | None:
@@ -131,6 +156,6 @@ def _take(lock: int) -> bool | None:
 
 def _still_there(made: Path, lock: int) -> bool:
     try:
-        return os.path.samestat((made / "lock").stat(), os.fstat(lock))
+        return os.path.samestat((made / _LOCK).stat(), os.fstat(lock))
     except OSError:
         return False

@@ -192,9 +192,6 @@ TEST = Declaration(
 #: Tables of a rig's ``experiment.toml`` in the order of the page; ``[[effect]]`` follows.
 RIG = (TOP, MESH, MATERIAL, GRAVITY, BOUNDARY, ACTUATOR, MARKERS, FORCES, TARGET, SIMULATED)
 
-#: Tables of a material test's ``experiment.toml``; ``[[effect]]`` follows.
-MATERIAL_TEST = (TOP, MATERIAL, TEST)
-
 #: Forms of a rule for nodes: text, table, meaning.
 NODE_FORMS = (
     ('"base"', '"base"', "the node set of that name in the mesh"),

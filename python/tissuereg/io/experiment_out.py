@@ -73,8 +73,8 @@ def _content(experiment: Experiment, folder: Path) -> dict[str, Any]:
         raise ExperimentError(message, where="fibre")
     content: dict[str, Any] = {"name": experiment.name}
     if not _same(folder, experiment.folder):
-        content["tables"] = _from(folder, experiment.folder)
-    content["mesh"] = {"file": _from(folder, experiment.mesh_file)}
+        content["tables"] = path_from(folder, experiment.folder)
+    content["mesh"] = {"file": path_from(folder, experiment.mesh_file)}
     if experiment.surface_std:
         content["mesh"]["surface_std_mm"] = experiment.surface_std
     if experiment.surface_length is not None:
@@ -133,8 +133,8 @@ def _same(one: Path, other: Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
 
-def _from(folder: Path, place: Path) -> str:
-    """Return a path as seen from a folder, with forward slashes; the whole path where no way leads there."""
+def path_from(folder: Path, place: Path) -> str:
+    """Return a path as seen from a folder, links resolved, with forward slashes; the whole path on another drive."""
     try:
         return Path(os.path.relpath(os.path.realpath(place), os.path.realpath(folder))).as_posix()
     except ValueError:

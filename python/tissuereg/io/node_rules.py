@@ -1,5 +1,6 @@
 """Which nodes are meant: a plane, a ball or the name of a node set, in one notation for files, commands and Python."""
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
@@ -86,10 +87,7 @@ def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
     kind, given = _kind_and_words(rule, name)
     if kind not in ("plane", "ball"):
         return text(name, rule, error=FormatError), []
-    try:
-        numbers = [float(word) for word in given if not isinstance(word, bool)]
-    except (TypeError, ValueError, OverflowError):
-        numbers = []
+    numbers = _numbers(given)
     finite = bool(np.isfinite(numbers).all())
     if kind == "plane":
         if len(numbers) == 4:
@@ -139,16 +137,30 @@ def _kind_and_words(rule: Any, name: str) -> tuple[str, list[Any]]:
         return (words[0], list(words[1:])) if words else ("", [])
     if isinstance(rule, Mapping):
         return _of_table(rule, name)
-    try:
-        return "plane", [float(number) for number in rule]
-    except (TypeError, ValueError):
+    if not isinstance(rule, Sequence | np.ndarray) or isinstance(rule, bytes):
         _refuse(name, _FORMS, rule)
+    return "plane", [_as_given(number) for number in rule]
+
+
+def _as_given(number: Any) -> Any:
+    """Return a number as Python's own, None for anything else: texts are numbers only as words of a rule."""
+    if isinstance(number, np.integer | np.floating):
+        return number.item()
+    return number if isinstance(number, int | float) else None
+
+
+def _numbers(given: Sequence[Any]) -> list[float]:
+    """Return words or numbers as floats; none at all if one of them is neither."""
+    try:
+        return [math.nan if isinstance(one, bool) else float(one) for one in given]
+    except (TypeError, ValueError, OverflowError):
+        return []
 
 
 def _table_from_text(rule: str, name: str) -> Mapping[str, Any]:
     try:
         content = tomllib.loads(f"nodes = {rule}")
-    except tomllib.TOMLDecodeError:
+    except ValueError:  # no TOML, or a number of thousands of digits
         content = {}
     table = content.get("nodes")
     if len(content) != 1 or not isinstance(table, dict):
@@ -161,13 +173,13 @@ def _of_table(rule: Mapping[str, Any], name: str) -> tuple[str, list[Any]]:
         plane = rule["plane"]
         if not (isinstance(plane, Sequence) and len(plane) == 4 and not isinstance(plane, str)):
             _refuse(name, "a table whose `plane` is a list of 4 numbers, [nx, ny, nz, d]", dict(rule))
-        return "plane", [*plane, rule.get("tolerance_mm", TOLERANCE)]
+        return "plane", [_as_given(number) for number in (*plane, rule.get("tolerance_mm", TOLERANCE))]
     if set(rule) != set(_BALL_KEYS):
         _refuse(name, "a node set, { plane, tolerance_mm } or { centre_mm, radius_mm }", dict(rule))
     centre = rule["centre_mm"]
     if not (isinstance(centre, Sequence) and len(centre) == 3 and not isinstance(centre, str)):
         _refuse(name, "a table whose `centre_mm` is a list of 3 numbers", dict(rule))
-    return "ball", [*centre, rule["radius_mm"]]
+    return "ball", [_as_given(number) for number in (*centre, rule["radius_mm"])]
 
 
 def _refuse(name: str, rules: str, rule: Any) -> NoReturn:
@@ -201,6 +213,7 @@ def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, toleran
         If no node is that close.
     """
     unit = np.asarray(normal, dtype=np.float64)
+    unit = unit / np.abs(unit).max()  # the squares of very long or short normals are no numbers
     unit = unit / np.linalg.norm(unit)
     distance = np.abs(mesh.nodes @ unit - offset)
     near = np.flatnonzero(distance <= tolerance).astype(np.int64)

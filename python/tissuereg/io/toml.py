@@ -1,6 +1,5 @@
 """Checked reading of TOML tables: every key is asked for, and none may be left over."""
 
-import math
 import os
 import sys
 from collections.abc import Iterable
@@ -9,9 +8,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tissuereg._arguments import place
+from tissuereg._arguments import is_number, place
 from tissuereg._arrays import FloatArray
-from tissuereg.errors import ExperimentError, FormatError
+from tissuereg.errors import ExperimentError, FormatError, TissueRegError
 from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
 
 if sys.version_info >= (3, 11):
@@ -178,7 +177,7 @@ class Table:
             If it is absent, no number, not finite, or not positive where it must be.
         """
         value = self.need(key) if default is None else self.get(key, default)
-        if not _is_number(value) or (positive and value <= 0):
+        if not is_number(value) or (positive and value <= 0):
             self.refuse(f"`{key}` must be a {'positive' if positive else 'finite'} number", value)
         return float(value)
 
@@ -203,7 +202,7 @@ class Table:
             If it is absent or anything else.
         """
         value = self.need(key)
-        if not (isinstance(value, list) and len(value) == length and all(_is_number(x) for x in value)):
+        if not (isinstance(value, list) and len(value) == length and all(is_number(x) for x in value)):
             self.refuse(f"`{key}` must be a list of {length} finite numbers", value)
         return np.array(value, dtype=np.float64)
 
@@ -230,9 +229,9 @@ class Table:
             If it is absent or anything else.
         """
         value = self.need(key) if default is None else self.get(key, default)
-        if _is_number(value):
+        if is_number(value):
             return float(value), None
-        pair = isinstance(value, list) and len(value) == 2 and all(_is_number(x) for x in value)
+        pair = isinstance(value, list) and len(value) == 2 and all(is_number(x) for x in value)
         if not pair or value[1] <= 0:
             self.refuse(f"`{key}` must be a number or [mean, standard deviation > 0]", value)
         return float(value[0]), float(value[1])
@@ -362,10 +361,8 @@ def read_toml(path: str | os.PathLike[str]) -> Table:
     file = existing_file(path, TEXT_MB)
     try:
         return Table(file, "", tomllib.loads(read_text(file)))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, RecursionError) as error:
+    except TissueRegError:
+        raise
+    except (ValueError, OSError, RecursionError) as error:  # no TOML, no UTF-8, or a number of thousands of digits
         message = f"{file} must be a TOML file; it cannot be read: {error}"
         raise ExperimentError(message, where=str(file)) from error
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from tissuereg._arguments import is_number
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import FormatError, ModelError
 from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
@@ -91,7 +92,7 @@ def check_files(folder: Path, card: dict[str, Any]) -> None:
 
 def _check_tables(path: Path, card: dict[str, Any]) -> None:
     errors, prior, files = (card.get(name) for name in ("errors_mm", "prior", "files"))
-    if not isinstance(errors, dict) or not all(_is_number(errors.get(name)) for name in ("test", "pca")):
+    if not isinstance(errors, dict) or not all(is_number(errors.get(name)) for name in ("test", "pca")):
         _refuse(path, "have the numbers `test` and `pca` in `errors_mm`", errors)
     if not isinstance(files, dict) or not all(isinstance(files.get(name), str) for name in MODEL_FILES):
         _refuse(path, f"have the SHA-256 of {', '.join(MODEL_FILES)} in `files`", files)
@@ -118,10 +119,6 @@ def _is_covariance(matrix: FloatArray) -> bool:
     size = float(np.abs(matrix).max())
     symmetric = np.abs(matrix - matrix.T).max() <= 1e-6 * size
     return bool(symmetric and np.linalg.eigvalsh(matrix).min() >= -1e-6 * size)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _refuse(path: Path, rule: str, found: object) -> NoReturn:

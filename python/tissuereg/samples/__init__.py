@@ -4,7 +4,8 @@ import os
 import shutil
 from pathlib import Path
 
-from tissuereg.io.atomic import atomic_folder
+from tissuereg._arguments import place
+from tissuereg.io.atomic import OutputError, atomic_folder
 
 _DATA = Path(__file__).resolve().parent / "data"
 
@@ -30,9 +31,15 @@ def write_samples(out: str | os.PathLike[str]) -> list[str]:
     Raises
     ------
     OutputError
-        If `out` is a file, or the operating system refuses.
+        If `out` is a file, a file of one of these names stands there with other content, or the operating system
+        refuses.
     """
     files = sorted(path.relative_to(_DATA) for name in SAMPLES for path in (_DATA / name).rglob("*") if path.is_file())
+    for file in files:
+        standing = place("out", out, error=OutputError) / file
+        if standing.exists() and not (standing.is_file() and standing.read_bytes() == (_DATA / file).read_bytes()):
+            message = f"{standing} must be absent: it has another content than the sample of that name"
+            raise OutputError(message, where=str(standing))
     with atomic_folder(out) as draft:
         for file in files:
             (draft / file).parent.mkdir(parents=True, exist_ok=True)

@@ -19,8 +19,7 @@ YOUNG = (10.0, 3.0)
 #: Markers stored for each rig; an experiment shows 25 of them.
 N_PLACES = 60
 
-#: Rigs that carry effects; the others carry nulls.
-EFFECT_RIGS = (0, 1, 2, 3)
+#: The first four carry effects, the others carry nulls.
 N_RIGS = 14
 
 

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arguments import place
-from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.errors import FormatError, MeshError
-from tissuereg.experiment import Simulated
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import ConvergenceError, FormatError
+from tissuereg.experiment import Experiment, Simulated
 from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
 from tissuereg.io.cases import write_histories
 from tissuereg.io.commented import commented_toml
+from tissuereg.io.declared import Declaration
+from tissuereg.io.drafts import DRAFT_PREFIX, remove_stale_drafts
 from tissuereg.io.experiment_keys import (
     ACTUATOR,
     ACTUATORS_CSV,
@@ -29,24 +31,30 @@ from tissuereg.io.experiment_keys import (
     TARGET,
     TOP,
 )
+from tissuereg.io.experiment_out import path_from
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, rule_for_file
 from tissuereg.io.simulated import TABLES, simulated_tables
 from tissuereg.mesh import Mesh
-from tissuereg.simulate.experiment import simulate_plain
+from tissuereg.simulate.experiment import CaseSimulation, simulate_plain
 from tissuereg.simulate.noise import with_noise
+from tissuereg.skeleton.rig import MadeUpRig
 
 #: Share of a pad's motion in the frames of a push.
 _STROKE = np.array([0.0, 0.5, 1.0, 1.0, 0.5])
 
-#: Of the body's extent: radius of a pad, and how far it is pushed in.
-_RADIUS_SHARE, _STROKE_SHARE = 0.12, 0.04
+#: How often the pushes are halved where the body finds no equilibrium under them.
+_HALVINGS = 4
 
-_N_MARKERS, _N_PADS, _REST_FRAMES = 10, 2, 6
+_REST_FRAMES = 6
 
 #: Share of the body's height below which nodes are held where nothing says what is.
 _BASE_SHARE = 0.04
+
+
+#: Declaration and values of every table of the file.
+_Tables = list[tuple[Declaration, Mapping[str, Any] | None]]
 
 
 @dataclass(frozen=True)
@@ -76,8 +84,9 @@ def new_experiment(
 ) -> Begun:
     """Write the folder of an experiment with every key of the format, which `simulate` and `diagnose` take at once.
 
-    Two pads on the surface push in one after another, ten markers and one inner target are tracked; the tables hold
-    what the believed model predicts on the mesh as it is, with noise. All of this is to be replaced by the user's own.
+    Two pads on the surface push in one after another, as far as the body finds equilibrium; ten markers and one inner
+    target are tracked. The tables hold what the believed model predicts on the mesh as it is, with noise. All of this
+    is to be replaced by the user's own.
 
     Parameters
     ----------
@@ -111,30 +120,64 @@ def new_experiment(
     """
     target = place("folder", folder, error=OutputError)
     check_folder_target(target)
-    if target.is_dir() and any(target.iterdir()):
-        message = f"the folder of a new experiment must be new or empty; {target} holds files"
-        raise OutputError(message, where=str(target))
+    _check_empty(target)
     mesh_file = place("mesh", mesh, error=FormatError)
     body = read_mesh(mesh_file)
     rule, guessed = _held(body, fixed)
-    held = nodes_by_rule(body, rule)
-    rig = _Rig.on(body, held)
+    rig = MadeUpRig.on(body, nodes_by_rule(body, rule))
+    name = target.absolute().name
     with atomic_folder(target) as draft:
-        seen = Path(os.path.relpath(mesh_file.absolute(), target.absolute())).as_posix()
-        tables = _tables(target.absolute().name, rule, rig)
-        text = _text(tables, seen, simulated=True)
-        # Read where it is written first, the mesh is named from there.
-        _write_frames(draft, rig)
-        (draft / "experiment.toml").write_text(
-            _text(tables, mesh_file.absolute().as_posix(), simulated=False), encoding="utf-8"
-        )
-        experiment = read_experiment(draft, measured=False)
-        answers = with_noise(experiment, simulate_plain(experiment, threads=threads, progress=progress), seed=seed)
-        for table, histories in simulated_tables(experiment, answers):
+        experiment, answers = _simulated(draft, _tables(name, rule, rig), mesh_file, rig, threads, progress)
+        for table, histories in simulated_tables(experiment, with_noise(experiment, answers, seed=seed)):
             write_histories(draft / table.file, table, histories)
-        (draft / "experiment.toml").write_text(text, encoding="utf-8")
-        files = tuple(name for name in TABLES if (draft / name).exists())
+        _write_text(draft, _text(_tables(name, rule, rig), path_from(target, mesh_file), True))
+        files = tuple(file for file in TABLES if (draft / file).exists())
+        _check_empty(target)
     return Begun(files, guessed)
+
+
+def _check_empty(target: Path) -> None:
+    if not target.is_dir():
+        return
+    remove_stale_drafts(target)
+    held = [entry.name for entry in target.iterdir() if not entry.name.startswith(DRAFT_PREFIX)]
+    if held:
+        message = f"the folder of a new experiment must be new or empty; {target} holds {held[0]}"
+        raise OutputError(message, where=str(target))
+
+
+def _simulated(
+    draft: Path,
+    tables: _Tables,
+    mesh_file: Path,
+    rig: MadeUpRig,
+    threads: int,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Experiment, dict[str, CaseSimulation]]:
+    """Return the experiment and its cases under the largest pushes, halved where needed, that have an equilibrium."""
+    _write_text(draft, _text(tables, mesh_file.absolute().as_posix(), False))
+    for halved in range(_HALVINGS + 1):
+        _write_frames(draft, rig, 0.5**halved)
+        experiment = read_experiment(draft, measured=False)
+        try:
+            answers = simulate_plain(experiment, threads=threads, progress=progress)
+        except ConvergenceError:
+            continue
+        if not any(answer.failed for answer in answers.values()):
+            return experiment, answers
+    message = (
+        f"a push of {0.5**_HALVINGS * np.linalg.norm(rig.pushes, axis=1).max():.2g} mm must have an equilibrium on "
+        "this mesh, and none was found: its elements may be too flat, or too little of it is held"
+    )
+    raise ConvergenceError(message, where=str(mesh_file))
+
+
+def _write_text(folder: Path, text: str) -> None:
+    try:
+        (folder / "experiment.toml").write_text(text, encoding="utf-8")
+    except UnicodeEncodeError as error:
+        message = "names of the folder and the mesh must be text that UTF-8 can hold"
+        raise OutputError(message, where=str(folder)) from error
 
 
 def _held(body: Mesh, fixed: NodeRule | None) -> tuple[str | dict[str, Any], tuple[str, ...]]:
@@ -150,81 +193,14 @@ def _held(body: Mesh, fixed: NodeRule | None) -> tuple[str | dict[str, Any], tup
     return plane, (said,)
 
 
-@dataclass(frozen=True, eq=False)
-class _Rig:
-    """Made-up pads, markers and a target on a body; lengths in mm."""
-
-    centres: FloatArray
-    radius: float
-    pushes: FloatArray
-    markers: FloatArray
-    target: FloatArray
-
-    @classmethod
-    def on(cls, body: Mesh, held: IntArray) -> "_Rig":
-        """Put pads and markers far from what is held and from each other."""
-        free = np.setdiff1d(body.surface_nodes, held)
-        places, normals = body.nodes[free], _normals(body)[free]
-        if not len(held) or len(free) < _N_PADS + _N_MARKERS:
-            message = (
-                f"the surface must have held nodes and {_N_PADS + _N_MARKERS} free ones at least for pads and markers, "
-                f"got {len(held)} and {len(free)}"
-            )
-            raise MeshError(message, where="mesh")
-        radius = _RADIUS_SHARE * body.extent
-        from_held = _distance(places, body.nodes[held])
-        pads = _spread(places, from_held, _N_PADS)
-        away = _distance(places, places[pads])
-        # Markers off the pads, if the body is large enough for that.
-        off = away > radius if np.count_nonzero(away > radius) >= _N_MARKERS else away > 0
-        spots = np.flatnonzero(off)
-        markers = places[spots[_spread(places[spots], away[spots], _N_MARKERS)]]
-        centres = body.nodes[body.tets].mean(axis=1)
-        middle = np.average(centres, axis=0, weights=body.volumes)
-        target = centres[np.argmin(np.linalg.norm(centres - middle, axis=1))]
-        return cls(
-            places[pads].round(3),
-            float(np.round(radius, 2)),
-            (-_STROKE_SHARE * body.extent * normals[pads]).round(3),
-            markers.round(3),
-            target.round(3),
-        )
-
-
-def _normals(body: Mesh) -> FloatArray:
-    """Return outward unit normals at nodes of the surface, shape (n_nodes, 3); zero elsewhere."""
-    corners = body.nodes[body.surface]
-    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(body.nodes)
-    for corner in range(3):
-        np.add.at(normals, body.surface[:, corner], areas)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(length > 0, length, 1.0)
-
-
-def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
-    from scipy.spatial import KDTree
-
-    return np.asarray(KDTree(others).query(points)[0])
-
-
-def _spread(points: FloatArray, distance: FloatArray, n: int) -> IntArray:
-    """Return indices of `n` points, each the farthest from those chosen and from what `distance` is measured to."""
-    chosen: list[int] = []
-    for _ in range(n):
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen)
-
-
-def _tables(name: str, rule: Any, rig: _Rig) -> list[tuple[Any, Mapping[str, Any] | None]]:
+def _tables(name: str, rule: Any, rig: MadeUpRig) -> _Tables:
     pads = [
         {
             "name": f"pad_{i + 1}",
-            "nodes": {"centre_mm": centre.tolist(), "radius_mm": rig.radius},
+            "nodes": {"centre_mm": centre.tolist(), "radius_mm": float(radius)},
             "kind": "displacement",
         }
-        for i, centre in enumerate(rig.centres)
+        for i, (centre, radius) in enumerate(zip(rig.centres, rig.radii, strict=True))
     ]
     markers = {f"M{i + 1}": spot.tolist() for i, spot in enumerate(rig.markers)}
     return [
@@ -240,7 +216,7 @@ def _tables(name: str, rule: Any, rig: _Rig) -> list[tuple[Any, Mapping[str, Any
     ]
 
 
-def _text(tables: list[tuple[Any, Mapping[str, Any] | None]], mesh: str, *, simulated: bool) -> str:
+def _text(tables: _Tables, mesh: str, simulated: bool) -> str:
     head = [
         "An experiment to begin with, made by `tissuereg new`: replace pads, markers and tables by your own.",
         "Every key is here; those behind # may be left out. Lengths mm, forces mN, stresses kPa, times s.",
@@ -253,11 +229,11 @@ def _text(tables: list[tuple[Any, Mapping[str, Any] | None]], mesh: str, *, simu
     return commented_toml(head, [*filled, *last])
 
 
-def _write_frames(folder: Path, rig: _Rig) -> None:
-    """Write what the pads do, and the frames in which markers are to be seen, at rest and under each push."""
+def _write_frames(folder: Path, rig: MadeUpRig, share: float) -> None:
+    """Write what the pads do, a share of their pushes, and the frames in which markers are to be seen."""
     times = np.arange(len(_STROKE), dtype=np.float64)
     pushes: dict[str, tuple[FloatArray, dict[str, FloatArray]]] = {
-        f"push_{i + 1}": (10.0 * (i + 1) + times, {f"pad_{i + 1}": _STROKE[:, None] * push + 0.0})
+        f"push_{i + 1}": (10.0 * (i + 1) + times, {f"pad_{i + 1}": share * _STROKE[:, None] * push + 0.0})
         for i, push in enumerate(rig.pushes)
     }
     write_histories(folder / ACTUATORS_CSV.file, ACTUATORS_CSV, pushes)
