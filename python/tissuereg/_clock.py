@@ -4,17 +4,18 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-#: Takes what kind of thing is said (``"size"``, ``"warning"``, ``"stage"``), and the words.
+#: Takes the kind of a message (``"size"``, ``"warning"``, ``"stage"``), and its text.
 Tell = Callable[[str, str], None]
 
 
 class Clock:
-    """Adds up the seconds spent in named stages, and tells a listener what begins.
+    """Adds up the seconds spent in named stages, and notifies a listener when one begins.
 
     Parameters
     ----------
     tell : callable of (str, str), optional
-        Called with ``"stage"`` and the name when a stage begins, and with whatever `tell` is given.
+        The listener: called with ``"stage"`` and the name when a stage begins, and with every message that is passed to
+        the method `tell`.
 
     Attributes
     ----------
@@ -27,7 +28,7 @@ class Clock:
         self._tell = tell
 
     def tell(self, kind: str, words: str) -> None:
-        """Say something to the listener, where there is one."""
+        """Pass a message to the listener, if there is one."""
         if self._tell is not None:
             self._tell(kind, words)
 

@@ -29,7 +29,7 @@ def peak_mib() -> float | None:
 
 
 def resident_bytes() -> int | None:
-    """Return the memory that this process holds now; None where nobody knows."""
+    """Return the memory that this process holds now, in bytes; None if unknown."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
     return None
@@ -72,9 +72,9 @@ def _system_left() -> int | None:
 
 
 def _groups_left(root: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> list[int]:
-    """Return what every control group about this process leaves of its limit (versions 1 and 2).
+    """Return how many bytes every control group that contains this process has left of its limit (versions 1 and 2).
 
-    Pages of files that nobody uses count as free: the kernel gives them up before it refuses memory.
+    Cached pages of files that are not in use count as free: the kernel drops them before it refuses memory.
     """
     found = []
     with contextlib.suppress(OSError):

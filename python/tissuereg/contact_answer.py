@@ -75,11 +75,11 @@ class Answer:
     given : RegisterInput
         Checked input.
     fit : ContactFit
-        Where the passes ended.
+        The fit after its last pass.
     start : Moment
         The body under the believed load.
     knows : bool
-        Whether a load was believed.
+        Whether a load is believed, so that the targets have a predicted place.
     known : Known
         Targets and markers.
     nodes : NodesOfContacts
@@ -107,8 +107,8 @@ class Answer:
         fitted = self._of_markers(self.known.displacement)
         used, lost = self.known.used, self.known.lost
         some = np.asarray(np.isfinite(markers.measured).any(axis=1))
-        begun, ratios = self._begun(), det_f(mesh, body)
-        unseen = [self._unseen(k, begun[i]) for k, i in enumerate(lost)]
+        start_displacement, ratios = self._start_displacement(), det_f(mesh, body)
+        unseen = [self._unseen(k, start_displacement[i]) for k, i in enumerate(lost)]
         return Registration(
             mesh=mesh,
             displacement=moment.frame.apply(mesh.nodes + body) - mesh.nodes,
@@ -118,12 +118,12 @@ class Answer:
             markers=MarkerFit(
                 used=tuple(names[i] for i in used),
                 dropped=tuple((names[i], "wrong" if some[i] else "not seen") for i in lost),
-                before_rms_mm=rms_length(markers.displacement[used] - begun[used]),
+                before_rms_mm=rms_length(markers.displacement[used] - start_displacement[used]),
                 after_rms_mm=rms_length(markers.displacement[used] - fitted[used]),
                 residual_mm={names[i]: markers.displacement[i] - fitted[i] for i in used},
             ),
             all_markers=markers,
-            start_markers=markers.reference + begun,
+            start_markers=markers.reference + start_displacement,
             min_det_f=float(ratios.min()),
             inverted_tets=int((ratios <= 0).sum()),
             trust=self._trust(unseen, float(ratios.min())),
@@ -142,11 +142,11 @@ class Answer:
         """Return the markers' part of an array with the targets first."""
         return both[len(self.given.targets.names) :]
 
-    def _begun(self) -> FloatArray:
+    def _start_displacement(self) -> FloatArray:
         """Return the displacement of the markers under the believed load, (n_markers, 3) in mm."""
         observed, reference, start = self.given.observed, self.given.markers.reference, self.start
-        begun = observed.predict(start.displacement[observed.nodes])
-        return start.frame.apply(reference + begun) - reference
+        start_displacement = observed.predict(start.displacement[observed.nodes])
+        return start.frame.apply(reference + start_displacement) - reference
 
     def _targets(self) -> dict[str, Target]:
         inner, start = self.given.targets, self.start
@@ -157,14 +157,14 @@ class Answer:
             for i, name in enumerate(inner.names)
         }
 
-    def _unseen(self, position: int, begun: FloatArray) -> Target:
+    def _unseen(self, position: int, start_displacement: FloatArray) -> Target:
         """Return the predicted measurement of a lost marker, given its position among the lost ones."""
         markers, marker = self.given.markers, int(self.known.lost[position])
         index = len(self.given.targets.names) + position
         covariance = self.known.points.covariance[index] + np.diag(markers.axis_std[marker] ** 2)
         moved = self._of_markers(self.known.displacement)[marker]
         reference = markers.reference[marker]
-        return self._target(index, reference, moved, covariance, reference + begun)
+        return self._target(index, reference, moved, covariance, reference + start_displacement)
 
     def _target(
         self, index: int, reference: FloatArray, moved: FloatArray, covariance: FloatArray, predicted: FloatArray
@@ -208,23 +208,23 @@ class Answer:
         notes = [*given.suspicions, *self._wrong(unseen)]
         notes += [] if surface is None else surface.reasons()
         points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
-        left = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
+        residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
         moved = SeenMarkers(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
         variance = self._residual_variance(moved)[used].ravel()
         # Wrong markers were detected with the contacts; here each residual is compared with its noise alone.
         spread = np.zeros((3 * len(used), 3 * len(used)))
         names = tuple(markers.names[i] for i in used)
         # The misfit of the innovation contains the data term; the rest is the prior's.
-        prior_term = max(0.0, fit.misfit - float(np.nansum(left.ravel() ** 2 / variance)))
-        return judge(names, left, np.diag(variance), spread, prior_term, min_det_f, notes, points)
+        prior_term = max(0.0, fit.misfit - float(np.nansum(residual.ravel() ** 2 / variance)))
+        return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes, points)
 
 
-def _chance(left: FloatArray, covariance: FloatArray) -> float:
+def _chance(residual: FloatArray, covariance: FloatArray) -> float:
     """Return the p-value of an offset; components that are NaN are ignored."""
     from scipy.stats import chi2
 
-    seen = np.flatnonzero(np.isfinite(left))
-    score = left[seen] @ np.linalg.solve(covariance[np.ix_(seen, seen)], left[seen])
+    seen = np.flatnonzero(np.isfinite(residual))
+    score = residual[seen] @ np.linalg.solve(covariance[np.ix_(seen, seen)], residual[seen])
     return float(chi2.sf(score, max(len(seen), 1)))
 
 

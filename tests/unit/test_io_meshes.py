@@ -198,7 +198,7 @@ def test_cells_that_are_no_tets_are_refused(tmp_path):
 def test_fixed_point_data_must_be_zero_or_one(block_mesh, tmp_path):
     values = {"fixed": np.linspace(0, 1, block_mesh.n_nodes)}
     meshio.Mesh(block_mesh.nodes, [("tetra", block_mesh.tets)], point_data=values).write(tmp_path / "b.vtu")
-    with pytest.raises(FormatError, match=r"'fixed'.*one 0 or 1 a node"):
+    with pytest.raises(FormatError, match=r"'fixed'.*one 0 or 1 per node"):
         tr.read_mesh(tmp_path / "b.vtu")
 
 

@@ -144,7 +144,7 @@ def test_markers_need_both_files_of_one_kind(tmp_path):
         tr.read_markers(sit, measured=tmp_path / "m.csv")
     with pytest.raises(FormatError, match=r"the reference one is .*m\.csv"):
         tr.read_markers(tmp_path / "m.csv", measured=sit)
-    with pytest.raises(FormatError, match=r"n\.csv must be left out beside .*m\.csv"):
+    with pytest.raises(FormatError, match=r"n\.csv must be left out with .*m\.csv"):
         tr.read_markers(tmp_path / "m.csv", measured=tmp_path / "n.csv")
 
 
@@ -260,8 +260,8 @@ GOOD = fcsv_text(SIT)
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "must say its frame"),
-        (GOOD.replace("# CoordinateSystem = LPS\n", ""), "must say its frame in a line '# CoordinateSystem = LPS'"),
+        ("", "must state its frame"),
+        (GOOD.replace("# CoordinateSystem = LPS\n", ""), "must state its frame in a line '# CoordinateSystem = LPS'"),
         (GOOD.replace("= LPS", "= 2"), "CoordinateSystem must be LPS, RAS, 1 or 0, got '2' at .* line 2"),
         (GOOD.replace(",label,", ",name,"), "label is missing at line 3"),
         (GOOD.replace("30.0,", "thirty,"), "x, y, z must be finite numbers, got 'thirty,10.0,40.0' at .* line 4"),

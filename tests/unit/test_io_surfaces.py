@@ -105,7 +105,7 @@ def test_comments_of_a_ply_and_an_obj_may_say_the_unit(tmp_path):
 
 def test_what_the_user_says_outweighs_the_file_and_the_contradiction_is_told(tmp_path):
     file = write_stl(tmp_path / "ball.stl", BALL, head=b"UNITS=m")
-    with pytest.warns(UserWarning, match=r"says of itself that it is in metres; it is read in millimetres, as told"):
+    with pytest.warns(UserWarning, match=r"states that it is in metres; it is read in millimetres, as given"):
         assert read_triangles(file, "mm").extent == pytest.approx(40.0, rel=1e-6)
 
 

@@ -45,7 +45,7 @@ class Patches:
     normals : ndarray of float64, shape (n_patches, 3)
         Outward unit normal at the centre.
     shapes : scipy.sparse.csr_array, shape (n_patches, n_nodes)
-        Nodal force of one unit over Young's modulus, mm^2 a mm.
+        Nodal force of one unit over Young's modulus, mm^2 per mm.
     texture : tuple of ndarray
         For each patch the next smaller ones inside, as first entries, entries, and ratios of standard deviations.
     neighbours : tuple of ndarray

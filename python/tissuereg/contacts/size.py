@@ -1,4 +1,4 @@
-"""What a registration by contacts will take on a body, said and checked before anything is factored."""
+"""Estimate of the memory and time of a registration by contacts, reported and checked before anything is factored."""
 
 from tissuereg._clock import Clock
 from tissuereg.contacts.body import ContactBody
@@ -10,24 +10,24 @@ from tissuereg.simulate.size import BodySize, Estimate, Work
 #: Passes to expect with markers, and with points that are matched anew.
 _PASSES, _PASSES_OF_POINTS = 2, 6
 
-#: Factors that are held at the same time: the closest pass and the next one; with points that of the stage before too.
+#: Factors that are held at the same time: those of the best pass and the next one; with points also the stage before's.
 _FACTORS, _FACTORS_OF_POINTS = 2, 3
 
-#: Whole fields beside the responses: errors of the model, and draws with what they are made of.
+#: Whole fields held in addition to the responses: errors of the model, and draws with their ingredients.
 _FIELDS = 260
 
-#: Numbers a tet: fields of uncertain stiffness with a copy of each, and what the solver keeps.
+#: Numbers per tet: fields of uncertain stiffness with a copy of each, and what the solver keeps.
 _TET_FIELDS = 160
 
-#: What is imported and drawn later, in bytes.
+#: Memory of modules imported and pictures drawn later, in bytes.
 _LATER = 200_000_000
 
-#: Reading, attaching, regions, files and pictures, in operations a tet.
+#: Reading, attaching, regions, files and pictures, in operations per tet.
 _TET_FLOPS = 7e6
 
 
 def announce(body: ContactBody, seen: Seen, given: RegisterInput, clock: Clock) -> Estimate:
-    """Say how large a body is and what it will take, and refuse it where that is too much.
+    """Report a body's size and the estimated memory and time, and refuse a body that would not fit into memory.
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ def announce(body: ContactBody, seen: Seen, given: RegisterInput, clock: Clock) 
     given : RegisterInput
         Input, with targets, settings and threads.
     clock : Clock
-        Its listener gets ``"size"``, and ``"warning"`` where it takes long.
+        Its listener gets a message ``"size"``, and a ``"warning"`` if the registration takes long.
 
     Returns
     -------
     Estimate
-        What was said.
+        The reported estimate.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def announce(body: ContactBody, seen: Seen, given: RegisterInput, clock: Clock) 
 
 
 def expected_work(n_obs: int, n_targets: int, n_draws: int, *, matched: bool) -> Work:
-    """Return what to expect of a registration.
+    """Return the work to expect of a registration.
 
     Parameters
     ----------

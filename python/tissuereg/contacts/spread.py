@@ -24,7 +24,7 @@ from tissuereg.simulate.sensitivity import Cause, Compliance, Field
 #: Number of smooth fields of the stiffness of doubtful supports.
 _N_SUPPORT_FIELDS = 12
 
-#: Fields of the whole body that are made at the same time: whole blocks of the solver, the same at any thread count.
+#: Fields of the whole body made at the same time: a multiple of the solver's block, whatever the number of threads.
 _AT_ONCE = 32
 
 
@@ -53,7 +53,7 @@ class Spread:
     Parameters
     ----------
     fit : ContactFit
-        Where the passes ended.
+        The fit after its last pass.
     material : Material
         Material of the body.
     settings : ContactSettings
@@ -128,9 +128,9 @@ class Spread:
         # Second moment about the answer, which is not quite the mean of the last linearisation.
         off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
         covariance = covariance + np.einsum("pa,pb->pab", off, off)
-        left = self._by_model(compliance) - responses @ suggested
-        left = left.reshape(len(places), 3, len(self._model_forces))
-        covariance = covariance + np.einsum("pak,pbk->pab", left, left)
+        remaining = self._by_model(compliance) - responses @ suggested
+        remaining = remaining.reshape(len(places), 3, len(self._model_forces))
+        covariance = covariance + np.einsum("pak,pbk->pab", remaining, remaining)
         unseen, constrained = self._unseen(responses)
         turn = fit.moment.frame.rotation
         covariance = covariance + self._settings.unseen_chance * unseen
@@ -151,12 +151,12 @@ class Spread:
         taken = np.linalg.solve(self._under_unseen, cross.T).T.reshape(len(cross) // 3, 3, cross.shape[1])
         scaled = (responses * np.sqrt(self._unseen_variances)).reshape(len(taken), 3, responses.shape[1])
         before, after = (np.matmul(part, np.moveaxis(part, 1, 2)) for part in (scaled, taken))
-        left = before - after
-        traces = [np.maximum(np.trace(part, axis1=1, axis2=2), 0.0) for part in (left, before)]
-        return left, np.asarray(1.0 - traces[0] / np.maximum(traces[1], 1e-300))
+        remaining = before - after
+        traces = [np.maximum(np.trace(part, axis1=1, axis2=2), 0.0) for part in (remaining, before)]
+        return remaining, np.asarray(1.0 - traces[0] / np.maximum(traces[1], 1e-300))
 
     def _unseen_draws(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Return coefficients (count, n_columns) of one more contact, drawn given that the markers saw none."""
+        """Return coefficients (count, n_columns) of one more contact, drawn given that the markers detected none."""
         own, variances = self._fit.posed.responses, self._unseen_variances
         drawn = np.sqrt(variances) * rng.standard_normal((count, len(variances)))
         seen = drawn @ own.T + np.sqrt(self._fit.posed.variances) * rng.standard_normal((count, len(own)))
@@ -214,7 +214,7 @@ class Spread:
 
 
 def _in_parts(count: int) -> Iterator[slice]:
-    """Yield parts of a count: whole fields are made for so many at a time, since they are large."""
+    """Yield consecutive slices of a count: whole fields are large and are made in blocks."""
     for first in range(0, count, _AT_ONCE):
         yield slice(first, min(first + _AT_ONCE, count))
 
@@ -222,7 +222,7 @@ def _in_parts(count: int) -> Iterator[slice]:
 def _forces_of_errors(
     fit: ContactFit, errors: tuple[Sequence[Cause], FloatArray], of_supports: FloatArray
 ) -> FloatArray:
-    """Return what errors of the model leave out of balance, each at its size, (n_errors, n_element_nodes, 3), mN."""
+    """Return the unbalanced forces due to model errors at their sizes, (n_errors, n_element_nodes, 3), mN."""
     causes, scales = errors
     forces = np.empty((len(causes) + len(of_supports), *of_supports.shape[1:]))
     for some in _in_parts(len(causes)):
@@ -265,7 +265,7 @@ def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings
 
 
 def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
-    """Return the forces (n_fields, n_element_nodes, 3) by smooth variations of the supports' stiffness, in mN."""
+    """Return the forces (n_fields, n_element_nodes, 3) due to smooth variations of the supports' stiffness, in mN."""
     columns = fit.columns
     simulator = columns.body.simulator
     if columns.body.base is None or columns.springs is None:

@@ -19,7 +19,7 @@ MOST_REMEMBERED = 400
 #: A tangent at rest with more entries than this (1 GB) is not kept: later passes need the memory.
 MOST_KEPT_ENTRIES = 250_000_000
 
-#: From so many unknowns on right-hand sides are solved in parts: a block of the solver a thread.
+#: From so many unknowns on right-hand sides are solved in parts: one block of the solver per thread.
 _MANY_UNKNOWNS, _BLOCK = 100_000, 16
 
 Row = tuple[IntArray, FloatArray]
@@ -81,7 +81,7 @@ class Tangent:
         return _together(parts), len(missing)
 
     def _solved(self, rows: list[Row], progress: Callable[[int, int], None] | None) -> Compliance:
-        """Return how rows follow forces; on a large body some at a time, so that it can be said how many are done."""
+        """Return the sensitivity of rows to nodal forces; on a large body in parts, so that progress can be shown."""
         parts = []
         for first in range(0, max(1, len(rows)), self._at_once):
             if progress is not None and first > 0:
@@ -97,7 +97,7 @@ class Tangent:
 
 
 def _apart(whole: Compliance) -> list[Compliance]:
-    """Return one entry an observation."""
+    """Return one entry per observation."""
     return [
         Compliance(whole.forces[i : i + 1], whole.body_force[i : i + 1], whole.prescribed[i : i + 1])
         for i in range(len(whole.forces))

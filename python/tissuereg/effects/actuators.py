@@ -1,4 +1,4 @@
-"""What moves the body: actuators that give another motion, or sit elsewhere, than is believed."""
+"""What moves the body: actuators whose motion, force or place differs from the believed one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,10 +28,10 @@ class _OfActuator(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class ActuatorGain(_OfActuator):
-    """The actuator gives `gain` times the motion or force that it is told to."""
+    """The actuator gives `gain` times the commanded motion or force."""
 
     id: ClassVar[str] = "actuator_gain"
-    gain: float = number("factor on what is given to it")
+    gain: float = number("factor on the commanded motion or force")
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
         """Return the experiment with the actuator's scaled motion."""
@@ -92,8 +92,8 @@ def shifted_patch(mesh: Mesh, actuator: Actuator, shift: Vector) -> IntArray:
     mesh : Mesh
         Reference shape.
     actuator : Actuator
-        Whose patch; a sphere's centre is shifted, of any other patch the outline: a node belongs to it if the surface
-        node nearest to where it was before the shift does.
+        Whose patch. If the patch is given as a sphere, its centre is shifted. Any other patch is shifted as an outline:
+        a node belongs to it if, moved back by the shift, its nearest surface node belongs to the believed patch.
     shift : tuple of float
         mm.
 
@@ -113,7 +113,7 @@ def shifted_patch(mesh: Mesh, actuator: Actuator, shift: Vector) -> IntArray:
 
 
 def _given(experiment: Experiment, name: str, change: Callable[[FloatArray], FloatArray]) -> Experiment:
-    """Return the experiment with what is given to an actuator changed in every case that it is present in."""
+    """Return the experiment with an actuator's commanded motion or force changed in every case that has it."""
     cases = dict(experiment.cases)
     for title, case in cases.items():
         if name in case.displacements:

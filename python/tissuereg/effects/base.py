@@ -1,4 +1,4 @@
-"""What every effect is: a frozen record of checked keys that changes an experiment or what its tracker sees.
+"""The base of every effect: a frozen record of checked keys that changes an experiment or what its tracker sees.
 
 The keys of an effect are its dataclass fields, in the units that their names end in; each field carries its own check
 (`number`, `numbers`, `text`, `flag`), so that a table read from a file and a record made in Python obey one rule.
@@ -48,21 +48,21 @@ class Effect:
         """Refuse keys that contradict each other."""
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse an experiment that lacks what this effect speaks of.
+        """Refuse an experiment that lacks what this effect refers to.
 
         Parameters
         ----------
         experiment : Experiment
-            That has this effect.
+            With this effect among its effects.
 
         Raises
         ------
         ExperimentError
-            It says what must be there and what there is.
+            If something is missing; the message states what is needed and what there is.
         """
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment as this effect has it.
+        """Return the experiment with this effect applied.
 
         Parameters
         ----------
@@ -95,10 +95,10 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class ChainEffect(Effect):
-    """An error of the marker tracker: bodies, targets and forces do not feel it."""
+    """An error of the marker tracker: it changes seen markers, not the body, its targets or forces."""
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment as it is: the body does not feel its tracker."""
+        """Return the experiment unchanged: the tracker does not act on the body."""
         return experiment
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
@@ -126,7 +126,7 @@ class ChainEffect(Effect):
 
 
 def refuse(rule: str, found: object = None) -> NoReturn:
-    """Raise the error that says what must hold and what was found."""
+    """Raise an error that states what must hold and what was found."""
     message = rule if found is None else f"{rule}, got {found!r}"
     raise ExperimentError(message)
 
@@ -221,7 +221,7 @@ def _declared(check: Callable[[str, Any], Any], words: str, meaning: str, defaul
 
 
 def exactly_one(effect: Effect, *groups: tuple[str, ...]) -> None:
-    """Refuse an effect that has not the keys of one group, and of that one alone.
+    """Refuse an effect unless exactly one group of keys is given, and given whole.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def exactly_one(effect: Effect, *groups: tuple[str, ...]) -> None:
     Raises
     ------
     ExperimentError
-        If none is whole, or two are begun.
+        If no group is complete, or keys of several are given.
     """
     given = [key for group in groups for key in group if getattr(effect, key) is not None]
     if given not in [list(group) for group in groups]:
@@ -254,5 +254,5 @@ def _range(above: float, least: float, below: float) -> tuple[Callable[[float], 
         f"at least {least:g}" if least > -math.inf else "",
         f"less than {below:g}" if below < math.inf else "",
     ]
-    said = " and ".join(bound for bound in bounds if bound)
-    return (lambda value: value > above and value >= least and value < below), f" {said}" if said else ""
+    bound_text = " and ".join(bound for bound in bounds if bound)
+    return (lambda value: value > above and value >= least and value < below), f" {bound_text}" if bound_text else ""

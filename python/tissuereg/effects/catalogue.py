@@ -33,7 +33,7 @@ EFFECTS: dict[str, type[Effect]] = {
 
 _ORDER = list(EFFECTS)
 
-#: Fitted beside the causes, never found: no table of an experiment has them.
+#: Uncertainties that `diagnose` fits together with the causes, never an effect that a table may hold.
 _NUISANCES = ("drift", "mesh_error")
 
 
@@ -48,7 +48,7 @@ def effect_from_table(content: Mapping[str, Any]) -> Effect:
     Returns
     -------
     Effect
-        Checked by itself; whether it fits an experiment, `check_effects` says.
+        With its keys checked; `check_effects` checks that it fits an experiment.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def check_effects(experiment: Experiment) -> None:
     Raises
     ------
     ExperimentError
-        It says what must hold and names the table by its number and id.
+        If an effect does not fit; the message states what must hold and names the table by its number and id.
     """
     laws = [i for i, effect in enumerate(experiment.effects) if isinstance(effect, OtherLaw)]
     for i, effect in enumerate(experiment.effects):
@@ -113,8 +113,8 @@ def extended(experiment: Experiment, element: str = "tet4") -> Experiment:
     Returns
     -------
     Experiment
-        Effects that are left are those that the solver reads while it runs (memory, sliding) and those of the measuring
-        chain; the experiment itself where it has no others than the latter.
+        Its remaining effects are those that the solver reads while it runs (memory, sliding) and those of the measuring
+        chain. The same object if it has effects of the measuring chain alone, or none.
 
     Raises
     ------
@@ -180,7 +180,9 @@ def _kind(identity: object) -> type[Effect]:
     if identity is None:
         refuse("`id` must be given")
     if identity in _NUISANCES:
-        refuse("`id` must be a cause; this one is fitted beside them and stands in no table", identity)
+        refuse(
+            "`id` must be a cause; this one is an uncertainty that is fitted with the causes, not an effect", identity
+        )
     if not isinstance(identity, str) or identity not in EFFECTS:
         refuse(f"`id` must be one of {', '.join(EFFECTS)}", identity)
     return EFFECTS[identity]

@@ -1,4 +1,4 @@
-"""What the marker tracker does to places: frame, scale, delay, markers that slip or are taken for each other."""
+"""Errors of the marker tracker: frame, scale, delay, markers that slip or are taken for each other."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class Scale(ChainEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class Latency(ChainEffect):
-    """The tracker is late: at time t it sees what was at t - latency; before the first frame all is at rest there."""
+    """The tracker is late: at time t it sees the places of t - latency; before the first frame, those of the first."""
 
     id: ClassVar[str] = "latency"
     latency_s: float = number("delay; negative: early")
@@ -59,13 +59,13 @@ class Latency(ChainEffect):
         return _at(times - self.latency_s, places, times)
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return what was seen later, linear between frames; the last frame stands for what came after it."""
+        """Return what was seen later, linear between frames; after the last frame, its places are used."""
         return _at(times + self.latency_s, seen, times)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerSlip(ChainEffect):
-    """From a time on, through all later cases, a marker sits off its place."""
+    """From a time on, through all later cases, a marker has slipped from its place."""
 
     id: ClassVar[str] = "marker_slip"
     repeatable: ClassVar[bool] = True
@@ -78,7 +78,7 @@ class MarkerSlip(ChainEffect):
         _known(experiment, "marker", self.marker)
 
     def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return places with the marker off its own."""
+        """Return places with the marker moved by its slip."""
         return self._moved(places, times, names, 1.0)
 
     def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
@@ -129,7 +129,7 @@ def _at(moments: FloatArray, values: FloatArray, times: FloatArray) -> FloatArra
     earlier = np.maximum(later - 1, 0)
     step = np.where(later > earlier, times[later] - times[earlier], 1.0)
     weight = np.clip((moments - times[earlier]) / step, 0.0, 1.0)
-    # A frame that is hit owes nothing to a neighbour that is missing.
+    # At the time of a frame its value alone counts: a missing neighbour must not make it NaN.
     earlier, later = np.where(weight == 1.0, later, earlier), np.where(weight == 0.0, earlier, later)
     weight = weight.reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1.0 - weight) * values[earlier] + weight * values[later])

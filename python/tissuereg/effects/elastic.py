@@ -67,7 +67,7 @@ class OtherLaw(Effect):
                 refuse(f"`{key}` must be given with the law '{self.law}'")
         if self.alpha is not None and self.weight is not None and len(self.alpha) != len(self.weight):
             refuse("`alpha` and `weight` must be of one length", [len(self.alpha), len(self.weight)])
-        # Ranges are the material's own.
+        # `Material` checks the ranges.
         self.of(Material())
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
@@ -85,21 +85,21 @@ class OtherLaw(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Stiffening(OtherLaw):
-    """The body stiffens with strain."""
+    """The body stiffens as strain grows."""
 
     id: ClassVar[str] = "stiffening"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mooney(OtherLaw):
-    """The second invariant has a share of the energy."""
+    """The strain energy depends on the second invariant as well as on the first."""
 
     id: ClassVar[str] = "mooney"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Asymmetry(OtherLaw):
-    """Pull and push are no mirror images."""
+    """The body responds differently to tension and to compression."""
 
     id: ClassVar[str] = "asymmetry"
 
@@ -115,6 +115,6 @@ class Fibre(Effect):
     tension_only: bool = flag("whether shortened fibres are slack", default=True)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment with these fibres beside its law."""
+        """Return the experiment with these fibres added to its law."""
         fibre = Fibres(self.k1_over_mu, self.k2, self.direction, self.tension_only)
         return replace(experiment, material=replace(experiment.material, fibre=fibre))

@@ -1,4 +1,4 @@
-"""What the body remembers: relaxation, viscosity, softening, set, swelling, drainage."""
+"""Effects of the body's history: relaxation, viscosity, softening, set, swelling, drainage."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -15,18 +15,18 @@ class Memory(Effect):
     """An effect that acts while a case runs through time; fields as the solver names them."""
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment as it is: the solver reads the effect itself."""
+        """Return the experiment unchanged: the solver reads the effect itself."""
         return experiment
 
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(Memory):
-    """Prony series: shares `g` of the stress relax with the times `tau_s`; the modulus is the instantaneous one."""
+    """Prony series: shares `g` of the stress relax over the times `tau_s`; the modulus is the instantaneous one."""
 
     id: ClassVar[str] = "relaxation"
     g: tuple[float, ...] = numbers("shares of the stress that relax; their sum is less than 1", above=0.0, below=1.0)
-    tau_s: tuple[float, ...] = numbers("their times", above=0.0)
-    part: str = text("of which stress", among=("whole", "isochoric"), default="whole")
+    tau_s: tuple[float, ...] = numbers("their time constants", above=0.0)
+    part: str = text("stress that relaxes", among=("whole", "isochoric"), default="whole")
 
     def check(self) -> None:
         """Refuse lists of two lengths, and shares that leave nothing."""
@@ -38,7 +38,7 @@ class Relaxation(Memory):
 
 @dataclass(frozen=True, kw_only=True)
 class Rate(Memory):
-    """A stress that grows with the rate of strain."""
+    """A viscous stress that grows with the rate of strain."""
 
     id: ClassVar[str] = "rate"
     absolute: ClassVar[bool] = True
@@ -51,7 +51,7 @@ class Softening(Memory):
 
     id: ClassVar[str] = "softening"
     absolute: ClassVar[bool] = True
-    r: float = number("Ogden and Roxburgh's r: 1/r of the stress is lost at most", least=1.0)
+    r: float = number("Ogden and Roxburgh's r: at most 1/r of the stress is lost", least=1.0)
     m_kpa: float = number("energy over which it is lost", above=0.0)
     beta: float = number("dependence of that energy on the largest one so far", least=0.0, default=0.0)
     form: str = text(
@@ -61,14 +61,14 @@ class Softening(Memory):
     )
 
     def check(self) -> None:
-        """Refuse a `beta` of damage."""
+        """Refuse a `beta` other than 0 with damage."""
         if self.form == "damage" and self.beta != 0.0:
             refuse("`beta` must be 0 for damage", self.beta)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Set(Memory):
-    """A share of the largest strain so far that stays."""
+    """Permanent set: a share of the largest strain so far stays when the load is gone."""
 
     id: ClassVar[str] = "set"
     fraction: float = number("share of the largest strain so far that stays", above=0.0, below=1.0)
@@ -76,9 +76,9 @@ class Set(Memory):
 
 @dataclass(frozen=True, kw_only=True)
 class Swelling(Memory):
-    """Growth of all lengths by `linear_strain`, evenly from one time to another; negative: drying.
+    """Growth of all lengths by `linear_strain`, at a constant rate from one time to another; negative: drying.
 
-    Pads that are bonded hold their patches against it, or follow as the body grows where nothing touches it.
+    Bonded pads hold their patches in place against the growth, or move as the free body would grow there.
     """
 
     id: ClassVar[str] = "swelling"
@@ -103,8 +103,8 @@ class Swelling(Memory):
 
 @dataclass(frozen=True, kw_only=True)
 class Drainage(Memory):
-    """Relaxation of a share of the volumetric stress, in place of a fluid that leaves."""
+    """A share of the volumetric stress relaxes: a simple substitute for fluid that drains from the body."""
 
     id: ClassVar[str] = "drainage"
     share: float = number("share of the volumetric stress", above=0.0, below=1.0)
-    tau_s: float = number("its time", above=0.0)
+    tau_s: float = number("time constant of its relaxation", above=0.0)

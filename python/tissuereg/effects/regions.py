@@ -1,4 +1,4 @@
-"""Where the body is stiffer or softer: factors on Young's modulus that can be asked for at any point."""
+"""Where the body is stiffer or softer: factors on Young's modulus that can be evaluated at any point."""
 
 import math
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from tissuereg.mesh import Mesh
 _LATTICE_ROWS = 6
 
 #: Rows of sample points in a triangle of the surface, and how many nearest ones give a point's candidate triangles:
-#: distances are then right to some hundredths of an edge.
+#: distances are then accurate to some hundredths of an edge.
 _TRIANGLE_ROWS = 4
 _CANDIDATES = 4
 
@@ -56,7 +56,7 @@ class Ellipsoid:
         return 2.0 * max(self.semi_axes) / min(self.semi_axes)
 
     def depth(self, points: FloatArray) -> FloatArray:
-        """Return the depth of points (..., 3), right at the edge to first order, exact for a ball."""
+        """Return the depth of points (..., 3): to first order near the edge, exact for a ball."""
         offset = points - np.asarray(self.centre)
         axes = np.asarray(self.semi_axes)
         size = np.linalg.norm(offset / axes, axis=-1)
@@ -70,7 +70,7 @@ class Ellipsoid:
 
 
 class OuterLayer:
-    """All that lies less than a thickness below the free surface.
+    """The part of the body that lies less than a thickness below the free surface.
 
     Parameters
     ----------
@@ -136,8 +136,8 @@ def _surface_of(mesh: Mesh) -> _FreeSurface:
 def share_inside(region: Region, mesh: Mesh, n_points: int = 1) -> FloatArray:
     """Return the share of every tet's volume, or of the volume around each of its points, that lies inside a region.
 
-    A lattice of points stands for each tet that the edge may cross, and the edge is as wide as their spacing: the share
-    is continuous in the region's place and size.
+    Each tet that the edge may cross is sampled at a lattice of points, and the edge is smoothed over their spacing: the
+    share is continuous in the region's place and size.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def share_inside(region: Region, mesh: Mesh, n_points: int = 1) -> FloatArray:
     mesh : Mesh
         Reference shape.
     n_points : {1, 4}
-        Quadrature points of an element; of four each has the quarter of the tet that is nearest to its corner.
+        Quadrature points of an element; each of four takes the quarter of the tet that is nearest to its corner.
 
     Returns
     -------
@@ -166,10 +166,10 @@ def share_inside(region: Region, mesh: Mesh, n_points: int = 1) -> FloatArray:
 
 
 def _parts(weights: FloatArray, n_points: int) -> FloatArray:
-    """Return how much each point of a lattice counts for each quadrature point, columns of sum 1."""
+    """Return the weight of each lattice point for each quadrature point; columns sum to 1."""
     if n_points == 1:
         return np.full((len(weights), 1), 1.0 / len(weights))
-    # Points as near to two corners as to each other count half for each.
+    # Points at the same distance from several corners are shared equally among them.
     nearest = np.isclose(weights, weights.max(axis=1, keepdims=True)).astype(np.float64)
     nearest /= nearest.sum(axis=1, keepdims=True)
     return np.asarray(nearest / nearest.sum(axis=0))
@@ -195,7 +195,7 @@ class Layer(Effect):
     """An outer layer below the free surface whose modulus is `contrast` times that of the core."""
 
     id: ClassVar[str] = "layer"
-    thickness_mm: float = number("depth below the free surface; held faces are none", above=0.0)
+    thickness_mm: float = number("depth below the free surface, which excludes held faces", above=0.0)
     contrast: float = number("modulus inside over outside", above=0.0)
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:

@@ -1,4 +1,4 @@
-"""What holds the body: boundaries that slide or have come off in part."""
+"""What holds the body: boundaries that slide or are detached in part."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -34,7 +34,7 @@ class Sliding(_Support):
     """A boundary that slides on its tangent plane against springs, in kPa per mm of slip, or against friction.
 
     With friction it sticks until it is pulled harder than `cohesion_kpa` and `friction` times the pressure on it, by
-    Coulomb's law. The pressure is what a load adds to the body as it is given.
+    Coulomb's law. The pressure is that which the loads add to the given shape.
     """
 
     id: ClassVar[str] = "sliding"
@@ -46,13 +46,13 @@ class Sliding(_Support):
     )
 
     def check(self) -> None:
-        """Refuse none or both, and a cohesion of springs."""
+        """Refuse neither or both of springs and friction, and a cohesion with springs."""
         exactly_one(self, ("spring_kpa_per_mm",), ("friction",))
         if self.cohesion_kpa is not None and self.friction is None:
             refuse("`cohesion_kpa` must come with `friction`")
 
     def fits(self, experiment: Experiment) -> None:
-        """Refuse an unknown boundary, and one of loose nodes."""
+        """Refuse an unknown boundary, and one without a whole triangle of the surface."""
         super().fits(experiment)
         if not len(self.triangles(experiment)):
             n_nodes = len(self.held_by(experiment).nodes)
@@ -66,26 +66,26 @@ class Sliding(_Support):
         return np.asarray(surface[np.isin(surface, self.held_by(experiment).nodes).all(axis=1)])
 
     def applied(self, experiment: Experiment, element: str) -> Experiment:
-        """Return the experiment as it is: the solver reads the springs from the effect."""
+        """Return the experiment unchanged: the solver reads the springs from the effect."""
         return experiment
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detachment(_Support):
-    """A part of a boundary that has come off and is free.
+    """A part of a boundary is detached, and its nodes are free.
 
-    Either all within a ball; or a rim: seen from the boundary's centre, the part that lies farthest towards
+    It is either all within a ball, or a rim: seen from the boundary's centre, the part that lies farthest towards
     `azimuth_deg` (from x to y, about z), until it makes up `share` of the boundary's area.
     """
 
     id: ClassVar[str] = "detachment"
-    centre_mm: Vector | None = numbers("centre of a ball that has come off", 3, default=None)
+    centre_mm: Vector | None = numbers("centre of a ball that is detached", 3, default=None)
     radius_mm: float | None = number("its radius", above=0.0, default=None)
-    azimuth_deg: float | None = number("or: direction of the rim that has come off, from x to y about z", default=None)
+    azimuth_deg: float | None = number("or: direction of the detached rim, from x to y about z", default=None)
     share: float | None = number("share of the boundary's area that it makes up", above=0.0, below=1.0, default=None)
 
     def check(self) -> None:
-        """Refuse half a ball, half a rim, or both."""
+        """Refuse an incomplete ball, an incomplete rim, or both together."""
         exactly_one(self, ("centre_mm", "radius_mm"), ("azimuth_deg", "share"))
 
     def fits(self, experiment: Experiment) -> None:
@@ -99,7 +99,7 @@ class Detachment(_Support):
             refuse(f"the region must leave a part of '{self.boundary}', the one boundary, it frees all {len(freed)}")
 
     def freed(self, mesh: Mesh, nodes: IntArray) -> IntArray:
-        """Return the nodes of a boundary that have come off.
+        """Return the detached nodes of a boundary.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class Detachment(_Support):
         Returns
         -------
         ndarray of int64, shape (n_freed,)
-            Some of them.
+            The detached ones.
         """
         places = mesh.nodes[nodes]
         if self.centre_mm is not None and self.radius_mm is not None:
@@ -134,14 +134,14 @@ class Detachment(_Support):
         Returns
         -------
         tuple of ndarray of float64, each of shape (n,)
-            How far each node lies behind the outermost one towards `azimuth_deg`, mm, never decreasing; and the share
-            of the area that it stands for.
+            Distance of each node behind the outermost one, along `azimuth_deg`, mm, never decreasing; and the share of
+            the boundary's area that the node represents.
         """
         order, towards, areas = self._towards(mesh, nodes)
         return towards[order[0]] - towards[order], areas
 
     def _towards(self, mesh: Mesh, nodes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the nodes' order towards the azimuth, how far they lie there, and their shares of the area."""
+        """Return the nodes' order, outermost first, coordinates along the azimuth, and area shares in that order."""
         assert self.azimuth_deg is not None  # `check` has seen it
         angle = np.deg2rad(self.azimuth_deg)
         towards = mesh.nodes[nodes] @ np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -162,12 +162,12 @@ class Detachment(_Support):
 
 
 def freeing_shares(areas: FloatArray) -> FloatArray:
-    """Return from which share on each node of a rim is free: once half of what it stands for has come off.
+    """Return the detached share from which on each node of a rim is free: when half of its area has detached.
 
     Parameters
     ----------
     areas : ndarray of float64, shape (n,)
-        Shares of the area, the outermost node first.
+        Share of the boundary's area that each node represents, the outermost node first.
 
     Returns
     -------
@@ -178,7 +178,7 @@ def freeing_shares(areas: FloatArray) -> FloatArray:
 
 
 def node_areas(mesh: Mesh, nodes: IntArray) -> FloatArray:
-    """Return the area of surface that each node of a patch stands for.
+    """Return the area of surface that each node of a patch represents.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ class _Weight(Effect):
     in_reference: bool | None = flag("whether the mesh already hangs in it", default=None)
 
     def check(self) -> None:
-        """Refuse a table that says nothing."""
+        """Refuse a table without keys."""
         if self.direction is None and self.g_mm_per_s2 is None and self.in_reference is None:
             refuse("one of `direction`, `g_mm_per_s2`, `in_reference` must be given")
 
@@ -43,7 +43,7 @@ class _Weight(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Gravity(_Weight):
-    """Another weight than the believed one: tilted, stronger, or there at all."""
+    """A weight other than the believed one: tilted, stronger or weaker, or present where none is believed."""
 
     id: ClassVar[str] = "gravity"
 

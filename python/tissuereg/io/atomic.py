@@ -1,8 +1,8 @@
 """Write files and folders whole or not at all.
 
-A writer gets a place in a draft (`tissuereg.io.drafts`); only when it has finished is that made durable and renamed
-onto the name the user gave. Whatever goes wrong before leaves the old content untouched, and what a killed process
-leaves of its draft the next writer to the same folder removes.
+A writer works in a draft (`tissuereg.io.drafts`). Only when it has finished is the draft made durable and renamed to
+the name that the user gave. An error before that leaves the old content untouched; the draft of a killed process is
+removed by the next writer to the same folder.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from tissuereg.io.drafts import draft, remove_stale_drafts
 
 
 class OutputError(TissueRegError, OSError):
-    """An output file or folder cannot be written where it was asked for."""
+    """An output file or folder cannot be written at the requested place."""
 
 
 @contextlib.contextmanager
@@ -84,7 +84,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = place("path", path, error=OutputError)
     check_folder_target(target)
-    # A folder that stands may be all that can be written there, or a file system of its own.
+    # An existing folder may be the only writable one there, or a mount point: it is filled, not replaced.
     with _as_output_error(target), _draft_in(target if target.is_dir() else target.parent) as made:
         remove_stale_drafts(target.parent)
         yield made
@@ -115,7 +115,7 @@ def check_file_target(path: str | os.PathLike[str]) -> None:
 
 
 def check_folder_target(path: str | os.PathLike[str]) -> None:
-    """Refuse early a folder name that could not be written at the end of a long run; what it holds is no matter.
+    """Refuse early a folder name that could not be written at the end of a long run; what it holds does not matter.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def _standing_folder(target: Path) -> Path:
 
 @contextlib.contextmanager
 def _draft_in(folder: Path) -> Iterator[Path]:
-    """Give an empty folder to write in below `folder`, which is made where absent and goes again if it stays empty."""
+    """Give an empty folder below `folder`, which is made where absent and removed again if it stays empty."""
     absent = [folder, *folder.parents]
     absent = [one for one in absent if not one.exists()]
     folder.mkdir(parents=True, exist_ok=True)
@@ -171,12 +171,12 @@ def _move_content(made: Path, target: Path) -> None:
         try:
             made.rename(target)
         except OSError:
-            if not target.is_dir():  # made by another process in this very moment
+            if not target.is_dir():  # another process has just made it
                 raise
         else:
             return
     moves = [(one, target / one.relative_to(made)) for one in sorted(made.rglob("*"))]
-    for one, final in moves:  # all are looked at before any is moved
+    for one, final in moves:  # all are checked before any is moved
         if final.exists() and final.is_dir() != one.is_dir():
             message = f"{final} must be a {'folder' if one.is_dir() else 'file'}, or absent, for results to replace it"
             raise OutputError(message, where=str(final))

@@ -1,6 +1,6 @@
-"""What a file must be before it is read: there, no larger than its kind may be, and with the head of its kind.
+"""Checks of a file before it is read: it exists, is no larger than its kind may be, and begins as its kind does.
 
-The sizes bound memory and time whatever a file holds; they stand in ``docs/files.md``. While it is read, a table takes
+The sizes bound memory and time whatever a file holds; ``docs/files.md`` lists them. While it is read, a table takes
 up to forty times its size in memory, a mesh up to ten times.
 """
 
@@ -15,7 +15,7 @@ from tissuereg.errors import FormatError
 #: Largest sizes in MB (1e6 bytes): tables; lists of points, TOML and model cards; meshes, surfaces and archives.
 TABLE_MB, TEXT_MB, MESH_MB = 64, 16, 256
 
-#: How a file of each suffix begins, white space apart.
+#: How a file of each suffix begins, after any white space.
 _HEADS = {
     ".vtu": (b"<?xml", b"<VTKFile", b"<!--"),
     ".vtp": (b"<?xml", b"<VTKFile", b"<!--"),
@@ -64,7 +64,7 @@ def existing_file(path: str | os.PathLike[str], most_mb: int | None = None) -> P
 
 
 def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
-    """Return `path` if it is a mesh or surface of at most `MESH_MB` that begins as its suffix promises.
+    """Return `path` if it is a mesh or surface of at most `MESH_MB` that begins as files of its suffix do.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def mesh_file(path: str | os.PathLike[str], what: str) -> Path:
     Raises
     ------
     FormatError
-        If it is no file, too large, or begins otherwise; nothing but the head is read for that.
+        If it is no file, too large, or begins otherwise. Only the head of the file is read.
     """
     file = existing_file(path, MESH_MB)
     suffix = file.suffix.lower()
@@ -146,7 +146,7 @@ def read_text(file: Path, most_mb: int = TEXT_MB) -> str:
 
 
 def too_large(file: Path, most_mb: int, found: str) -> FormatError:
-    """Return the error that says that a file is larger than its kind may be."""
+    """Return the error for a file that is larger than its kind may be."""
     message = f"{file} must have at most {most_mb} MB, {found}; docs/files.md states the sizes"
     return FormatError(message, where=str(file))
 
@@ -173,12 +173,12 @@ class _Bounded(io.RawIOBase):
 
 
 def _rule_of_binary_stl(head: bytes, size: int) -> str | None:
-    """Return what a binary .stl must do that this one does not; its length follows from the number of triangles."""
+    """Return the rule that a binary .stl breaks, or None: its length must follow from its number of triangles."""
     n_triangles = int.from_bytes(head[_BINARY_STL_HEAD - 4 : _BINARY_STL_HEAD], "little")
     whole = _BINARY_STL_HEAD + _BINARY_STL_ROW * n_triangles
     if len(head) >= _BINARY_STL_HEAD and size == whole:
         return None
-    return f"begin with 'solid', or be as long as its number of triangles asks ({whole} bytes, it has {size})"
+    return f"begin with 'solid', or be as long as its number of triangles requires ({whole} bytes, it has {size})"
 
 
 def _is_text(head: bytes) -> bool:

@@ -1,8 +1,8 @@
-"""Entries that only save time: kept between calls by the content of everything they depend on.
+"""A cache on disk: results that only save time, kept between runs under names made from all that they depend on.
 
-They lie in ``$TISSUEREG_CACHE``, or the user's cache folder; deleting them costs time only. An entry begins with the
-SHA-256 of its name and content, so that one that is damaged, cut or another's is never read: it counts as absent, and
-is made and written anew. A folder that cannot be written costs time, no answer, and a warning says so.
+Entries lie in ``$TISSUEREG_CACHE``, or the user's cache folder; deleting them costs time only. Each begins with the
+SHA-256 of its name and content, so that a damaged, truncated or renamed entry counts as absent and is made anew. If
+the folder cannot be written, a warning is given and nothing is kept; results are the same.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ _SUFFIX = ".cached"
 _MAGIC = b"tissuereg cache 1\n"
 _DIGEST = 32
 
-#: Folders of which this process has said that they cannot be written; None stands for no home.
+#: Folders that this process has warned of, since they cannot be written; None: the user has no home.
 _WARNED: set[Path | None] = set()
 
 
@@ -36,7 +36,7 @@ def cache_folder() -> Path:
 
 
 def read_entry(name: str) -> bytes | None:
-    """Return what was kept under a name.
+    """Return the content of the entry of a name.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def read_entry(name: str) -> bytes | None:
     Returns
     -------
     bytes or None
-        None where there is none, or none that is whole.
+        None if there is no entry, or a damaged one.
     """
     try:
         whole = (cache_folder() / f"{name}{_SUFFIX}").read_bytes()
@@ -58,16 +58,16 @@ def read_entry(name: str) -> bytes | None:
 
 
 def keep_entry(name: str, content: bytes, most: int) -> None:
-    """Keep an entry, and let the oldest of its kind go; where that cannot be done, warn, once a process.
+    """Keep an entry, and delete the oldest of its kind; where that cannot be done, warn, once per process.
 
     Parameters
     ----------
     name : str
-        Its kind is what stands before the first underscore.
+        The part before the first underscore is the entry's kind.
     content : bytes
-        What `read_entry` shall return.
+        The content that `read_entry` is to return.
     most : int
-        Entries of this kind that stay.
+        Number of entries of this kind that are kept.
     """
     folder = None
     try:
@@ -92,5 +92,5 @@ def _digest(name: str, content: bytes) -> bytes:
 def _age(path: Path) -> float:
     try:
         return path.stat().st_mtime
-    except OSError:  # another process has let it go
+    except OSError:  # another process has deleted it
         return 0.0

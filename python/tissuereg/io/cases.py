@@ -1,7 +1,7 @@
 """The tables of an experiment folder: ``case,time_s,<who>,x,y,z``, grouped into load histories.
 
-The frames of a case are the moments at which markers were looked for. Measured forces and targets must fall
-on frames; what actuators do is interpolated linearly onto them.
+The frames of a case are the times of its rows in markers.csv, or of its actuators' rows if it has no markers. Measured
+forces and targets must fall on frames; prescribed motions and forces of actuators are interpolated linearly.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,7 +27,7 @@ class History:
     Attributes
     ----------
     rows : list of Row
-        Where they stand.
+        Where each was read.
     times : list of float
         s, strictly increasing.
     values : list of tuple of float
@@ -113,14 +113,14 @@ def assemble_cases(
     actuators : sequence of Actuator
         Declared actuators.
     controls : mapping of str to histories
-        What is given to actuators, by kind: ``displacement`` in mm, ``force`` in mN.
+        Prescribed values of actuators by kind: ``displacement`` in mm, ``force`` in mN.
     forces, targets : dict of str to dict of str to History
         Measured.
 
     Returns
     -------
     dict of str to Case
-        Cases with marker rows in file order, then those that only actuators speak of.
+        Cases with marker rows in file order, then those that appear only in actuator tables.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def _on_frames(history: History, frames: FloatArray) -> FloatArray:
 
 
 def _interpolated(history: History, frames: FloatArray, who: str, case: str) -> FloatArray:
-    """Return what an actuator is given at the frames, shape (n_frames, 3)."""
+    """Return the prescribed values of an actuator at the frames, shape (n_frames, 3)."""
     values = np.asarray(history.values)
     whole = np.isfinite(values).all(axis=1)
     times = np.asarray(history.times)[whole]

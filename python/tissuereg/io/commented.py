@@ -40,8 +40,8 @@ def commented_toml(head: Sequence[str], tables: Sequence[tuple[Declaration, Mapp
     head : sequence of str
         Lines of the comment at the top.
     tables : sequence of pairs
-        Declaration and values by key, in the order of the file; a list of tables has one pair a table. None: the table
-        is left out, and shown behind ``#``. A mapping as a value becomes a table of its own.
+        Declaration and values by key, in the order of the file; a list of tables has one pair per table. None: the
+        table is left out, and shown behind ``#``. A mapping as a value becomes a table of its own.
 
     Returns
     -------

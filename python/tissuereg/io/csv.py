@@ -148,7 +148,7 @@ def read_table(
 
 
 def _rows(file: Path, reader: Any, columns: Sequence[str], optional: Sequence[str], most_rows: int | None) -> list[Row]:
-    """Return the rows; reading ends at the first that cannot be one."""
+    """Return the rows; reading ends with an error at the first invalid one."""
     header: list[str] | None = None
     rows: list[Row] = []
     for line in reader:
@@ -181,7 +181,7 @@ def write_table(path: str | os.PathLike[str], header: Sequence[str], rows: Itera
     header : sequence of str
         Column names.
     rows : iterable of sequence
-        One value a column; None and NaN become empty cells, floats keep nine digits.
+        One value per column; None and NaN become empty cells, floats keep nine digits.
     """
     with atomic_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as handle:
         writer = csv.writer(handle, lineterminator="\n")

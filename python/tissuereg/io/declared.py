@@ -1,4 +1,4 @@
-"""Keys of TOML tables, declared once: readers take what is declared, and the page of the format is made from it."""
+"""Keys of TOML tables, declared once: readers check files by the declarations, and docs/experiment.md lists them."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from tissuereg.io.toml import Table
 
 
 class _Needed:
-    """The default of a key that has none."""
+    """Marks a key that has no default and must be given."""
 
     def __repr__(self) -> str:
         return "needed"
@@ -49,17 +49,17 @@ class Key:
     name : str
         As it stands in the file.
     words : str
-        What it must hold, for the page.
+        What it must hold, in words for docs/experiment.md.
     meaning : str
         One sentence.
     default : object
-        Where it is absent: `NEEDED`, None (nothing is stated), or a value of its kind.
+        Value where the key is absent; None: nothing is stated; `NEEDED`: the key must be given.
     take : callable
         ``take(table)`` returns the checked value.
     unit : str
         Unit of its numbers; empty where they have none.
     otherwise : str
-        What holds where it is absent, in words, if the default does not say so.
+        What applies where the key is absent, in words, where `default` does not show it.
     """
 
     name: str
@@ -82,9 +82,9 @@ class Declaration:
     meaning : str
         One sentence.
     keys : tuple of Key
-        In the order of the page.
+        In the order of docs/experiment.md.
     needed : bool
-        Whether the table must be there.
+        Whether the table must be given.
     """
 
     heading: str
@@ -103,7 +103,7 @@ class Declaration:
         Parameters
         ----------
         table : Table
-            As read; keys that are not declared stay in it, for `Table.finish` to refuse.
+            As read; keys that are not declared are left for `Table.finish` to refuse.
 
         Returns
         -------
@@ -118,7 +118,7 @@ class Declaration:
         return {key.name: key.take(table) for key in self.keys}
 
     def of(self, top: Table) -> dict[str, Any] | None:
-        """Take this table out of a file, with no key left over.
+        """Read this table of a file, and refuse keys that are not declared.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Declaration:
         return values
 
     def table(self, top: Table) -> Table | None:
-        """Take the table itself, for readers that have more to check in it.
+        """Return the table itself, for readers with further checks.
 
         Parameters
         ----------
@@ -246,7 +246,7 @@ def _one_of(allowed: tuple[str, ...]) -> str:
 
 
 def _usual(default: Any) -> Any:
-    """Return a default as `Table` takes it: None where the key must be there."""
+    """Return a default as `Table` takes it: None where the key must be given."""
     return None if default is NEEDED else default
 
 

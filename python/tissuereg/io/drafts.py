@@ -1,6 +1,6 @@
 """Drafts: the temporary folder in which an output is written before it gets its name.
 
-A draft is a folder ``.tissuereg-tmp-MACHINE-RANDOM`` beside the output, with a file ``lock`` that its writer keeps
+A draft is a folder ``.tissuereg-tmp-MACHINE-RANDOM`` next to the output, with a file ``lock`` that its writer keeps
 locked. The system frees the lock when the process ends, however it ends: a draft whose lock is free was left by a
 killed process, and the next writer to the same folder removes it. Locks may not reach other machines through a shared
 folder, so a draft of another machine is removed only if nothing in it has changed for a day. Windows and file systems
@@ -26,10 +26,10 @@ if sys.platform != "win32":
 #: How the name of every draft begins.
 DRAFT_PREFIX = ".tissuereg-tmp-"
 
-#: A draft of another machine goes when it is older than this, s. Writing takes seconds.
+#: A draft of another machine is removed when it is older than this, s. Writing takes seconds.
 OTHERS_AGE = 86_400.0
 
-#: Names that are tried before giving up; one is lost to a writer that tidies at the same moment.
+#: Names that are tried before giving up: another writer may remove a new draft before it is locked.
 _TRIES = 100
 
 #: Names that this module gives, and what a draft holds: nothing else is ever removed.
@@ -63,12 +63,12 @@ def draft(folder: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(made, ignore_errors=True)
         os.close(lock)
-        if made.exists():  # some systems delete no file that is open, such as the lock
+        if made.exists():  # some systems cannot delete an open file, such as the lock
             shutil.rmtree(made, ignore_errors=True)
 
 
 def remove_stale_drafts(folder: Path) -> None:
-    """Remove drafts that nobody writes any more; what cannot be removed stays.
+    """Remove drafts whose writer has ended; those that cannot be removed stay.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def _make(folder: Path) -> tuple[Path, int]:
         try:
             made.mkdir(mode=0o700)
             lock = _opened(made)
-        except (FileExistsError, FileNotFoundError):  # another writer's name, or tidied away before it was locked
+        except (FileExistsError, FileNotFoundError):  # another writer's name, or removed by one before it was locked
             continue
         if _take(lock) is not False and _still_there(made, lock):
             (made / _CONTENT).mkdir(mode=0o700)

@@ -1,6 +1,7 @@
 """The experiment format as declarations: tables and keys of ``experiment.toml``, columns of its comma-separated tables.
 
-`tissuereg.io.experiments` and `tissuereg.io.material_experiments` read by them; ``docs/experiment.md`` lists them.
+`tissuereg.io.experiments` and `tissuereg.io.material_experiments` read files by them; ``docs/experiment.md`` lists
+them.
 """
 
 from dataclasses import dataclass
@@ -72,7 +73,7 @@ MESH = Declaration(
 
 MATERIAL = Declaration(
     "[material]",
-    "What the body is believed to be made of. Moduli are those of small strain, whatever the law.",
+    "The believed material of the body. Moduli are those at small strain, whatever the law.",
     (
         a_text("law", "strain energy", "neo-hookean", among=LAWS),
         a_belief("young_kpa", "Young's modulus; with a standard deviation it is a prior of `diagnose`"),
@@ -95,7 +96,7 @@ GRAVITY = Declaration(
 
 BOUNDARY = Declaration(
     "[[boundary]]",
-    "A patch that is held; one table a patch. Without any, the mesh's node set `fixed` is held.",
+    "A patch that is held; one table per patch. Without any, the mesh's node set `fixed` is held.",
     (
         a_text("name", "of the patch"),
         a_node_rule("nodes", "which nodes it is"),
@@ -106,11 +107,15 @@ BOUNDARY = Declaration(
 
 ACTUATOR = Declaration(
     "[[actuator]]",
-    "A patch that is moved or pulled; one table a patch. In a case without rows for it its patch is free.",
+    "A patch that is moved or pulled; one table per patch. In a case without rows for it its patch is free.",
     (
         a_text("name", "of the patch, not `fixed`"),
         a_node_rule("nodes", "which nodes it is"),
-        a_text("kind", "what is given to it, in actuators.csv or forces_applied.csv", among=("displacement", "force")),
+        a_text(
+            "kind",
+            "what is prescribed: its displacement (actuators.csv) or its force (forces_applied.csv)",
+            among=("displacement", "force"),
+        ),
         a_text("contact", "how it holds the body", "bonded", among=("bonded",)),
         _EDGE,
     ),
@@ -161,7 +166,7 @@ FORCES = Declaration(
 
 TARGET = Declaration(
     "[[target]]",
-    "An inner point of the body; one table a point.",
+    "An inner point of the body; one table per point.",
     (
         a_text("name", "of the point"),
         a_vector("reference", "its place in the reference shape", unit="mm"),
@@ -214,7 +219,7 @@ class CsvTable:
     file : str
         Its name.
     who : str
-        Third column: whose row it is.
+        Name of the third column: marker, actuator or target.
     unit : str
         Unit of the three numbers.
     meaning : str
@@ -242,11 +247,11 @@ ACTUATORS_CSV = CsvTable(
     "actuators.csv",
     "actuator",
     "mm",
-    "displacement given to a displacement actuator, from the shape that the body has when the case begins",
+    "prescribed displacement of a displacement actuator, from its place when the case begins",
     "where there is such an actuator",
 )
 APPLIED_CSV = CsvTable(
-    "forces_applied.csv", "actuator", "mN", "force given to a force actuator", "where there is such an actuator"
+    "forces_applied.csv", "actuator", "mN", "prescribed force of a force actuator", "where there is such an actuator"
 )
 FORCES_CSV = CsvTable(
     "forces.csv",
@@ -272,5 +277,5 @@ TEST_COLUMNS = {
     "stress_kPa": "nominal stress, kPa, compression negative; empty: not measured",
 }
 
-#: What is given to an actuator, by its kind.
+#: Table of an actuator's prescribed values, by its kind.
 CONTROL_TABLES = {"displacement": ACTUATORS_CSV, "force": APPLIED_CSV}

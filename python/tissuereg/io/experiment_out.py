@@ -26,14 +26,14 @@ def write_experiment(
     experiment : Experiment
         Read from files; beliefs and effects may have been changed since, cases and patches not.
     path : path-like
-        The file, ``experiment.extended.toml`` say; an older one is replaced as a whole.
+        The file, for example ``experiment.extended.toml``; an older one is replaced as a whole.
     seen_from : path-like, optional
         Folder in which the file will be read, where it is written elsewhere first; need not exist.
 
     Raises
     ------
     ExperimentError
-        If a value cannot stand in such a file: a modulus a tet, fibres in the material, a patch without a rule.
+        If a value cannot stand in such a file: a modulus per tet, fibres in the material, a patch without a rule.
     OutputError
         If the file cannot be written there.
     """

@@ -109,7 +109,7 @@ def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> E
 
 
 def is_experiment(path: str | os.PathLike[str]) -> bool:
-    """Say whether a path means an experiment: a folder, or a TOML file that speaks of markers or boundaries.
+    """Return whether a path is that of an experiment: a folder, or a TOML file of a rig or a material test.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def is_experiment(path: str | os.PathLike[str]) -> bool:
 
 
 def is_material_test(path: str | os.PathLike[str]) -> bool:
-    """Say whether a path means a material test: a folder or file whose ``kind`` says so.
+    """Return whether a path is that of a material test: a folder or file with ``kind = "material-test"``.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def is_material_test(path: str | os.PathLike[str]) -> bool:
     Returns
     -------
     bool
-        False where there is no such file: reading it says why.
+        False also where there is no such file; reading it then raises the error.
     """
     place = Path(path)
     file = place / "experiment.toml" if place.is_dir() else place
@@ -173,7 +173,7 @@ def _effect(table: Table) -> Effect:
 
 
 def _mesh(top: Table) -> tuple[Path, Mesh, float, float | None]:
-    """Return file and mesh, and how far its surface may be off, over which length."""
+    """Return file, mesh, standard deviation of its surface in mm, and the length over which that is correlated."""
     given = MESH.of(top)
     assert given is not None  # it is needed
     file = top.file.parent / given["file"]
@@ -226,7 +226,7 @@ def _targets(top: Table) -> dict[str, FloatArray]:
 
 
 def _with_patches(top: Table, mesh: Mesh, boundaries: Sequence[Boundary], actuators: Sequence[Actuator]) -> Mesh:
-    """Return the mesh with the patches as node sets, and ``fixed`` as all that is held."""
+    """Return the mesh with the patches as node sets, and all held nodes as ``fixed``."""
     patches: list[Boundary | Actuator] = [*boundaries, *actuators]
     names = [patch.name for patch in patches]
     repeated = sorted({name for name in names if names.count(name) > 1})
@@ -243,7 +243,7 @@ def _with_patches(top: Table, mesh: Mesh, boundaries: Sequence[Boundary], actuat
 def _tabled(
     top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray], measured: bool
 ) -> _Tabled:
-    """Return what the tables of a folder hold; of a rig that is not `measured` those of markers and forces may miss."""
+    """Return the content of a folder's tables; markers and forces may be absent for a rig that is not `measured`."""
     table = MARKERS.table(top)
     assert table is not None  # it is needed
     given = MARKERS.values(table)

@@ -1,4 +1,4 @@
-"""Fiducials of 3D Slicer as text (``.fcsv``): comment lines with frame and columns, then one point a line, mm."""
+"""Fiducials of 3D Slicer as text (``.fcsv``): comment lines with frame and columns, then one point per line, mm."""
 
 import csv
 import io
@@ -38,7 +38,7 @@ def read_fcsv(path: str | os.PathLike[str]) -> NamedPoints:
     Raises
     ------
     FormatError
-        If the file is missing, does not say its frame, or a line is not a point; the message names the line.
+        If the file is missing, does not state its frame, or a line is not a point; the message names the line.
     """
     file = existing_file(path, TEXT_MB)
     try:
@@ -75,7 +75,7 @@ def _head(file: Path, lines: list[str]) -> tuple[str, list[str]]:
         else:
             frame = _FRAMES[value]
     if frame is None:
-        message = f"{file} must say its frame in a line '# CoordinateSystem = LPS' (or RAS); there is none"
+        message = f"{file} must state its frame in a line '# CoordinateSystem = LPS' (or RAS); there is none"
         raise FormatError(message, where=str(file))
     return frame, columns
 

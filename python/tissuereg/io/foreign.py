@@ -1,4 +1,4 @@
-"""Meshes and surfaces by the readers of other packages: kept quiet, and every failure of theirs a typed error."""
+"""Meshes and surfaces by the readers of other packages, without their output and with typed errors for failures."""
 
 import contextlib
 import io
@@ -9,13 +9,13 @@ from typing import Any
 
 from tissuereg.errors import FormatError, TissueRegError
 
-#: Endings that meshio reads, of a body's mesh or of a surface, and the module of meshio that does.
+#: Endings of meshes and surfaces that meshio reads, and its module for each.
 MESHIO_MODULES: dict[str, str] = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
 
 
 @contextlib.contextmanager
 def hushed() -> Iterator[None]:
-    """Keep prints and notes of other packages to themselves."""
+    """Silence prints and warnings of other packages."""
     silence = io.StringIO()
     with warnings.catch_warnings(), contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
         warnings.simplefilter("ignore")
@@ -24,12 +24,12 @@ def hushed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def reading(file: Path, what: str) -> Iterator[None]:
-    """Run a foreign reader, quietly; whatever it stumbles over is a spoilt file.
+    """Run a reader of another package silently; any error of it counts as an invalid file.
 
     Parameters
     ----------
     file : Path
-        That is read.
+        The file that is read.
     what : str
         What it must be: "a mesh", "a surface".
 
@@ -43,7 +43,7 @@ def reading(file: Path, what: str) -> Iterator[None]:
             yield
     except TissueRegError:
         raise
-    except (Exception, SystemExit) as error:  # a spoilt size ends in a MemoryError, too
+    except (Exception, SystemExit) as error:  # a wrong size in the file may raise MemoryError
         reason = str(error).strip() or type(error).__name__
         message = f"{file} must be {what} of the kind that its name says ({file.suffix}); it cannot be read: {reason}"
         raise FormatError(message, where=str(file)) from error

@@ -77,7 +77,7 @@ def write_material_experiment(
     experiment : MaterialExperiment
         Beliefs and effects may have been changed since it was read.
     path : path-like
-        The file, ``experiment.extended.toml`` say.
+        The file, for example ``experiment.extended.toml``.
     seen_from : path-like, optional
         Folder in which the file will be read, where it is written elsewhere first; need not exist.
 

@@ -106,14 +106,14 @@ def write_vtu(
     point_data : mapping of str to array_like of float, shape (n_nodes,) or (n_nodes, 3), optional
         Values at the nodes, named with their unit.
     says : str
-        What a viewer should know of the whole, in words joined by underscores: the name of an array of field data.
+        A note for viewers about the whole file, in words joined by underscores: the name of an array of field data.
     places : array_like of float, shape (n_nodes, 3), optional
         Where the nodes are drawn, mm, in place of the mesh's own; tets may be inside out there.
 
     Raises
     ------
     ShapeError
-        If an array does not have one row a node.
+        If an array does not have one row per node.
     """
     import meshio
 
@@ -162,7 +162,7 @@ def _from_meshio(file: Path) -> Mesh:
     tets = np.concatenate(corners).astype(np.int64)
     nodes = np.asarray(content.points)
     if tets.size == 0 or tets.min() < 0 or tets.max() >= len(nodes):
-        return _placed(file, nodes, tets, {})  # which says what is wrong
+        return _placed(file, nodes, tets, {})  # which raises the error
     used = np.unique(tets)
     sets = _node_sets(file, content, len(nodes))
     if len(used) < len(nodes):
@@ -195,7 +195,7 @@ def _node_sets(file: Path, content: Any, n_nodes: int) -> dict[str, IntArray]:
         if flags.shape == (n_nodes, 1) and flags.dtype.kind in "biuf" and np.isin(flags, (0, 1)).all():
             sets[str(name)] = np.flatnonzero(flags[:, 0]).astype(np.int64)
         elif name == "fixed":
-            message = f"point data 'fixed' in {file} must be one 0 or 1 a node, got other values"
+            message = f"point data 'fixed' in {file} must be one 0 or 1 per node, got other values"
             raise FormatError(message, where=f"{file}:fixed")
     return sets
 
@@ -231,7 +231,7 @@ def _warn_of_dropped(file: Path, n_dropped: int, second_order: bool) -> None:
 
 
 def _placed(file: Path, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:
-    """Return the mesh, with the file named in whatever is wrong with it."""
+    """Return the mesh; errors about it name the file."""
     try:
         return Mesh(nodes, tets, sets)
     except (MeshError, ShapeError) as error:

@@ -32,7 +32,7 @@ def read_mrk_json(path: str | os.PathLike[str]) -> NamedPoints:
     Parameters
     ----------
     path : path-like
-        One list of points. Where it does not say, the frame is LPS and the unit mm, as in Slicer.
+        One list of points. Where the file does not state them, the frame is LPS and the unit mm, as in Slicer.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def _only_list(file: Path, content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _mm_per_unit(file: Path, unit: object) -> float:
-    """Return how long the file's unit is: a UCUM code, or [code, "UCUM", meaning]."""
+    """Return the millimetres in the file's unit, which is a UCUM code, or [code, "UCUM", meaning]."""
     code = unit
     if isinstance(unit, list):
         code = unit[0] if len(unit) == 3 and unit[1] == "UCUM" else None

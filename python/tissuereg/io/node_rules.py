@@ -1,4 +1,4 @@
-"""Which nodes are meant: a plane, a ball or the name of a node set, in one notation for files, commands and Python."""
+"""Rules that choose nodes: a plane, a ball or the name of a node set, in one notation for files, commands, Python."""
 
 import math
 import sys
@@ -21,7 +21,7 @@ else:
 #: ``plane`` and ``tolerance_mm``, or ``centre_mm`` and ``radius_mm``, or the text of such a table.
 NodeRule = str | Sequence[float] | Mapping[str, Any]
 
-#: How far a node may lie from a plane where nothing is stated, mm.
+#: How far a node may lie from a plane by default, mm.
 TOLERANCE = 0.1
 
 _FORMS = "the name of a node set, 'plane nx ny nz d [tol]' or 'ball x y z r'"
@@ -40,7 +40,7 @@ def nodes_by_rule(mesh: Mesh, rule: NodeRule, name: str = "fixed") -> IntArray:
         ``{"plane": [nx, ny, nz, d], "tolerance_mm": tol}``; `tol` is 0.1 mm where it is absent. Or the surface nodes in
         a ball: ``"ball x y z r"`` or ``{"centre_mm": [x, y, z], "radius_mm": r}``. A table may be given as TOML text.
     name : str
-        What the nodes are for, for the message.
+        Name of the argument or key, for the message.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def parsed_rule(rule: NodeRule, name: str = "fixed") -> tuple[str, list[float]]:
     rule : str, sequence of float or mapping
         As `nodes_by_rule` takes it.
     name : str
-        What the nodes are for, for the message.
+        Name of the argument or key, for the message.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def rule_for_file(rule: NodeRule, name: str = "nodes") -> str | dict[str, Any]:
     rule : str, sequence of float or mapping
         As `nodes_by_rule` takes it.
     name : str
-        What the nodes are for, for the message.
+        Name of the argument or key, for the message.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def rule_for_file(rule: NodeRule, name: str = "nodes") -> str | dict[str, Any]:
 
 
 def _kind_and_words(rule: Any, name: str) -> tuple[str, list[Any]]:
-    """Return ``plane`` or ``ball`` with what was given for its numbers; of a node set the name alone."""
+    """Return ``plane`` or ``ball`` with its numbers as given; for a node set its name without numbers."""
     if isinstance(rule, str):
         if rule.lstrip().startswith("{"):
             return _of_table(_table_from_text(rule, name), name)
@@ -196,7 +196,7 @@ def nodes_near_plane(mesh: Mesh, normal: Sequence[float], offset: float, toleran
     mesh : Mesh
         The body, mm.
     normal : sequence of float, length 3
-        Normal of the plane; any length but none.
+        Normal of the plane, of any length but zero.
     offset : float
         Distance of the plane from the origin along the unit normal, mm.
     tolerance : float

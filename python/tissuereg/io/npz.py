@@ -54,7 +54,7 @@ class Archive:
         name : str
             Name in the archive.
         *shape : int or None
-            Wanted shape; None stands for any length.
+            Wanted shape; None means any length.
         finite : bool
             Whether NaN and infinities are refused.
 
@@ -83,7 +83,7 @@ class Archive:
         name : str
             Name in the archive.
         *shape : int or None
-            Wanted shape; None stands for any length.
+            Wanted shape; None means any length.
 
         Returns
         -------
@@ -153,7 +153,7 @@ def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
     Raises
     ------
     FormatError
-        If there is no such file, if it is no archive of numpy arrays, or if it is too large as it is or unpacked.
+        If there is no such file, if it is no archive of numpy arrays, or if it is too large, packed or unpacked.
     """
     file = existing_file(path, MESH_MB)
     with file.open("rb") as handle, _loaded(file, handle) as arrays:

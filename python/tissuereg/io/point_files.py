@@ -1,4 +1,4 @@
-"""Files of points with labels, such as 3D Slicer's: a reader by the ending of the name; markers and targets."""
+"""Files of points with labels, such as 3D Slicer's: a reader for each ending of the name; markers and targets."""
 
 import os
 import warnings
@@ -23,7 +23,7 @@ POINT_READERS: dict[str, Callable[[str | os.PathLike[str]], NamedPoints]] = {
 
 
 def is_point_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file's name ends as `POINT_READERS` has it: ``.mrk.json``, ``.json``, ``.fcsv``."""
+    """Return whether a file's name has an ending of `POINT_READERS`: ``.mrk.json``, ``.json``, ``.fcsv``."""
     return _ending(path) is not None
 
 
@@ -117,7 +117,7 @@ def markers_of(
             other = next(file for file in files.values() if file is not None and is_point_file(file))
             message = (
                 "markers of a file of points must come in two files, where they sit and, as `measured`, where seen; "
-                f"beside {other} the {role} one is {'missing' if path is None else path}"
+                f"with {other} the {role} one is {'missing' if path is None else path}"
             )
             raise FormatError(message, where=str(other if path is None else path))
     sit, seen = read_points(reference), read_points(measured or "")
@@ -143,7 +143,7 @@ def frame_of_files(paths: list[str | Path]) -> tuple[str, str] | None:
 
 
 def _refuse_strangers(sit: NamedPoints, seen: NamedPoints) -> None:
-    """Refuse a measured label that no marker has: a slip of the pen would lose a marker unseen."""
+    """Refuse a measured label that no marker has: a misspelt label would silently lose a marker."""
     strangers = [name for name in seen.names if name not in sit.names]
     if strangers:
         message = (

@@ -1,4 +1,4 @@
-"""Points with names, as a file of markups gives them: in the file's frame, or converted to a given one."""
+"""Points with names, as read from a file: in the file's frame, or converted to a given one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ class NamedPoints:
     file : Path
         Where they were read.
     frame : str
-        ``"LPS"`` or ``"RAS"``, as the file says.
+        ``"LPS"`` or ``"RAS"``, that of the file.
     names : tuple of str
-        One a point, no repeats.
+        One per point, no repeats.
     places : ndarray of float64, shape (n_points, 3)
-        mm, in `frame`; NaN where the file says that a point is not defined.
+        mm, in `frame`; NaN where a point is not defined in the file.
     """
 
     file: Path
@@ -100,7 +100,7 @@ def turned(points: FloatArray, source: str | None, target: str | None) -> FloatA
     points : ndarray of float64, shape (..., 3)
         Places or directions in `source`.
     source, target : str or None
-        ``"LPS"`` or ``"RAS"``; None is whatever the other one is.
+        ``"LPS"`` or ``"RAS"``; None: the same as the other one, nothing is converted.
 
     Returns
     -------
@@ -115,4 +115,4 @@ def turned(points: FloatArray, source: str | None, target: str | None) -> FloatA
     """
     if source is None or target is None or source == target:
         return points
-    return np.asarray(points * (-1.0, -1.0, 1.0) + 0.0)  # no zero with a minus
+    return np.asarray(points * (-1.0, -1.0, 1.0) + 0.0)  # -0.0 becomes 0.0

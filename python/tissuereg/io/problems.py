@@ -1,4 +1,4 @@
-"""One static problem in one .npz file, and what a solver found for it."""
+"""One static problem in one .npz file, and its solution."""
 
 import os
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from tissuereg.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A body, what it is made of and what acts on it.
+    """A body with its material and load.
 
     Attributes
     ----------
@@ -44,9 +44,9 @@ def read_problem(path: str | os.PathLike[str]) -> Problem:
     ----------
     path : path-like
         An .npz with ``nodes_mm (n, 3)``, ``tets (m, 4)``, ``fixed_nodes (f,)``, ``forces_mN (n, 3)``,
-        ``young_kPa`` and ``poisson`` (one for all, or one a tet); optional are
+        ``young_kPa`` and ``poisson`` (one for all, or one per tet); optional are
         ``body_force_mN_per_mm3 (3,)``, ``prescribed_mm (f, 3)`` (in the order of ``fixed_nodes``) and
-        ``displacement_mm (n, 3)`` to compare with. Other arrays are not looked at.
+        ``displacement_mm (n, 3)`` to compare with. Other arrays are ignored.
 
     Returns
     -------
@@ -75,14 +75,14 @@ def read_problem(path: str | os.PathLike[str]) -> Problem:
 
 
 def write_solution(path: str | os.PathLike[str], problem: Problem, displacement: Any, reactions: Any) -> None:
-    """Write what a solve found, whole or not at all.
+    """Write the solution of a problem, whole or not at all.
 
     Parameters
     ----------
     path : path-like
         The .npz; `read_simulation` and ``tissuereg register --simulation`` take it.
     problem : Problem
-        What was solved.
+        The problem that was solved.
     displacement : array_like of float, shape (n_nodes, 3)
         mm.
     reactions : array_like of float, shape (n_fixed, 3)

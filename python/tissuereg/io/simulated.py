@@ -1,4 +1,4 @@
-"""A folder with what was simulated of an experiment: an experiment of the same rig, and its displacement fields."""
+"""The folder of a simulated experiment: an experiment of the same rig with simulated tables, and displacements."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,7 +24,7 @@ from tissuereg.io.npz import write_npz
 if TYPE_CHECKING:
     from tissuereg.simulate.experiment import CaseSimulation
 
-#: Files that are written beside the fields; those without content are not.
+#: Files that are written in addition to the fields; tables without rows are left out.
 TABLES = ("experiment.toml", *(table.file for table in CSV_TABLES))
 
 #: Values by name in the frames of every case, with their times.
@@ -32,9 +32,9 @@ _Histories = dict[str, tuple[FloatArray, dict[str, FloatArray]]]
 
 
 def write_simulated(
-    out: Path, experiment: Experiment, answers: "Mapping[str, CaseSimulation]", said: Simulated
+    out: Path, experiment: Experiment, answers: "Mapping[str, CaseSimulation]", model: Simulated
 ) -> None:
-    """Write what was simulated, all or nothing.
+    """Write a simulated experiment, all or nothing.
 
     Parameters
     ----------
@@ -44,19 +44,19 @@ def write_simulated(
         What was simulated; its mesh stays where it is.
     answers : mapping of str to CaseSimulation
         All cases.
-    said : Simulated
-        With which model; the experiment file says so.
+    model : Simulated
+        The model that was used; the experiment file states it.
 
     Raises
     ------
     ExperimentError
-        If what is believed cannot stand in an experiment file.
+        If a belief cannot be written to an experiment file.
     OutputError
         If the folder cannot be written.
     """
     with atomic_folder(out) as folder:
         # Paths are those seen from where the folder will be.
-        described = replace(experiment, folder=out, simulated=said)
+        described = replace(experiment, folder=out, simulated=model)
         write_experiment(described, folder / "experiment.toml", seen_from=out)
         for table, histories in simulated_tables(experiment, answers):
             write_histories(folder / table.file, table, histories)
@@ -68,7 +68,7 @@ def write_simulated(
 def simulated_tables(
     experiment: Experiment, answers: "Mapping[str, CaseSimulation]"
 ) -> list[tuple[CsvTable, _Histories]]:
-    """Return the tables of an experiment folder, filled with what was simulated; those without a row are left out.
+    """Return the tables of an experiment folder with simulated values; tables without a row are left out.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def simulated_tables(
     cases = experiment.cases
     tables: list[tuple[CsvTable, _Histories]] = [
         (MARKERS_CSV, {c: (a.times, {n: a.markers[:, i] for i, n in enumerate(names)}) for c, a in answers.items()}),
-        # Forces without a stated noise would make a folder that no reader takes.
+        # `read_experiment` refuses forces without a stated noise.
         (FORCES_CSV, {c: (a.times, a.forces) for c, a in answers.items() if experiment.force_std is not None}),
         (TARGETS_CSV, {c: (a.times, a.targets) for c, a in answers.items()}),
         (ACTUATORS_CSV, {name: (case.times, dict(case.displacements)) for name, case in cases.items()}),

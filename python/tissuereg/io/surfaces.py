@@ -1,7 +1,7 @@
 """Surfaces of triangles: .stl, .ply, .obj and .off by trimesh, .vtp by pyvista, .vtu, .vtk and .msh by meshio.
 
-The unit is told, or read from the head of a file that says it (``unit: mm`` or ``UNITS=mm`` in the header of an .stl or
-in a comment of a .ply, .obj or .off), or else mm. A body's largest extent must lie between 5 and 2,000 mm: anything
+The unit is given, or stated in the head of the file (``unit: mm`` or ``UNITS=mm`` in the header of an .stl or in a
+comment of a .ply, .obj or .off), or else mm. A body's largest extent must lie between 5 and 2,000 mm: anything
 else is refused, with the unit that would make it a body.
 """
 
@@ -25,13 +25,13 @@ from tissuereg.triangles import Triangles
 #: What may be given as a surface: a file, or vertices (n, 3) and triangles (m, 3).
 SurfaceInput = str | os.PathLike[str] | tuple[Any, Any] | Triangles
 
-#: How many mm each unit has.
+#: Millimetres in each unit.
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
-#: Largest extents that an organ has, mm.
+#: Smallest and largest allowed value of a body's largest extent, mm.
 ORGAN_EXTENT_MM = (5.0, 2000.0)
 
-#: Of cm and m, where both would do, the one is likelier whose extent is nearer to this many mm, as a ratio.
+#: Where both cm and m are possible, the likelier one brings the extent closer to this length in mm, by ratio.
 _TYPICAL_EXTENT_MM = 150.0
 
 _WHAT = "a surface"
@@ -52,7 +52,7 @@ def read_triangles(surface: SurfaceInput, unit: str | None = None) -> Triangles:
     surface : path-like, pair of arrays, or Triangles
         A .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh file; or vertices (n, 3) and triangles (m, 3).
     unit : {"mm", "cm", "m"}, optional
-        Of the coordinates. Where absent, what the file's head says, or else mm.
+        Unit of the coordinates. Where absent, that stated in the file's head, or else mm.
 
     Returns
     -------
@@ -160,7 +160,7 @@ def _cut(faces: IntArray) -> IntArray:
 
 
 def _joined(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return the surface with one vertex for all that are equal, in the order in which they first stand."""
+    """Return the surface with equal vertices merged, in the order of their first occurrence."""
     _, first, of_vertex = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)
@@ -168,16 +168,16 @@ def _joined(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntA
     return vertices[first[order]], rank[of_vertex.reshape(-1)[triangles]]
 
 
-def _unit_of(file: Path, told: str | None) -> str:
-    said = _noted_unit(file)
-    if told is not None and said is not None and told != said:
-        text = f"{file} says of itself that it is in {_UNIT_NAMES[said]}; it is read in {_UNIT_NAMES[told]}, as told"
+def _unit_of(file: Path, given: str | None) -> str:
+    stated = _noted_unit(file)
+    if given is not None and stated is not None and given != stated:
+        text = f"{file} states that it is in {_UNIT_NAMES[stated]}; it is read in {_UNIT_NAMES[given]}, as given"
         warnings.warn(text, stacklevel=4)
-    return told or said or "mm"
+    return given or stated or "mm"
 
 
 def _noted_unit(file: Path) -> str | None:
-    """Return the unit that the head of a file notes, if any."""
+    """Return the unit that is stated in the head of a file, if any."""
     suffix = file.suffix.lower()
     if suffix not in _TRIMESH_SUFFIXES:
         return None
@@ -214,7 +214,7 @@ def _advice(extent: float) -> str:
     likely = [unit for unit, factor in UNITS_MM.items() if least <= extent * factor <= most]
     if not likely:
         return f"neither of {', '.join(UNITS_MM)} makes this a body; convert the file"
-    # mm are the commonest; of the others the one whose body is nearer to a usual one.
+    # Millimetres are the commonest; otherwise the unit that brings the extent closest to a usual body's.
     best = min(likely, key=lambda unit: (unit != "mm", abs(np.log(extent * UNITS_MM[unit] / _TYPICAL_EXTENT_MM))))
     return f'looks like {_UNIT_NAMES[best]}; say --unit {best} (unit="{best}" in Python)'
 

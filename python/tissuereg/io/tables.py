@@ -16,7 +16,7 @@ from tissuereg.io.points import turned
 from tissuereg.markers import Markers
 from tissuereg.mesh import PATIENT_FRAMES
 
-#: Standard deviation of a measured coordinate, mm, where nobody says one.
+#: Standard deviation of a measured coordinate, mm, where none is given.
 DEFAULT_STD = 0.1
 
 #: Markers or targets of one moment that a table may hold; a cloud of points is a surface (`read_surface`).
@@ -47,7 +47,7 @@ def read_markers(
     std : float, optional
         Standard deviation in mm of a measured coordinate, for markers without their own; 0.1 where absent.
     measured : path-like, optional
-        Beside points of 3D Slicer: points where the markers were seen, of the same labels. One that is missing, or
+        With points of 3D Slicer: points where the markers were seen, with the same labels. One that is missing, or
         whose status is not ``defined``, was not seen.
     frame : {"LPS", "RAS"}, optional
         Frame of the mesh, in which the markers are wanted. Where absent, that of the file `path`, or a table's numbers
@@ -75,7 +75,7 @@ def read_markers(
     if is_point_file(path) or (measured is not None and is_point_file(measured)):
         return markers_of(path, measured, usual, frame)
     if measured is not None:
-        message = f"a table of markers holds where they were seen itself; {measured} must be left out beside {path}"
+        message = f"a table of markers holds where they were seen itself; {measured} must be left out with {path}"
         raise FormatError(message, where=str(measured))
     rows = read_table(path, ("marker", *_PLACE, *_MOVED), ("std_mm", *_STD), most_rows=MOST_POINTS)
     names = _unique_names(rows, "marker")
@@ -213,12 +213,12 @@ def _target_cells(values: Mapping[str, Any]) -> list[float | None]:
 
 
 def _check_frames(frame: str | None, table_frame: str | None) -> None:
-    """Refuse a frame that is none, and a table's frame without one to bring it to."""
+    """Refuse an unknown frame, and a table's frame without a frame to convert to."""
     for name, value in (("frame", frame), ("table_frame", table_frame)):
         if value is not None:
             check_choice(name, value, PATIENT_FRAMES, MarkerError)
     if table_frame is not None and frame is None:
-        message = f"`table_frame` must come with `frame`, the one to bring it to; got {table_frame} alone"
+        message = f"`table_frame` must come with `frame`, the one to convert to; got {table_frame} alone"
         raise MarkerError(message, where="table_frame")
 
 

@@ -1,4 +1,4 @@
-"""Checked reading of TOML tables: every key is asked for, and none may be left over."""
+"""Checked reading of TOML tables: every key is read, and an unread one is refused."""
 
 import os
 import sys
@@ -42,7 +42,7 @@ class Table:
         return key in self._content
 
     def refuse(self, rule: str, found: object = None) -> NoReturn:
-        """Raise the error that says what must hold in this table.
+        """Raise an error that states what must hold in this table.
 
         Parameters
         ----------
@@ -287,7 +287,7 @@ class Table:
         return [Table(self.file, f"[[{key}]] number {i + 1}", item) for i, item in enumerate(value)]
 
     def rest(self) -> dict[str, Any]:
-        """Take everything that nobody has asked for yet.
+        """Take all values that have not been read yet.
 
         Returns
         -------
@@ -299,12 +299,12 @@ class Table:
         return left
 
     def finish(self) -> None:
-        """Refuse keys that nobody has asked for.
+        """Refuse keys that have not been read.
 
         Raises
         ------
         ExperimentError
-            If there is one; it is named, with what is known.
+            If there is one; the message names it and the known keys.
         """
         unknown = sorted(set(self._content) - self._taken)
         if unknown:

@@ -91,7 +91,7 @@ def _is_list_of_tables(value: Any) -> bool:
 
 
 def toml_key(key: str) -> str:
-    """Return a key as TOML, in quotes where it must have them."""
+    """Return a key as TOML, in quotes where they are needed."""
     return key if _BARE.fullmatch(key) else _text(key)
 
 

@@ -1,8 +1,8 @@
-"""How much memory and time a body will take, told from its symbolic analysis before anything is factored.
+"""How much memory and time a body will take, estimated from its symbolic analysis before anything is factored.
 
-The rule for large bodies (``docs/large-bodies.md``): a body is refused whose estimated memory is more than there is;
-above half of that a warning is given. Numbers of bytes and operations below are properties of the code, set by
-``benchmarks/large_bodies.py``; the speed is that of the machine, measured when it is first needed.
+The rule for large bodies (``docs/large-bodies.md``): a body is refused if its estimated memory is more than what is
+available; above half of that a warning is given. Numbers of bytes and operations below are properties of the code, set
+by ``benchmarks/large_bodies.py``; the speed is that of the machine, measured when it is first needed.
 """
 
 import math
@@ -20,16 +20,16 @@ from tissuereg.errors import LargeBodyError, LargeBodyWarning
 if TYPE_CHECKING:
     from tissuereg.simulate.solve import Simulator
 
-#: A warning is given above this share of the available memory, and a word said above this time in seconds.
+#: A warning is given above this share of the available memory, and a message shown above this time in seconds.
 WARNED_SHARE, LONG_SECONDS = 0.5, 60.0
 
-#: Entries that are held while a factor is made, over those that one thread holds: threads work on several fronts.
+#: Working entries while a factor is made, as a multiple of those of one thread: threads work on several fronts.
 _WORKING = 2.4
 
-#: A factor of so many entries is looked at in any case, whatever is done with the body.
+#: A factor of so many entries is checked in any case, whatever is done with the body.
 _LARGE_ENTRIES = 10_000_000
 
-#: Operations at the speed of products of matrices: an entry of the factor and right-hand side; a tet and factorisation.
+#: Costs as operations at the speed of matrix products: per factor entry and right-hand side; per tet and factorisation.
 _PER_ENTRY, _PER_TET = 42.0, 4e5
 
 #: Order of the matrix product that measures the speed, and how often it is made.
@@ -38,13 +38,13 @@ _ORDER, _REPEATS = 512, 5
 #: Meshes of fewer nodes are not suggested.
 _SMALLEST = 50
 
-#: What a mesh that fits should leave free of the memory.
+#: Share of the available memory that a suggested mesh may take.
 _ROOM = 0.85
 
 
 @dataclass(frozen=True)
 class BodySize:
-    """What the symbolic analysis tells.
+    """Result of the symbolic analysis.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class BodySize:
     flops : float
         Floating-point operations of one factorisation.
     n_working : int
-        Most entries that one thread holds besides while it makes the factor.
+        Most additional entries that one thread holds while it makes the factor.
     element : str
         Elements of the solver.
     """
@@ -78,7 +78,7 @@ class BodySize:
 
 @dataclass(frozen=True)
 class Work:
-    """What will be done with a body.
+    """The work to be done with a body.
 
     Attributes
     ----------
@@ -91,13 +91,13 @@ class Work:
     right_hand_sides : int
         Expected number.
     fields : int
-        Whole fields, three numbers a node, that are held at the same time.
+        Whole fields, three numbers per node, that are held at the same time.
     tet_fields : int
-        Numbers a tet that are held at the same time.
+        Numbers per tet that are held at the same time.
     later_bytes : int
-        What is imported and drawn later; no part of the rule, since it does not depend on the body.
+        Memory of modules imported and pictures drawn later; not part of the rule, since it does not depend on the body.
     tet_flops : float
-        All else that is done at every tet, in operations at the speed of products of matrices.
+        All other work per tet, as operations at the speed of matrix products.
     """
 
     factorisations: int
@@ -110,13 +110,13 @@ class Work:
     tet_flops: float = 0.0
 
 
-#: One static solve: the metric at rest in whole numbers, and the iterations of a large deformation.
+#: One static solve: the metric at rest, its factor kept as 16-bit integers, and the iterations of a large deformation.
 SOLVE = Work(1, 1, 2, 60, 60, 60)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a body will need.
+    """Time and memory that a body will need.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Estimate:
     peak_bytes : int
         Memory of the process at most.
     available_bytes : int or None
-        Memory that the process may still take; None where nobody knows.
+        Memory that the process may still take; None if unknown.
     """
 
     size: BodySize
@@ -145,7 +145,7 @@ class Estimate:
     def of(cls, size: BodySize, work: Work, threads: int) -> "Estimate":
         """Return the estimate of some work on a body with so many threads (0: all cores).
 
-        Cost: two milliseconds or so, once a process.
+        Cost: about two milliseconds, once per process.
         """
         n_threads = min(threads or n_cores(), n_cores())
         flops = work.factorisations * (size.flops + _PER_TET * size.n_tets)
@@ -160,7 +160,7 @@ class Estimate:
 
     @property
     def is_small(self) -> bool:
-        """Whether it takes about a second at most, and little of the memory that there is."""
+        """Whether it takes about a second at most, and little of the available memory."""
         return self.seconds < 1.0 and self.added_bytes < 1e9
 
     @property
@@ -170,7 +170,7 @@ class Estimate:
 
     @property
     def is_too_large(self) -> bool:
-        """Whether it needs more memory than there is."""
+        """Whether it needs more memory than is available."""
         return self.available_bytes is not None and self.added_bytes > self.available_bytes
 
     def duration(self) -> str:
@@ -201,7 +201,7 @@ class Estimate:
         Raises
         ------
         LargeBodyError
-            If the estimated memory is more than there is; the message says which mesh would fit.
+            If the estimated memory is more than what is available; the message names the size of a mesh that would fit.
         """
         there = self.available_bytes
         if there is None or self.added_bytes <= WARNED_SHARE * there:
@@ -219,7 +219,7 @@ class Estimate:
         warnings.warn(need, LargeBodyWarning, stacklevel=2)
 
     def _advice(self, there: int) -> str:
-        """Return what to do where there is too little memory."""
+        """Return advice for a body that does not fit into memory."""
         # Entries of a factor grow with the power 4/3 of the nodes (nested dissection in space).
         share = (_ROOM * there / self.added_bytes) ** 0.75
         fits = int(float(f"{share * self.size.n_nodes:.2g}"))
@@ -237,12 +237,12 @@ def check_fits(simulator: "Simulator") -> None:
     Parameters
     ----------
     simulator : Simulator
-        Analysed; nothing is looked up for a small one.
+        Analysed. The available memory is not looked up for a small body.
 
     Raises
     ------
     LargeBodyError
-        If one factor in whole numbers, and what making it takes, is more than there is.
+        If one factor of 16-bit integers, with the memory for making it, is more than what is available.
     """
     if simulator.body.factor_size[0] < _LARGE_ENTRIES:
         return
@@ -253,7 +253,7 @@ def check_fits(simulator: "Simulator") -> None:
 
 @cache
 def product_rate() -> float:
-    """Return the speed of this machine in floating-point operations a second: products of matrices on one thread."""
+    """Return the speed of matrix products on one thread of this machine, in floating-point operations per second."""
     from threadpoolctl import threadpool_limits
 
     left = np.ones((_ORDER, _ORDER), np.float32)
@@ -268,7 +268,7 @@ def product_rate() -> float:
 
 
 def _figure(value: float) -> str:
-    """Return a figure with two digits at least, never with an exponent."""
+    """Return a number in words: at least two digits, never an exponent."""
     return f"{value:,.0f}" if value >= 10.0 else f"{max(value, 0.01):.2g}"
 
 
