@@ -61,14 +61,31 @@ def large(path: Path, megabytes: int, begin: bytes = b"") -> Path:
     return path
 
 
+#: Linux counts what a process held before it became a program as that program's: a small process starts the program.
+STARTER = """
+import os, sys
+child = os.posix_spawn(sys.executable, [sys.executable, *sys.argv[1:]], os.environ)
+_, status, used = os.wait4(child, 0)
+print(f"\\n{os.waitstatus_to_exitcode(status)} {used.ru_maxrss}")
+"""
+
+
 def measured(*words):
-    """Run this Python; return exit code, standard output, and the largest memory of the process in MB."""
-    process = subprocess.Popen([sys.executable, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    said = process.stdout.read().decode()
-    process.stdout.close()
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return process.returncode, said, used.ru_maxrss / 1000  # kB
+    """Run this Python; return exit code, output, and the largest memory of the process in MB."""
+    words = [sys.executable, "-S", "-c", STARTER, *map(str, words)]
+    done = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True)
+    said, _, last = done.stdout.rstrip("\n").rpartition("\n")
+    code, memory = last.split()
+    return int(code), said, int(memory) / 1000  # kB
+
+
+def test_the_memory_of_a_process_is_its_own_and_not_that_of_its_parent():
+    held = bytearray(600_000_000)
+    held[::4096] = b"x" * len(held[::4096])
+    code, said, memory = measured("-c", "print('here')")
+    assert (code, said.strip()) == (0, "here")
+    assert memory < 100 < len(held) / 1e6
+    assert measured("-c", "held = b'x' * 200_000_000")[2] > 200
 
 
 @pytest.mark.parametrize("kind", MESHES)
