@@ -75,15 +75,13 @@ def node_forms() -> str:
 
 def laws() -> str:
     """Return the laws with their energies, out of the docstring of `Material`."""
-    lines = (Material.__doc__ or "").splitlines()
-    rules = [i for i, line in enumerate(lines) if line.strip().startswith("====")]
-    energy = dict(re.split(r"\s{2,}", line.strip())[:2] for line in lines[rules[1] + 1 : rules[2]])
+    rows = re.findall(r"^ +\| ([\w-]+) \| ([^|]+) \| [^|]*\|$", Material.__doc__ or "", flags=re.MULTILINE)
+    energy = {law: words for law, words in rows if law not in ("law", "---")}
     if set(energy) != set(SHAPE_KEYS):
         message = f"the table of laws must name {sorted(SHAPE_KEYS)}, got {sorted(energy)}"
         raise ValueError(message)
     rows = [
-        (f"`{law}`", ", ".join(f"`{key}`" for key in shape) or "none", f"`{energy[law]}`")
-        for law, shape in SHAPE_KEYS.items()
+        (f"`{law}`", ", ".join(f"`{key}`" for key in shape) or "none", energy[law]) for law, shape in SHAPE_KEYS.items()
     ]
     return table(("law", "shape parameters (further keys of the table)", "energy density"), rows)
 

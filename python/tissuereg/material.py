@@ -78,19 +78,17 @@ class Material:
 
     With bars for isochoric invariants and stretches and ``U`` the volumetric energy of the bulk modulus:
 
-    ==================== =========================================================== ==============================
-    law                  energy density                                              shape
-    ==================== =========================================================== ==============================
-    neo-hookean          mu/2 (I1 - 3) - mu ln J + U (lambda in place of K)
-    bimodular            neo-hookean + mu excess sum <ln l_i>^2, stretches l_i       excess
-    mooney-rivlin        mu/2 ((1 - share) (I1bar - 3) + share (I2bar - 3)) + U      share
-    yeoh                 c1 a + c2 a^2 + c3 a^3 + U, a = I1bar - 3, c1 = mu/2        c2_over_c1, c3_over_c1
-    ogden                sum 2 mu_p/alpha_p^2 (sum lbar^alpha_p - 3) + U             alpha, weight (1 to 3 terms each)
-    fung                 mu/(2 b) (exp(b (I1bar - 3)) - 1) + U                       b
-    veronda-westmann     mu/b (exp(b (I1bar - 3)) - 1) - mu/2 (I2bar - 3) + U        b
-    st-venant-kirchhoff  lambda/2 (tr E)^2 + mu E : E, E Green-Lagrange strain
-    hooke                the same of small strain
-    ==================== =========================================================== ==============================
+    | law | energy density | shape |
+    | --- | --- | --- |
+    | neo-hookean | `mu/2 (I1 - 3) - mu ln J + U` (lambda in place of K) | |
+    | bimodular | neo-hookean `+ mu excess sum <ln l_i>^2`, stretches l_i | excess |
+    | mooney-rivlin | `mu/2 ((1 - share) (I1bar - 3) + share (I2bar - 3)) + U` | share |
+    | yeoh | `c1 a + c2 a^2 + c3 a^3 + U`, a = I1bar - 3, c1 = mu/2 | c2_over_c1, c3_over_c1 |
+    | ogden | `sum 2 mu_p/alpha_p^2 (sum lbar^alpha_p - 3) + U` | alpha, weight (1 to 3 terms each) |
+    | fung | `mu/(2 b) (exp(b (I1bar - 3)) - 1) + U` | b |
+    | veronda-westmann | `mu/b (exp(b (I1bar - 3)) - 1) - mu/2 (I2bar - 3) + U` | b |
+    | st-venant-kirchhoff | `lambda/2 (tr E)^2 + mu E : E`, E Green-Lagrange strain | |
+    | hooke | the same of small strain | |
 
     That is the split form of a law. The coupled form has ``I1 - 3 - 2 ln J`` for ``I1bar - 3``,
     ``I2 - 3 - 4 ln J - 2 (ln J)^2`` for ``I2bar - 3``, ``l^alpha - 1 - alpha ln l`` for ``lbar^alpha - 1`` and lambda

@@ -236,6 +236,19 @@ class Registration:
             raise ModelError(message, where="count")
         return self.draw(count)
 
+    def __repr__(self) -> str:
+        used, trusted = len(self.markers.used), "trusted" if self.trust.ok else "not to be trusted"
+        return (
+            f"Registration({self.mesh.n_nodes} nodes, {used} marker{'' if used == 1 else 's'}, {len(self.targets)} "
+            f"target{'' if len(self.targets) == 1 else 's'}, {len(self.contacts)} "
+            f"contact{'' if len(self.contacts) == 1 else 's'}, {trusted})"
+        )
+
+    @property
+    def starts_simulated(self) -> bool:
+        """Whether distances `before` are those of a believed simulation, and not of the body at rest."""
+        return not np.array_equal(self.start_markers, self.all_markers.reference)
+
     def target(self, name: str) -> Target:
         """Return a target by name.
 

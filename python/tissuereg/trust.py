@@ -31,8 +31,8 @@ class Trust:
     p_value : float
         Probability of a misfit at least this large if prior and noise are as stated.
     reasons : list of str
-        Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``wrong marker``,
-        ``inverted tets``, ``simulation``, or a kind of `tissuereg.readings.Suspicion`.
+        Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
+        marker``, ``inverted tets``, ``simulation``, or a kind of `tissuereg.readings.Suspicion`.
     chi_square : float
         J above.
     residual_chi_square : float
@@ -99,6 +99,8 @@ def judge(
             f"misfit: {_data(len(names), points[1])} and model disagree, {total:.1f} where {n_obs} is expected "
             f"(p = {p_value:.2g}); the noise is larger than stated, the prior too narrow, or the model misses something"
         )
+    if len(names) == 1 and not points[1]:
+        reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
     for index, name in enumerate(names):
         rows = seen[seen // 3 == index]
         if not len(rows):

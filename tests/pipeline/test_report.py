@@ -139,3 +139,10 @@ def test_every_reason_starts_with_its_kind(spoilt):
     assert spoilt.trust.reasons
     for reason in spoilt.trust.reasons:
         assert reason.startswith(kinds), reason
+
+
+def test_a_registration_is_one_line_when_printed(spoilt):
+    shown = repr(spoilt)
+    assert shown.startswith(f"Registration({spoilt.mesh.n_nodes} nodes, ")
+    assert shown.endswith("not to be trusted)")
+    assert len(shown) < 120

@@ -133,7 +133,10 @@ BAD = {
     "no mesh": (changed('[mesh]\nfile = "mesh.vtu"\n', ""), r"a table \[mesh\] must be given"),
     "mesh file missing": (changed("mesh.vtu", "gone.vtu"), r"no such file: .*gone\.vtu"),
     "unknown law": (changed("neo-hookean", "jelly"), "`law` must be one of neo-hookean, bimod.* got 'jelly'"),
-    "law without its shape": (changed('"neo-hookean"', '"yeoh"'), r"`c2_over_c1` must be given in \[material\]"),
+    "law without its shape": (
+        changed('"neo-hookean"', '"yeoh"'),
+        r"`c2_over_c1` must be given; the table holds law, .* in \[material\]",
+    ),
     "shape of another law": (changed("poisson = 0.45", "poisson = 0.45\nshare = 0.1"), r"got 'share' in \[material\]"),
     "shape out of range": (changed('"neo-hookean"', '"fung"\nb = -1.0'), r"`b` of the law must be .*not negative"),
     "shape that is no number": (changed('"neo-hookean"', '"fung"\nb = true'), "`b` must be a number or a list"),
@@ -157,6 +160,10 @@ BAD = {
     "unknown kind of actuator": (changed('kind = "displacement"', 'kind = "heat"'), "one of displacement, force"),
     "a number of many digits": (changed("poisson = 0.45", f"poisson = {400 * '9'}"), "`poisson` must be a number or"),
     "a number of thousands of digits": (changed("poisson = 0.45", f"poisson = {5000 * '9'}"), "must be a TOML file"),
+    "a pad that is held": (
+        changed("{ centre_mm = [30.0, 10.0, 40.0], radius_mm = 8.0 }", '"plane 0 0 1 0"'),
+        "must have a node that no boundary holds; all 20 of 'push' are held",
+    ),
     "plane in words, half given": (
         changed("{ centre_mm = [30.0, 10.0, 40.0], radius_mm = 8.0 }", '"plane 0 0 1"'),
         r"`nodes` must be 'plane nx ny nz d \[tol\]'.*in \[\[actuator\]\] number 1",
@@ -166,7 +173,10 @@ BAD = {
         {"toml": EXPERIMENT.replace(EXPERIMENT[EXPERIMENT.index("[[b") : EXPERIMENT.index("[[a")], "")},
         None,  # the mesh has a node set `fixed`, so this one is good
     ),
-    "marker noise missing": (changed("std_mm = 0.05\n", ""), r"`std_mm` must be given in \[markers\]"),
+    "marker noise missing": (
+        changed("std_mm = 0.05\n", ""),
+        r"`std_mm` must be given; the table holds rest_case, reference in \[markers\]",
+    ),
     "trial share negative": (
         changed("std_mm = 0.05", "std_mm = 0.05\ntrial_share = -0.1"),
         "`trial_share` must be a pos",
@@ -235,3 +245,19 @@ def test_a_patch_is_said_as_on_the_command_line(tmp_path, rule, stored):
     pad = tr.read_experiment(write_experiment(tmp_path / "rig", toml=toml)).actuator("push")
     assert pad.rule == stored
     assert pad.nodes.size > 0
+
+
+def test_two_motions_of_one_node_are_refused(tmp_path):
+    second = """
+[[actuator]]
+name = "also"
+nodes = "ball 30 10 40 12"
+kind = "displacement"
+"""
+    rows = "lean,10,also,0,0,0\nlean,11,also,0,0,1\n"
+    folder = write_experiment(tmp_path / "rig", toml=EXPERIMENT + second)
+    assert "push" in tr.read_experiment(folder).cases["lean"].displacements  # absent pads move nothing
+    with (folder / "actuators.csv").open("a", encoding="utf-8") as table:
+        table.write(rows)
+    with pytest.raises(ExperimentError, match=r"must share no node; 'push' and 'also' share \d+ in case 'lean'"):
+        tr.read_experiment(folder)

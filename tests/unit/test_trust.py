@@ -85,3 +85,11 @@ def test_components_that_were_not_seen_are_no_observations():
         # The posterior takes a fifth of the noise.
         one[4, 0] = 0.1 * np.sqrt(0.8 * share * limit)
         assert verdict(one).ok == trusted
+
+
+def test_one_marker_alone_is_not_trusted_unless_points_are_there():
+    noise = 0.01 * np.eye(3)
+    alone = judge(("P0",), np.zeros((1, 3)), noise, 0.2 * noise, 0.0, 0.8, [])
+    assert not alone.ok
+    assert alone.reasons[0].startswith("few markers: P0 ")
+    assert judge(("P0",), np.zeros((1, 3)), noise, 0.2 * noise, 0.0, 0.8, [], (40.0, 40)).ok

@@ -28,7 +28,7 @@ def add_parser(commands: Any) -> None:
     purpose = "find out what the simulation gets wrong"
     parser = command_parser(commands, "diagnose", purpose, _DETAILS, "tissuereg diagnose my-rig --out diagnosed")
     parser.add_argument("experiment", metavar="EXPERIMENT", help="experiment folder or file")
-    parser.add_argument("--out", metavar="OUT", help="folder for the results")
+    parser.add_argument("--out", metavar="OUT", help="folder for the results; without it nothing is written")
     text = "elements of the believed model of a body (default: tet4)"
     parser.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
     parser.add_argument("--no-cache", action="store_true", help="make the bank of causes anew, keep nothing")

@@ -19,6 +19,9 @@ _DETAILS = (
     "to run."
 )
 
+#: Median edge over size below which a line says what makes edges short.
+_SHORT = 0.75
+
 
 def add_parser(commands: Any) -> None:
     """Add the command's parser.
@@ -110,6 +113,17 @@ def _sets(given: list[list[str]]) -> dict[str, list[str]]:
     return sets
 
 
+def _of_deviation(mesh: "FilledMesh") -> list[str]:
+    """Return a line where edges are much shorter than the size because the surface is followed so closely."""
+    size, deviation = float(mesh.settings["size_mm"]), float(mesh.settings["deviation_mm"])
+    if mesh.quality["median_edge_mm"] > _SHORT * size:
+        return []
+    return [
+        f"edges are shorter than the size of {size:g} mm, since faces follow the surface to {deviation:.2g} mm: "
+        f"--deviation {0.1 * size:.2g} gives fewer elements"
+    ]
+
+
 def _summary(mesh: "FilledMesh", seconds: dict[str, float], out: str) -> str:
     found = mesh.quality
     lines = [
@@ -118,6 +132,7 @@ def _summary(mesh: "FilledMesh", seconds: dict[str, float], out: str) -> str:
         f"{found['median_edge_mm']:.3g} mm",
         f"{found['volume_mm3']:.6g} mm^3, {found['volume_change_percent']:+.2g} % against the surface; faces at most "
         f"{found['surface_distance_mm']:.2g} mm from it, the surface at most {found['missed_mm']:.2g} mm from them",
+        *_of_deviation(mesh),
         *(f"repaired: {sentence}" for sentence in mesh.repaired),
         "node sets: " + (", ".join(f"{name} ({len(nodes)})" for name, nodes in mesh.node_sets.items()) or "none"),
         seconds_line(seconds),

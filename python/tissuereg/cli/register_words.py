@@ -20,11 +20,15 @@ def summary(content: dict[str, Any], out: str) -> str:
     str
         Some lines, the last says whether to trust it.
     """
+    from tissuereg.report.words import start_word
+
     markers, trust, body, model = (content[name] for name in ("markers", "trust", "body", "model"))
+    simulated = any(target["simulation_mm"] is not None for target in content["targets"].values())
+    start = start_word(simulated)
     p_value = "not known" if trust["p_value"] is None else f"{trust['p_value']:.3g}"
     return "\n".join(
         [
-            *([_marker_line(markers)] if markers["used"] or markers["dropped"] else []),
+            *([_marker_line(markers, start)] if markers["used"] or markers["dropped"] else []),
             *([_surface_line(content["surface"])] if content["surface"] is not None else []),
             *(_target_line(name, target) for name, target in content["targets"].items()),
             f"smallest det F {body['min_det_f']:.3f}, {body['inverted_tets']} inverted tets; p-value of the "
@@ -47,12 +51,14 @@ def _surface_line(surface: dict[str, Any]) -> str:
     )
 
 
-def _marker_line(markers: dict[str, Any]) -> str:
+def _marker_line(markers: dict[str, Any], start: str) -> str:
+    from tissuereg.report.words import counted
+
     lost = ", ".join(f"{item['marker']} ({item['reason']})" for item in markers["dropped"])
-    return (
-        f"{len(markers['used'])} markers used{f'; dropped: {lost}' if lost else ''}; rms distance "
-        f"{markers['before_rms_mm']:.3f} mm before, {markers['after_rms_mm']:.3f} mm after"
-    )
+    used = f"{counted(len(markers['used']), 'marker')} used{f'; dropped: {lost}' if lost else ''}"
+    if not markers["used"]:
+        return used
+    return f"{used}; rms distance {markers['before_rms_mm']:.3f} mm {start}, {markers['after_rms_mm']:.3f} mm after"
 
 
 def _target_line(name: str, target: dict[str, Any]) -> str:

@@ -134,7 +134,7 @@ MARKERS = Declaration(
         Key(
             "reference",
             "table: name = [x, y, z]",
-            "place of each marker on the body in the reference shape; or `reference_time_s` alone, as below",
+            "place of each marker on the body in the reference shape, unless `reference_time_s` is given",
             None,
             _reference,
             "mm",

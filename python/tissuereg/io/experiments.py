@@ -71,6 +71,7 @@ def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> E
     boundaries = tuple(_boundary(table, mesh) for table in top.tables("boundary"))
     actuators = tuple(_actuator(table, mesh) for table in top.tables("actuator"))
     mesh = _with_patches(top, mesh, boundaries, actuators)
+    _refuse_held_pads(top, mesh, actuators)
     targets = _targets(top)
     tabled = _tabled(top, tables, actuators, targets, flag("measured", measured, error=ExperimentError))
     effects = top.tables("effect")
@@ -240,6 +241,28 @@ def _with_patches(top: Table, mesh: Mesh, boundaries: Sequence[Boundary], actuat
     return Mesh(mesh.nodes, mesh.tets, sets)
 
 
+def _refuse_held_pads(top: Table, mesh: Mesh, actuators: Sequence[Actuator]) -> None:
+    for pad in actuators:
+        if np.isin(pad.nodes, mesh.fixed_nodes).all():
+            top.refuse(
+                f"an actuator must have a node that no boundary holds; all {len(pad.nodes)} of '{pad.name}' are held"
+            )
+
+
+def _refuse_two_motions(top: Table, actuators: Sequence[Actuator], cases: Mapping[str, Case]) -> None:
+    """Refuse nodes that two displacement actuators move at the same time."""
+    for case in cases.values():
+        moving = [pad for pad in actuators if pad.name in case.displacements]
+        for i, one in enumerate(moving):
+            for other in moving[:i]:
+                both = np.intersect1d(one.nodes, other.nodes).size
+                if both:
+                    top.refuse(
+                        f"displacement actuators of one case must share no node; '{other.name}' and '{one.name}' share "
+                        f"{both} in case '{case.name}'"
+                    )
+
+
 def _tabled(
     top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray], measured: bool
 ) -> _Tabled:
@@ -263,6 +286,7 @@ def _tabled(
     cases = assemble_cases(markers, tuple(reference), actuators, _controls(folder, actuators), forces, inner)
     if not cases:
         top.refuse(f"there must be a case: rows in markers.csv, actuators.csv or forces_applied.csv of {folder}")
+    _refuse_two_motions(top, actuators, cases)
     rest_case = given["rest_case"] if seen else None
     if rest_case is not None and rest_case not in cases:
         table.refuse(f"`rest_case` must be one of the cases {', '.join(cases)}", rest_case)

@@ -98,7 +98,8 @@ class Table:
             If it is absent.
         """
         if key not in self._content:
-            self.refuse(f"`{key}` must be given")
+            there = ", ".join(self._content) or "nothing"
+            self.refuse(f"`{key}` must be given; the table holds {there}")
         return self.get(key)
 
     def text(self, key: str, default: str | None = None, *, among: Iterable[str] = ()) -> str:

@@ -1,10 +1,11 @@
 """Words around the views of a registration: verdict and reasons above, signs below."""
 
+import math
 import textwrap
 from typing import TYPE_CHECKING, Any
 
 from tissuereg.report import scene
-from tissuereg.report.words import silent, verdict
+from tissuereg.report.words import counted, silent, start_word, verdict
 
 if TYPE_CHECKING:
     from tissuereg.result import Registration
@@ -37,7 +38,8 @@ def write_heading(figure: Any, result: "Registration") -> float:
     trust = result.trust
     good = "#176f2c" if trust.ok else "#a3180d"
     figure.text(0.02, 0.972, verdict(trust.ok), fontsize=19, weight="bold", va="top", color=good)
-    facts = "   |   ".join([*_met(result), f"chance of this misfit p = {trust.p_value:.2g}"])
+    chance = f"chance of this misfit p = {trust.p_value:.2g}"
+    facts = "   |   ".join([*_met(result), *([chance] if math.isfinite(trust.p_value) else [])])
     figure.text(0.02, 0.915, facts, fontsize=10, va="top")
     lines = [line for reason in trust.reasons[:_MOST_REASONS] for line in _wrapped(reason, "• ", "   ")]
     more = len(trust.reasons) - _MOST_REASONS
@@ -61,16 +63,18 @@ def _wrapped(text: str, first: str = "", later: str = "") -> list[str]:
 
 def _met(result: "Registration") -> list[str]:
     """Return how far the data lay from the body before and after."""
-    fit, surface, words = result.markers, result.surface, []
+    fit, surface, words, start = result.markers, result.surface, [], start_word(result.starts_simulated)
     if fit.used:
         words.append(
-            f"{len(fit.used)} markers: {fit.before_rms_mm:.2f} mm before, {fit.after_rms_mm:.2f} mm after (rms)"
+            f"{counted(len(fit.used), 'marker')}: {fit.before_rms_mm:.2f} mm {start}, "
+            f"{fit.after_rms_mm:.2f} mm after (rms)"
         )
     if surface is not None:
         words.append(
-            f"{surface.used} surface points: {surface.before_rms_mm:.2f} mm before, {surface.after_rms_mm:.2f} mm after"
+            f"{counted(surface.used, 'surface point')}: {surface.before_rms_mm:.2f} mm {start}, "
+            f"{surface.after_rms_mm:.2f} mm after"
         )
-    return words
+    return words or ["no marker was used"]
 
 
 def write_legend(figure: Any, result: "Registration") -> None:

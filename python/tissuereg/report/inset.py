@@ -80,9 +80,10 @@ def _words(figure: Any, result: "Registration", one: "tuple[str, Target]", place
     colour = scene.TARGET if target.flag is None else scene.FLAGGED
     said = shortened(figure, name, width, fontsize=10, weight="bold")
     figure.text(left, low + 0.026, said, fontsize=10, weight="bold", color=colour)
-    moved = float(np.linalg.norm(target.mean - _before(target)))
+    way = float(np.linalg.norm(target.mean - _before(target)))
+    motion = f"moved {way:.2g} mm" if target.simulation is None else f"simulation corrected by {way:.2g} mm"
     radius = target.region(0.90).radii[-1]
-    facts = (f"90 % within {radius:.2g} mm, moved {moved:.2g} mm", f"{radius:.2g} mm, moved {moved:.2g} mm")
+    facts = (f"90 % within {radius:.2g} mm, {motion}", f"{radius:.2g} mm, {motion}")
     fits = [text for text in facts if shortened(figure, text, width, fontsize=9) == text]
     figure.text(left, low, fits[0] if fits else f"within {radius:.2g} mm", fontsize=9, color=colour)
 

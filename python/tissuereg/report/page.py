@@ -11,7 +11,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.scene import Surface, contact_verb
-from tissuereg.report.words import silent, verdict
+from tissuereg.report.words import counted, silent, start_word, verdict
 
 if TYPE_CHECKING:
     from tissuereg.result import Registration
@@ -78,8 +78,8 @@ def _met(result: "Registration") -> str:
     fit, surface, words = result.markers, result.surface, []
     if fit.used:
         words.append(
-            f"{len(fit.used)} markers lie {fit.after_rms_mm:.2f} mm (rms) from the registered body, "
-            f"{fit.before_rms_mm:.2f} mm before."
+            f"{counted(len(fit.used), 'marker')}: {fit.after_rms_mm:.2f} mm (rms) from the registered body, "
+            f"{fit.before_rms_mm:.2f} mm {start_word(result.starts_simulated)}."
         )
     if surface is not None:
         words.append(

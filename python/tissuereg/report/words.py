@@ -14,6 +14,22 @@ def verdict(ok: bool) -> str:
     return "Nothing speaks against this registration." if ok else "Do not trust this registration."
 
 
+def counted(number: int, thing: str) -> str:
+    """Return a number of things.
+
+    Examples
+    --------
+    >>> counted(1, "marker"), counted(3, "marker")
+    ('1 marker', '3 markers')
+    """
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def start_word(simulated: bool) -> str:
+    """Return what distances are compared with: the believed simulation, or the body at rest."""
+    return "in the simulation" if simulated else "before"
+
+
 def silent(names: Sequence[str]) -> str:
     """Return what it means that no marker tells of targets.
 
