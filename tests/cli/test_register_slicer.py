@@ -117,7 +117,7 @@ def test_without_a_frame_that_of_the_file_is_taken_and_said_in_one_line(capsys, 
     code, said, err = register(capsys, folder, tmp_path / "out", *words, "--std", 0.05)
     assert code == 0
     file = folder / "ras_sit.mrk.json"
-    assert err == f"note: MESH is taken to be in RAS, the frame of {file}; --frame says otherwise\n"
+    assert err == f"note: MESH is taken to be in RAS, the frame of {file}; set --frame to change that\n"
     assert said["targets"]["deep"]["reference_mm"] == list(other_frame(TARGETS)["deep"])
     assert read_mrk_json(tmp_path / "out" / "targets.mrk.json").frame == "RAS"
 

@@ -87,7 +87,7 @@ def test_a_flagged_target_is_dashed_and_stated_in_words(spoilt):
 def test_the_page_has_contacts_flags_and_reasons(spoilt, tmp_path):
     page = spoilt.report(tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<p class='verdict no'>Do not trust this registration.</p>" in page
-    for heading in ("Contacts", "Targets", "Markers that do not count", "Work", "Time"):
+    for heading in ("Contacts", "Targets", "Markers that are not used", "Work", "Time"):
         assert f"<h2>{heading}</h2>" in page
     assert f"{spoilt.contacts[0].force_mN:,.0f}" in page
     assert "<td>M3</td><td>wrong</td>" in page

@@ -161,7 +161,7 @@ def test_what_does_not_fit_is_named():
         (MaterialError, "springs 0 of 0", Parameter("springs.normal_kpa_per_mm")),
         (TissueRegError, "got `set.share`", Parameter("set.share")),
         (LoadError, "there is no pad 'hand'; there are cap", Motion("hand", MOTION)),
-        (LoadError, "one rate of the load a frame, got 1 for 4", Loads([tr.Load()])),
+        (LoadError, "one rate of the load per frame, got 1 for 4", Loads([tr.Load()])),
         (ShapeError, "`rates of pad 'cap'` must have shape", Motion("cap", MOTION[:2])),
         (LoadError, "motion of a pad", Motion("cap", np.full_like(MOTION, np.nan))),
     ]:

@@ -161,7 +161,7 @@ def test_what_does_not_fit_is_named():
         solve_frames(mesh, SOFT, [0, 1], pads=[pad, pad])
     with pytest.raises(tr.errors.LoadError, match="all axes or none, not so in frame 1"):
         solve_frames(mesh, SOFT, [0, 1], pads=[Pad("p", [26], [[0, 0, 0], [np.nan, 0, 0]])])
-    with pytest.raises(tr.errors.LoadError, match="one load a frame, got 1 for 2"):
+    with pytest.raises(tr.errors.LoadError, match="one load per frame, got 1 for 2"):
         solve_frames(mesh, SOFT, [0, 1], loads=[tr.Load()])
     with pytest.raises(tr.errors.LoadError, match="only where `weight` is given"):
         solve_frames(mesh, SOFT, [0], in_reference=True)

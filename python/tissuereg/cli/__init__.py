@@ -1,4 +1,4 @@
-"""The command ``tissuereg``: one file a command, one way to end.
+"""The command ``tissuereg``: one module per command, with common output, errors and exit codes.
 
 Exit codes: 0 done; 2 bad usage or bad input; 3 it could not be done; 4 answered and written, but not to be trusted;
 130 interrupted; 1 is a bug.
@@ -55,7 +55,7 @@ def build_parser() -> Parser:
     Returns
     -------
     Parser
-        With one sub-parser a command.
+        With one sub-parser per command.
     """
     from tissuereg._version import __version__
 
@@ -108,7 +108,7 @@ def _write(target: str, content: dict[str, Any]) -> None:
 
 
 def _fail(error: BaseException, target: str | None, *, debug: bool) -> int:
-    """Say what went wrong, in words and where asked for in JSON; return the exit code."""
+    """Print the error, write it as JSON if requested, and return the exit code."""
     code, message = _verdict(error)
     if isinstance(error, OSError) and not isinstance(error, TissueRegError) and code == 2:
         mute_stdout()
@@ -130,7 +130,7 @@ def _fail(error: BaseException, target: str | None, *, debug: bool) -> int:
 
 
 def _verdict(error: BaseException) -> tuple[int, str]:
-    code = getattr(error, "exit_code", None)  # the training package has a class tree of its own
+    code = getattr(error, "exit_code", None)  # errors of the training package have their own base class
     if isinstance(code, int):
         return code, str(error)
     if isinstance(error, KeyboardInterrupt):

@@ -26,7 +26,7 @@ def add_parser(commands: Any) -> None:
     choices = ["solve", "ensemble", "esmda", "register"]
     parser.add_argument("what", metavar="WHAT", nargs="*", help=f"one or more of {', '.join(choices)} (default: all)")
     how = parser.add_argument_group("timing")
-    text = "runs a row, after one that does not count (default: 10)"
+    text = "runs per row, after one that does not count (default: 10)"
     how.add_argument("--repeats", type=whole_number(1), default=10, metavar="N", help=text)
     text = "problem files for 'solve', as 'tissuereg solve' takes them (default: the phantom)"
     how.add_argument("--problem", nargs="+", default=[], metavar="FILE.npz", help=text)
@@ -40,7 +40,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Time what is asked for.
+    """Time the requested parts.
 
     Parameters
     ----------

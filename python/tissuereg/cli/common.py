@@ -1,4 +1,4 @@
-"""What all commands share: the JSON envelope, warnings and progress on standard error, the clock."""
+"""Shared by all commands: the JSON envelope, warnings and progress on standard error, the clock."""
 
 import contextlib
 import logging
@@ -20,16 +20,16 @@ UNTRUSTED = 4
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command has to say at the end.
+    """The result that a command prints.
 
     Attributes
     ----------
     content : dict
-        JSON content with ``schema`` and ``seconds``; the envelope comes on top.
+        JSON content with ``schema`` and ``seconds``; `envelope` is added to it.
     summary : str
-        The same for people, a few lines.
+        The same as text, a few lines.
     threads : int
-        Threads that were asked for; 0 is all.
+        Requested threads; 0 is all cores.
     code : int
         Exit code: 0, or `UNTRUSTED`.
     """
@@ -41,12 +41,12 @@ class Outcome:
 
 
 def envelope(threads: int) -> dict[str, Any]:
-    """Return what every JSON says besides its subject.
+    """Return the entries that the JSON of every command has.
 
     Parameters
     ----------
     threads : int
-        As asked for; 0 is all cores.
+        Requested number; 0 is all cores.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
         notes.append(text)
         print(paragraph(f"warning: {text}"), file=sys.stderr)
 
-    # Where its own folder for fonts cannot be written, matplotlib tells its users: here, nobody can do anything.
+    # matplotlib warns if it cannot write its font cache; users of a command can do nothing about that.
     logging.getLogger("matplotlib").setLevel(logging.WARNING if debug else logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("default" if debug else "ignore")
@@ -110,7 +110,7 @@ def warnings_as_lines(*, debug: bool) -> Iterator[list[str]]:
 
 
 def note(text: str) -> None:
-    """Say something on standard error that is no warning, in one line.
+    """Print a note, which is not a warning, on standard error in one line.
 
     Parameters
     ----------

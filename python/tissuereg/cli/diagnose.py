@@ -10,8 +10,9 @@ from tissuereg.cli.options import UsageError, add_common, command_parser, refuse
 
 _DETAILS = (
     "EXPERIMENT is a folder (or its .toml). OUT gets diagnosis.json, experiment.extended.toml (the believed experiment "
-    "with its modulus as fitted and the findings as effects; simulate, register and diagnose read it, diagnose alone "
-    "that of a material test) and report.html. The bank of causes is kept for the next experiment of a mesh and rig."
+    "with its modulus as fitted and the findings as effects; simulate, register and diagnose read it; that of a "
+    "material test is for diagnose alone) and report.html. The bank of causes is kept for the next experiment of a "
+    "mesh and rig."
 )
 
 _WRITTEN = ("diagnosis.json", "experiment.extended.toml", "report.html")
@@ -32,7 +33,7 @@ def add_parser(commands: Any) -> None:
     text = "elements of the believed model of a body (default: tet4)"
     parser.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
     parser.add_argument("--no-cache", action="store_true", help="make the bank of causes anew, keep nothing")
-    add_common(parser, seed="seed of all chance (default: 0)")
+    add_common(parser, seed="seed of all random numbers (default: 0)")
     parser.set_defaults(run=run)
 
 
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> Outcome:
         check_folder_target(args.out)
     clock = Stopwatch()
 
-    def told(stage: str) -> None:
+    def show(stage: str) -> None:
         if not args.quiet:
             print(f"diagnose: {stage}", file=sys.stderr, flush=True)
 
@@ -82,7 +83,7 @@ def run(args: argparse.Namespace) -> Outcome:
         raise UsageError(message, where="--element")
     experiment = read_material_experiment(args.experiment) if is_test else read_experiment(args.experiment)
     clock.lap("read")
-    found = diagnose(experiment, progress=told, **settings)
+    found = diagnose(experiment, progress=show, **settings)
     clock.lap("diagnose")
     answer = found.to_json()
     if args.out is None:

@@ -1,4 +1,4 @@
-"""How a command ends when it is told to, or when nobody takes its output."""
+"""How a command ends when it is interrupted, or when its output pipe is closed."""
 
 import contextlib
 import errno
@@ -9,13 +9,13 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-#: Errors of the operating system that say that there is no room.
+#: Errors of the operating system that mean that no space is left.
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextlib.contextmanager
 def ended_like_an_interrupt() -> Iterator[None]:
-    """Take SIGTERM and SIGHUP for Ctrl-C, so that drafts are removed; signals that are ignored or handled stay so."""
+    """Treat SIGTERM and SIGHUP like Ctrl-C, so that drafts are removed; signals ignored or handled already stay so."""
     before = {}
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGTERM", "SIGHUP"):
@@ -30,7 +30,7 @@ def ended_like_an_interrupt() -> Iterator[None]:
 
 
 def mute_stdout() -> None:
-    """Send what standard output still holds nowhere; Python would fail at its end once more."""
+    """Discard the remaining buffered output; otherwise Python fails again when it flushes it at exit."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -15,8 +15,8 @@ _DETAILS = (
     "and normals turned outwards; whatever was done is listed. BODY.vtu gets tetrahedra in mm and the node sets, and "
     "'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz d [tol]' (nodes within tol "
     "mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm) or the name of another set; all in mm. The "
-    "mesher (pytetwild: pip install 'tissuereg[mesh]') draws by chance and takes no seed: its answer differs from run "
-    "to run."
+    "mesher (pytetwild: pip install 'tissuereg[mesh]') uses random numbers and takes no seed: its answer differs from "
+    "run to run."
 )
 
 #: Median edge over size below which a line says what makes edges short.
@@ -34,10 +34,10 @@ def add_parser(commands: Any) -> None:
     example = "tissuereg mesh liver.stl --size 6 --out liver.vtu --json -"
     parser = command_parser(commands, "mesh", "fill a surface with tetrahedra", _DETAILS, example)
     parser.add_argument("surface", metavar="SURFACE", help="surface of the body, with any defects")
-    text = "length of edges that is aimed at, mm; three or more across the thinnest part that bends is a good start"
+    text = "target edge length, mm; three or more across the thinnest part that bends is a good start"
     parser.add_argument("--size", type=positive_number, required=True, metavar="MM", help=text)
     parser.add_argument("--out", required=True, metavar="BODY.vtu", help="file for the tetrahedra")
-    text = "unit of SURFACE's coordinates (default: what the file says, or else mm)"
+    text = "unit of SURFACE's coordinates (default: that stated in the file, or else mm)"
     parser.add_argument("--unit", choices=["mm", "cm", "m"], help=text)
     text = "how far faces may lie from the surface (default: 5 %% of the size, at most 0.1 %% of the diagonal)"
     parser.add_argument("--deviation", type=positive_number, metavar="MM", help=text)

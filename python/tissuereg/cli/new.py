@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> Outcome:
             args.out, args.mesh, fixed=args.fixed, seed=args.seed or 0, threads=args.threads, progress=progress
         )
     lines = [
-        *(f"guessed: {said}" for said in begun.guessed),
+        *(f"guessed: {sentence}" for sentence in begun.guessed),
         f"written: {', '.join(begun.files)} in {args.out}",
         f"next: edit {args.out}/experiment.toml; 'tissuereg diagnose {args.out} --out diagnosed' runs already",
     ]

@@ -1,4 +1,4 @@
-"""How words on the command line become arguments."""
+"""Parsers of the command line: common options, types of values, errors."""
 
 import argparse
 import contextlib
@@ -12,7 +12,7 @@ from tissuereg.errors import TissueRegError
 
 
 class UsageError(TissueRegError, ValueError):
-    """The words on the command line make no command."""
+    """The command line is invalid."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -28,7 +28,7 @@ class Parser(argparse.ArgumentParser):
         Parameters
         ----------
         message : str
-            argparse's words.
+            argparse's message.
 
         Raises
         ------
@@ -72,7 +72,7 @@ def command_parser(commands: Any, name: str, purpose: str, details: str, example
     return parser
 
 
-#: Help of ``--threads`` where the result is the same bits at any number.
+#: Help of ``--threads`` for results that are bitwise the same for any number.
 _THREADS = "threads to use (default: all cores); the result does not depend on it"
 
 
@@ -98,7 +98,7 @@ def add_common(parser: Parser, *, seed: str | None = None, threads: str = _THREA
 
 
 def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
-    """Parse a command line; words after options may belong to a list that stands before them.
+    """Parse a command line; positional words after options may continue a list from before them.
 
     Parameters
     ----------
@@ -110,8 +110,8 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     Returns
     -------
     argparse.Namespace
-        A command's defaults ``late`` and ``room`` name the list that argparse leaves short (its issue 15112) and
-        how many words may follow.
+        argparse does not accept such words (Python issue 15112), so a command's defaults ``late`` and ``room`` name
+        the list that they are added to, and the number of words allowed.
 
     Raises
     ------

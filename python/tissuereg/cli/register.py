@@ -53,7 +53,7 @@ def add_parser(commands: Any) -> None:
     how = parser.add_argument_group("method")
     text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
     how.add_argument("--model", metavar="DIR", help=text)
-    text = "elements of our own simulations (default: auto, those that suit the mesh)"
+    text = "elements of the simulations (default: auto, those that suit the mesh)"
     choices = ["auto", "tet4", "tet4-averaged", "tet10"]
     how.add_argument("--element", choices=choices, default="auto", help=text)
     how.add_argument("--polish", action="store_true", help="with a model: make its answer an equilibrium")
@@ -61,7 +61,7 @@ def add_parser(commands: Any) -> None:
         "--members", type=whole_number(8), metavar="N", help="ensemble members, with a model (default: 200)"
     )
     how.add_argument("--steps", type=whole_number(1), metavar="N", help="assimilation steps, with a model (default: 5)")
-    add_common(parser, seed="seed of all chance (default: 0)")
+    add_common(parser, seed="seed of all random numbers (default: 0)")
     parser.set_defaults(run=run, late="markers", room=1)
 
 
@@ -118,7 +118,7 @@ def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, An
 
     with atomic_folder(args.out) as draft:
         shown.tell("stage", "draws")
-        _ = result.std  # made here, when it is first read
+        _ = result.std  # computed when it is first read
         shown.tell("stage", "files")
         result.save(draft, extra, deformed=args.deformed)
         result.report(draft / "report.html")

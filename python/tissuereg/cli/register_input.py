@@ -1,4 +1,4 @@
-"""What ``tissuereg register`` is given: its options for input, and the arguments of `register` made of them."""
+"""Input of ``tissuereg register``: its options, and the arguments of `register` made from them."""
 
 import argparse
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from tissuereg.material import Material
     from tissuereg.mesh import Mesh
 
-#: Accelerations below this, in mm/s^2, are taken to be meant in m/s^2.
+#: Accelerations below this, in mm/s^2, are refused: they were probably given in m/s^2.
 _LEAST_GRAVITY = 20.0
 
 
 class _FrameOption(argparse.Action):
-    """``--frame``: the mesh's, or in its former sense, by the words ``known`` and ``drifts``, the tracker's."""
+    """``--frame``: frame of the mesh; with its former values ``known`` and ``drifts`` it sets ``--tracker`` instead."""
 
     def __call__(
         self,
@@ -33,7 +33,7 @@ class _FrameOption(argparse.Action):
 
 
 def add_input_options(parser: Parser) -> None:
-    """Add the options that say what is known of the moment.
+    """Add the options for data and beliefs about the moment.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def add_input_options(parser: Parser) -> None:
 
 
 def registration_input(args: argparse.Namespace) -> dict[str, Any]:
-    """Return what `register` is given.
+    """Return the arguments of `register`.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def registration_input(args: argparse.Namespace) -> dict[str, Any]:
     FormatError, MeshError, MarkerError, ExperimentError
         If a file cannot be used.
     MaterialError
-        If a modulus or a density is none.
+        If a modulus or a density is out of its range.
     """
     from tissuereg.io.experiments import is_experiment
     from tissuereg.io.problems import read_simulation
@@ -95,13 +95,13 @@ def _add_files(more: Any) -> None:
     more.add_argument("--measured", metavar="FILE", help=text)
     text = (
         "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
-        "(default: numbers as they are, and the frame of the first such file); the words of --tracker are taken too"
+        "(default: numbers as they are, and the frame of the first such file); the values of --tracker are accepted too"
     )
     choices = ["LPS", "RAS", "known", "drifts"]
     more.add_argument("--frame", action=_FrameOption, choices=choices, metavar="LPS|RAS", help=text)
     text = "frame of the tables MARKERS, --targets and --surface, where it is not --frame"
     more.add_argument("--tables-frame", choices=["LPS", "RAS"], help=text)
-    text = "displacement_mm (n, 3) that a simulation, from any simulator, says of this moment"
+    text = "displacement_mm (n, 3) of this moment, predicted by any simulator"
     more.add_argument("--simulation", metavar="U.npz", help=text)
     text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
     more.add_argument("--targets", metavar="FILE", help=text)
@@ -121,11 +121,11 @@ def _add_files(more: Any) -> None:
 def _add_beliefs(what: Any) -> None:
     text = "whether the node set 'fixed' is held for sure, perhaps, or not at all (default: sure)"
     what.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
-    text = "whether the tracker kept its place beside the supports (default: known)"
+    text = "whether the tracker is known to have kept its place relative to the supports, or drifts (default: known)"
     what.add_argument("--tracker", choices=["known", "drifts"], help=text)
-    text = "graded: softer towards one side by an amount that the markers tell (default: believed)"
+    text = "graded: softer towards one side, by an amount that is estimated from the markers (default: believed)"
     what.add_argument("--stiffness", choices=["believed", "graded"], help=text)
-    text = "Young's modulus in kPa; it scales forces, and tells how far gravity bends the body (default: 10)"
+    text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body (default: 10)"
     what.add_argument("--young", type=positive_number, metavar="KPA", help=text)
     what.add_argument("--poisson", type=finite_number, metavar="NU", help="Poisson's ratio (default: 0.45)")
     text = (
@@ -149,7 +149,7 @@ def _acceleration(text: str) -> tuple[float, ...]:
 
 
 def _frames(args: argparse.Namespace) -> dict[str, str | None]:
-    """Return the frame of the answer and that of tables; say the first where a file of 3D Slicer chose it."""
+    """Return the frame of the answer and that of tables; note the first if it is that of a file of 3D Slicer."""
     from tissuereg.io.point_files import frame_of_files
 
     if args.tables_frame is not None and args.frame is None:
@@ -159,7 +159,7 @@ def _frames(args: argparse.Namespace) -> dict[str, str | None]:
     chosen = frame_of_files([path for path in (*args.markers, args.targets) if path is not None])
     if chosen is None:
         return {"frame": None, "table_frame": None}
-    note(f"MESH is taken to be in {chosen[0]}, the frame of {chosen[1]}; --frame says otherwise")
+    note(f"MESH is taken to be in {chosen[0]}, the frame of {chosen[1]}; set --frame to change that")
     return {"frame": chosen[0], "table_frame": None}
 
 
@@ -179,9 +179,9 @@ def _from_files(args: argparse.Namespace, frames: dict[str, str | None]) -> dict
     if args.model is None and (args.held == "free" or "perhaps_fixed" in mesh.node_sets):
         return {**_with_markers(mesh, args, frames), **beliefs}
     try:
-        _ = mesh.fixed_nodes  # says at once that nothing is held
+        _ = mesh.fixed_nodes  # raises at once if nothing is held
     except MeshError as error:
-        error.args = (f"{args.path}: {error}; name the held nodes with --fixed, or say --held free",)
+        error.args = (f"{args.path}: {error}; name the held nodes with --fixed, or use --held free",)
         raise
     return {**_with_markers(mesh, args, frames), **beliefs}
 
@@ -194,7 +194,7 @@ def _with_markers(mesh: "Mesh", args: argparse.Namespace, frames: dict[str, str 
 
 
 def _beliefs(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the believed material and load, as far as they are told."""
+    """Return the believed material and load, as far as they are given."""
     if args.density is not None and args.gravity is None:
         _refuse("--density must come with --gravity", "--density")
     if args.gravity is not None and args.simulation is not None:
@@ -209,8 +209,8 @@ def _beliefs(args: argparse.Namespace) -> dict[str, Any]:
 def _material(args: argparse.Namespace) -> "Material | None":
     from tissuereg.material import Material
 
-    told = {"young": args.young, "poisson": args.poisson, "density": args.density}
-    known = {name: value for name, value in told.items() if value is not None}
+    given = {"young": args.young, "poisson": args.poisson, "density": args.density}
+    known = {name: value for name, value in given.items() if value is not None}
     return Material(**known) if known or args.gravity is not None else None
 
 
@@ -234,7 +234,7 @@ def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
     experiment = read_experiment(args.path)
     plain = "tet4" if args.element == "auto" else args.element
     given = frame_input(experiment, args.case, args.time, element=plain, threads=args.threads)
-    # What the frame's simulation is made of is what the registration goes on with.
+    # The registration uses the same elements as the simulation of the frame.
     return {**given, "element": plain}
 
 

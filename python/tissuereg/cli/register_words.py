@@ -1,4 +1,4 @@
-"""What ``tissuereg register`` prints at its end."""
+"""The summary that ``tissuereg register`` prints."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from tissuereg.cli.common import seconds_line
 
 
 def summary(content: dict[str, Any], out: str) -> str:
-    """Return what was found; contacts, flags and the verdict stand last.
+    """Return the result as text; contacts, flags and the verdict come last.
 
     Parameters
     ----------
@@ -18,7 +18,7 @@ def summary(content: dict[str, Any], out: str) -> str:
     Returns
     -------
     str
-        Some lines, the last says whether to trust it.
+        Several lines; the last states whether to trust the result.
     """
     from tissuereg.report.words import start_word
 
@@ -77,7 +77,7 @@ def _contact_line(contact: dict[str, Any]) -> str:
 
 
 def _verdict_lines(targets: dict[str, Any], trust: dict[str, Any]) -> list[str]:
-    """Return flags and the verdict; one that is not trusted has its reasons above it and their kinds in it."""
+    """Return flags and the verdict; if not trusted, the reasons come before it and it names their kinds."""
     from tissuereg.report.words import silent, verdict
 
     flagged = [name for name, target in targets.items() if target["flag"]]

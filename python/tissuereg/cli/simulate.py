@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from tissuereg.simulate.experiment import CaseSimulation
 
 _DETAILS = (
-    "PATH is an experiment (a folder, or its .toml): OUT becomes an experiment of the same rig with what the believed "
-    "model says of every frame as its markers.csv, forces.csv and targets.csv, without noise unless it is asked for, "
+    "PATH is an experiment (a folder, or its .toml): OUT becomes an experiment of the same rig whose markers.csv, "
+    "forces.csv and targets.csv hold the believed model's predictions, without noise unless --noise is given, "
     "and case_NAME.npz with displacement_mm (frames, n, 3) at the nodes of the mesh. The model is the fine one that "
     "diagnose believes in (pads cut out along their rims, ten-node elements), or the mesh as it is with --plain; "
-    "[simulated] in OUT's experiment.toml says which. Nothing need be measured: markers.csv and forces.csv may be "
+    "[simulated] in OUT's experiment.toml states which. Nothing need be measured: markers.csv and forces.csv may be "
     "missing. Or PATH is a data-set recipe (.toml): OUT gets the data set; "
     "run again, it goes on where it was stopped."
 )
@@ -92,22 +92,22 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
     experiment = read_experiment(args.path, measured=False)
     refuse_overwriting([Path(args.out) / name for name in TABLES], _inputs(args.path, experiment))
     clock.lap("read")
-    said = Simulated("plain", args.element or "tet4") if args.plain else Simulated("fine", "tet10")
+    simulated = Simulated("plain", args.element or "tet4") if args.plain else Simulated("fine", "tet10")
     with progress_bar("frames", quiet=args.quiet) as progress:
         answers = simulate_experiment(
-            experiment, model=said.model, element=said.element, threads=args.threads, progress=progress
+            experiment, model=simulated.model, element=simulated.element, threads=args.threads, progress=progress
         )
     spent = clock.lap("solve")
     if args.noise:
         answers = with_noise(experiment, answers, seed=args.seed or 0)
-    write_simulated(Path(args.out), experiment, answers, said)
+    write_simulated(Path(args.out), experiment, answers, simulated)
     clock.lap("write")
     failed = _failed(answers)
     n_frames = sum(len(answer.times) for answer in answers.values())
     content = {
         "schema": "tissuereg.simulate/1",
-        "model": said.model,
-        "element": said.element,
+        "model": simulated.model,
+        "element": simulated.element,
         "cases": {name: len(answer.times) for name, answer in answers.items()},
         "members": n_frames - len(failed),
         "failed": failed,
@@ -119,7 +119,7 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
 
 
 def _inputs(path: str, experiment: "Experiment") -> list[Path]:
-    """Return the files that an experiment is read from, mesh apart."""
+    """Return the files that an experiment is read from, except the mesh."""
     from tissuereg.io.simulated import TABLES
 
     file = Path(path) / "experiment.toml" if Path(path).is_dir() else Path(path)
@@ -139,7 +139,7 @@ def _outcome(content: dict[str, Any], args: argparse.Namespace) -> Outcome:
     rate = content["members_per_s"]
     lines = [
         f"{content['members']} simulations, {len(content['failed'])} without equilibrium"
-        + ("" if rate is None else f", {rate:.3g} a second"),
+        + ("" if rate is None else f", {rate:.3g} per second"),
         *(f"  failed: {index}: {reason}" for index, reason in content["failed"][:10]),
         seconds_line(content["seconds"]),
         f"written: {args.out}",

@@ -10,7 +10,7 @@ from tissuereg.cli.options import add_common, command_parser, positive_number, r
 
 _DETAILS = (
     "PROBLEM is an .npz with nodes_mm (n, 3), tets (m, 4), fixed_nodes (f,), forces_mN (n, 3), young_kPa and poisson "
-    "(one value, or one a tet). OUT gets displacement_mm (n, 3) and reactions_mN (f, 3); 'tissuereg register "
+    "(one value, or one per tet). OUT gets displacement_mm (n, 3) and reactions_mN (f, 3); 'tissuereg register "
     "--simulation' takes it."
 )
 
@@ -29,7 +29,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--out", required=True, metavar="U.npz", help="file for the displacements")
     how = parser.add_argument_group("solving")
     elements = ["tet4", "tet4-averaged", "tet10"]
-    how.add_argument("--element", choices=elements, default="tet4", help="nodes a tet (default: tet4)")
+    how.add_argument("--element", choices=elements, default="tet4", help="kind of element (default: tet4)")
     text = "norm of the residual over the norm of the load, free degrees of freedom (default: 1e-9)"
     how.add_argument("--tol", type=positive_number, default=1e-9, metavar="X", help=text)
     add_common(parser)

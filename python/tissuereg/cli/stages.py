@@ -1,4 +1,4 @@
-"""What a registration is doing, on standard error: its size as soon as it is known, then a line or a bar by stage."""
+"""Progress of a registration on standard error: its size as soon as it is known, then a line or a bar by stage."""
 
 import contextlib
 import sys
@@ -8,7 +8,7 @@ from typing import Any
 
 from tissuereg.cli.common import note, paragraph
 
-#: What each stage that may be long does, for people.
+#: Descriptions of the stages that may take long.
 _WORDS = {
     "body": "analysing the mesh: order of elimination, patches of contact",
     "linearise": "factoring the tangent",
@@ -22,7 +22,7 @@ _WORDS = {
     "files": "writing files",
 }
 
-#: A run that is over sooner, in s, says nothing of its stages.
+#: Runs shorter than this, in s, show no stages.
 _SILENT = 2.0
 
 
@@ -51,7 +51,7 @@ class Stages:
             self._bar.update(done - self._bar.n)
 
     def tell(self, kind: str, words: str) -> None:
-        """Show what is said, as `tissuereg.register` says it: see its `tell`."""
+        """Show a message; for use as the argument `tell` of `tissuereg.register`."""
         if self._quiet:
             return
         if kind != "stage":
@@ -81,7 +81,7 @@ class Stages:
 
 @contextlib.contextmanager
 def stage_lines(*, quiet: bool) -> Iterator[Stages]:
-    """Give what shows the stages of a registration on standard error.
+    """Give an object that shows the stages of a registration on standard error.
 
     Parameters
     ----------

@@ -32,8 +32,8 @@ def add_parser(commands: Any) -> None:
     start = parser.add_argument_group("start").add_mutually_exclusive_group()
     text = "continue from the last epoch, and fail where there is none (default: continue if there is one)"
     start.add_argument("--resume", action="store_true", help=text)
-    start.add_argument("--fresh", action="store_true", help="start anew and discard what was begun")
-    seed = "seed of split, start and batches (default: the recipe's, which is 0 unless it says so)"
+    start.add_argument("--fresh", action="store_true", help="start anew and discard the checkpoints")
+    seed = "seed of split, start and batches (default: the recipe's, or else 0)"
     add_common(parser, seed=seed, threads="threads to use (default: all cores)")
     parser.set_defaults(run=run, speaks_for_itself=True)
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _words(args: argparse.Namespace) -> list[str]:
-    """Return the command line again, for the other parser."""
+    """Return the command line for the training package's parser."""
     flags = [f"--{name}" for name in ("resume", "fresh", "quiet", "debug") if getattr(args, name)]
     options = {"data": args.data, "out": args.out, "threads": args.threads, "seed": args.seed, "json": args.json}
     given = [f"--{name}={value}" for name, value in options.items() if value is not None]

@@ -88,7 +88,7 @@ class Part(Protocol):
 
 
 def _turned(rows: list[tuple[IntArray, FloatArray]], rotation: FloatArray) -> list[tuple[IntArray, FloatArray]]:
-    """Return rows along the body's axes, three a marker, read along the tracker's."""
+    """Return rows along the body's axes, three per marker, read along the tracker's."""
     if np.array_equal(rotation, np.eye(3)):
         return rows
     found = []

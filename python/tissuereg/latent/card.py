@@ -15,7 +15,7 @@ from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
 
 CARD_SCHEMA = "tissuereg.model/1"
 
-#: Files that a model consists of besides its card.
+#: Files of a model in addition to its card.
 MODEL_FILES = ("encoder.onnx", "decoder.onnx", "decoder_weights.npz")
 
 
@@ -32,12 +32,12 @@ def read_card(folder: Path) -> dict[str, Any]:
     dict
         ``kind``, ``mesh_digest`` (str), ``n_nodes``, ``n_latent``, ``members`` (int), ``errors_mm`` with ``test`` and
         ``pca``, ``prior`` with matrices of the size of the latents, ``files`` with the SHA-256 of `MODEL_FILES`;
-        whatever else it says is not looked at.
+        other entries are ignored.
 
     Raises
     ------
     ModelError
-        If there is none, it is no JSON, or an entry is missing or of another kind.
+        If there is no card, it is no JSON, or an entry is missing or of another kind.
     """
     path = folder / "model.json"
     if not path.exists():
@@ -73,12 +73,12 @@ def check_files(folder: Path, card: dict[str, Any]) -> None:
     Raises
     ------
     ModelError
-        If one is missing or another.
+        If a file is missing, or differs from its SHA-256 in the card.
     """
     for name in MODEL_FILES:
         path = folder / name
         if not path.is_file():
-            message = f"the model folder {folder} must hold {name}, as its card says; it is missing"
+            message = f"the model folder {folder} must hold {name}, as its card states; it is missing"
             raise ModelError(message, where=str(path))
         with path.open("rb") as stream:
             digest = hashlib.sha256()

@@ -63,7 +63,7 @@ class LatentModel(Protocol):
         Parameters
         ----------
         latents : ndarray of float64, shape (n_latent, n_members)
-            One column a member.
+            One column per member.
         nodes : ndarray of int64, shape (k,), optional
             Nodes to decode; by default all.
 
@@ -90,7 +90,7 @@ class LatentModel(Protocol):
         ...
 
 
-#: Largest ratio of sizes by which errors are scaled: a small field says little about much larger ones.
+#: Largest ratio of sizes by which errors are scaled: those of a small field do not determine those of much larger ones.
 _MOST_SCALING = 3.0
 
 

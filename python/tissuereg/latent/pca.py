@@ -10,7 +10,7 @@ from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement
 
 
 class PcaModel:
-    """``field = centre + sum_q components[q] * z[q]`` with unit prior variance a latent.
+    """``field = centre + sum_q components[q] * z[q]`` with unit prior variance per latent.
 
     Parameters
     ----------

@@ -83,7 +83,8 @@ def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntA
     corners : ndarray of float64, shape (n, 3)
         Corners of the rim in order, mm.
     barred : ndarray of bool, shape (n, n), optional
-        Pairs of corners already joined by an edge of the surface: a cut between them is made only if there is no other.
+        Pairs of corners that an edge of the surface joins already. The cap gets another edge between such a pair only
+        if no cap does without.
 
     Returns
     -------
@@ -92,7 +93,7 @@ def least_area_cap(corners: FloatArray, barred: BoolArray | None = None) -> IntA
 
     Examples
     --------
-    A square with one corner pulled in: the cut goes through it.
+    A square with one corner pulled in: the common edge of the two triangles ends at that corner.
 
     >>> least_area_cap(np.array([[0.0, 0, 0], [9, 0, 0], [3, 3, 0], [0, 9, 0]])).tolist()
     [[0, 2, 3], [0, 1, 2]]

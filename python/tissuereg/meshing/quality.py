@@ -34,7 +34,7 @@ def quality(mesh: Mesh, surface: Triangles) -> dict[str, Any]:
 
     Notes
     -----
-    Cost: one search for the closest triangle a point, at most `MOST_POINTS` each way.
+    Cost: one search for the closest triangle per point, at most `MOST_POINTS` each way.
     """
     shape = shape_quality(mesh.nodes, mesh.tets)
     length = np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1)

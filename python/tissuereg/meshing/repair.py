@@ -74,7 +74,7 @@ def _left(surface: Triangles) -> list[str]:
         defects.append(f"{several(rim, 'edge')} at the rim of a hole could not be closed and {were(rim)} left")
     crossing = crossing_pairs(surface)
     if crossing is None:
-        defects.append("whether triangles cross each other was not looked for: there are too many")
+        defects.append("whether triangles cross each other was not checked: there are too many")
     elif len(crossing):
         where = place(surface.corners[crossing[0, 0]].mean(axis=0))
         defects.append(

@@ -16,7 +16,7 @@ from tissuereg.simulate.solve import Simulator
 #: The stiff lesion: centre and radius in mm, modulus over that of the tissue around it.
 LESION_MM, LESION_RADIUS_MM, LESION_CONTRAST = (14.0, -10.0, 26.0), 9.0, 4.0
 
-#: The two pushers: outward direction of the pad seen from `_PAD_ORIGIN_MM`, push in mN.
+#: The two pushers: direction of the pad from `_PAD_ORIGIN_MM`, push in mN.
 _PAD_ORIGIN_MM = (0.0, -3.0, 18.0)
 _PUSHERS = (((1.0, 0.1, 0.15), (-6600.0, 400.0, -800.0)), ((-0.1, 1.0, 0.2), (400.0, -4400.0, -600.0)))
 _PAD_RADIUS_MM = 22.0
@@ -119,7 +119,7 @@ def _pushes(mesh: Mesh, factor: float, tilt_deg: float) -> Load:
 
 
 def _pad(mesh: Mesh, direction: FloatArray) -> tuple[IntArray, float]:
-    """Return the triangles of a pad, seen from the body's inside in a direction, and their area in mm^2."""
+    """Return the triangles of the pad that lies in a direction from `_PAD_ORIGIN_MM`, and their area in mm^2."""
     corners = mesh.nodes[mesh.surface]
     centres = corners.mean(axis=1)
     arms = centres - _PAD_ORIGIN_MM

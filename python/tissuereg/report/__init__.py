@@ -1,1 +1,1 @@
-"""What people look at: the picture, the page, the files of a registration."""
+"""Output of a registration for people: picture, page and files."""

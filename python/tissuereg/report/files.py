@@ -1,4 +1,4 @@
-"""The files of a registration, written all or none."""
+"""The files of a registration; all are written or none."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,7 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
     folder : Path
         Made where absent.
     extra : dict
-        Entries added to the JSON, or put over its own.
+        Entries added to the JSON; they replace its own of the same name.
     deformed : bool
         Write ``registered_deformed.vtu`` too.
 
@@ -67,7 +67,7 @@ def save_registration(result: "Registration", folder: Path, extra: dict[str, Any
 
 
 def _labelled(content: dict[str, Any]) -> dict[str, tuple[list[float], str]]:
-    """Return registered places with what a viewer must know of them beside the label."""
+    """Return registered places by label, each with a description for viewers: trust, flag, size of the region."""
     trusted = [] if content["trust"]["ok"] else ["do not trust this registration"]
     points = {}
     for name, target in content["targets"].items():

@@ -1,4 +1,4 @@
-"""Words around the views of a registration: verdict and reasons above, signs below."""
+"""Text around the views of a registration: verdict and reasons above, legend below."""
 
 import math
 import textwrap
@@ -10,13 +10,13 @@ from tissuereg.report.words import counted, silent, start_word, verdict
 if TYPE_CHECKING:
     from tissuereg.result import Registration
 
-#: Reasons that are written out, lines of one, and how many letters a line has.
+#: Number of reasons that are written out, of lines per reason, and of letters per line.
 _MOST_REASONS, _MOST_LINES, _LETTERS = 3, 2, 160
 
 #: Height of a line over that of the figure.
 _LINE = 0.027
 
-#: Signs in a row.
+#: Columns of the legend.
 _COLUMNS = 5
 
 
@@ -28,12 +28,12 @@ def write_heading(figure: Any, result: "Registration") -> float:
     figure : matplotlib.figure.Figure
         Where to.
     result : Registration
-        What to tell of.
+        The result that is described.
 
     Returns
     -------
     float
-        Where the words end, over the figure's height.
+        Lower end of the text, over the figure's height.
     """
     trust = result.trust
     good = "#176f2c" if trust.ok else "#a3180d"
@@ -45,17 +45,17 @@ def write_heading(figure: Any, result: "Registration") -> float:
     more = len(trust.reasons) - _MOST_REASONS
     if more > 0:
         lines.append(f"• and {more} more in the report")
-    told = [(line, "#a3180d") for line in lines]
+    coloured = [(line, "#a3180d") for line in lines]
     flagged = [name for name, target in result.targets.items() if target.flag]
     if flagged:
-        told += [(line, scene.FLAGGED) for line in _wrapped(silent(flagged))]
-    for row, (line, colour) in enumerate(told):
+        coloured += [(line, scene.FLAGGED) for line in _wrapped(silent(flagged))]
+    for row, (line, colour) in enumerate(coloured):
         figure.text(0.02, 0.882 - _LINE * row, line, fontsize=9.5, va="top", color=colour)
-    return 0.882 - _LINE * len(told)
+    return 0.882 - _LINE * len(coloured)
 
 
 def _wrapped(text: str, first: str = "", later: str = "") -> list[str]:
-    """Return the lines of a text; what is too long ends in dots."""
+    """Return the wrapped lines of a text; a text that is too long ends in dots."""
     return textwrap.wrap(
         text, _LETTERS, max_lines=_MOST_LINES, placeholder=" …", initial_indent=first, subsequent_indent=later
     )
@@ -78,7 +78,7 @@ def _met(result: "Registration") -> list[str]:
 
 
 def write_legend(figure: Any, result: "Registration") -> None:
-    """Explain below the views what is drawn, and nothing else."""
+    """Write a legend below the views, with the signs that are drawn and no others."""
     signs = [_sign(*sign[:2], **sign[2]) for sign in _signs(result)]
     figure.legend(handles=signs, loc="lower left", bbox_to_anchor=(0.012, 0.0), ncols=_COLUMNS, fontsize=10,
                   frameon=False, columnspacing=1.6, handletextpad=0.5, labelspacing=0.35)  # fmt: skip

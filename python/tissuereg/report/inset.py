@@ -1,4 +1,4 @@
-"""Targets enlarged: the 90 % region of each to scale, with the place that the target came from."""
+"""Targets enlarged: the 90 % region of each to scale, with the place of the target before."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,10 +12,10 @@ from tissuereg.report.labels import shortened
 if TYPE_CHECKING:
     from tissuereg.result import Registration, Target
 
-#: Targets that are enlarged; of more, the first.
+#: Largest number of targets that are enlarged, the first ones.
 MOST_PANELS = 8
 
-#: Rows and columns by the number of panels, until a grid has room for all.
+#: Rows and columns of the grids; the first with room for all panels is used.
 _GRIDS = ((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (4, 2))
 
 #: Parts of a panel's height: words above it and the strip of the scale bar in it, in inches; border around the drawing.
@@ -45,7 +45,7 @@ class _Panel:
 
 
 def draw_panels(figure: Any, result: "Registration", towards: FloatArray, frame: tuple[float, ...]) -> None:
-    """Draw one panel a target.
+    """Draw one panel per target.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def draw_panels(figure: Any, result: "Registration", towards: FloatArray, frame:
     result : Registration
         With targets.
     towards : ndarray of float64, shape (3,)
-        Unit vector from the body to the eye; an upright picture.
+        Unit vector from the body to the viewer; the picture is upright.
     frame : tuple of float
         Left, bottom, width and height of the room for all panels, in parts of the figure.
     """
@@ -78,8 +78,8 @@ def _words(figure: Any, result: "Registration", one: "tuple[str, Target]", place
     name, target = one
     left, low, width = place
     colour = scene.TARGET if target.flag is None else scene.FLAGGED
-    said = shortened(figure, name, width, fontsize=10, weight="bold")
-    figure.text(left, low + 0.026, said, fontsize=10, weight="bold", color=colour)
+    title = shortened(figure, name, width, fontsize=10, weight="bold")
+    figure.text(left, low + 0.026, title, fontsize=10, weight="bold", color=colour)
     way = float(np.linalg.norm(target.mean - _before(target)))
     motion = f"moved {way:.2g} mm" if target.simulation is None else f"simulation corrected by {way:.2g} mm"
     radius = target.region(0.90).radii[-1]
@@ -93,7 +93,7 @@ def _before(target: "Target") -> FloatArray:
 
 
 def _across(target: "Target", towards: FloatArray) -> _Panel:
-    """Return a target as seen along a line of sight: the outline of its ellipsoid is the ellipse of the part across."""
+    """Return a target as seen along a line of sight: its ellipsoid is projected to an ellipse."""
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     across = np.stack([right, np.cross(towards, right)])
@@ -107,7 +107,7 @@ def _across(target: "Target", towards: FloatArray) -> _Panel:
 
 
 def _draw(axes: Any, panel: _Panel, extent: float, *, flagged: bool) -> None:
-    """Draw a panel: region, registered place, way from the place before, scale bar."""
+    """Draw a panel: region, registered place, arrow from the place before, scale bar."""
     from matplotlib.patches import Polygon
 
     colour = scene.FLAGGED if flagged else scene.TARGET
@@ -131,7 +131,7 @@ def _draw(axes: Any, panel: _Panel, extent: float, *, flagged: bool) -> None:
 
 
 def _window(axes: Any, panel: _Panel, extent: float) -> tuple[FloatArray, FloatArray]:
-    """Return middle and half sides, mm: region and former place, or the region alone where that is too far."""
+    """Return middle and half sides of the window in mm: it shows the region, and the former place if near enough."""
     box = axes.get_position()
     sides = np.array([box.width * axes.figure.get_figwidth(), box.height * axes.figure.get_figheight()])
     room = sides - (0.0, _BAR_INCH)
@@ -146,14 +146,14 @@ def _window(axes: Any, panel: _Panel, extent: float) -> tuple[FloatArray, FloatA
 
 
 def _inside(before: FloatArray, middle: FloatArray, half: FloatArray) -> float:
-    """Return the share of the way from the registered place to the one before that the window shows."""
+    """Return the share of the line from the registered place to the former one that lies in the window."""
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.where(before > 0.0, (middle + half) / before, (middle - half) / before)
     return float(min(1.0, np.min(reach[before != 0.0], initial=1.0)))
 
 
 def _scale_bar(axes: Any, half: FloatArray, middle: FloatArray, *, to_the_right: bool) -> None:
-    """Draw a round length in the lower corner that the target does not come from."""
+    """Draw a round length in the lower corner away from the target's former place."""
     length = round_length(0.45 * float(half[0]))
     inch = 2.0 * half[1] / (axes.get_position().height * axes.figure.get_figheight())
     side = 1.0 if to_the_right else -1.0

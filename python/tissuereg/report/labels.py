@@ -1,4 +1,4 @@
-"""Labels that do not cover each other: each goes to the free place closest to what it is about."""
+"""Labels that do not cover each other: each is put in the free place closest to what it describes."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -15,8 +15,8 @@ _REACHES = (0.05, 0.08, 0.12, 0.17, 0.23, 0.30, 0.38)
 #: Directions that are tried.
 _DIRECTIONS = 20
 
-#: What it costs, in heights of the figure, to cover a place that had better stay clear, or the body,
-#: and to lead a line across a label.
+#: Costs, in heights of the figure, of covering a place that should stay clear, of covering the body, and of a line
+#: across a label.
 _COVERED, _ON_BODY, _CROSSED = 0.08, 0.15, 0.4
 
 #: Places along each side of the frame that are tried where none around is free.
@@ -30,7 +30,7 @@ _GAP = 0.008
 
 
 def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
-    """Write the labels of views, with a line to what each is about.
+    """Write the labels of views, each with a line to the place that it describes.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def place_labels(figure: Any, views: Sequence[View], body: FloatArray) -> int:
     Returns
     -------
     int
-        Labels that were left out, since no place was free.
+        Number of labels that were left out because no place was free.
     """
     left_out = 0
     for view in views:
@@ -125,7 +125,7 @@ def _free_place(
     taken: list[FloatArray],
     drawn: tuple[FloatArray, FloatArray],
 ) -> FloatArray | None:
-    """Return the middle of the cheapest box inside the frame and off what is taken: near, and off what is drawn.
+    """Return the middle of the box of least cost inside the frame that overlaps nothing in `taken`.
 
     None where there is no such box.
     """

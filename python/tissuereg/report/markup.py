@@ -1,4 +1,4 @@
-"""HTML that reports share: style, tables, text with nothing left to interpret."""
+"""HTML shared by all reports: style, tables, escaped text."""
 
 import html
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ td:first-child, th:first-child { text-align: left; }
 
 
 def escape(text: object) -> str:
-    """Return text as HTML shows it, quotes included.
+    """Return text escaped for HTML, quotes included.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def escape(text: object) -> str:
     Returns
     -------
     str
-        Fit for an element or an attribute.
+        Safe in an element or an attribute.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def document(title: str, parts: Sequence[str], style: str = "") -> str:
     parts : sequence of str
         HTML of the body.
     style : str
-        CSS beside `STYLE`.
+        CSS in addition to `STYLE`.
 
     Returns
     -------

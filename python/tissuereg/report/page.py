@@ -143,7 +143,7 @@ def _targets(result: "Registration") -> str:
         return ""
     head = ("target", "undeformed, mm", "registered, mm", "90 % region, half-axes, mm", "moved, mm", "constrained", "")
     note = (
-        "<p>Constrained: the share of a target's variance under contacts that nobody saw which the markers take away; "
+        "<p>Constrained: the share of a target's variance under undetected contacts that the markers remove; "
         "1 is best.</p>"
     )
     known = any(target.constrained is not None for target in result.targets.values())
@@ -163,7 +163,7 @@ def _dropped(result: "Registration") -> str:
     if not rows:
         return ""
     head = ("marker", "reason", "where a tracker would see it, mm", "90 % region, half-axes, mm")
-    return "<h2>Markers that do not count</h2>" + table(head, rows)
+    return "<h2>Markers that are not used</h2>" + table(head, rows)
 
 
 def _markers(result: "Registration") -> str:

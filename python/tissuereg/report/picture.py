@@ -13,7 +13,7 @@ from tissuereg.report.labels import on_page, place_labels
 if TYPE_CHECKING:
     from tissuereg.result import Registration
 
-#: Elevation of the eye, and azimuths of the two views, in degrees.
+#: Elevation and azimuths of the two views, in degrees.
 _ELEVATION, _AZIMUTHS = 18.0, (-60.0, 30.0)
 
 #: With contacts, the views look at the first of them from this many degrees to its left and right.
@@ -43,7 +43,7 @@ def registration_figure(result: "Registration") -> Any:
     Returns
     -------
     matplotlib.figure.Figure
-        Not bound to any window. No words lie over others; what found no room is counted below the views.
+        Not bound to any window. Labels do not overlap; the number of those without room is written below the views.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""What one view of a registration shows: body, markers, contacts, targets, each with the words that belong to it."""
+"""Contents of one view of a registration: body, markers, contacts, targets, each with its label."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
     from tissuereg.contacts.found import FoundContact
     from tissuereg.result import Region, Registration
 
-#: Colours by what they stand for; told apart with any kind of colour vision, and by shape as well.
+#: Colours by meaning; they can be distinguished with any kind of colour vision, and signs differ in shape as well.
 BEFORE, FITTED, MEASURED, WRONG = "#e07b00", "#0072b2", "black", "#d6218f"
 CONTACT, TARGET, FLAGGED, REGION = "#a01c10", "black", "#6a1fb0", "#8fb3d9"
 
 #: The longest arrow over the extent of the body, and the shortest over the longest.
 _ARROW, _LEAST_ARROW = 0.22, 0.45
 
-#: Where more targets than this are given, only those without a marker to tell are labelled.
+#: If there are more targets than this, only the flagged ones are labelled.
 _MOST_LABELS = 8
 
-#: Things on the side turned away are this much fainter.
+#: Opacity of signs on the far side of the body.
 _FAR_ALPHA = 0.35
 
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """Words about a place.
+    """Text about a place.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Label:
     text : str
         One or two lines.
     colour : str
-        Of words and leader.
+        Of text and leader line.
     """
 
     place: FloatArray
@@ -48,18 +48,18 @@ class Label:
 
 @dataclass(eq=False)
 class View:
-    """One axes object with its direction of view and the labels that it wants.
+    """One axes object with its direction of view and its labels.
 
     Attributes
     ----------
     axes : matplotlib axes
         Three-dimensional.
     towards : ndarray of float64, shape (3,)
-        Unit vector from the body to the eye.
+        Unit vector from the body to the viewer.
     labels : list of Label
         Filled by the functions below.
     keep_clear : list of ndarray of float64, shape (3,)
-        Places that labels had better not cover, filled as well.
+        Places that labels should not cover, filled likewise.
     taken : list of ndarray of float64, shape (2, 2)
         Lower left and upper right corners, in heights of the figure, of what labels must not cover.
     """
@@ -91,7 +91,7 @@ class Surface:
 
     @classmethod
     def of(cls, result: "Registration") -> "Surface":
-        """Return that of a result."""
+        """Return the surface of a result."""
         moved = Mesh(result.mesh.nodes + result.displacement, result.mesh.tets) if result.inverted_tets == 0 else None
         normals = surface_of_nodes(moved or result.mesh)[1]
         return cls(result.mesh.nodes + result.displacement, normals, result.mesh.surface_nodes)
@@ -108,7 +108,7 @@ def contact_verb(contact: "FoundContact", normal: FloatArray) -> str:
 
 
 def draw_body(view: View, result: "Registration", surface: Surface, colours: Any) -> None:
-    """Draw the side of the registered body that faces the eye, and the outline of the undeformed one."""
+    """Draw the side of the registered body that faces the viewer, and the outline of the undeformed one."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     mesh = result.mesh
@@ -135,7 +135,7 @@ def draw_surface_points(view: View, result: "Registration") -> None:
 
 
 def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
-    """Draw markers that count: before, registered, measured; and those that do not, each with its name and reason."""
+    """Draw used markers: before, registered, measured; and dropped ones, each with its name and reason."""
     fit, every = result.markers, result.all_markers
     if not len(every):
         return
@@ -167,7 +167,7 @@ def draw_markers(view: View, result: "Registration", surface: Surface) -> None:
 
 
 def _draw_dropped(view: View, result: "Registration", index: Any, reason: str, faint: float) -> None:
-    """Draw a marker that does not count where it was measured, or else where it must be."""
+    """Draw a dropped marker at its measured place, or if it was not seen at its predicted place."""
     name = result.all_markers.names[index]
     measured, expected = result.all_markers.measured[index], result.unseen[name].mean
     seen = bool(np.isfinite(measured).all())
@@ -190,7 +190,7 @@ def draw_contacts(view: View, result: "Registration", surface: Surface) -> None:
         _draw_rim(view, result.mesh, surface, node, contact.radius_mm)
         share = max(_LEAST_ARROW, contact.force_mN / largest) if largest > 0.0 else _LEAST_ARROW
         arrow = _ARROW * result.mesh.extent * share * contact.direction
-        # A pull leads away from the surface, a push ends on it.
+        # The arrow of a pull begins at the surface, that of a push ends there.
         tail = centre - arrow if contact.direction @ normal < 0.0 else centre
         view.axes.quiver(*tail, *arrow, color=CONTACT, lw=2.4, arrow_length_ratio=0.28, alpha=faint, zorder=10)
         if faint == 1.0:
@@ -227,7 +227,7 @@ def _draw_rim(view: View, mesh: Mesh, surface: Surface, node: int, radius: float
 
 
 def draw_targets(view: View, result: "Registration") -> None:
-    """Draw every target with the ellipsoid of its 90 % region; dashed where no marker tells."""
+    """Draw every target with the ellipsoid of its 90 % region, dashed if the markers do not constrain it."""
     many = len(result.targets) > _MOST_LABELS
     for name, target in result.targets.items():
         region, flagged = target.region(0.90), target.flag is not None

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 
 def verdict(ok: bool) -> str:
-    """Return whether a registration can be trusted, plainly.
+    """Return a sentence on whether a registration can be trusted.
 
     Examples
     --------
@@ -31,7 +31,7 @@ def start_word(simulated: bool) -> str:
 
 
 def silent(names: Sequence[str]) -> str:
-    """Return what it means that no marker tells of targets.
+    """Return the warning for targets that the markers do not constrain (flag "no marker tells").
 
     Examples
     --------

@@ -19,9 +19,9 @@ def write_samples(out: str | os.PathLike[str]) -> list[str]:
     Parameters
     ----------
     out : path-like
-        Folder: ``surface`` gets ``organ.stl``, ``markers.csv``, ``targets.csv`` and ``truth.csv`` (where the targets
-        truly are), ``rig`` an experiment and ``truth.json`` (the effect that its file does not mention). Files of other
-        names stay.
+        Folder: ``surface`` gets ``organ.stl``, ``markers.csv``, ``targets.csv`` and ``truth.csv`` (the true
+        places of the targets), ``rig`` an experiment and ``truth.json`` (the effect that is in its data and not in its
+        file). Files of other names stay.
 
     Returns
     -------

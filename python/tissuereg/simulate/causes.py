@@ -124,7 +124,7 @@ def core_observation(observation: Observation) -> tuple[IntArray, FloatArray, In
     Raises
     ------
     ShapeError
-        If there is not one row of weights a node.
+        If there is not one row of weights per node.
     """
     nodes = index_array("nodes", observation.nodes, (None,))
     held = index_array("held_nodes", observation.held_nodes, (None,))

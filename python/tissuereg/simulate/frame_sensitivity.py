@@ -178,7 +178,7 @@ def frame_adjoints(frames: Frames, observations: Sequence[FrameObservation]) -> 
     LoadError
         If frames were not recorded, a frame was not found, or a node or pad does not exist or is not held.
     ShapeError
-        If there is not one row of weights a node.
+        If there is not one row of weights per node.
     """
     record, good = _recorded(frames)
     numbers = {int(frame): number for number, frame in enumerate(good)}
@@ -228,7 +228,7 @@ def _frame_cause(frames: Frames, record: Record, good: IntArray, cause: FrameCau
         return _core.Cause.motion(number, np.where(absent, 0.0, rates))
     if isinstance(cause, Loads):
         if len(cause.rates) != n_frames:
-            message = f"there must be one rate of the load a frame, got {len(cause.rates)} for {n_frames}"
+            message = f"there must be one rate of the load per frame, got {len(cause.rates)} for {n_frames}"
             raise LoadError(message, where="loads")
         parts = [record.spreader.load_parts(cause.rates[frame], record.n_held) for frame in good]
         return _core.Cause.loads(len(good), **stacked_parts(parts))

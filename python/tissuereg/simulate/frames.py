@@ -327,7 +327,7 @@ def _one_a_frame(loads: Load | Sequence[Load] | None, n_frames: int) -> list[Loa
     if loads is None or isinstance(loads, Load):
         return [loads or Load()] * n_frames
     if len(loads) != n_frames:
-        message = f"there must be one load a frame, got {len(loads)} for {n_frames}"
+        message = f"there must be one load per frame, got {len(loads)} for {n_frames}"
         raise LoadError(message, where="loads")
     return list(loads)
 

@@ -198,14 +198,14 @@ class Linearised:
         Returns
         -------
         Adjoints
-            One entry an observation, in their order.
+            One entry per observation, in their order.
 
         Raises
         ------
         LoadError
             If a node does not exist or is not held.
         ShapeError
-            If there is not one row of weights a node.
+            If there is not one row of weights per node.
         """
         found = self._core.adjoints([core_observation(observation) for observation in observations])
         return Adjoints(found.young, found.poisson, found.forces, found.body_force, found.prescribed, found.springs)
@@ -221,14 +221,14 @@ class Linearised:
         Returns
         -------
         Compliance
-            One entry an observation, in their order; each has the same bits whatever the others are.
+            One entry per observation, in their order; each has the same bits whatever the others are.
 
         Raises
         ------
         LoadError
             If a node does not exist, or if an observation weighs reactions.
         ShapeError
-            If there is not one row of weights a node.
+            If there is not one row of weights per node.
         """
         found = self._core.compliance([core_observation(observation) for observation in observations])
         return Compliance(found.forces, found.body_force, found.prescribed)

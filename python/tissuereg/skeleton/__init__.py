@@ -1,4 +1,4 @@
-"""The beginnings of an experiment on a user's own body: a folder that runs at once, to be filled with measurements."""
+"""A first experiment on a user's own body: a folder that runs at once, to be filled with measurements."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -49,7 +49,7 @@ _HALVINGS = 4
 
 _REST_FRAMES = 6
 
-#: Share of the body's height below which nodes are held where nothing says what is.
+#: Share of the body's height below which nodes are held if no held nodes are given.
 _BASE_SHARE = 0.04
 
 
@@ -59,7 +59,7 @@ _Tables = list[tuple[Declaration, Mapping[str, Any] | None]]
 
 @dataclass(frozen=True)
 class Begun:
-    """What `new_experiment` wrote, and what it had to guess.
+    """Result of `new_experiment`: the files written, and guesses.
 
     Attributes
     ----------
@@ -95,8 +95,8 @@ def new_experiment(
     mesh : path-like
         Tetrahedra in mm, as `read_mesh` takes them. The file stays where it is.
     fixed : str, sequence of float or mapping, optional
-        What is held, as `read_mesh` takes it. Where absent, the mesh's node set ``fixed``; in a mesh without, the
-        lowest nodes along z are taken.
+        Rule of the held nodes, as `read_mesh` takes it. Where absent, the mesh's node set ``fixed``; in a mesh
+        without, the lowest nodes along z.
     seed : int
         Of the noise.
     threads : int
@@ -181,7 +181,7 @@ def _write_text(folder: Path, text: str) -> None:
 
 
 def _held(body: Mesh, fixed: NodeRule | None) -> tuple[str | dict[str, Any], tuple[str, ...]]:
-    """Return the rule of the held nodes for the file, and what had to be guessed."""
+    """Return the rule of the held nodes for the file, and sentences on what was guessed."""
     if fixed is not None:
         return rule_for_file(fixed, "fixed"), ()
     if "fixed" in body.node_sets and len(body.node_sets["fixed"]):
@@ -189,8 +189,8 @@ def _held(body: Mesh, fixed: NodeRule | None) -> tuple[str | dict[str, Any], tup
     low, high = body.nodes[:, 2].min(), body.nodes[:, 2].max()
     tolerance = _BASE_SHARE * (high - low)
     plane = {"plane": [0.0, 0.0, 1.0, float(low)], "tolerance_mm": float(tolerance)}
-    said = f"the mesh has no node set 'fixed': all nodes within {tolerance:.3g} mm of its lowest along z are held"
-    return plane, (said,)
+    guessed = f"the mesh has no node set 'fixed': all nodes within {tolerance:.3g} mm of its lowest along z are held"
+    return plane, (guessed,)
 
 
 def _tables(name: str, rule: Any, rig: MadeUpRig) -> _Tables:
@@ -220,12 +220,12 @@ def _text(tables: _Tables, mesh: str, simulated: bool) -> str:
     head = [
         "An experiment to begin with, made by `tissuereg new`: replace pads, markers and tables by your own.",
         "Every key is here; those behind # may be left out. Lengths mm, forces mN, stresses kPa, times s.",
-        "The tables hold what the model below says of two made-up pushes, with noise. Once they hold what you",
+        "The tables hold predictions of the model below for two made-up pushes, with noise. Once they hold what you",
         "measured, delete [simulated] at the end.",
     ]
     filled = [(each, {"file": mesh} if each is MESH else values) for each, values in tables]
-    said = Simulated("plain", "tet4")
-    last = [(SIMULATED, {"model": said.model, "element": said.element})] if simulated else []
+    model = Simulated("plain", "tet4")
+    last = [(SIMULATED, {"model": model.model, "element": model.element})] if simulated else []
     return commented_toml(head, [*filled, *last])
 
 

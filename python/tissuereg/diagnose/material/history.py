@@ -157,7 +157,11 @@ def _sheared_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray, Floa
 
 
 def _shear_back(fraction: float, metric: FloatArray, shear: FloatArray) -> FloatArray:
-    """Return ``exp(-fraction E_max)`` of every row, shape (n, 2, 2)."""
+    """Return the inverse of the permanent stretch in simple shear at every row, shape (n, 2, 2).
+
+    It is ``exp(-fraction E_max)``, with E_max the logarithmic strain of the row of largest shear before. `metric` is
+    the right Cauchy-Green tensor (n, 2, 2) of every row in the plane of shear.
+    """
     sizes = np.abs(shear)
     best = np.maximum.accumulate(sizes)
     first = np.concatenate([[True], sizes[1:] > best[:-1]])

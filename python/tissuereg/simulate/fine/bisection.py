@@ -178,7 +178,7 @@ class Bisection:
         return now
 
     def _cut_apart(self, edges: IntArray, places: FloatArray) -> IntArray:
-        """Cut edges no two of which are of one tetrahedron; return the new nodes."""
+        """Cut edges of which no two belong to one tetrahedron; return the new nodes."""
         keys = _keys(edges, _PAIR)[:, 0]
         order = np.argsort(keys)
         new = len(self.nodes) + np.arange(len(edges))
@@ -217,7 +217,7 @@ def _halved(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Return cells, and their edges' keys, with those that have an edge of `keys` (sorted) cut at the nodes `new`.
 
-    The third result tells which of `keys` were cut.
+    The third result is a mask of the `keys` that were cut.
     """
     cell, side, row = _found(of_cells, keys)
     first, second = cells[cell], cells[cell]

@@ -183,7 +183,11 @@ class FineModel:
         threads: int,
         progress: Callable[[int, int], None] | None,
     ) -> dict[str, Reading]:
-        """Return cases with memory, in ten-node elements or corrected by their elastic solutions."""
+        """Return the observables of cases with memory, by name.
+
+        If `fully`, ten-node elements solve every frame. Otherwise first-order elements do, and `corrected` adds the
+        difference between the elastic solutions of both kinds of elements.
+        """
         rough = rough_element(fine)
         element = "tet10" if fully else rough
         worked = extended(fine, element)
@@ -203,7 +207,7 @@ class FineModel:
     def _kept(
         self, twin: Experiment, cases: Sequence[Case], element: str, threads: int, report: "Progress", part: str
     ) -> dict[str, Reading]:
-        """Return elastic cases, from the cache if possible."""
+        """Return the observables of elastic cases by name, from the cache if possible."""
         keys = {case.name: (case.name, element, twin.mesh, twin.gravity is None, twin.effects) for case in cases}
         missing = [case for case in cases if keys[case.name] not in self._elastic]
         for case in cases:
@@ -219,7 +223,7 @@ class FineModel:
     def _with_effects(self, effects: Sequence[Effect]) -> Experiment:
         """Return the fine experiment with effects, on another mesh if the effects change where its surface is cut.
 
-        The ball of a shifted pad is cut out at its new place, and so is the part of a boundary that has come off within
+        The ball of a shifted pad is cut out at its new place, and so is the part of a boundary that is detached within
         a ball. The mesh of the last such effects is cached.
         """
         check_effects(replace(self.experiment, effects=tuple(effects)))
@@ -307,7 +311,7 @@ def _elastic(
 
 
 def _with_those_before(worked: Experiment, cases: Sequence[Case]) -> list[Case]:
-    """Return cases and all cases that they depend on, with effects applied."""
+    """Return cases and all earlier cases that their state depends on, with effects applied."""
     if not is_carried(worked):
         return [worked.cases[case.name] for case in cases]
     last = max(float(case.times[0]) for case in cases)
