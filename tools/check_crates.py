@@ -9,7 +9,7 @@ For each crate:
 * The package, unpacked, is built as the only dependency of another crate, which holds copies of its examples; each of
   these runs.
 
-Ends with code 1 at the first thing that does not hold.
+Ends with code 1 at the first failed check.
 """
 
 import argparse
@@ -43,7 +43,7 @@ edition = "2024"
 
 
 class CheckError(Exception):
-    """Something about a package does not hold."""
+    """A check of a package failed."""
 
 
 def cargo(*arguments: str, cwd: Path = ROOT) -> str:
@@ -64,14 +64,14 @@ def cargo(*arguments: str, cwd: Path = ROOT) -> str:
 def package(name: str, options: list[str]) -> Path:
     """Try to publish a crate, and return the archive that would be uploaded."""
     cargo("publish", "--dry-run", "--no-verify", "--quiet", "--package", name, *options)
-    # Where a dry run leaves its archive is not documented; this one is made of the same files, at a place that is.
+    # Where a dry run leaves its archive is not documented; `cargo package` writes the same files to a documented place.
     cargo("package", "--no-verify", "--quiet", "--package", name, *options)
     version = cargo("pkgid", "--package", name).strip().rsplit("#", 1)[1].rsplit("@", 1)[-1]
     return ROOT / "target" / "package" / f"{name}-{version}.crate"
 
 
 def as_new(member: tarfile.TarInfo, folder: str) -> tarfile.TarInfo:
-    """Give a file of an archive the present time: cargo takes one that is older than its last build for built."""
+    """Give a file of an archive the present time: cargo takes a file older than its last build as built already."""
     return tarfile.data_filter(member, folder).replace(mtime=int(time.time()))
 
 

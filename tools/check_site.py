@@ -1,4 +1,4 @@
-"""Fail where the built site needs anything that does not lie in it: `python tools/check_site.py build/site`."""
+"""Fail if the built site needs anything that is not in it: `python tools/check_site.py build/site`."""
 
 import re
 import sys
@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-#: Elements whose attribute loads something; links that a reader may follow are not among them.
+#: Elements with the attribute that loads something; links for readers to follow are not listed.
 LOADS = {
     "audio": "src",
     "embed": "src",
@@ -22,7 +22,7 @@ LOADS = {
     "video": "src",
 }
 
-#: Of a style sheet.
+#: What a style sheet loads.
 STYLE = re.compile(r"""url\(\s*['"]?(?!data:|#)([^'")]+)|@import\s+['"]([^'"]+)""")
 
 
@@ -36,7 +36,7 @@ class Loaded(HTMLParser):
         self.raw_formulas = 0
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Note what an element loads."""
+        """Record what an element loads."""
         given = dict(attrs)
         if (found := given.get(LOADS.get(tag, ""))) is not None:
             self.loads.append(found)
@@ -53,7 +53,7 @@ def style_loads(text: str) -> list[str]:
 
 
 def fault(page: Path, target: str, root: Path) -> str | None:
-    """Return what is wrong with something that a page loads or leads to, or None."""
+    """Return what is wrong with a target that a page loads or links to, or None."""
     parts = urlsplit(target)
     if parts.scheme == "data" or not (parts.scheme or parts.netloc or parts.path):
         return None

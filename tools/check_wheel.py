@@ -8,7 +8,7 @@
   ``pip check``, ``import tissuereg``, ``tissuereg demo`` (the embedded phantom) and ``tissuereg register`` work.
 * pip builds a wheel from the source archive in a folder outside this repository (needs cargo), with the same files.
 
-Ends with code 1 at the first thing that does not hold.
+Ends with code 1 at the first failed check.
 """
 
 import argparse
@@ -41,7 +41,7 @@ TOOLS_OF_A_BUILD = ("cargo", "rustc", "cc", "gcc", "clang", "maturin")
 
 
 class CheckError(Exception):
-    """Something about a distribution does not hold."""
+    """A check of a distribution failed."""
 
 
 def must(holds: bool, message: str) -> None:
@@ -81,10 +81,10 @@ def files_of(wheel: Path) -> set[str]:
 
 
 def install(wheel: Path, folder: Path) -> tuple[Path, dict[str, str]]:
-    """Install a wheel by pip where there is no compiler; the folder of commands and their environment."""
+    """Install a wheel by pip without a compiler; return the folder of commands and their environment."""
     venv.create(folder / "venv", with_pip=True)
     commands = folder / "venv" / "bin"
-    # What is left of this process's environment may say where packages come from, not where tools are.
+    # The kept variables may configure pip's package source; those that locate tools are dropped.
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "CARGO", "RUST", "VIRTUAL_ENV"))}
     environment = {**kept, "PATH": str(commands), "CC": "/nonexistent", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
     found = [tool for tool in TOOLS_OF_A_BUILD if shutil.which(tool, path=str(commands))]
@@ -102,15 +102,15 @@ def use(commands: Path, folder: Path, environment: dict[str, str]) -> None:
     command = str(commands / "tissuereg")
     run([command, "demo", "--out", "demo"], folder, environment)
     given = folder / "demo" / "input"
-    said = [str(given / "body.vtu"), str(given / "markers.csv"), "--targets", str(given / "targets.csv")]
-    run([command, "register", *said, "--out", "registered"], folder, environment)
+    inputs = [str(given / "body.vtu"), str(given / "markers.csv"), "--targets", str(given / "targets.csv")]
+    run([command, "register", *inputs, "--out", "registered"], folder, environment)
     answer = json.loads((folder / "registered" / "registration.json").read_text(encoding="utf-8"))
     must(answer["trust"]["ok"], f"the phantom must be registered with trust, got {answer['trust']}")
     print(f"tissuereg {version}: installed without a compiler, demo and register answer")
 
 
 def as_new(member: tarfile.TarInfo, folder: str) -> tarfile.TarInfo:
-    """Give a file of an archive the present time: cargo takes one that is older than its last build for built."""
+    """Give a file of an archive the present time: cargo takes a file older than its last build as built already."""
     return tarfile.data_filter(member, folder).replace(mtime=int(time.time()))
 
 

@@ -1,10 +1,10 @@
-"""Write the tables of ``docs/experiment.md`` from the declarations that the readers use, and the drawing beside them.
+"""Write the tables of ``docs/experiment.md`` from the declarations that the readers use, and the drawing on that page.
 
     python tools/experiment_page.py           # the tables
     python tools/experiment_page.py --check   # exit code 1 if the page holds others
     python tools/experiment_page.py --draw    # docs/rig.png, of the rig that `tissuereg demo --files` writes
 
-A block between ``<!-- made by tools/experiment_page.py: NAME -->`` and ``<!-- end -->`` is made anew; all else is left.
+A block between ``<!-- made by tools/experiment_page.py: NAME -->`` and ``<!-- end -->`` is rewritten; the rest stays.
 """
 
 import argparse
@@ -50,7 +50,7 @@ def keys_of(declaration: Declaration) -> str:
 
 
 def default_of(key: Any) -> str:
-    """Return what holds where a key is absent."""
+    """Return what applies where a key is absent."""
     if key.default is NEEDED:
         return "must be given"
     return key.otherwise or shown(key.default)

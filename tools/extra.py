@@ -1,4 +1,4 @@
-"""Print the requirements of an extra, one a line, so that pip installs them without building the package."""
+"""Print the requirements of an extra, one per line, so that pip installs them without building the package."""
 
 import sys
 from pathlib import Path

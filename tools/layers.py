@@ -3,15 +3,15 @@
     python tools/layers.py            # print the diagram
     python tools/layers.py --write    # write it into ARCHITECTURE.md, between its two markers
 
-`tests/layout` holds the code to this declaration and the page to the diagram.
+`tests/layout` checks that the code keeps to this declaration and that the page shows the diagram.
 """
 
 import argparse
 import textwrap
 from pathlib import Path
 
-#: Layers of `python/tissuereg`, from the top: a title, and the modules and packages that stand there. A module may
-#: import what stands in its own layer (without a circle) and what stands in a lower one.
+#: Layers of `python/tissuereg`, from the top: a title, and its modules and packages. A module may
+#: import from its own layer (without a circle) and from lower ones.
 LAYERS: tuple[tuple[str, str], ...] = (
     ("commands", "__main__ cli"),
     ("ready-made runs", "bench demo frames skeleton"),
@@ -40,7 +40,7 @@ CRATES: dict[str, tuple[str, ...]] = {
     "fem": (),
 }
 
-#: The module that alone may name the training package, which it imports when it is run.
+#: The only module that may name the training package, which it imports when it is run.
 TRAINING_MODULE = "tissuereg.cli.train"
 
 BEGIN, END = "<!-- layers: written by tools/layers.py -->", "<!-- end of layers -->"
@@ -67,7 +67,7 @@ def ranks() -> dict[str, int]:
 
 
 def diagram() -> str:
-    """Return the diagram as plain text, one box a layer, the crates below."""
+    """Return the diagram as plain text, one box per layer, the crates below."""
     lines = []
     for title, modules in LAYERS:
         lines += [_rim(title), *(_row(line) for line in textwrap.wrap("  ".join(modules.split()), WIDTH - 4))]
@@ -82,7 +82,7 @@ def diagram() -> str:
 
 
 def written(page: str) -> str:
-    """Return a page with the diagram of today between its markers.
+    """Return a page with the current diagram between its markers.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A drawing of one rig: body, supports, pads with their motion, markers, targets; for the page of the format."""
+"""A drawing of one rig: body, supports, pads with their motion, markers, targets; for docs/experiment.md."""
 
 from pathlib import Path
 

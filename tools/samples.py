@@ -1,11 +1,11 @@
-"""Make what ``tissuereg demo --files`` writes: a surface with its markers, and an experiment (needs the extra `mesh`).
+"""Make the files of ``tissuereg demo --files``: a surface with its markers, an experiment (needs the extra `mesh`).
 
     python tools/samples.py
 
 writes ``python/tissuereg/samples/data``. The organ is a smooth made-up shape, about 150 x 90 x 50 mm. Its "measurement"
 is made on another mesh than a user's, with ten-node elements, another stiffness and a stiff lesion; the experiment's by
-the fine model with a stiff inclusion that its file does not mention. The mesher draws by chance, so a second run gives
-other bits.
+the fine model with a stiff inclusion that its file does not mention. The mesher uses random numbers, so a second run
+gives slightly different files.
 """
 
 import json
@@ -65,7 +65,7 @@ def scattered(points: np.ndarray, n: int) -> np.ndarray:
 
 
 def make_surface(folder: Path) -> None:
-    """Write the surface, its markers before and after a push, targets, and where these truly are."""
+    """Write the surface, its markers before and after a push, targets, and the targets' true places."""
     folder.mkdir(parents=True)
     surface = organ()
     surface.export(folder / "organ.stl")
@@ -81,7 +81,7 @@ def make_surface(folder: Path) -> None:
         tr.Material(np.where(inside, LESION_CONTRAST, 1.0) * TRUE_YOUNG, TRUE_POISSON),
         element="tet10",
     )
-    # What a camera above sees: the pusher and the far end of the organ are hidden.
+    # The part that a camera above sees: the pusher and the far end of the organ are hidden.
     seen = (surface.vertices[:, 2] > -6) & (surface.vertex_normals[:, 2] > 0.25) & (surface.vertices[:, 0] > -25)
     seen &= np.linalg.norm(surface.vertices - PUSH_AT_MM, axis=1) > PUSH_RADIUS_MM + 5
     places = surface.vertices[seen][scattered(surface.vertices[seen], N_MARKERS)]

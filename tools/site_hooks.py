@@ -1,4 +1,4 @@
-"""What the site does beyond mkdocs: formulas become MathML when it is built, and NOTATION.md becomes a page."""
+"""Hooks of mkdocs: formulas become MathML when the site is built, and NOTATION.md becomes a page."""
 
 import html
 import posixpath
@@ -14,12 +14,12 @@ ROOT = Path(__file__).resolve().parent.parent
 #: Pages that lie at the root of the repository, by their names in the site.
 MIRRORED = {"notation.md": "NOTATION.md"}
 
-#: What pymdownx.arithmatex leaves of `$...$` and `$$...$$`.
+#: Output of pymdownx.arithmatex for `$...$` and `$$...$$`.
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 
 
 def on_config(config: Any) -> Any:
-    """Leave out the page that servers show for a missing one: it leads from the root of a server, and here is none."""
+    """Leave out the 404 page: its links begin at the root of a server, and the site is also read from files."""
     config.theme.static_templates.discard("404.html")
     return config
 
@@ -32,7 +32,7 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """Lead links to a mirrored file to its page."""
+    """Rewrite links to a mirrored file so that they lead to its page."""
     folder = posixpath.dirname(page.file.src_uri)
     for name, source in MIRRORED.items():
         from_page = posixpath.relpath(posixpath.join("..", source), folder or ".")

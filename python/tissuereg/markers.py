@@ -126,7 +126,7 @@ def _spread(std: Any, n_markers: int) -> FloatArray:
 
 
 def _as_given(spread: FloatArray) -> FloatArray:
-    """Return one number a marker where its axes agree, as it was given."""
+    """Return one number per marker where its axes agree, as given."""
     return spread[:, 0] if len(spread) and np.array_equal(spread, spread[:, [0, 0, 0]], equal_nan=True) else spread
 
 

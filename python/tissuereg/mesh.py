@@ -140,7 +140,7 @@ class Mesh:
         return Mesh(self.nodes, self.tets, {**self.node_sets, name: indices}, self.frame)
 
     def in_frame(self, frame: str | None) -> "Mesh":
-        """Return the same mesh, its coordinates declared to be in a frame; none is changed.
+        """Return the same mesh with its coordinates declared to be in a frame; no coordinate is changed.
 
         Parameters
         ----------

@@ -51,7 +51,7 @@ class Block:
 
     @property
     def place(self) -> str:
-        """Where it stands, for messages."""
+        """Page and line, for messages."""
         return f"{self.page.name}:{self.line}"
 
     @property
@@ -93,7 +93,7 @@ def blocks(page: Path) -> list[Block]:
 
 
 def run_page(page: Path, folder: Path, environment: dict[str, str]) -> dict[str, object]:
-    """Run the blocks of a page in a folder, which is the present one; return the names that its Python made."""
+    """Run the blocks of a page in a folder, which is the current one; return the names that its Python made."""
     names: dict[str, object] = {"__name__": "page"}
     for block in blocks(page):
         if block.not_run is None:

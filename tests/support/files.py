@@ -1,4 +1,4 @@
-"""Input files that tests write, good ones to begin with."""
+"""Valid input files, which tests write and change."""
 
 import json
 from pathlib import Path

@@ -12,7 +12,7 @@ from support.scripts import REPOSITORY
 
 GUIDES = REPOSITORY / "docs" / "guides"
 
-#: A block stands under a paragraph whose last line says what is done with it.
+#: A block follows a paragraph whose last line states what is done with it.
 _STEP = re.compile(
     r"^\*\*(?P<verb>New file|After|In place of|Run)\*\*[^\n`]*"
     r"(?:`(?P<line>[^`\n]+)`, in )?(?:`(?P<path>[^`\n]+)`)?:\n\n"
@@ -35,7 +35,7 @@ def steps(guide: str) -> list[Step]:
     """Steps of a guide, in order; every block of code must be one."""
     text = (GUIDES / f"{guide}.md").read_text(encoding="utf-8")
     found = [Step(m["verb"], m["path"], m["line"], m["code"]) for m in _STEP.finditer(text)]
-    assert len(found) == text.count("\n```") // 2, "every block must stand under a line that says what is done with it"
+    assert len(found) == text.count("\n```") // 2, "every block must follow a line that states what is done with it"
     return found
 
 
@@ -62,13 +62,13 @@ def _edit(file: Path, step: Step) -> None:
     assert len(places) == 1, f"`{step.line}` must stand in {step.path} once, found {len(places)} times"
     first = places[0] + (step.verb == "After")
     lines[first : places[0] + 1] = [step.code]
-    # What was linked is not the copy's own.
+    # A linked file belongs to the repository: it is replaced, not written to.
     file.unlink()
     file.write_text("".join(lines), encoding="utf-8")
 
 
 def copy_of_package(root: Path) -> Path:
-    """Lay the Python package and the tests' support below `root`: sources copied, the compiled core linked."""
+    """Put the Python package and the tests' support below `root`: sources copied, the compiled core linked."""
     import tissuereg
 
     installed = Path(tissuereg.__file__).parent
@@ -84,7 +84,7 @@ def copy_of_package(root: Path) -> Path:
 
 
 def copy_of_crates(root: Path) -> Path:
-    """Lay the crates below `root`, as new as they are: what did not change is not compiled again."""
+    """Put the crates below `root` with their times of change: unchanged files are not compiled again."""
     for name in ("Cargo.toml", "Cargo.lock", "rustfmt.toml", "clippy.toml", "README.md"):
         shutil.copy2(REPOSITORY / name, root / name)
     shutil.copytree(REPOSITORY / "crates", root / "crates", ignore=shutil.ignore_patterns("target"))

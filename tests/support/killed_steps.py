@@ -40,7 +40,7 @@ WRITERS = {"file": file, "folder": folder, "entry": entry}
 
 
 def content(place: Path) -> dict[str, bytes]:
-    """Files by their place, drafts left out."""
+    """Return the content of all files but drafts, by path."""
     files = [one for one in place.rglob("*") if one.is_file() and DRAFT_PREFIX not in str(one)]
     return {str(one.relative_to(place)): one.read_bytes() for one in files}
 
@@ -51,7 +51,7 @@ def drafts(place: Path) -> list[Path]:
 
 
 def killed(write, place: Path, step: int) -> bool:
-    """Run in a process of its own; return whether it was killed before the operation of that number."""
+    """Run `write` in another process; return whether that was killed before file operation number `step`."""
     pid = os.fork()
     if pid == 0:
         counter = itertools.count(1)

@@ -1,4 +1,4 @@
-"""Synthetic material tests: stresses by textbook formulas of an incompressible solid, none of them the package's.
+"""Synthetic material tests: stresses by textbook formulas of an incompressible solid, not by the package.
 
 Nominal stress of a bar is ``2 (W1 + W2/l) (l - l^-2)``, of simple shear ``2 (W1 + W2) g``. Memory is integrated on a
 fine grid of times by the midpoint rule. Paths: a ramp to the largest strain, a ramp and a hold, cycles.
@@ -195,7 +195,7 @@ def _off(curve, rng, size, rough):
 
 
 def with_smooth_misfit(curves, rng, size):
-    """Return curves with a misfit that modes do not share and that no cause of the catalogue has, over their stress."""
+    """Return curves with a relative misfit that differs between modes and that no cause of the catalogue explains."""
     data = data_of(believed(curves), max_rows=10**6)
     factor = np.linalg.cholesky(generic_covariance(data) + 1e-12 * np.diag(data.level**2))
     misfit = size * factor @ rng.standard_normal(len(data.stress))
@@ -210,7 +210,7 @@ def _added(curve, rows, misfit):
 
 
 def believed(curves, young=10.0, folder=Path(), **changes):
-    """Return an experiment of curves that is believed neo-Hookean, nearly incompressible, its modulus to 30 %."""
+    """Return an experiment whose believed material is neo-Hookean, nearly incompressible, its modulus known to 30 %."""
     material = tr.Material(young, 0.4999)
     values = {"effects": (), "hold_out": None, "stress_std": None, **changes}
     return MaterialExperiment("made up", folder, material, 0.3 * young, None, tuple(curves), **values)

@@ -1,4 +1,4 @@
-"""One form of one cause fitted to curves by itself, with the deviations that a diagnosis would state."""
+"""One form of one cause fitted to curves alone, with the standard deviations that a diagnosis would state."""
 
 import numpy as np
 
@@ -13,12 +13,12 @@ from tissuereg.diagnose.material.verdict import bench_of
 
 
 def form_of(experiment, cause, label):
-    """Return a form that the curves of an experiment can show."""
+    """Return the form of a cause with a label, among those that the curves of an experiment can determine."""
     return next(form for form in CAUSES[cause].forms(scene_of(experiment)) if form.label == label)
 
 
 def fit_and_bench(experiment, cause, label, weighting="lasting errors"):
-    """Return the fit of one form, its covariance that of a right form, and the bench it was made on."""
+    """Return the fit of one form, with the covariance for a form without error, and its bench."""
     bench, noise = bench_of(experiment)
     form = form_of(experiment, cause, label)
     starts = [np.array([bench.problem.young_log, *start]) for start in form.starts]
@@ -29,7 +29,7 @@ def fit_and_bench(experiment, cause, label, weighting="lasting errors"):
 
 
 def numbers(fit, *causes):
-    """Return values and deviations of a fit of some causes, the modulus among them."""
+    """Return values and standard deviations of a fit of some causes, including the modulus."""
     young = float(np.exp(fit.x[0]))
     found = {"young_kpa": [young, young * float(np.sqrt(fit.covariance[0, 0]))]}
     for values in parameters_of(fit, causes).values():
@@ -38,7 +38,7 @@ def numbers(fit, *causes):
 
 
 def both(experiment, cause, label, weighting="lasting errors"):
-    """Return the numbers with the deviations stated, and with those of a form that is right."""
+    """Return the numbers with the stated deviations, those for a form without error, and the form error."""
     fit, bench = fit_and_bench(experiment, cause, label, weighting)
     fitted = stated(bench, fit)
     return numbers(fitted.fit, cause), numbers(fit, cause), fitted.form_error

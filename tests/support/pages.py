@@ -7,7 +7,7 @@ VOID = {"br", "input", "meta"}
 
 
 class Balance(HTMLParser):
-    """Notes elements that are not closed in the order in which they were opened, ids, and what is reached for."""
+    """Records elements that are closed out of order, ids, and what is loaded."""
 
     def __init__(self):
         super().__init__()
@@ -29,7 +29,7 @@ class Balance(HTMLParser):
 
 
 def assert_sound_page(text, reaches=()):
-    """Check that a page is well formed, reaches for nothing but these files, and shows no number that is none."""
+    """Check that a page is well formed, loads nothing but these files, and shows no NaN or infinity."""
     reader = Balance()
     reader.feed(text)
     assert (reader.wrong, reader.open) == ([], [])

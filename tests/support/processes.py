@@ -1,4 +1,4 @@
-"""The command as a process: started, killed, and what it left compared with what a whole run leaves."""
+"""The command as a process: started, killed, and its remains compared with the output of a whole run."""
 
 import json
 import os
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tissuereg.io.drafts import DRAFT_PREFIX
 
-#: Longer than any of these commands takes on a busy machine, s.
+#: Time limit in s: more than any of these commands takes on a busy machine.
 PATIENCE = 300
 
 
@@ -76,7 +76,7 @@ class Command:
         return process.returncode, said
 
     def left(self) -> set[str]:
-        """Names of what stands in the place, the place of temporary files and the cache, drafts shortened."""
+        """Names in the place, in its folder of temporary files and in the cache, drafts by their prefix alone."""
         found = [
             *self.place.iterdir(),
             *self.temporary.iterdir(),
@@ -86,13 +86,13 @@ class Command:
 
 
 def content(folder: Path) -> dict[str, object]:
-    """What the files of a result say, by name: times, rates and pictures apart, drafts left out."""
+    """Return the comparable content of a result's files by name, without times, rates, pictures and drafts."""
     files = [one for one in sorted(folder.rglob("*")) if one.is_file() and DRAFT_PREFIX not in str(one)]
-    return {str(one.relative_to(folder)): said(one) for one in files}
+    return {str(one.relative_to(folder)): comparable(one) for one in files}
 
 
-def said(file: Path) -> object:
-    """What a whole file says; fails where it is not whole."""
+def comparable(file: Path) -> object:
+    """Return the comparable content of a file; fail if it is not whole."""
     if file.suffix == ".json":
         return without_times(json.loads(file.read_text(encoding="utf-8")))
     if file.suffix == ".html":

@@ -13,15 +13,15 @@ from tissuereg.contacts.settings import ContactSettings
 from tissuereg.contacts.supports import Supports
 from tissuereg.observe import MarkerObservation
 
-#: Solves that differences are taken of.
+#: Settings of solves that are subtracted from each other.
 TIGHT = {"tolerance": 1e-12, "method": "newton"}
 
-#: What the body is made of.
+#: Material of the body.
 MATERIAL = tr.Material(8.0, 0.4)
 
 NOTHING = {"forces": None, "body_force": None, "prescribed": None}
 
-#: Elements of the truth, and of registrations that are to find it: other elements are another stiffness.
+#: Elements of the truth and of registrations of it: other elements would have another stiffness.
 ELEMENT = "tet4"
 
 #: How far the patch is pushed, mm.
@@ -66,18 +66,18 @@ class Push:
         return tr.Markers(reference, reference + moved + noise, std)
 
     def limit(self, markers: tr.Markers) -> float:
-        """Return the root mean square distance in mm that registered markers keep: tracker, and 2 % of their motion."""
+        """Return the allowed rms distance of registered markers, mm: noise of the tracker, and 2 % of their motion."""
         moved = np.linalg.norm(markers.displacement, axis=1)
         return 1.5 * float(np.sqrt(3.0 * np.mean(markers.std**2 + (0.02 * moved) ** 2)))
 
     def errors(self, result) -> np.ndarray:
-        """Return how far every node is off, mm."""
+        """Return the error of every node, mm."""
         return np.linalg.norm(result.displacement - self.displacement, axis=1)
 
 
 @lru_cache
 def push() -> Push:
-    """Return a push of the top off its middle, with 16 markers on the top and the sides."""
+    """Return a push on the top, away from its middle, with 16 markers on the top and the sides."""
     columns = columns_of()
     mesh, patches = columns.body.mesh, columns.body.patches
     top = np.flatnonzero(patches.normals[:, 2] > 0.9)

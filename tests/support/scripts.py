@@ -1,4 +1,4 @@
-"""Scripts of the repository that are no part of a package, loaded as modules."""
+"""Scripts of the repository that belong to no package, loaded as modules."""
 
 import importlib.util
 import sys
@@ -14,7 +14,7 @@ def script(folder: str, name: str) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    # Dataclasses look their module up.
+    # Dataclasses need their module in `sys.modules`.
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module

@@ -1,4 +1,4 @@
-"""Files of 3D Slicer as it writes them itself, for tests to read: point lists as JSON and as text."""
+"""Point lists as 3D Slicer writes them, as JSON and as text, for tests to read."""
 
 import json
 

@@ -30,7 +30,7 @@ def together(*surfaces):
 
 
 def inverted(surface):
-    """Return the surface with all normals on the other side."""
+    """Return the surface with all normals reversed."""
     return surface[0], surface[1][:, [0, 2, 1]]
 
 
@@ -51,6 +51,6 @@ def write_stl(path, surface, head: bytes = b"", scale: float = 1.0):
 
 
 def volume(surface):
-    """Return what a closed surface encloses."""
+    """Return the volume that a closed surface encloses."""
     a, b, c = (surface[0][surface[1][:, i]] for i in range(3))
     return np.einsum("ij,ij->", np.cross(a, b), c) / 6.0

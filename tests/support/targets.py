@@ -1,4 +1,4 @@
-"""A small body with effects, as it is fitted."""
+"""The target of a fit on a small body with effects."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
 
 
 def target_of(*effects, marker_std=MARKER_STD, force_std=FORCE_STD, young=YOUNG) -> Target:
-    """Return what is fitted to data with effects, a stiffer body and noise."""
+    """Return the target of a fit to data with effects, a stiffer body and noise."""
     believed = rig()
     truth = Bench(believed, Layout(believed)).predictor.predict(effects, young=young)
     layout = Layout(believed)
@@ -29,7 +29,7 @@ def target_of(*effects, marker_std=MARKER_STD, force_std=FORCE_STD, young=YOUNG)
 
 
 def part(target, name, amplitude=0.1, **settings):
-    """Return a cause where its fit begins."""
+    """Return a cause with its parameters at the start of a fit."""
     variants = [v for v in CAUSES[name].variants(target.bench) if settings.items() <= v.settings.items()]
     amplitudes = np.full(len(variants[0].columns), amplitude)
     return Part(name, CAUSES[name].knobs(target.bench, variants[0], amplitudes))

@@ -38,7 +38,7 @@ class Checkpoint:
         return self.path.is_file()
 
     def discard(self) -> None:
-        """Delete the checkpoint and what a killed run left beside it, and the folder if nothing else is in it."""
+        """Delete the checkpoint and what a killed run left next to it, and the folder if nothing else is in it."""
         self.path.unlink(missing_ok=True)
         self._part.unlink(missing_ok=True)
         remove_unfinished(self.folder)

@@ -144,7 +144,7 @@ def mesh_digest(nodes: Any, tets: Any, held_nodes: Any) -> str:
 
 
 def check_recipe_fits(recipe: Recipe, dataset_recipe: Any) -> None:
-    """Check that a recipe speaks of the mesh the data were made on.
+    """Check that a recipe refers to the mesh on which the data were made.
 
     Parameters
     ----------

@@ -105,7 +105,7 @@ def fit(
     settings : TrainSettings
         How.
     seed : int
-        Source of all chance.
+        Source of all random numbers.
     checkpoint : Checkpoint, optional
         Continued from where it holds something, written after every epoch.
     report : callable of str, optional

@@ -56,7 +56,7 @@ def write_model(
     out : Path
         Where it shall stand; an older model there is replaced.
     scratch : Path
-        Folder beside `out` of the same run alone, made where absent. What a killed run left in it is replaced; of a
+        Folder next to `out`, used by this run alone, made where absent. What a killed run left in it is replaced; of a
         run that ends nothing of this stays in it.
     encoder, decoder : onnx.ModelProto
         The networks.

@@ -24,7 +24,7 @@ import torch
 from tissuereg_training.graph import IntArray
 
 with warnings.catch_warnings():
-    # torch says once a process that its CSR tensors are in beta state; say it here, unheard.
+    # torch warns once per process that its CSR tensors are in beta state; trigger and suppress that here.
     warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta state")
     torch.sparse_csr_tensor([0, 1], [0], [1.0], check_invariants=False)
 

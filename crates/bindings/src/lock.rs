@@ -35,14 +35,14 @@ pub(crate) fn run_watched<T: Send + 'static>(
         work()
     })?;
     loop {
-        let (receiver, said) = wait(py, waiting, POLL);
+        let (receiver, reply) = wait(py, waiting, POLL);
         waiting = receiver;
         if let Err(error) = py.check_signals().and_then(|()| tick(py)) {
             cancel.store(true, Ordering::Relaxed);
             let _ended_or_left = wait(py, waiting, PATIENCE);
             return Err(error);
         }
-        if said == Err(RecvTimeoutError::Disconnected) {
+        if reply == Err(RecvTimeoutError::Disconnected) {
             return match py.detach(|| worker.join()) {
                 Ok(value) => Ok(value),
                 Err(panic) => std::panic::resume_unwind(panic),
@@ -60,8 +60,8 @@ fn wait(
     time: Duration,
 ) -> (Waiting, Result<(), RecvTimeoutError>) {
     py.detach(move || {
-        let said = waiting.recv_timeout(time);
-        (waiting, said)
+        let reply = waiting.recv_timeout(time);
+        (waiting, reply)
     })
 }
 

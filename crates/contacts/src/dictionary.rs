@@ -20,8 +20,8 @@ pub struct Patch {
 
 /// Responses of the observations to unit causes.
 ///
-/// Columns `3 p .. 3 p + 3` belong to patch `p` (one a direction); columns behind those of all patches are further
-/// causes that no slot can choose (a body force, say), which a [`Family`](crate::Family) may hold.
+/// Columns `3 p .. 3 p + 3` belong to patch `p` (one per direction); columns behind those of all patches are further
+/// causes that no slot can choose (such as a body force), which a [`Family`](crate::Family) may hold.
 ///
 /// # Examples
 ///

@@ -14,7 +14,7 @@
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ContactsError {
-    /// An array does not have the size that the others ask for.
+    /// An array does not have the size that the others require.
     #[error("`{argument}` must have {wanted} entries along its free axis, got {found}")]
     Shape {
         /// The argument.

@@ -188,7 +188,7 @@ impl Problem {
         Ok(Run { samples, counters: chain.counters })
     }
 
-    /// Check that a configuration speaks of this problem.
+    /// Check that a configuration has the sizes of this problem.
     pub(crate) fn check_configuration(&self, one: &Configuration) -> Result<(), ContactsError> {
         let prior = &self.prior;
         check_length("slots", prior.n_slots, one.slots.len())?;

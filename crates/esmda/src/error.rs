@@ -47,7 +47,7 @@ pub enum EsmdaError {
         n_steps: usize,
     },
     /// A step beyond the end of the schedule.
-    #[error("step {step} was asked for, but the schedule has {n_steps} steps (counted from 0)")]
+    #[error("step {step} was requested, but the schedule has {n_steps} steps (counted from 0)")]
     StepBeyondSchedule {
         /// Requested step, from zero.
         step: usize,

@@ -12,7 +12,7 @@ use tissuereg_esmda::{
 #[track_caller]
 fn refuses<T: std::fmt::Debug>(result: Result<T, EsmdaError>, message: &str) -> EsmdaError {
     let error = result.expect_err("must be refused");
-    assert!(error.to_string().contains(message), "`{error}` does not say `{message}`");
+    assert!(error.to_string().contains(message), "`{error}` does not contain `{message}`");
     error
 }
 
@@ -38,7 +38,7 @@ fn schedules_are_checked() {
 fn one_step_too_many_is_refused() {
     let schedule = Schedule::geometric(3, 2.0).unwrap();
     assert_eq!(schedule.alpha(2), Ok(1.75));
-    refuses(schedule.alpha(3), "step 3 was asked for, but the schedule has 3 steps");
+    refuses(schedule.alpha(3), "step 3 was requested, but the schedule has 3 steps");
 }
 
 #[test]

@@ -80,7 +80,7 @@ fn correlated_noise_gives_the_kalman_posterior_too() {
 fn inverses_that_add_up_to_c_count_the_data_c_times() {
     let problem = LinearGaussian::new(4, 7, 0.3, 3);
     let alphas = [4.0, 2.0, 1.0];
-    assert!(Schedule::from_alphas(&alphas).is_err(), "not unless it is asked for");
+    assert!(Schedule::from_alphas(&alphas).is_err(), "refused unless requested");
     let schedule = Schedule::with_total(&alphas, 1.75).unwrap();
     let (mean, covariance) = problem.posterior(1.75);
     let mut ensemble = Normals::new(5).exact(4, 20, &[]);

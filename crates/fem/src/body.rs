@@ -245,7 +245,7 @@ impl Body {
     }
 
     /// Order of plain linear tets on the unknowns of a body of [`Element::Tet4Averaged`], made when
-    /// first asked for.
+    /// first needed.
     ///
     /// # Errors
     ///

@@ -245,7 +245,7 @@ pub enum FemError {
     },
     /// No unloaded shape was found.
     #[error(
-        "no unloaded shape was found in {iterations} iterations: the loaded one is off by {distance:.3e} mm, asked for {tolerance:.0e} mm; {}",
+        "no unloaded shape was found in {iterations} iterations: the loaded one is off by {distance:.3e} mm, tolerance {tolerance:.0e} mm; {}",
         .cause.as_ref().map_or_else(|| "a smaller weight or a stiffer material may have one".to_owned(), |e| e.to_string())
     )]
     NoRestShape {
@@ -418,7 +418,7 @@ impl StopReason {
                 "reduce the prescribed displacements or check their unit (mm)"
             }
             Self::Stalled => {
-                "ask for a tolerance above the rounding of these forces, or check their unit (mN)"
+                "set a tolerance above the rounding of these forces, or check their unit (mN)"
             }
         }
     }
@@ -428,7 +428,7 @@ fn residual_clause(residual: f64, tolerance: f64) -> String {
     if tolerance == 0.0 {
         return String::new();
     }
-    format!(": residual {residual:.3e} mN, asked for {tolerance:.3e} mN")
+    format!(": residual {residual:.3e} mN, tolerance {tolerance:.3e} mN")
 }
 
 fn worst_list(worst: &[WorstTet]) -> String {

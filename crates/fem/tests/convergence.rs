@@ -1,4 +1,4 @@
-//! Does it converge as theory says? Manufactured solution on refined cubes, L2 norm.
+//! Does it converge as theory predicts? Manufactured solution on refined cubes, L2 norm.
 #![allow(clippy::expect_used, clippy::panic)]
 
 mod common;

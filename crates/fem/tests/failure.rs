@@ -27,7 +27,7 @@ fn mesh_error(change: impl Fn(&mut Vec<[f64; 3]>, &mut Vec<[usize; 4]>)) -> Stri
 
 fn assert_says(message: &str, parts: &[&str]) {
     for part in parts {
-        assert!(message.contains(part), "`{message}` must say `{part}`");
+        assert!(message.contains(part), "`{message}` must contain `{part}`");
     }
 }
 

@@ -414,7 +414,7 @@ fn what_a_rig_does_not_have_is_named() {
         (FrameCause::Always(Cause::YoungField(vec![1.0])), "must have 18 rows; found 1"),
     ] {
         let error = rig.derivatives(&[cause], &tight()).expect_err("none").to_string();
-        assert!(error.contains(words), "`{error}` must say `{words}`");
+        assert!(error.contains(words), "`{error}` must contain `{words}`");
     }
     let seen = |frame, pads: &[usize], held: &[usize]| FrameObservation {
         frame,
@@ -429,7 +429,7 @@ fn what_a_rig_does_not_have_is_named() {
         (seen(0, &[], &[5000]), "the reaction of node 5000, which is not held".to_owned()),
     ] {
         let error = rig.adjoints(&[observation], &tight()).expect_err("none").to_string();
-        assert!(error.contains(&words), "`{error}` must say `{words}`");
+        assert!(error.contains(&words), "`{error}` must contain `{words}`");
     }
     let body = story.body();
     let history = History::new(&body, story.material, Behaviour::default()).expect("sound");

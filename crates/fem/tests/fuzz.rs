@@ -260,7 +260,7 @@ fn finite(rows: &[[f64; 3]]) -> bool {
     rows.iter().flatten().all(|v| v.is_finite())
 }
 
-/// Numbers are numbers, the residual is below what was asked for, and work is bounded.
+/// Numbers are numbers, the residual is below the tolerance, and work is bounded.
 fn check(outcome: &Result<Solution, FemError>) -> Result<(), TestCaseError> {
     match outcome {
         Ok(answer) => {

@@ -1,5 +1,5 @@
 //! Near incompressibility: linear tets whose volume ratios are averaged at the nodes, and quadratic
-//! ones, beside published values. `measure/incompressible.rs` has the whole tables.
+//! ones, against published values. `measure/incompressible.rs` has the whole tables.
 #![allow(clippy::expect_used)]
 
 mod common;

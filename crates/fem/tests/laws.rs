@@ -1,4 +1,4 @@
-//! Is every law what it says? Against textbook energies in 60 digits, against another code, in its
+//! Is every law what it claims to be? Against textbook energies in 60 digits, against another code, in its
 //! limits, and at input that it must refuse.
 #![allow(clippy::expect_used, clippy::panic)]
 

@@ -158,7 +158,7 @@ fn a_twist_by_nearly_half_a_turn_is_followed() {
     assert!(moment > 0.0, "the end resists by {moment} mN mm");
 }
 
-/// Every front that is made fits the size that was announced: the cubes of a bar grow as theory says.
+/// Every front that is made fits the size that was announced: the cubes of a bar grow as theory predicts.
 #[test]
 fn the_size_of_a_factor_is_known_before_it_is_made() {
     let size = |n: usize| {

@@ -171,7 +171,7 @@ def frame_adjoints(frames: Frames, observations: Sequence[FrameObservation]) -> 
     Returns
     -------
     FrameAdjoints
-        One entry an observation, in their order.
+        One entry per observation, in their order.
 
     Raises
     ------

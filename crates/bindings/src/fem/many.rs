@@ -148,11 +148,11 @@ impl Members {
                 .collect();
             solve_many(&shared, &members, &settings)
         };
-        let mut said = 0;
+        let mut reported = 0;
         let tick = |_: Python<'_>| {
             let now = finished.load(Ordering::Relaxed);
-            if let Some(progress) = progress.filter(|_| now != said) {
-                said = now;
+            if let Some(progress) = progress.filter(|_| now != reported) {
+                reported = now;
                 progress.call1((now,))?;
             }
             Ok(())

@@ -1,4 +1,4 @@
-//! One ES-MDA update as a value: `prepare` returns what has `apply`.
+//! One ES-MDA update as a value: `prepare` returns a [`Step`] with `apply`.
 //!
 //! With `n` members, `m` observations, `p` parameters, and primes for "less the ensemble mean",
 //!

@@ -41,14 +41,14 @@ impl Normals {
     }
 
     /// Draws with mean zero and sample covariance the identity, to rounding, and no sample correlation with the rows of
-    /// `beside`. Needs more members than all rows together.
+    /// `apart_from`. Needs more members than all rows together.
     pub fn exact(
         &mut self,
         n_rows: usize,
         n_members: usize,
-        beside: &[MatRef<'_, f64>],
+        apart_from: &[MatRef<'_, f64>],
     ) -> Mat<f64> {
-        let taken = 1 + beside.iter().map(|rows| rows.nrows()).sum::<usize>();
+        let taken = 1 + apart_from.iter().map(|rows| rows.nrows()).sum::<usize>();
         assert!(n_members >= taken + n_rows, "too few members for exact draws");
         let mut columns =
             Mat::from_fn(
@@ -59,7 +59,7 @@ impl Normals {
                 },
             );
         let mut from = 1;
-        for rows in beside {
+        for rows in apart_from {
             columns.get_mut(.., from..from + rows.nrows()).copy_from(rows.transpose());
             from += rows.nrows();
         }

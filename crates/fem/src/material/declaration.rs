@@ -1,4 +1,4 @@
-//! What a law says of itself: its name, its shape parameters, where a fit of them begins.
+//! Declaration of a law: its name, its shape parameters, where a fit of them begins.
 
 use crate::error::FemError;
 

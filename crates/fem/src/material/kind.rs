@@ -39,7 +39,7 @@ macro_rules! catalogue {
                 None
             }
 
-            /// What a law in invariants says of itself.
+            /// The declaration of a law in invariants.
             fn declared_in_invariants(&self) -> Option<Declaration> {
                 match self {
                     $( Self::$law { .. } => Some(laws::$module::DECLARATION), )*

@@ -52,7 +52,7 @@ pub(crate) fn must_stick(springs: &[Springs]) -> Result<(), FemError> {
     let friction = springs.iter().find_map(|set| set.friction);
     let name = "springs.friction";
     friction.map_or(Ok(()), |f| {
-        must(name, "absent where derivatives are asked for", f.coefficient, false)
+        must(name, "absent where derivatives are computed", f.coefficient, false)
     })
 }
 

@@ -105,7 +105,7 @@ impl Random {
     }
 }
 
-/// Number of random cases: what `TISSUEREG_CASES` says, or `quick`.
+/// Number of random cases: the value of `TISSUEREG_CASES`, or `quick`.
 pub fn count_or(quick: u64) -> u64 {
     match std::env::var("TISSUEREG_CASES") {
         Ok(text) => text.parse().expect("TISSUEREG_CASES must be a whole number"),

@@ -1,4 +1,4 @@
-//! One file a law in invariants; each is told of in the catalogue (`material/kind.rs`).
+//! One file per law in invariants; each is registered in the catalogue (`material/kind.rs`).
 //!
 //! A file holds the law's [`DECLARATION`](yeoh::DECLARATION), whether its energy has the second
 //! invariant (`SECOND`), its energy with slopes (`slopes`) and their derivatives by a shape
