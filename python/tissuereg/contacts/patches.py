@@ -119,7 +119,7 @@ def surface_of_nodes(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
 
 
 def _radii(extent: float, edge: float) -> FloatArray:
-    """Return radii in mm, ascending: shares of the extent, none much smaller than two edges of the surface."""
+    """Return radii in mm, ascending: shares of the extent, none below `_LEAST_EDGES` mean edges of the surface."""
     wanted = np.array(RADII_SHARES) * extent
     least = _LEAST_EDGES * edge
     return np.asarray(np.concatenate([[max(least, wanted[0])], wanted[wanted > 1.3 * max(least, wanted[0])]]))

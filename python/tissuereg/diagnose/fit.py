@@ -333,7 +333,7 @@ class _Solver:
     def __init__(self, target: Target, parts: tuple[Part, ...]) -> None:
         self.target = target
         self.parts = parts
-        # The prior of the modulus is normal in the modulus; in its logarithm about the same for moderate spreads.
+        # The first parameter is the logarithm of the modulus over the believed one; the modulus' prior is log-normal.
         self.start = np.concatenate([[0.0], *(part.knobs.start for part in parts)])
         self.mean = np.concatenate([[0.0], *(part.knobs.mean for part in parts)])
         self.deviation = np.concatenate([[target.bench.young_spread], *(part.knobs.deviation for part in parts)])
