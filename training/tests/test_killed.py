@@ -48,7 +48,8 @@ def test_after_a_kill_at_any_moment_the_next_run_gives_the_same_model_and_nothin
     place = make_workplace(tmp_path / "place", recipe=RECIPE.replace("epochs = 60", "epochs = 12"))
     began = time.monotonic()
     process = start(place, tmp_path / "whole" / "model")
-    assert process.wait(timeout=300) == 0, process.stderr.read()
+    _, said = process.communicate(timeout=300)
+    assert process.returncode == 0, said
     lasted = time.monotonic() - began
     whole = networks(tmp_path / "whole" / "model")
     moments = np.random.default_rng(24).uniform(0.2 * lasted, lasted, MOMENTS)
