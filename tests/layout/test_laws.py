@@ -44,7 +44,7 @@ def test_every_shape_parameter_is_a_key_of_the_effects_of_other_laws():
 def test_every_law_is_documented():
     assert tuple(DECLARED) == LAWS
     rows = Material.__doc__ or ""
-    assert [law for law in LAWS if not re.search(rf"^ +{law} ", rows, flags=re.MULTILINE)] == []
+    assert [law for law in LAWS if not re.search(rf"^ +\| {law} \|", rows, flags=re.MULTILINE)] == []
 
 
 @pytest.mark.parametrize("law", [law for law, said in DECLARED.items() if said.shape and not said.has_terms])
