@@ -1,5 +1,6 @@
 """The summary that ``tissuereg register`` prints."""
 
+import math
 from typing import Any
 
 from tissuereg.cli.common import seconds_line
@@ -25,7 +26,8 @@ def summary(content: dict[str, Any], out: str) -> str:
     markers, trust, body, model = (content[name] for name in ("markers", "trust", "body", "model"))
     simulated = any(target["simulation_mm"] is not None for target in content["targets"].values())
     start = start_word(simulated)
-    p_value = "not known" if trust["p_value"] is None else f"{trust['p_value']:.3g}"
+    unknown = trust["p_value"] is None or not math.isfinite(trust["p_value"])
+    p_value = "not known" if unknown else f"{trust['p_value']:.3g}"
     return "\n".join(
         [
             *([_marker_line(markers, start)] if markers["used"] or markers["dropped"] else []),
