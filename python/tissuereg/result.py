@@ -247,7 +247,7 @@ class Registration:
     @property
     def starts_simulated(self) -> bool:
         """Whether distances `before` are those of a believed simulation, and not of the body at rest."""
-        return not np.array_equal(self.start_markers, self.all_markers.reference)
+        return not np.allclose(self.start_markers, self.all_markers.reference, rtol=0.0, atol=1e-6)
 
     def target(self, name: str) -> Target:
         """Return a target by name.

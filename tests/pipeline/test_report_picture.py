@@ -8,6 +8,7 @@ from matplotlib.patches import Polygon
 from scipy.stats import chi2
 
 import tissuereg as tr
+from support.meshes import block
 from tissuereg.report.heading import write_heading
 from tissuereg.report.inset import MOST_PANELS, round_length
 from tissuereg.report.picture import registration_figure
@@ -168,3 +169,31 @@ def test_signs_that_differ_by_colour_differ_for_every_eye():
         for index, one in enumerate(seen):
             for other in seen[index + 1 :]:
                 assert np.linalg.norm(one - other) > 0.25
+
+
+def test_a_long_body_is_drawn_whole():
+    """Views wider than high: nothing of a body is cut at the square in their middle."""
+    mesh = block(size=(160.0, 30.0, 30.0), cells=(16, 3, 3))
+    skin = np.setdiff1d(mesh.surface_nodes, mesh.fixed_nodes)[::9]
+    result = tr.register(mesh, tr.Markers(mesh.nodes[skin], mesh.nodes[skin], 0.1))
+    reasons = [f"misfit: {'word ' * 60}{number}" for number in range(4)]  # which leave the views low
+    figure = registration_figure(replace(result, trust=replace(result.trust, ok=False, reasons=reasons)))
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[:, :, :3]
+    view = figure.axes[0]
+    square = view.get_window_extent()
+    frame = view.get_position(original=True).transformed(figure.transFigure)
+    left = int(np.floor(square.x0)) - 6
+    assert frame.x0 < left
+    assert (pixels[:, int(frame.x0) : left].min(axis=(0, 2)) < 250).any(), "the body ends at the square"
+
+
+def test_distances_are_before_unless_a_simulation_was_believed(found):
+    assert not found.starts_simulated
+    shown = " ".join(text.get_text() for text in texts(registration_figure(found)))
+    assert "mm before," in shown
+    assert "in the simulation" not in shown
+    moved = replace(found, start_markers=found.start_markers + 0.1)
+    assert moved.starts_simulated
+    shown = " ".join(text.get_text() for text in texts(registration_figure(moved)))
+    assert "mm in the simulation," in shown

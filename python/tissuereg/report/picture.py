@@ -61,6 +61,9 @@ def registration_figure(result: "Registration") -> Any:
         scene.draw_markers(view, result, surface)
         scene.draw_surface_points(view, result)
         scene.draw_targets(view, result)
+        # matplotlib cuts what lies outside the square in the middle of a frame; the zoom is that of the whole frame.
+        for artist in view.axes.get_children():
+            artist.set_clip_on(False)
         _triad(figure, view)
     left_out = place_labels(figure, views, body)
     _scale_bar(figure, views[0], result.mesh.extent)
