@@ -1,7 +1,7 @@
 """Checks of a file before it is read: it exists, is no larger than its kind may be, and begins as its kind does.
 
-The sizes bound memory and time whatever a file holds; ``docs/files.md`` lists them. While it is read, a table takes
-up to forty times its size in memory, a mesh up to ten times.
+The sizes bound memory and time; ``docs/files.md`` lists them. While it is read, a table takes up to forty times its
+size in memory, a mesh up to ten times. What a compressed .vtu, .vtk or .vtp unpacks to is not bounded.
 """
 
 import io
