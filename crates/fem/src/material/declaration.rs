@@ -9,7 +9,7 @@ use crate::error::FemError;
 /// ```
 /// use tissuereg_fem::material::LawKind;
 ///
-/// let yeoh = LawKind::declarations().iter().find(|law| law.name == "yeoh");
+/// let yeoh = LawKind::declarations().into_iter().find(|law| law.name == "yeoh");
 /// let names = yeoh.map(|law| law.shape.iter().map(|one| one.name).collect::<Vec<_>>());
 /// assert_eq!(names, Some(vec!["c2_over_c1", "c3_over_c1"]));
 /// ```
