@@ -259,5 +259,7 @@ kind = "displacement"
     assert "push" in tr.read_experiment(folder).cases["lean"].displacements  # absent pads move nothing
     with (folder / "actuators.csv").open("a", encoding="utf-8") as table:
         table.write(rows)
-    with pytest.raises(ExperimentError, match=r"must share no node; 'push' and 'also' share \d+ in case 'lean'"):
+    with pytest.raises(
+        ExperimentError, match=r"nodes of their own; all \d+ of 'push' are moved by 'also' too in case 'lean'"
+    ):
         tr.read_experiment(folder)

@@ -250,16 +250,15 @@ def _refuse_held_pads(top: Table, mesh: Mesh, actuators: Sequence[Actuator]) -> 
 
 
 def _refuse_two_motions(top: Table, actuators: Sequence[Actuator], cases: Mapping[str, Case]) -> None:
-    """Refuse nodes that two displacement actuators move at the same time."""
+    """Refuse a displacement actuator all of whose nodes another one moves in the same case."""
     for case in cases.values():
         moving = [pad for pad in actuators if pad.name in case.displacements]
-        for i, one in enumerate(moving):
-            for other in moving[:i]:
-                both = np.intersect1d(one.nodes, other.nodes).size
-                if both:
+        for one in moving:
+            for other in moving:
+                if one is not other and np.isin(one.nodes, other.nodes).all():
                     top.refuse(
-                        f"displacement actuators of one case must share no node; '{other.name}' and '{one.name}' share "
-                        f"{both} in case '{case.name}'"
+                        f"displacement actuators of one case must have nodes of their own; all {len(one.nodes)} of "
+                        f"'{one.name}' are moved by '{other.name}' too in case '{case.name}'"
                     )
 
 
