@@ -1,5 +1,6 @@
 """A disk that is full: an error that says what and where, old results as they were, nothing half written."""
 
+import contextlib
 import os
 import resource
 import shutil
@@ -82,24 +83,27 @@ def write_text(path):
         temporary.write_text("x" * 10_000)
 
 
-@pytest.fixture
+@contextlib.contextmanager
 def limited():
+    """No room for this process, while the block runs: the test runner writes its own lines to a file, too."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_a_file_that_finds_no_room_leaves_the_old_one(kind, tmp_path, limited):
+def test_a_file_that_finds_no_room_leaves_the_old_one(kind, tmp_path):
     (tmp_path / f"it.{kind}").write_text("old")
-    with pytest.raises(OutputError, match=rf"it\.{kind} must be writable: File too large"):
+    with pytest.raises(OutputError, match=rf"it\.{kind} must be writable: File too large"), limited():
         WRITERS[kind](tmp_path / f"it.{kind}")
     assert [file.name for file in tmp_path.iterdir()] == [f"it.{kind}"]
     assert (tmp_path / f"it.{kind}").read_text() == "old"
 
 
-def test_a_folder_that_finds_no_room_leaves_the_old_files(tmp_path, limited):
+def test_a_folder_that_finds_no_room_leaves_the_old_files(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "small").write_text("old")
 
@@ -108,15 +112,15 @@ def test_a_folder_that_finds_no_room_leaves_the_old_files(tmp_path, limited):
             (temporary / "small").write_text("new")
             (temporary / "wide").write_text("x" * 10_000)
 
-    with pytest.raises(OutputError, match="out must be writable: File too large"):
+    with pytest.raises(OutputError, match="out must be writable: File too large"), limited():
         fill()
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["small"]
     assert (tmp_path / "out" / "small").read_text() == "old"
 
 
-def test_a_cache_that_finds_no_room_is_no_error(tmp_path, limited, monkeypatch):
+def test_a_cache_that_finds_no_room_is_no_error(tmp_path, monkeypatch):
     monkeypatch.setenv("TISSUEREG_CACHE", str(tmp_path / "cache"))
-    with pytest.warns(UserWarning, match="cannot be written"):
+    with pytest.warns(UserWarning, match="cannot be written"), limited():
         keep_entry("bank_one", bytes(10_000), 3)
     assert not list(tmp_path.rglob("*bank*"))
 
