@@ -17,11 +17,11 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 import tarfile
 import tempfile
-import time
 from pathlib import Path
+
+from packages import CheckError, as_new, exit_code
 
 ROOT = Path(__file__).resolve().parents[1]
 CRATES = ("tissuereg-fem", "tissuereg-contacts", "tissuereg-esmda")
@@ -40,10 +40,6 @@ edition = "2024"
 
 [workspace]
 """
-
-
-class CheckError(Exception):
-    """A check of a package failed."""
 
 
 def cargo(*arguments: str, cwd: Path = ROOT) -> str:
@@ -68,11 +64,6 @@ def package(name: str, options: list[str]) -> Path:
     cargo("package", "--no-verify", "--quiet", "--package", name, *options)
     version = cargo("pkgid", "--package", name).strip().rsplit("#", 1)[1].rsplit("@", 1)[-1]
     return ROOT / "target" / "package" / f"{name}-{version}.crate"
-
-
-def as_new(member: tarfile.TarInfo, folder: str) -> tarfile.TarInfo:
-    """Give a file of an archive the present time: cargo takes a file older than its last build as built already."""
-    return tarfile.data_filter(member, folder).replace(mtime=int(time.time()))
 
 
 def unpack(archive: Path, folder: Path) -> Path:
@@ -119,14 +110,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--allow-dirty", action="store_true", help="package what is not committed too")
     options = ["--allow-dirty"] if parser.parse_args().allow_dirty else []
-    try:
+
+    def check() -> None:
         for name in CRATES:
             with tempfile.TemporaryDirectory(prefix="tissuereg-crate-") as folder:
                 run_examples(name, package(name, options), Path(folder))
-    except CheckError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+
+    return exit_code(check)
 
 
 if __name__ == "__main__":

@@ -21,10 +21,11 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-import time
 import venv
 import zipfile
 from pathlib import Path
+
+from packages import CheckError, as_new, exit_code
 
 ROOT = Path(__file__).resolve().parents[1]
 LARGEST_WHEEL, LARGEST_SDIST = 12_000_000, 8_000_000  # bytes, compressed
@@ -38,10 +39,6 @@ NEEDED = {
 }
 LICENCES = ("LICENSE-MIT", "LICENSE-APACHE")
 TOOLS_OF_A_BUILD = ("cargo", "rustc", "cc", "gcc", "clang", "maturin")
-
-
-class CheckError(Exception):
-    """A check of a distribution failed."""
 
 
 def must(holds: bool, message: str) -> None:
@@ -109,11 +106,6 @@ def use(commands: Path, folder: Path, environment: dict[str, str]) -> None:
     print(f"tissuereg {version}: installed without a compiler, demo and register answer")
 
 
-def as_new(member: tarfile.TarInfo, folder: str) -> tarfile.TarInfo:
-    """Give a file of an archive the present time: cargo takes a file older than its last build as built already."""
-    return tarfile.data_filter(member, folder).replace(mtime=int(time.time()))
-
-
 def rebuild(sdist: Path, folder: Path) -> Path:
     """Build a wheel from a source archive, outside this repository."""
     size = sdist.stat().st_size
@@ -140,7 +132,8 @@ def main() -> int:
     parser.add_argument("wheel", type=Path)
     parser.add_argument("--sdist", type=Path)
     arguments = parser.parse_args()
-    try:
+
+    def check() -> None:
         with tempfile.TemporaryDirectory(prefix="tissuereg-wheel-") as name:
             folder = Path(name).resolve()
             files = files_of(arguments.wheel)
@@ -149,10 +142,8 @@ def main() -> int:
             if arguments.sdist:
                 again = files_of(rebuild(arguments.sdist, folder))
                 must(again == files, f"both wheels must hold the same files, they differ in {sorted(again ^ files)}")
-    except CheckError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+
+    return exit_code(check)
 
 
 if __name__ == "__main__":

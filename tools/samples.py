@@ -28,6 +28,7 @@ from tissuereg.io.tables import write_markers, write_points
 from tissuereg.io.toml_text import write_toml
 from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.simulate.noise import with_noise
+from tissuereg.surface import evenly
 
 DATA = Path(__file__).resolve().parent.parent / "python" / "tissuereg" / "samples" / "data"
 SEED = 12
@@ -54,16 +55,6 @@ def organ() -> trimesh.Trimesh:
     return trimesh.Trimesh(np.column_stack([long, wide + notch, low]), body.faces, process=False)
 
 
-def scattered(points: np.ndarray, n: int) -> np.ndarray:
-    """Return the indices of `n` points far from each other, the first being the farthest from their middle."""
-    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
-    near = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < n:
-        chosen.append(int(np.argmax(near)))
-        near = np.minimum(near, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen)
-
-
 def make_surface(folder: Path) -> None:
     """Write the surface, its markers before and after a push, targets, and the targets' true places."""
     folder.mkdir(parents=True)
@@ -84,7 +75,7 @@ def make_surface(folder: Path) -> None:
     # The part that a camera above sees: the pusher and the far end of the organ are hidden.
     seen = (surface.vertices[:, 2] > -6) & (surface.vertex_normals[:, 2] > 0.25) & (surface.vertices[:, 0] > -25)
     seen &= np.linalg.norm(surface.vertices - PUSH_AT_MM, axis=1) > PUSH_RADIUS_MM + 5
-    places = surface.vertices[seen][scattered(surface.vertices[seen], N_MARKERS)]
+    places = surface.vertices[seen][evenly(surface.vertices[seen], N_MARKERS)]
     names = [f"M{i + 1}" for i in range(N_MARKERS)]
     markers = MarkerObservation(mesh, places, tuple(names))
     moved = markers.predict(truth.displacement[markers.nodes])
@@ -105,7 +96,7 @@ def make_rig(folder: Path, surface: Path) -> None:
     mesh = tr.tetrahedralize(surface, 13.0, fixed=HELD, deviation_mm=0.4)
     skin = mesh.nodes[mesh.surface_nodes]
     seen = skin[(skin[:, 2] > -8)]
-    places = seen[scattered(seen, 16)]
+    places = seen[evenly(seen, 16)]
     stroke = np.array([0.0, 0.35, 0.7, 1.0, 1.0, 0.5])
     pads = {"top": ((-22.0, 2.0, 30.0), 14.0, (0.0, 0.0, -7.0)), "side": ((40.0, -24.0, 4.0), 13.0, (-2.0, 6.0, 0.0))}
     centres = {

@@ -214,6 +214,27 @@ class Mesh:
         return digest.hexdigest()
 
 
+def node_normals(mesh: Mesh, areas: FloatArray) -> FloatArray:
+    """Return unit normals at the nodes of a surface: means over the triangles that meet there, by their areas.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The body.
+    areas : ndarray of float64, shape (n_triangles, 3)
+        Outward normal of every triangle of `Mesh.surface`, as long as its area, in any unit.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_nodes, 3)
+        Zero inside.
+    """
+    total = np.zeros_like(mesh.nodes)
+    for corner in range(3):
+        np.add.at(total, mesh.surface[:, corner], areas)
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny))
+
+
 def det_f(mesh: Mesh, displacement: FloatArray) -> FloatArray:
     """Return the volume ratio of every tet under a displacement of its corners.
 

@@ -353,41 +353,28 @@ def test_a_spoilt_file_is_read_or_refused(good, read, name, changes):
     reads_or_refuses(read, path)
 
 
-@pytest.mark.parametrize("name", ["experiment.toml", *TABLES])
-@FUZZED
-@given(changes=st.lists(CHANGES, min_size=1, max_size=3))
-def test_an_experiment_with_a_spoilt_file_is_read_or_refused(good, name, changes):
-    whole = EXPERIMENT if name == "experiment.toml" else TABLES[name]
-    path = good / "rig" / name
-    try:
-        path.write_bytes(spoilt(whole.encode(), changes))
-        reads_or_refuses(tr.read_experiment, good / "rig")
-    finally:
-        path.write_text(whole)
+FOLDERS = [
+    *(pytest.param(tr.read_experiment, f"rig/{name}", id=f"rig-{name}") for name in ("experiment.toml", *TABLES)),
+    *(
+        pytest.param(tr.read_experiment, f"wide-rig/{name}", id=f"wide-rig-{name}")
+        for name in ("experiment.toml", "forces_applied.csv")
+    ),
+    *(
+        pytest.param(tr.read_material_experiment, f"test/{name}", id=f"test-{name}")
+        for name in ("experiment.toml", "test.csv")
+    ),
+]
 
 
-@pytest.mark.parametrize("name", ["experiment.toml", "forces_applied.csv"])
+@pytest.mark.parametrize(("read", "name"), FOLDERS)
 @FUZZED
 @given(changes=st.lists(CHANGES, min_size=1, max_size=3))
-def test_an_experiment_with_effects_and_a_spoilt_file_is_read_or_refused(good, name, changes):
-    path = good / "wide-rig" / name
+def test_a_folder_with_a_spoilt_file_is_read_or_refused(good, read, name, changes):
+    path = good / name
     whole = path.read_bytes()
     try:
         path.write_bytes(spoilt(whole, changes))
-        reads_or_refuses(tr.read_experiment, good / "wide-rig")
-    finally:
-        path.write_bytes(whole)
-
-
-@pytest.mark.parametrize("name", ["experiment.toml", "test.csv"])
-@FUZZED
-@given(changes=st.lists(CHANGES, min_size=1, max_size=3))
-def test_a_material_test_with_a_spoilt_file_is_read_or_refused(good, name, changes):
-    path = good / "test" / name
-    whole = path.read_bytes()
-    try:
-        path.write_bytes(spoilt(whole, changes))
-        reads_or_refuses(tr.read_material_experiment, good / "test")
+        reads_or_refuses(read, path.parent)
     finally:
         path.write_bytes(whole)
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.experiment import Actuator, Boundary, Experiment
-from tissuereg.mesh import Mesh
+from tissuereg.mesh import Mesh, node_normals
 from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.fine.folds import Folds, folds_of
 from tissuereg.simulate.fine.meshing import rim_of
@@ -97,7 +97,7 @@ class _Surface:
     def __init__(self, experiment: Experiment, given: Mesh) -> None:
         self.mesh: Mesh = experiment.mesh
         self.folds: Folds = folds_of(self.mesh.nodes, self.mesh.surface)
-        self.normals = _node_normals(self.mesh, self.folds)
+        self.normals = node_normals(self.mesh, self.folds.normals * self.folds.areas[:, None])
         between = gaps(given)
         self.facets = float(np.sqrt((between[given.surface_nodes] ** 2).sum(axis=1).mean()))
         self.gaps = between if given is self.mesh else _carried(given, between, self.mesh)
@@ -215,14 +215,6 @@ def _patterns(places: FloatArray, length: float) -> FloatArray:
     enough = int(np.searchsorted(np.cumsum(values), HELD_VARIANCE * values.sum())) + 1
     chosen = slice(min(enough, MOST_PATTERNS))
     return np.asarray((alike(places) @ vectors[:, chosen] / np.sqrt(values[chosen])).T)
-
-
-def _node_normals(mesh: Mesh, folds: Folds) -> FloatArray:
-    """Return unit normals at the nodes of a surface, shape (n_nodes, 3); zero inside."""
-    total = np.zeros_like(mesh.nodes)
-    for corner in range(3):
-        np.add.at(total, mesh.surface[:, corner], folds.normals * folds.areas[:, None])
-    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny))
 
 
 def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 from tissuereg.errors import FormatError
 from tissuereg.io.node_rules import rule_for_file
@@ -229,13 +229,9 @@ def a_node_rule(name: str, meaning: str) -> Key:
         try:
             return rule_for_file(rule, name)
         except FormatError as error:
-            _refuse(table, error)
+            table.refuse(str(error))
 
     return Key(name, "node set, plane or ball", meaning, NEEDED, take, "mm")
-
-
-def _refuse(table: Table, error: FormatError) -> NoReturn:
-    table.refuse(str(error))
 
 
 def _one_of(allowed: tuple[str, ...]) -> str:

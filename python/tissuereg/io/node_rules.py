@@ -1,7 +1,6 @@
 """Rules that choose nodes: a plane, a ball or the name of a node set, in one notation for files, commands, Python."""
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
@@ -10,12 +9,8 @@ import numpy as np
 from tissuereg._arguments import found, text
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import FormatError, MeshError
+from tissuereg.io.toml import parsed_toml
 from tissuereg.mesh import Mesh
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 #: The name of a node set; ``"plane nx ny nz d [tol]"`` or those numbers; ``"ball x y z r"``; a table with the keys
 #: ``plane`` and ``tolerance_mm``, or ``centre_mm`` and ``radius_mm``, or the text of such a table.
@@ -159,8 +154,8 @@ def _numbers(given: Sequence[Any]) -> list[float]:
 
 def _table_from_text(rule: str, name: str) -> Mapping[str, Any]:
     try:
-        content = tomllib.loads(f"nodes = {rule}")
-    except ValueError:  # no TOML, or a number of thousands of digits
+        content = parsed_toml(f"nodes = {rule}")
+    except ValueError:
         content = {}
     table = content.get("nodes")
     if len(content) != 1 or not isinstance(table, dict):

@@ -339,6 +339,18 @@ def experiment_file(path: str | os.PathLike[str]) -> Path:
     return file
 
 
+def parsed_toml(text: str) -> dict[str, Any]:
+    """Return the content of a TOML text.
+
+    Raises
+    ------
+    ValueError
+        If it is no TOML, or holds a number of thousands of digits.
+    """
+    content: dict[str, Any] = tomllib.loads(text)
+    return content
+
+
 def read_toml(path: str | os.PathLike[str]) -> Table:
     """Read a TOML file.
 
@@ -361,7 +373,7 @@ def read_toml(path: str | os.PathLike[str]) -> Table:
     """
     file = existing_file(path, TEXT_MB)
     try:
-        return Table(file, "", tomllib.loads(read_text(file)))
+        return Table(file, "", parsed_toml(read_text(file)))
     except TissueRegError:
         raise
     except (ValueError, OSError, RecursionError) as error:  # no TOML, no UTF-8, or a number of thousands of digits

@@ -125,12 +125,12 @@ def new_experiment(
     body = read_mesh(mesh_file)
     rule, guessed = _held(body, fixed)
     rig = MadeUpRig.on(body, nodes_by_rule(body, rule))
-    name = target.absolute().name
+    tables = _tables(target.absolute().name, rule, rig)
     with atomic_folder(target) as draft:
-        experiment, answers = _simulated(draft, _tables(name, rule, rig), mesh_file, rig, threads, progress)
+        experiment, answers = _simulated(draft, tables, mesh_file, rig, threads, progress)
         for table, histories in simulated_tables(experiment, with_noise(experiment, answers, seed=seed)):
             write_histories(draft / table.file, table, histories)
-        _write_text(draft, _text(_tables(name, rule, rig), path_from(target, mesh_file), True))
+        _write_text(draft, _text(tables, path_from(target, mesh_file), True))
         files = tuple(file for file in TABLES if (draft / file).exists())
         _check_empty(target)
     return Begun(files, guessed)

@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import MeshError
-from tissuereg.mesh import Mesh
+from tissuereg.mesh import Mesh, node_normals
 
 #: Of the body's extent: radius of a pad, and how far it is pushed in. Of its distance from held nodes: the same two.
 _RADIUS_SHARE, _STROKE_SHARE = 0.12, 0.04
@@ -61,7 +61,9 @@ class MadeUpRig:
             If the free surface has no room for them.
         """
         free = np.setdiff1d(body.surface_nodes, held)
-        places, normals = body.nodes[free], _normals(body)[free]
+        corners = body.nodes[body.surface]
+        areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        places, normals = body.nodes[free], node_normals(body, areas)[free]
         if not len(held) or len(free) < _N_PADS + N_MARKERS:
             message = (
                 f"the surface must have held nodes and {_N_PADS + N_MARKERS} free ones at least for pads and markers, "
@@ -125,17 +127,6 @@ def _middle(body: Mesh) -> FloatArray:
     centres = body.nodes[body.tets].mean(axis=1)
     middle = np.average(centres, axis=0, weights=body.volumes)
     return np.asarray(centres[np.argmin(np.linalg.norm(centres - middle, axis=1))])
-
-
-def _normals(body: Mesh) -> FloatArray:
-    """Return outward unit normals at nodes of the surface, shape (n_nodes, 3); zero elsewhere."""
-    corners = body.nodes[body.surface]
-    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(body.nodes)
-    for corner in range(3):
-        np.add.at(normals, body.surface[:, corner], areas)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(length > 0, length, 1.0)
 
 
 def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
