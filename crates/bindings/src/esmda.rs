@@ -164,12 +164,15 @@ impl Step {
         let n_members = self.step.n_members();
         let parameters = View::<f64>::new("parameters", parameters, &[&[None, Some(n_members)]])?;
         let n_rows = parameters.shape()[0];
-        let mut values = parameters.slice().to_vec();
-        let updated = lock::run_released(py, self.threads, |_| {
-            self.step.apply(MatMut::from_row_major_slice_mut(&mut values, n_rows, n_members))
+        let (prior, shape) = (parameters.matrix(), [n_rows, n_members]);
+        // Fresh pages of zeros: the threads that write a chunk are the first to touch it.
+        let mut updated = vec![0.0; n_rows * n_members];
+        let done = lock::run_released(py, self.threads, |_| {
+            let target = MatMut::from_row_major_slice_mut(&mut updated, n_rows, n_members);
+            self.step.apply_to(prior, target)
         });
-        updated.map_err(|error| errors::from_esmda(py, &error))?;
-        arrays::from_vec(py, values, [n_rows, n_members])
+        done.map_err(|error| errors::from_esmda(py, &error))?;
+        arrays::from_vec(py, updated, shape)
     }
 
     /// Number of members.

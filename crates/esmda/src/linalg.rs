@@ -1,7 +1,9 @@
-//! faer's kernels behind five functions, each sequential inside.
+//! faer's kernels behind a few functions, each sequential inside.
 //!
 //! Threads only ever take whole chunks of a fixed size, and sums over chunks run in order: the bits of a result depend
 //! neither on the number of threads nor on whether there are any.
+
+use std::convert::Infallible;
 
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -27,17 +29,59 @@ pub(crate) fn for_row_chunks(
     par: Par,
     work: impl Fn(MatMut<'_, f64>) + Send + Sync,
 ) {
+    let infallible = |_, chunk: MatMut<'_, f64>| {
+        work(chunk);
+        Ok::<(), Infallible>(())
+    };
+    let Ok(()) = try_for_row_chunks(rows, par, infallible);
+}
+
+/// Runs `work` on chunks of rows, given the first one's number, on threads according to `par`; the first chunk's error.
+pub(crate) fn try_for_row_chunks<E: Send>(
+    rows: MatMut<'_, f64>,
+    par: Par,
+    work: impl Fn(usize, MatMut<'_, f64>) -> Result<(), E> + Send + Sync,
+) -> Result<(), E> {
     if matches!(par, Par::Seq) || rows.nrows() <= ROW_CHUNK {
-        let mut rest = rows;
+        let (mut rest, mut first) = (rows, 0);
         while rest.nrows() > 0 {
-            let n_rows = rest.nrows().min(ROW_CHUNK);
+            let n_rows = ROW_CHUNK.min(rest.nrows());
             let (chunk, after) = rest.split_at_row_mut(n_rows);
-            work(chunk);
-            rest = after;
+            work(first, chunk)?;
+            (rest, first) = (after, first + n_rows);
         }
-    } else {
-        rows.par_row_chunks_mut(ROW_CHUNK).for_each(work);
+        return Ok(());
     }
+    let chunks = rows.par_row_chunks_mut(ROW_CHUNK).enumerate();
+    let results: Vec<_> = chunks.map(|(chunk, rows)| work(chunk * ROW_CHUNK, rows)).collect();
+    results.into_iter().collect()
+}
+
+/// Runs `work` on each column of two matrices of one shape, on threads according to `par`; the first column's error.
+pub(crate) fn try_for_column_pairs<E: Send>(
+    a: MatMut<'_, f64>,
+    b: MatMut<'_, f64>,
+    par: Par,
+    work: impl Fn(usize, &mut [f64], &mut [f64]) -> Result<(), E> + Send + Sync,
+) -> Result<(), E> {
+    let on_chunk = |(chunk, (a, b)): (usize, (MatMut<'_, f64>, MatMut<'_, f64>))| {
+        let columns = a.col_iter_mut().zip(b.col_iter_mut()).enumerate();
+        columns.into_iter().try_for_each(|(column, (a, b))| {
+            match (a.try_as_col_major_mut(), b.try_as_col_major_mut()) {
+                (Some(a), Some(b)) => {
+                    work(chunk * ROW_CHUNK + column, a.as_slice_mut(), b.as_slice_mut())
+                }
+                // Columns of a matrix of our own always lie together.
+                _ => Ok(()),
+            }
+        })
+    };
+    if matches!(par, Par::Seq) || a.ncols() <= ROW_CHUNK {
+        return on_chunk((0, (a, b)));
+    }
+    let pairs = a.par_col_chunks_mut(ROW_CHUNK).zip(b.par_col_chunks_mut(ROW_CHUNK));
+    let results: Vec<_> = pairs.enumerate().map(on_chunk).collect();
+    results.into_iter().collect()
 }
 
 /// `f(0), .., f(n - 1)` in order, computed on threads according to `par`.

@@ -80,6 +80,14 @@ impl NoiseCovariance {
         }
     }
 
+    /// The standard deviations, where the noise of no observation depends on another's.
+    pub(crate) fn independent(&self) -> Option<&[f64]> {
+        match &self.root {
+            Root::Diagonal(std) => Some(std),
+            Root::Lower(_) => None,
+        }
+    }
+
     /// Divides the rows of the transpose by the noise: `columns <- columns L^-T`.
     ///
     /// # Shapes

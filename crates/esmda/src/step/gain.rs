@@ -226,14 +226,14 @@ fn over_identity(top: MatRef<'_, f64>) -> Mat<f64> {
 fn largest_row_sum(matrix: MatRef<'_, f64>) -> f64 {
     let n = matrix.nrows();
     let mut sums = vec![0.0_f64; n];
-    for column in 0..n {
-        for row in column..n {
-            let entry = matrix[(row, column)].abs();
-            sums[row] += entry;
-            if row != column {
-                sums[column] += entry;
-            }
+    for (column, entries) in matrix.col_iter().enumerate() {
+        let below = entries.subrows(column + 1, n - column - 1);
+        let mut own = entries[column].abs();
+        for (sum, entry) in sums[column + 1..].iter_mut().zip(below.iter()) {
+            *sum += entry.abs();
+            own += entry.abs();
         }
+        sums[column] += own;
     }
     // `max` would pass over a NaN.
     sums.into_iter()

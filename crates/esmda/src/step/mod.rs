@@ -25,11 +25,13 @@
 //!   and preparation no `m n^2`; with more than half as many observations as members it is multiplied out.
 
 mod gain;
+mod rows;
 
 use faer::prelude::{Reborrow, ReborrowMut};
-use faer::{Mat, MatMut, MatRef, Par};
+use faer::{MatMut, MatRef, Par};
 
 use self::gain::Gain;
+use self::rows::{Ensemble, Scaled, add_transposed, centred_transpose, check_matrix};
 use crate::schedule::check_alpha;
 use crate::{EsmdaError, NoiseCovariance, linalg};
 
@@ -179,16 +181,11 @@ impl Step {
         draws: MatRef<'_, f64>,
         settings: &StepSettings,
     ) -> Result<Self, EsmdaError> {
-        check_arguments(predicted, observed, noise, alpha, settings)?;
-        check_matrix("draws", draws, predicted.shape())?;
-        let (anomalies, mut innovations) = scaled(predicted, observed, noise, alpha, settings.par)?;
-        let scale = 1.0 / ((predicted.ncols() - 1) as f64).sqrt();
-        for obs in 0..predicted.nrows() {
-            let column = innovations.col_mut(obs);
-            for (value, draw) in column.iter_mut().zip(draws.row(obs).iter()) {
-                *value += draw * scale;
-            }
-        }
+        check_arguments(predicted, observed, noise, alpha)?;
+        rows::check_shape("draws", draws, predicted.shape())?;
+        let (draws, largest) = (Some(draws), settings.largest);
+        let ensemble = Ensemble { predicted, observed, noise, alpha, draws, largest };
+        let Scaled { anomalies, innovations } = Scaled::new(&ensemble, settings.par)?;
         let (gain, report) = Gain::stochastic(anomalies, innovations, settings)?;
         Ok(Self { n_members: predicted.ncols(), par: settings.par, gain, report })
     }
@@ -218,8 +215,10 @@ impl Step {
         alpha: f64,
         settings: &StepSettings,
     ) -> Result<Self, EsmdaError> {
-        check_arguments(predicted, observed, noise, alpha, settings)?;
-        let (anomalies, innovations) = scaled(predicted, observed, noise, alpha, settings.par)?;
+        check_arguments(predicted, observed, noise, alpha)?;
+        let (draws, largest) = (None, settings.largest);
+        let ensemble = Ensemble { predicted, observed, noise, alpha, draws, largest };
+        let Scaled { anomalies, innovations } = Scaled::new(&ensemble, settings.par)?;
         let (gain, report) = Gain::square_root(&anomalies, &innovations)?;
         Ok(Self { n_members: predicted.ncols(), par: settings.par, gain, report })
     }
@@ -241,16 +240,41 @@ impl Step {
         let wanted = (parameters.nrows(), self.n_members);
         check_matrix("parameters", parameters.rb(), wanted)?;
         linalg::for_row_chunks(parameters, self.par, |mut rows| {
-            let anomalies = centred_transpose(rows.rb());
-            let change = self.gain.apply_transposed(anomalies);
-            for row in 0..rows.nrows() {
-                let values = rows.rb_mut().row_mut(row);
-                for (value, change) in values.iter_mut().zip(change.col(row).iter()) {
-                    *value += change;
-                }
-            }
+            let change = self.gain.apply_transposed(centred_transpose(rows.rb()));
+            add_transposed(rows.rb_mut(), change.as_ref());
         });
         Ok(())
+    }
+
+    /// The same into other memory, in one pass: `updated` is `X + (X - mean X) W`, whatever it held.
+    ///
+    /// # Shapes
+    ///
+    /// `parameters` and `updated` are (anything, `n_members`).
+    ///
+    /// # Errors
+    ///
+    /// As [`Step::apply`]; rows of `updated` may then have been written.
+    ///
+    /// # Cost
+    ///
+    /// As [`Step::apply`], which reads the parameters twice.
+    pub fn apply_to(
+        &self,
+        parameters: MatRef<'_, f64>,
+        updated: MatMut<'_, f64>,
+    ) -> Result<(), EsmdaError> {
+        let wanted = (parameters.nrows(), self.n_members);
+        rows::check_shape("parameters", parameters, wanted)?;
+        rows::check_shape("updated", updated.rb(), wanted)?;
+        linalg::try_for_row_chunks(updated, self.par, |row_0, mut updated| {
+            let rows = parameters.get(row_0..row_0 + updated.nrows(), ..);
+            rows::check_rows("parameters", row_0, rows)?;
+            let change = self.gain.apply_transposed(centred_transpose(rows));
+            updated.copy_from(rows);
+            add_transposed(updated, change.as_ref());
+            Ok(())
+        })
     }
 
     /// Number of members the step was prepared for.
@@ -264,56 +288,11 @@ impl Step {
     }
 }
 
-/// `S'` and the noise-free part of `R'`, both (`n_members`, `n_obs`): an observation's members lie together.
-fn scaled(
-    predicted: MatRef<'_, f64>,
-    observed: &[f64],
-    noise: &NoiseCovariance,
-    alpha: f64,
-    par: Par,
-) -> Result<(Mat<f64>, Mat<f64>), EsmdaError> {
-    let (n_obs, n_members) = predicted.shape();
-    let scale = 1.0 / ((n_members - 1) as f64 * alpha).sqrt();
-    let mut anomalies = centred_transpose(predicted);
-    let mut innovations = Mat::zeros(n_members, n_obs);
-    for obs in 0..n_obs {
-        let column = innovations.col_mut(obs);
-        for (value, prediction) in column.iter_mut().zip(predicted.row(obs).iter()) {
-            *value = (observed[obs] - prediction) * scale;
-        }
-        anomalies.col_mut(obs).iter_mut().for_each(|value| *value *= scale);
-    }
-    for matrix in [&mut anomalies, &mut innovations] {
-        noise.whiten_in_place(matrix.as_mut(), par);
-        if !matrix.is_all_finite() {
-            return Err(EsmdaError::Overflow);
-        }
-    }
-    Ok((anomalies, innovations))
-}
-
-/// Transpose of `rows` with each row's mean subtracted: (columns, rows). A row is summed from left to right.
-fn centred_transpose(rows: MatRef<'_, f64>) -> Mat<f64> {
-    let n_members = rows.ncols();
-    let mut centred = Mat::zeros(n_members, rows.nrows());
-    for row in 0..rows.nrows() {
-        let values = rows.row(row);
-        // Sums of differences from the first value: exact zeros where there is no spread.
-        let first = values[0];
-        let mean = first + values.iter().map(|value| value - first).sum::<f64>() / n_members as f64;
-        for (target, value) in centred.col_mut(row).iter_mut().zip(values.iter()) {
-            *target = value - mean;
-        }
-    }
-    centred
-}
-
 fn check_arguments(
     predicted: MatRef<'_, f64>,
     observed: &[f64],
     noise: &NoiseCovariance,
     alpha: f64,
-    settings: &StepSettings,
 ) -> Result<(), EsmdaError> {
     let (n_obs, n_members) = predicted.shape();
     if n_obs == 0 {
@@ -330,32 +309,5 @@ fn check_arguments(
     }
     check_alpha(0, alpha)?;
     check_matrix("observed", MatRef::from_column_major_slice(observed, n_obs, 1), (n_obs, 1))?;
-    check_matrix("predicted", predicted, (n_obs, n_members))?;
-    let limit = settings.largest;
-    match find(predicted, |value| value.abs() > limit) {
-        Some((row, column, value)) => Err(EsmdaError::TooLarge { row, column, value, limit }),
-        None => Ok(()),
-    }
-}
-
-fn check_matrix(
-    argument: &'static str,
-    matrix: MatRef<'_, f64>,
-    wanted: (usize, usize),
-) -> Result<(), EsmdaError> {
-    if matrix.shape() != wanted {
-        return Err(EsmdaError::Shape { argument, wanted, found: matrix.shape() });
-    }
-    match find(matrix, |value| !value.is_finite()) {
-        Some((row, column, value)) => Err(EsmdaError::NotFinite { argument, row, column, value }),
-        None => Ok(()),
-    }
-}
-
-/// The first entry, row by row, of which `wrong` is true.
-fn find(matrix: MatRef<'_, f64>, wrong: impl Fn(f64) -> bool) -> Option<(usize, usize, f64)> {
-    (0..matrix.nrows()).find_map(|row| {
-        let mut entries = matrix.row(row).iter().copied().enumerate();
-        entries.find(|(_, value)| wrong(*value)).map(|(column, value)| (row, column, value))
-    })
+    Ok(())
 }

@@ -1,0 +1,270 @@
+"""One ES-MDA update beside the peers, in one run: writes ``benchmarks/results/esmda.json``.
+
+    python benchmarks/esmda.py [--out FILE] [--quick] [--cases surgical wide large]
+
+Every program gets the same predictions, observations, standard deviations, inflation coefficient and standard normal
+draws, and must return the same ensemble. Times are of one update in a warm process on one thread (``--threads 2``: two):
+the programs take turns, so that a busy moment of the machine meets all of them. Memory is measured in a process of its
+own for each program: the peak of the resident memory during the update, less what was resident before it.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
+#: Variables that hold OpenBLAS to kernels of an older processor, which would slow numpy and with it the peers.
+KERNELS = ("OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")
+#: Parameters, observations, members; repeats; repeats with --quick.
+CASES = {
+    "surgical": ((26, 45, 100), 2000, 50),
+    "wide": ((26, 300, 1000), 40, 2),
+    "large": ((100_000, 10_000, 100), 5, 1),
+}
+ALPHA = 5.0
+#: Largest difference from our answer, in standard deviations of the prior. The peers invert or truncate nothing here.
+AGREEMENT = 1e-8
+
+
+class Problem:
+    """Arrays of one case; a linear model, as a peer's own tests have it."""
+
+    def __init__(self, sizes: tuple[int, int, int]) -> None:
+        import numpy as np
+
+        n_parameters, n_obs, n_members = sizes
+        rng = np.random.default_rng(7)
+        self.parameters = rng.standard_normal((n_parameters, n_members))
+        model = rng.standard_normal((n_obs, min(n_parameters, 26)))
+        self.predicted = model @ self.parameters[: model.shape[1]]
+        self.observed = rng.standard_normal(n_obs)
+        self.std = np.full(n_obs, 0.5)
+        self.draws = rng.standard_normal((n_obs, n_members))
+
+
+def with_tissuereg(p: Problem, threads: int) -> Callable[[], object]:
+    """Return the update by tissuereg: the noise is made anew every time, as it would be in a first update."""
+    from tissuereg import _core
+
+    def update() -> object:
+        noise = _core.Noise.diagonal(p.std)
+        return _core.Step(p.predicted, p.observed, noise, p.draws, alpha=ALPHA, threads=threads).apply(p.parameters)
+
+    return update
+
+
+def with_numpy(p: Problem, threads: int) -> Callable[[], object]:
+    """Return the textbook's update in plain numpy, solved on the smaller side."""
+    import numpy as np
+
+    def update() -> object:
+        n_obs, n_members = p.predicted.shape
+        scale = 1 / np.sqrt((n_members - 1) * ALPHA)
+        s = (p.predicted - p.predicted.mean(axis=1, keepdims=True)) * (scale / p.std)[:, None]
+        r = (p.observed[:, None] - p.predicted) * (scale / p.std)[:, None] + p.draws / np.sqrt(n_members - 1)
+        if n_obs <= n_members:
+            weights = s.T @ np.linalg.solve(s @ s.T + np.eye(n_obs), r)
+        else:
+            weights = np.linalg.solve(s.T @ s + np.eye(n_members), s.T @ r)
+        return p.parameters + (p.parameters - p.parameters.mean(axis=1, keepdims=True)) @ weights
+
+    return update
+
+
+def with_ies(p: Problem, threads: int) -> Callable[[], object]:
+    """Return the update by iterative_ensemble_smoother, without truncation."""
+    from iterative_ensemble_smoother import ESMDA
+
+    perturbations = p.draws * p.std[:, None]
+
+    def update() -> object:
+        import numpy as np
+
+        smoother = ESMDA(p.std**2, p.observed, alpha=np.array([ALPHA]), seed=1)
+        smoother.alpha = np.array([ALPHA])  # the constructor rescales coefficients whose inverses do not add up to one
+        smoother.prepare_assimilation(Y=p.predicted, truncation=1.0, observation_perturbations=perturbations)
+        return smoother.assimilate_batch(X=p.parameters)
+
+    return update
+
+
+def with_pyesmda(kind: str) -> Callable[[Problem, int], Callable[[], object]]:
+    """Return the update by pyesmda with one of its inversions."""
+
+    def make(p: Problem, threads: int) -> Callable[[], object]:
+        import covmats
+        import numpy as np
+        from pyesmda._inversion import ESMDAInversionType, inversion
+
+        def update() -> object:
+            noise = covmats.CovViaDiagonal(p.std**2)
+            perturbed = p.observed[:, None] + np.sqrt(ALPHA) * p.std[:, None] * p.draws
+            change = inversion(ESMDAInversionType(kind), ALPHA, noise, perturbed, p.predicted, p.parameters, truncation=1.0)
+            return p.parameters + change
+
+        return update
+
+    return make
+
+
+def with_dageo(p: Problem, threads: int) -> Callable[[], object]:
+    """Return the update by dageo, its generator replaced by one that returns our draws."""
+    import dageo
+    import numpy as np
+
+    class Given(np.random.Generator):
+        def normal(self, *args: object, **kwargs: object) -> object:
+            return p.draws.T
+
+    prior, predicted = np.ascontiguousarray(p.parameters.T), np.ascontiguousarray(p.predicted.T)
+    generator = Given(np.random.PCG64(1))
+
+    def update() -> object:
+        with contextlib.redirect_stdout(io.StringIO()):
+            found = dageo.esmda(
+                prior, None, p.observed, p.std, alphas=np.array([ALPHA]), data_prior=predicted,
+                return_post_data=False, random=generator,
+            )
+        return found.T
+
+    return update
+
+
+#: Program and form; which of them the large case leaves out, as they form matrices of observations by observations.
+PROGRAMS: dict[str, tuple[Callable[[Problem, int], Callable[[], object]], bool]] = {
+    "tissuereg": (with_tissuereg, True),
+    "numpy": (with_numpy, True),
+    "iterative_ensemble_smoother": (with_ies, True),
+    "pyesmda, Cholesky": (with_pyesmda("cholesky"), False),
+    "pyesmda, Woodbury": (with_pyesmda("woodbury"), True),
+    "dageo": (with_dageo, False),
+}
+
+
+def times(case: str, threads: int, quick: bool) -> dict[str, object]:
+    """Time all programs of a case in turns, in this process."""
+    import numpy as np
+
+    sizes, repeats, few = CASES[case]
+    problem, repeats = Problem(sizes), few if quick else repeats
+    updates, rows, reference = {}, [], None
+    for name, (make, large_too) in PROGRAMS.items():
+        if case == "large" and not large_too:
+            continue
+        updates[name] = make(problem, threads)
+        found = np.asarray(updates[name]())
+        reference = found if reference is None else reference
+        off = float(np.abs(found - reference).max())
+        if off > AGREEMENT:
+            raise SystemExit(f"{name} must agree with tissuereg to {AGREEMENT:g}, it is off by {off:g}")
+        rows.append({"program": name, "off": off})
+    taken: dict[str, list[float]] = {name: [] for name in updates}
+    for _ in range(repeats):
+        for name, update in updates.items():
+            start = time.perf_counter()
+            update()
+            taken[name].append(time.perf_counter() - start)
+    for row in rows:
+        seconds = np.array(taken[row["program"]])
+        row |= {"minimum_s": seconds.min(), "median_s": np.median(seconds), "p99_s": np.percentile(seconds, 99)}
+        row |= {key: float(value) for key, value in row.items() if key.endswith("_s")}
+    return {"case": case, "sizes": sizes, "threads": threads, "repeats": repeats, "rows": rows}
+
+
+def extra_memory(case: str, program: str, threads: int) -> float:
+    """Return the MB that one update needs beyond its arguments, its result included; run in a process of its own."""
+    import resource
+
+    update = PROGRAMS[program][0](Problem(CASES[case][0]), threads)
+    small = PROGRAMS[program][0](Problem(CASES["surgical"][0]), threads)
+    small()  # imports and pools are not the update's
+    with open("/proc/self/clear_refs", "w") as control:
+        control.write("5")  # the peak starts again from what is resident now
+    before = resident("VmRSS")
+    update()
+    return (resident("VmHWM") - before) * 1024 / 1e6
+
+
+def resident(field: str) -> int:
+    """Return a line of ``/proc/self/status`` in KiB."""
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(field + ":"))
+
+
+def child(threads: int, *words: str) -> object:
+    """Run this file in a process whose BLAS has `threads` threads and the machine's own kernels; return its JSON."""
+    environment = {key: value for key, value in os.environ.items() if key not in KERNELS}
+    environment |= dict.fromkeys(THREADS, str(threads))
+    command = [sys.executable, __file__, "--threads", str(threads), *words]
+    return json.loads(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
+
+
+def table(answer: dict) -> str:
+    """Return the page's table."""
+    lines = [
+        f"`{answer['command']}`, {answer['date']}, {answer['machine']['processor']}, {answer['machine']['cores']} cores; "
+        + ", ".join(f"{name} {found}" for name, found in answer["versions"].items() if name != "python")
+        + ".",
+        "",
+        "| case (parameters, observations, members), threads | program | minimum | median | 99th percentile | off | extra MB |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for case in answer["cases"]:
+        n_parameters, n_obs, n_members = case["sizes"]
+        label = f"{case['case']} ({n_parameters:,}, {n_obs:,}, {n_members:,}), {case['threads']}"
+        for row in case["rows"]:
+            ms = " | ".join(f"{1e3 * row[key]:.3g} ms" for key in ("minimum_s", "median_s", "p99_s"))
+            memory = f"{row['extra_mb']:.0f}" if "extra_mb" in row else ""
+            lines.append(f"| {label} | {row['program']} | {ms} | {row['off']:.0e} | {memory} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "benchmarks" / "results" / "esmda.json")
+    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
+    parser.add_argument("--quick", action="store_true", help="few repeats")
+    parser.add_argument("--threads", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--memory", nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--times", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.memory:
+        json.dump(extra_memory(*options.memory, options.threads), sys.stdout)
+        return
+    if options.times:
+        json.dump(times(options.times, options.threads, options.quick), sys.stdout)
+        return
+    from tissuereg._machine import machine
+
+    cases = []
+    for name in options.cases:
+        for threads in (1, 2) if name == "large" else (1,):
+            case = child(threads, "--times", name, *(["--quick"] if options.quick else []))
+            if name == "large" and threads == 1:
+                for row in case["rows"]:
+                    row["extra_mb"] = child(threads, "--memory", name, row["program"])
+            cases.append(case)
+    peers = ("numpy", "scipy", "iterative_ensemble_smoother", "pyesmda", "dageo")
+    answer = {
+        "schema": "tissuereg.benchmark-esmda/1",
+        "command": "python benchmarks/esmda.py",
+        "date": time.strftime("%Y-%m-%d"),
+        "machine": machine(),
+        "versions": {"python": sys.version.split()[0], **{name: version(name) for name in ("tissuereg", *peers)}},
+        "cases": cases,
+    }
+    options.out.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
+    sys.stdout.write(table(answer) + "\n")
+
+
+if __name__ == "__main__":
+    main()
