@@ -14,7 +14,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-solver peers phantom-data phantom-model clean
+.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-solver bench-esmda peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -39,6 +39,7 @@ help:
 	@echo "make loadfree-time   wall times of whole registrations"
 	@echo "make bench           times by stage -> benchmarks/results/"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
+	@echo "make bench-esmda     one ES-MDA update, and other programs on the same arrays"
 	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
 
 $(BIN)/python:
@@ -197,6 +198,11 @@ peers:
 
 bench-solver: $(VENV)/.installed
 	$(BIN)/python benchmarks/solver.py --reference $(REFERENCE)
+
+# Beside the smoothers of others, which are installed for it alone.
+bench-esmda: $(VENV)/.installed-dev
+	$(BIN)/python -m pip install --quiet pyesmda dageo iterative_ensemble_smoother
+	$(BIN)/python benchmarks/esmda.py
 
 phantom-data: $(VENV)/.installed
 	$(BIN)/tissuereg simulate training/recipes/phantom.toml --out build/phantom-data

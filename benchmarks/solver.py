@@ -19,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 from half_ellipsoid import SEED, write_size
-from solver_table import write_tables
+from readme import write_table
+from solver_table import tables
 
 HERE = Path(__file__).resolve().parent
 REPOSITORY = HERE.parent
@@ -254,7 +255,7 @@ def main() -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
     if out == HERE / "results" / "solver.json":
-        write_tables(HERE / "README.md", json.loads(out.read_text(encoding="utf-8")))
+        write_table("solver.json", tables(json.loads(out.read_text(encoding="utf-8"))))
 
 
 if __name__ == "__main__":

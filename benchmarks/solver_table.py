@@ -1,19 +1,9 @@
 """The tables of `README.md` made from `results/solver.json`: all figures there are these."""
 
-from pathlib import Path
-
-BEGIN, END = "<!-- solver.json: begin -->", "<!-- solver.json: end -->"
 #: Goals: cold and warm in floors at two threads, peak memory in MiB.
 COLD = {"dome_4k_pull": 7, "dome_4k_push": 10, "dome_4k_pull_nu049": 10, "dome_4k_pull_x2": 10, "dome_20k_pull": 2.8}
 WARM = {"dome_4k_pull": 3, "dome_4k_push": 6, "dome_4k_pull_nu049": 6}
 MEMORY = {"dome_4k_pull": 60, "dome_20k_pull": 350, "100k": 3072}
-
-
-def write_tables(readme: Path, answer: dict) -> None:
-    """Replace what stands between the two marks of the README."""
-    text = readme.read_text(encoding="utf-8")
-    before, rest = text.split(BEGIN)
-    readme.write_text(before + BEGIN + "\n" + tables(answer) + END + rest.split(END)[1], encoding="utf-8")
 
 
 def tables(answer: dict) -> str:

@@ -45,10 +45,19 @@ def test_an_answer_is_right_with_every_true_cause_and_no_other():
 def test_the_solver_tables_are_those_of_the_json():
     tables = loaded("solver_table")
     answer = json.loads((BENCHMARKS / "results" / "solver.json").read_text(encoding="utf-8"))
-    text = (BENCHMARKS / "README.md").read_text(encoding="utf-8")
-    assert text.split(tables.BEGIN + "\n")[1].split(tables.END)[0] == tables.tables(answer)
+    kept = loaded("readme").table("solver.json")
+    assert kept == tables.tables(answer)
     answer["many"]["ms_a_member"] += 1.0
-    assert tables.tables(answer) not in text
+    assert tables.tables(answer) != kept
+
+
+def test_the_table_of_the_smoother_is_that_of_its_json():
+    script = loaded("esmda")
+    answer = json.loads((BENCHMARKS / "results" / "esmda.json").read_text(encoding="utf-8"))
+    kept = loaded("readme").table("esmda.json")
+    assert kept == script.table(answer)
+    answer["cases"][0]["rows"][0]["median_s"] *= 1.1
+    assert script.table(answer) != kept
 
 
 def test_the_page_of_parts_of_material_tests_is_that_of_its_archive():

@@ -1,7 +1,7 @@
 //! Schedules, noise, screening and steps.
 
 use faer::MatMut;
-use numpy::{IntoPyArray, PyArray1, PyArray2};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use tissuereg_esmda::{NoiseCovariance, Schedule, StepSettings, step};
 
@@ -164,15 +164,19 @@ impl Step {
         let n_members = self.step.n_members();
         let parameters = View::<f64>::new("parameters", parameters, &[&[None, Some(n_members)]])?;
         let n_rows = parameters.shape()[0];
-        let (prior, shape) = (parameters.matrix(), [n_rows, n_members]);
-        // Fresh pages of zeros: the threads that write a chunk are the first to touch it.
-        let mut updated = vec![0.0; n_rows * n_members];
-        let done = lock::run_released(py, self.threads, |_| {
-            let target = MatMut::from_row_major_slice_mut(&mut updated, n_rows, n_members);
-            self.step.apply_to(prior, target)
-        });
-        done.map_err(|error| errors::from_esmda(py, &error))?;
-        arrays::from_vec(py, updated, shape)
+        let prior = parameters.matrix();
+        // numpy's own memory: large arrays get large pages.
+        let updated = PyArray2::zeros(py, [n_rows, n_members], false);
+        {
+            let mut writable = updated.readwrite();
+            let target = writable.as_slice_mut()?;
+            let done = lock::run_released(py, self.threads, |_| {
+                let target = MatMut::from_row_major_slice_mut(target, n_rows, n_members);
+                self.step.apply_to(prior, target)
+            });
+            done.map_err(|error| errors::from_esmda(py, &error))?;
+        }
+        Ok(updated)
     }
 
     /// Number of members.

@@ -126,6 +126,11 @@ pub(crate) fn outer_product(
 /// The lower half of `a' a` for `a` of shape (n, k), a block of columns at a time.
 pub(crate) fn gram(a: MatRef<'_, f64>, par: Par) -> Mat<f64> {
     let k = a.ncols();
+    if k <= BLOCK {
+        let mut whole = Mat::zeros(k, k);
+        matmul(whole.as_mut(), Accum::Replace, a.transpose(), a, 1.0, Par::Seq);
+        return whole;
+    }
     let block = |index: usize| {
         let (from, to) = (index * BLOCK, ((index + 1) * BLOCK).min(k));
         let mut product = Mat::zeros(k - from, to - from);

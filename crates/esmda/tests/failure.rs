@@ -137,6 +137,28 @@ fn refused_parameters_stay_as_they_were() {
 }
 
 #[test]
+fn an_update_into_other_memory_is_refused_by_name_and_place() {
+    let case = Case::new(70, 4, 10, 0.3, 5);
+    let step = case.step(2.0, &StepSettings::default()).unwrap();
+    let (mut good, mut narrow) = (Mat::zeros(70, 10), Mat::zeros(70, 9));
+    let prior = &case.parameters;
+    refuses(
+        step.apply_to(prior.as_ref(), narrow.as_mut()),
+        "`updated` must have shape (70, 10), got (70, 9)",
+    );
+    refuses(
+        step.apply_to(prior.get(.., ..9), good.as_mut()),
+        "`parameters` must have shape (70, 10), got (70, 9)",
+    );
+    let mut spoilt = prior.clone();
+    spoilt[(66, 3)] = f64::NAN;
+    refuses(
+        step.apply_to(spoilt.as_ref(), good.as_mut()),
+        "`parameters` must be finite, got NaN at row 66, column 3",
+    );
+}
+
+#[test]
 fn lost_members_are_dropped_with_their_reason_and_too_few_are_an_error() {
     let mut case = Case::new(3, 4, 6, 0.3, 5);
     case.predicted[(1, 0)] = f64::NAN;

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Case, moments, relative_difference};
-use faer::Mat;
+use faer::{Mat, Par};
 use tissuereg_esmda::{NoiseCovariance, Step, StepSettings};
 
 /// A fixed permutation of `0..n`.
@@ -204,4 +204,24 @@ fn an_observation_repeated_with_root_two_noise_is_one_observation() {
         Step::prepare_square_root(doubled.as_ref(), &observed, &noise, 4.0, &settings).unwrap();
     step.apply(parameters.as_mut()).unwrap();
     assert!(relative_difference(&parameters, &single) < 1e-12);
+}
+
+/// One pass into other memory, in whichever order that memory holds its entries, and two passes in place.
+#[test]
+fn an_update_into_other_memory_has_the_bits_of_one_in_place() {
+    for (n_parameters, n_obs, n_members) in [(9, 45, 100), (150, 80, 30), (65, 3, 7)] {
+        let case = Case::new(n_parameters, n_obs, n_members, 0.3, 3);
+        let by_rows = case.parameters.transpose().to_owned();
+        for threads in [Par::Seq, Par::rayon(2)] {
+            let settings = StepSettings::default().with_par(threads);
+            let wanted = case.updated(4.0, &settings).unwrap();
+            let step = case.step(4.0, &settings).unwrap();
+            let mut by_columns = Mat::from_fn(n_parameters, n_members, |_, _| f64::NAN);
+            step.apply_to(case.parameters.as_ref(), by_columns.as_mut()).unwrap();
+            assert_eq!(by_columns, wanted);
+            let mut transposed = Mat::zeros(n_members, n_parameters);
+            step.apply_to(by_rows.transpose(), transposed.transpose_mut()).unwrap();
+            assert!(relative_difference(&transposed.transpose().to_owned(), &wanted) < 1e-13);
+        }
+    }
 }

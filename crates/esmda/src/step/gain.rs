@@ -4,7 +4,7 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{
     solve_lower_triangular_in_place, solve_upper_triangular_in_place,
 };
-use faer::{Accum, Mat, MatRef, Par};
+use faer::{Accum, Mat, MatMut, MatRef, Par};
 
 use super::{Factorisation, Side, StepReport, StepSettings};
 use crate::{EsmdaError, linalg};
@@ -53,13 +53,17 @@ impl Core {
 }
 
 impl Gain {
-    /// `W' anomalies`, (n, anything): the transposed change of a batch of parameters.
-    pub(super) fn apply_transposed(&self, anomalies: Mat<f64>) -> Mat<f64> {
+    /// `rows <- rows + anomalies' W`, for a batch of parameters (anything, n) and their transposed anomalies.
+    pub(super) fn add_to(&self, rows: MatMut<'_, f64>, anomalies: Mat<f64>) {
+        let rows = rows.transpose_mut();
         match self {
-            Self::Whole(weights) => product(weights.transpose(), anomalies.as_ref()),
+            Self::Whole(weights) => {
+                let weights = weights.transpose();
+                matmul(rows, Accum::Add, weights, anomalies.as_ref(), 1.0, Par::Seq);
+            }
             Self::Factors { left, core, right } => {
                 let t = core.apply(product(left.transpose(), anomalies.as_ref()));
-                product(right.as_ref(), t.as_ref())
+                matmul(rows, Accum::Add, right.as_ref(), t.as_ref(), 1.0, Par::Seq);
             }
         }
     }
@@ -90,7 +94,7 @@ impl Gain {
                 linalg::gram(anomalies.as_ref(), settings.par)
             };
             matrix.diagonal_mut().column_vector_mut().iter_mut().for_each(|entry| *entry += 1.0);
-            let bound = largest_row_sum(matrix.as_ref());
+            let bound = largest_row_sum(&matrix);
             report.condition_bound = Some(bound);
             let allowed = wanted == Factorisation::Cholesky || bound <= settings.condition_limit;
             if allowed && bound.is_finite() && linalg::cholesky_in_place(matrix.as_mut()).is_ok() {
@@ -223,17 +227,18 @@ fn over_identity(top: MatRef<'_, f64>) -> Mat<f64> {
 
 /// Largest absolute row sum of a symmetric matrix given by its lower half: a bound on its largest eigenvalue, and, as
 /// the smallest is at least one, on its condition number.
-fn largest_row_sum(matrix: MatRef<'_, f64>) -> f64 {
+fn largest_row_sum(matrix: &Mat<f64>) -> f64 {
     let n = matrix.nrows();
     let mut sums = vec![0.0_f64; n];
-    for (column, entries) in matrix.col_iter().enumerate() {
-        let below = entries.subrows(column + 1, n - column - 1);
-        let mut own = entries[column].abs();
-        for (sum, entry) in sums[column + 1..].iter_mut().zip(below.iter()) {
+    for column in 0..n {
+        let below = &matrix.col_as_slice(column)[column..];
+        let mut own = 0.0;
+        for (sum, entry) in sums[column..].iter_mut().zip(below) {
             *sum += entry.abs();
             own += entry.abs();
         }
-        sums[column] += own;
+        // The diagonal entry is in both.
+        sums[column] += own - below[0].abs();
     }
     // `max` would pass over a NaN.
     sums.into_iter()

@@ -27,11 +27,11 @@
 mod gain;
 mod rows;
 
-use faer::prelude::{Reborrow, ReborrowMut};
+use faer::prelude::Reborrow;
 use faer::{MatMut, MatRef, Par};
 
 use self::gain::Gain;
-use self::rows::{Ensemble, Scaled, add_transposed, centred_transpose, check_matrix};
+use self::rows::{Ensemble, Scaled, centred_transpose, check_matrix};
 use crate::schedule::check_alpha;
 use crate::{EsmdaError, NoiseCovariance, linalg};
 
@@ -239,9 +239,9 @@ impl Step {
     pub fn apply(&self, parameters: MatMut<'_, f64>) -> Result<(), EsmdaError> {
         let wanted = (parameters.nrows(), self.n_members);
         check_matrix("parameters", parameters.rb(), wanted)?;
-        linalg::for_row_chunks(parameters, self.par, |mut rows| {
-            let change = self.gain.apply_transposed(centred_transpose(rows.rb()));
-            add_transposed(rows.rb_mut(), change.as_ref());
+        linalg::for_row_chunks(parameters, self.par, |rows| {
+            let anomalies = centred_transpose(rows.rb());
+            self.gain.add_to(rows, anomalies);
         });
         Ok(())
     }
@@ -270,9 +270,8 @@ impl Step {
         linalg::try_for_row_chunks(updated, self.par, |row_0, mut updated| {
             let rows = parameters.get(row_0..row_0 + updated.nrows(), ..);
             rows::check_rows("parameters", row_0, rows)?;
-            let change = self.gain.apply_transposed(centred_transpose(rows));
             updated.copy_from(rows);
-            add_transposed(updated, change.as_ref());
+            self.gain.add_to(updated, centred_transpose(rows));
             Ok(())
         })
     }

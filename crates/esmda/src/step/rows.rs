@@ -5,8 +5,7 @@
 
 use std::borrow::Cow;
 
-use faer::prelude::ReborrowMut;
-use faer::{Mat, MatMut, MatRef, Par};
+use faer::{Mat, MatRef, Par};
 
 use pulp::{Arch, NullaryFnOnce};
 
@@ -146,24 +145,6 @@ impl NullaryFnOnce for Centre<'_> {
             let (mean, _) = mean_and_largest(&values);
             let targets = self.centred.col_as_slice_mut(row);
             targets.iter_mut().zip(&*values).for_each(|(target, value)| *target = value - mean);
-        }
-    }
-}
-
-/// `rows <- rows + change'`
-pub(super) fn add_transposed(mut rows: MatMut<'_, f64>, change: MatRef<'_, f64>) {
-    for row in 0..rows.nrows() {
-        let values = rows.rb_mut().row_mut(row);
-        let change = change.col(row);
-        match (values.try_as_row_major_mut(), change.try_as_col_major()) {
-            (Some(values), Some(change)) => {
-                let pairs = values.as_slice_mut().iter_mut().zip(change.as_slice());
-                pairs.for_each(|(value, change)| *value += change);
-            }
-            _ => {
-                let pairs = rows.rb_mut().row_mut(row).iter_mut().zip(change.iter());
-                pairs.for_each(|(value, change)| *value += change);
-            }
         }
     }
 }
