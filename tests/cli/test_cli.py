@@ -349,11 +349,11 @@ def test_simulate_makes_a_data_set_and_finishes_one_that_was_begun(tmp_path, cap
     code, said, _ = run_json(capsys, *words)
     assert code == 0
     assert said["members"] + len(said["failed"]) == 12
-    first = (tmp_path / "data" / "chunk_0001.npz").read_bytes()
-    (tmp_path / "data" / "chunk_0001.npz").unlink()
+    first = (tmp_path / "data" / "chunk_0001.h5").read_bytes()
+    (tmp_path / "data" / "chunk_0001.h5").unlink()
     code, again, _ = run_json(capsys, *words)
     assert (code, again["members"]) == (0, said["members"])
-    assert (tmp_path / "data" / "chunk_0001.npz").read_bytes() == first
+    assert (tmp_path / "data" / "chunk_0001.h5").read_bytes() == first
 
 
 # --- register ---

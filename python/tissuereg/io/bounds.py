@@ -145,7 +145,7 @@ def read_text(file: Path, most_mb: int = TEXT_MB) -> str:
         return stream.read().decode("utf-8-sig")
 
 
-def too_large(file: Path, most_mb: int, found: str) -> FormatError:
+def too_large(file: Path | str, most_mb: int, found: str) -> FormatError:
     """Return the error for a file that is larger than its kind may be."""
     message = f"{file} must have at most {most_mb} MB, {found}; docs/files.md states the sizes"
     return FormatError(message, where=str(file))

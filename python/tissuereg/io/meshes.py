@@ -230,7 +230,7 @@ def _warn_of_dropped(file: Path, n_dropped: int, second_order: bool) -> None:
     warnings.warn(f"{file}: {n_dropped} {what} were dropped; the corner nodes keep their order", stacklevel=4)
 
 
-def _placed(file: Path, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:
+def _placed(file: Path | str, nodes: Any, tets: Any, sets: Mapping[str, Any]) -> Mesh:
     """Return the mesh; errors about it name the file."""
     try:
         return Mesh(nodes, tets, sets)

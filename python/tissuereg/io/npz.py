@@ -1,6 +1,7 @@
 """Checked reading of numpy archives: no pickles, every fault named by file and array."""
 
 import contextlib
+import io
 import os
 import zipfile
 import zlib
@@ -28,13 +29,13 @@ class Archive:
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         Where it came from, for messages.
     arrays : mapping of str to ndarray
         numpy's lazy archive.
     """
 
-    def __init__(self, path: Path, arrays: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path | str, arrays: Mapping[str, Any]) -> None:
         self.path = path
         self._arrays = arrays
 
@@ -156,14 +157,45 @@ def open_npz(path: str | os.PathLike[str]) -> Iterator[Archive]:
         If there is no such file, if it is no archive of numpy arrays, or if it is too large, packed or unpacked.
     """
     file = existing_file(path, MESH_MB)
-    with file.open("rb") as handle, _loaded(file, handle) as arrays:
+    with file.open("rb") as handle, _unpacked(file, handle) as archive:
+        yield archive
+
+
+@contextlib.contextmanager
+def npz_of_bytes(where: str, content: bytes) -> Iterator[Archive]:
+    """Open the content of an .npz file for checked reading.
+
+    Parameters
+    ----------
+    where : str
+        Where it was read, for messages.
+    content : bytes
+        The whole file.
+
+    Yields
+    ------
+    Archive
+        Its arrays.
+
+    Raises
+    ------
+    FormatError
+        If it is no archive of numpy arrays, or is too large, unpacked.
+    """
+    with _unpacked(where, io.BytesIO(content)) as archive:
+        yield archive
+
+
+@contextlib.contextmanager
+def _unpacked(file: Path | str, handle: BinaryIO) -> Iterator[Archive]:
+    with _loaded(file, handle) as arrays:
         unpacked = sum(one.file_size for one in arrays.zip.infolist())
         if unpacked > MESH_MB * 1_000_000:
             raise too_large(file, MESH_MB, f"unpacked it has {unpacked / 1e6:.0f} MB")
         yield Archive(file, arrays)
 
 
-def _loaded(file: Path, handle: BinaryIO) -> "np.lib.npyio.NpzFile":
+def _loaded(file: Path | str, handle: BinaryIO) -> "np.lib.npyio.NpzFile":
     try:
         arrays = np.load(handle, allow_pickle=False)
     except _SPOILT as error:

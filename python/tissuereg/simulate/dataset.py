@@ -1,39 +1,34 @@
 """A data set: thousands of solves on one mesh, in chunks that survive an interruption.
 
-`docs/files.md` describes the folder. A chunk depends on the recipe and its own number alone, so a resumed run makes the
-same data as an uninterrupted one.
+`docs/files.md` describes the folder. A chunk depends on the recipe, the seed and its own number alone
+(`tissuereg.simulate.chunks`), so a resumed run makes the same data as an uninterrupted one, and so do many processes.
 """
 
 import hashlib
-import json
 import os
-import zipfile
-import zlib
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, as_completed
+from functools import partial
 from typing import Any
 
-import numpy as np
-
-from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg._version import __version__
-from tissuereg.errors import EnsembleError, ExperimentError, FormatError
-from tissuereg.io.atomic import atomic_file
-from tissuereg.io.drafts import remove_stale_drafts
-from tissuereg.material import Material
+from tissuereg.errors import ExperimentError
+from tissuereg.io.chunks import chunk_name
+from tissuereg.io.data_mesh import MESH_NAME, pack_mesh
+from tissuereg.io.datasets import CARD_NAME, DATASET_SCHEMA, read_card, split_of
+from tissuereg.io.json import dumps
+from tissuereg.io.stores import Store, store_of
 from tissuereg.mesh import Mesh
+from tissuereg.simulate.chunks import ChunkReport, ChunkTask, chunk_maker, data_mark, make_one_chunk
+from tissuereg.simulate.motion import motion_summary
+from tissuereg.simulate.pairs import PAIRS_NAME, PairsReport, make_pairs
 from tissuereg.simulate.recipe import Recipe
-from tissuereg.simulate.sampling import Event, EventSampler, EventSettings, linear_answers
-from tissuereg.simulate.solve import Simulator
-from tissuereg.simulate.variation import random_inclusion
-
-SCHEMA = "tissuereg.dataset/1"
-
-#: Most iterations of a member: one that needs more is far beyond what tissue does; it fails instead of delaying others.
-_SOLVE = {"tolerance": 1e-6, "max_iterations": 150}
 
 Progress = Callable[[int, int], None]
+
+#: Marks the place as that of a data set, before anything else is there.
+_MARKER = "recipe.sha256"
 
 
 def make_dataset(
@@ -43,6 +38,7 @@ def make_dataset(
     seed: int | None = None,
     threads: int = 0,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> dict[str, Any]:
     """Make a data set, or resume an unfinished one.
 
@@ -51,197 +47,153 @@ def make_dataset(
     recipe : Recipe
         Recipe of the data set.
     out : path-like
-        Folder; chunks already there are kept.
+        Folder, or a URL of fsspec; chunks already there are kept.
     seed : int, optional
         Instead of the recipe's.
     threads : int
-        Threads to use; 0 takes all cores. The data do not depend on it.
+        Threads of a chunk; 0 takes all cores. The data do not depend on it.
     progress : callable of (int, int), optional
         Called with simulations done and simulations in all.
+    executor : concurrent.futures.Executor, optional
+        Where chunks are made, each a task of its own that writes its file itself. By default in this process.
 
     Returns
     -------
     dict
-        ``members``, ``failed`` (list of [index, reason]), ``members_per_s``, ``seconds``, ``seed``.
+        ``members``, ``failed`` (list of [index, reason]), ``members_per_s`` (None if all was there), ``motion``
+        (`tissuereg.simulate.motion.motion_summary`), ``bytes``, ``seconds``, ``seed``.
 
     Raises
     ------
     ExperimentError
-        If the folder holds another recipe's data.
+        If the folder holds other files, or another recipe's data.
     FormatError
         If a chunk that is there already is spoilt.
     EnsembleError
         If more than half of a chunk fails.
+    OutputError
+        If nothing can be written there.
     """
-    folder, clock = Path(out), Clock()
+    store, clock = store_of(out), Clock()
     seed = recipe.seed if seed is None else seed
+    in_all = recipe.data.members + recipe.pairs.members
     with clock.stage("total"):
         with clock.stage("analyse"):
             mesh = recipe.mesh()
-            simulator = Simulator(mesh, element=recipe.data.element)
-        _begin(folder, recipe, mesh, seed)
-        n_chunks = -(-recipe.data.members // recipe.data.chunk)
-        in_all = recipe.data.members + recipe.pairs.members
-        fresh = 0
+            mark = _begin(store, recipe, mesh, seed)
+            n_chunks = -(-recipe.data.members // recipe.data.chunk)
+            tasks = [ChunkTask(recipe.raw, mark, seed, number, store.url, threads) for number in range(n_chunks)]
+            if executor is None:
+                chunk_maker(tasks[0])
+        reports: dict[int, ChunkReport] = {}
+        done = 0
         with clock.stage("solve"):
-            for chunk in range(n_chunks):
-                first = chunk * recipe.data.chunk
-                if not (folder / _chunk_name(chunk)).exists():
-                    _make_chunk(folder, recipe, simulator, seed, chunk, threads, _from(progress, first, in_all))
-                    fresh += min(recipe.data.chunk, recipe.data.members - first)
+            for report in _made(tasks, recipe, executor, _from(progress, in_all)):
+                reports[report.number] = report
+                done += report.members + len(report.failed)
+                if progress is not None:
+                    progress(done, in_all)
+        pairs = None
         with clock.stage("pairs"):
-            if recipe.pairs.members and not (folder / "pairs.npz").exists():
-                _make_pairs(folder, recipe, simulator, seed, threads)
+            if recipe.pairs.members:
+                pairs = make_pairs(tasks[0]) if executor is None else executor.submit(make_pairs, tasks[0]).result()
         if progress is not None:
             progress(in_all, in_all)
-        failed = _finish(folder, recipe, mesh, seed, n_chunks)
+        in_order = [reports[number] for number in range(n_chunks)]
+        card = _card(recipe, mesh, mark, seed, in_order, pairs)
+        store.write(CARD_NAME, dumps(card).encode())
+    fresh = sum(report.members + len(report.failed) for report in in_order if report.made)
     return {
-        "members": recipe.data.members - len(failed),
-        "failed": failed,
+        "members": card["members"],
+        "failed": card["failed"],
         "members_per_s": fresh / clock.seconds["solve"] if fresh else None,
+        "motion": card["motion"],
+        "bytes": card["bytes"],
         "seconds": clock.seconds,
         "seed": seed,
     }
 
 
-def _chunk_name(chunk: int) -> str:
-    return f"chunk_{chunk:04d}.npz"
+def estimated_bytes(recipe: Recipe, n_nodes: int) -> int:
+    """Return about how many bytes the displacements of a data set take."""
+    return 12 * n_nodes * (recipe.data.members + 2 * recipe.pairs.members)
 
 
-def _from(progress: Progress | None, first: int, in_all: int) -> Callable[[int], None] | None:
-    return None if progress is None else (lambda done: progress(first + done, in_all))
+def _from(progress: Progress | None, in_all: int) -> Callable[[int, int], None] | None:
+    return None if progress is None else (lambda first, done: progress(first + done, in_all))
 
 
-def _begin(folder: Path, recipe: Recipe, mesh: Mesh, seed: int) -> None:
-    """Mark the folder as this recipe's, or refuse it."""
-    identity = {k: v for k, v in recipe.raw.items() if k != "train"}
-    mark = hashlib.sha256(json.dumps([identity, seed, mesh.digest(), __version__], sort_keys=True).encode()).hexdigest()
-    marker = folder / "recipe.sha256"
-    remove_stale_drafts(folder)
-    if not marker.exists():
-        if folder.exists() and any(folder.iterdir()):
-            message = f"{folder} must be empty or hold a data set; it holds other files"
-            raise ExperimentError(message, where=str(folder))
-        # First of all: a run that is killed after it is gone on with.
-        with atomic_file(marker) as path:
-            path.write_text(mark + "\n", encoding="utf-8")
-    elif marker.read_text(encoding="utf-8").strip() != mark:
-        message = f"{folder} must be empty or hold data of this very recipe, seed, mesh and version; it holds another's"
-        raise ExperimentError(message, where=str(folder))
-    if not (folder / "mesh.npz").exists():
-        _save(folder / "mesh.npz", nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
-
-
-def _events(
-    recipe: Recipe, simulator: Simulator, material: Material, n: int, rng: np.random.Generator, threads: int
-) -> tuple[list[Event], FloatArray]:
-    """Return random events and their sizes in mN under `material`."""
-    data = recipe.data
-    extent = simulator.mesh.extent
-    radius = (data.radius_mm[0] / extent, data.radius_mm[1] / extent)
-    sampler = EventSampler(simulator.mesh, EventSettings(data.n_patches, radius, data.body_force_share))
-    events = [sampler.draw(rng) for _ in range(n)]
-    _, unit = linear_answers(simulator, events, material, threads=threads)
-    return events, unit * rng.uniform(*data.largest_mm, n)
-
-
-def _make_chunk(
-    folder: Path,
-    recipe: Recipe,
-    simulator: Simulator,
-    seed: int,
-    chunk: int,
-    threads: int,
-    progress: Callable[[int], None] | None,
-) -> None:
-    rng = np.random.default_rng([seed, 3, chunk])
-    first = chunk * recipe.data.chunk
-    n = min(recipe.data.chunk, recipe.data.members - first)
-    young = rng.uniform(*recipe.material.young_kpa, n)
-    softest = Material(recipe.material.young_kpa[0], recipe.material.poisson)
-    events, size = _events(recipe, simulator, softest, n, rng, threads)
-    size = size * young / recipe.material.young_kpa[0]  # the wanted motion holds at the member's own modulus
-    loads = [event.load(simulator, s) for event, s in zip(events, size, strict=True)]
-    materials = [Material(y, recipe.material.poisson) for y in young]
-    found = simulator.solve_many(loads, materials, threads=threads, progress=progress, **_SOLVE)
-    solved = found.solved
-    if len(solved) < n / 2:
-        message = f"at least half of a chunk must find equilibrium, {len(solved)} of {n} did; lower [data] largest_mm"
-        raise EnsembleError(message, dropped=found.failed)
-    _save(
-        folder / _chunk_name(chunk),
-        index=first + solved,
-        displacement_mm=found.displacement[solved].astype(np.float32),
-        young_kpa=young[solved],
-        failed_index=np.array([first + i for i, _ in found.failed], dtype=np.int64),
-        failed_reason=np.array([reason for _, reason in found.failed], dtype=np.str_),
-    )
-
-
-def _make_pairs(folder: Path, recipe: Recipe, simulator: Simulator, seed: int, threads: int) -> None:
-    rng = np.random.default_rng([seed, 4])
-    pairs, mesh = recipe.pairs, simulator.mesh
-    believed = Material(recipe.material.young_kpa[0], recipe.material.poisson)
-    events, size = _events(recipe, simulator, believed, pairs.members, rng, threads)
-    true_simulator = Simulator(mesh, element=pairs.element)
-    loads, true_loads, truths = [], [], []
-    for event, s in zip(events, size, strict=True):
-        loads.append(event.load(simulator, s))
-        load, material = pairs.variation.draw(event.load(true_simulator, s), believed, rng)
-        true_loads.append(load)
-        truths.append(Material(material.young_array * _inclusion(mesh, recipe, rng), believed.poisson))
-    simulated = simulator.solve_many(loads, [believed] * len(loads), threads=threads, **_SOLVE)
-    true = true_simulator.solve_many(true_loads, truths, threads=threads, **_SOLVE)
-    both = np.intersect1d(simulated.solved, true.solved)
-    if len(both) < pairs.members / 2:
-        message = f"at least half of the pairs must find equilibrium, {len(both)} of {pairs.members} did"
-        raise EnsembleError(message, dropped=simulated.failed + true.failed)
-    _save(
-        folder / "pairs.npz",
-        simulation_mm=simulated.displacement[both].astype(np.float32),
-        truth_mm=true.displacement[both].astype(np.float32),
-    )
-
-
-def _inclusion(mesh: Mesh, recipe: Recipe, rng: np.random.Generator) -> FloatArray:
-    """Return the factor on Young's modulus of every tet: a stiff ball around a random node, or none."""
-    pairs = recipe.pairs
-    ball = random_inclusion(mesh, rng, pairs.inclusion_radius_mm, pairs.inclusion_contrast)
-    return ball if rng.random() < pairs.inclusion_share else np.ones(mesh.n_tets)
-
-
-def _finish(folder: Path, recipe: Recipe, mesh: Mesh, seed: int, n_chunks: int) -> list[list[Any]]:
-    failed: list[list[Any]] = []
-    for chunk in range(n_chunks):
-        failed += _failed_of(folder / _chunk_name(chunk))
-    card = {
-        "schema": SCHEMA,
-        "recipe": recipe.raw,
-        "mesh_digest": mesh.digest(),
-        "n_nodes": mesh.n_nodes,
-        "seed": seed,
-        "members": recipe.data.members - len(failed),
-        "failed": failed,
-        "chunks": [_chunk_name(chunk) for chunk in range(n_chunks)],
-        "pairs": "pairs.npz" if recipe.pairs.members else None,
-        "version": __version__,
-    }
-    with atomic_file(folder / "dataset.json") as path:
-        path.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
-    return failed
-
-
-def _failed_of(path: Path) -> list[list[Any]]:
+def _made(
+    tasks: list[ChunkTask], recipe: Recipe, executor: Executor | None, within: Callable[[int, int], None] | None
+) -> Iterator[ChunkReport]:
+    """Give the report of every chunk, as soon as it is there."""
+    if executor is None:
+        for task in tasks:
+            first = task.number * recipe.data.chunk
+            yield make_one_chunk(task, None if within is None else partial(within, first))
+        return
+    futures = [executor.submit(make_one_chunk, task) for task in tasks]
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            return [[int(i), str(r)] for i, r in zip(kept["failed_index"], kept["failed_reason"], strict=True)]
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        for future in as_completed(futures):
+            yield future.result()
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def _begin(store: Store, recipe: Recipe, mesh: Mesh, seed: int) -> str:
+    """Mark the place as this recipe's, or refuse it; return the fingerprint of the data set."""
+    mark = data_mark(recipe, mesh, seed)
+    store.check()
+    if not store.exists(_MARKER):
+        if store.names():
+            message = f"{store.url} must be empty or hold a data set; it holds other files"
+            raise ExperimentError(message, where=store.url)
+        # First of all: a run that is killed after it is gone on with.
+        store.write(_MARKER, f"{mark}\n".encode())
+    elif store.read(_MARKER).decode("utf-8", "replace").strip() != mark:
+        if store.exists(CARD_NAME):
+            read_card(store)  # says so if it is an older form
         message = (
-            f"{path} must be a whole chunk of the data set: {error}. Delete it, and the same command makes it anew"
+            f"{store.url} must be empty or hold data of this very recipe, seed, mesh and version; it holds another's"
         )
-        raise FormatError(message, where=str(path)) from error
+        raise ExperimentError(message, where=store.url)
+    if not store.exists(MESH_NAME):
+        store.write(MESH_NAME, pack_mesh(mesh))
+    return mark
 
 
-def _save(path: Path, **arrays: Any) -> None:
-    with atomic_file(path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, **arrays)
+def _card(
+    recipe: Recipe, mesh: Mesh, mark: str, seed: int, reports: list[ChunkReport], pairs: PairsReport | None
+) -> dict[str, Any]:
+    import h5py
+    import numpy as np
+
+    mesh_file = pack_mesh(mesh)
+    members = sum(report.members for report in reports)
+    entries = [
+        {"file": chunk_name(r.number), "members": r.members, "bytes": r.n_bytes, "sha256": r.sha256} for r in reports
+    ]
+    card = {
+        "schema": DATASET_SCHEMA,
+        "recipe": recipe.raw,
+        "recipe_sha256": mark,
+        "seed": seed,
+        "members": members,
+        "failed": [[index, reason] for report in reports for index, reason in report.failed],
+        "mesh": {
+            "file": MESH_NAME,
+            "n_nodes": mesh.n_nodes,
+            "n_tets": mesh.n_tets,
+            "digest": mesh.digest(),
+            "bytes": len(mesh_file),
+            "sha256": hashlib.sha256(mesh_file).hexdigest(),
+        },
+        "chunks": entries,
+        "pairs": None if pairs is None else {"file": PAIRS_NAME, "bytes": pairs.n_bytes, "sha256": pairs.sha256},
+        "split": {name: rows.tolist() for name, rows in split_of(members, seed).items()},
+        "motion": motion_summary([report.motion for report in reports]),
+        "versions": {"tissuereg": __version__, "numpy": np.__version__, "h5py": h5py.__version__},
+    }
+    card["bytes"] = len(mesh_file) + sum(r.n_bytes for r in reports) + (0 if pairs is None else pairs.n_bytes)
+    return card

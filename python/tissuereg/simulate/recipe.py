@@ -167,7 +167,29 @@ def read_recipe(path: str | os.PathLike[str]) -> Recipe:
     ExperimentError
         If a table or key is unknown, or a value has the wrong type or is out of its range.
     """
-    raw = read_toml(path).rest()
+    return recipe_of(read_toml(path).rest(), path)
+
+
+def recipe_of(raw: dict[str, Any], path: str | os.PathLike[str]) -> Recipe:
+    """Return a recipe from the content of its file.
+
+    Parameters
+    ----------
+    raw : dict
+        Content of the file.
+    path : path-like
+        The file, for messages and as the place of a mesh file.
+
+    Returns
+    -------
+    Recipe
+        With defaults for missing keys.
+
+    Raises
+    ------
+    ExperimentError
+        As `read_recipe`.
+    """
     unknown = set(raw) - {"seed", "mesh", "material", "data", "pairs", "train"}
     if unknown:
         known = "seed, [mesh], [material], [data], [pairs], [train]"

@@ -90,25 +90,70 @@ class EventSampler:
             Shape of the load, not yet scaled.
         """
         settings = self.settings
-        patches = []
+        patches, drawn = [], []
         for _ in range(int(rng.integers(settings.n_patches[0], settings.n_patches[1] + 1))):
             centre = self._centres[rng.choice(len(self._areas), p=self._areas / self._areas.sum())]
             radius = self.mesh.extent * rng.uniform(*settings.radius_share)
             rows = np.flatnonzero(np.linalg.norm(self._centres - centre, axis=1) <= radius)
             direction = _direction(rng) * rng.uniform(0.3, 1.0)
             patches.append((self._triangles[rows], direction / self._areas[rows].sum()))
+            drawn.append(Patch(centre, radius, direction))
         body_force = np.zeros(3)
         if rng.random() < settings.body_force_share:
             body_force = _direction(rng) * rng.uniform(0.0, 1.5) / self._volume
-        return Event(tuple(patches), body_force)
+        return Event(tuple(patches), body_force, tuple(drawn))
+
+    def columns(self, events: Sequence["Event"], sizes: FloatArray) -> dict[str, FloatArray]:
+        """Return a table of events with their sizes.
+
+        Parameters
+        ----------
+        events : sequence of Event
+            As drawn.
+        sizes : ndarray of float64, shape (n_events,)
+            Their sizes in mN.
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``patch_centre_mm`` (n_events, p, 3), ``patch_radius_mm`` (n_events, p), ``patch_force_mN`` (n_events, p, 3)
+            with p the largest number of patches, NaN where an event has fewer; ``body_force_mN_per_mm3`` (n_events, 3).
+        """
+        shape = (len(events), self.settings.n_patches[1])
+        centre, force = np.full((*shape, 3), np.nan), np.full((*shape, 3), np.nan)
+        radius = np.full(shape, np.nan)
+        for row, (event, size) in enumerate(zip(events, sizes, strict=True)):
+            for column, patch in enumerate(event.drawn):
+                centre[row, column], radius[row, column] = patch.centre, patch.radius
+                force[row, column] = size * patch.force
+        weight = np.array([size * event.body_force for event, size in zip(events, sizes, strict=True)])
+        return {
+            "patch_centre_mm": centre,
+            "patch_radius_mm": radius,
+            "patch_force_mN": force,
+            "body_force_mN_per_mm3": weight.reshape(-1, 3),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A loaded part of the surface: centre and radius in mm, total force of an event of unit size in mN."""
+
+    centre: FloatArray
+    radius: float
+    force: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A random load of unit size: patches (triangles, traction in kPa a unit) and a body force (mN/mm^3 a unit)."""
+    """A random load of unit size: patches (triangles, traction in kPa a unit) and a body force (mN/mm^3 a unit).
+
+    `drawn` says of each patch where it was drawn; other makers of events leave it empty.
+    """
 
     patches: tuple[tuple[Any, FloatArray], ...]
     body_force: FloatArray
+    drawn: tuple[Patch, ...] = ()
 
     def load(self, simulator: Simulator, scale: float, base: Load | None = None) -> Load:
         """Return the event as a load of a given size on top of another load.

@@ -1,0 +1,378 @@
+"""Data sets, opened lazily: only the members that are asked for are read.
+
+`docs/files.md` describes the folder.
+"""
+
+import hashlib
+import json
+import operator
+import os
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import PurePosixPath
+from typing import Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from tissuereg._arguments import found
+from tissuereg._arrays import IntArray
+from tissuereg.errors import ArgumentError, FormatError
+from tissuereg.io.chunks import Fields, check_chunk, read_parameters
+from tissuereg.io.data_mesh import MESH_NAME, read_data_mesh
+from tissuereg.io.hdf5 import checked, open_file, spoilt_is_said
+from tissuereg.io.stores import Store, store_of
+from tissuereg.mesh import Mesh
+
+CARD_NAME = "dataset.json"
+DATASET_SCHEMA = "tissuereg.dataset/2"
+_OLD_SCHEMA = "tissuereg.dataset/1"
+
+#: Share of the members in the test split, and in the validation split.
+HELD_OUT_SHARE = 0.1
+
+#: Chunks that are kept open.
+_OPEN = 16
+
+
+def open_dataset(path: str | os.PathLike[str]) -> "Dataset":
+    """Open a data set that ``tissuereg simulate RECIPE.toml`` has made.
+
+    Parameters
+    ----------
+    path : path-like
+        Its folder, or a URL of fsspec.
+
+    Returns
+    -------
+    Dataset
+        Nothing but ``dataset.json`` has been read.
+
+    Raises
+    ------
+    FormatError
+        If it holds no finished data set of this form.
+    MissingPackageError
+        If it is a URL and fsspec is not installed.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> data = tr.open_dataset("data")  # doctest: +SKIP
+    >>> data.displacement[7].shape, data.parameters[7]["young_kpa"]  # doctest: +SKIP
+    ((4223, 3), 31.4)
+    """
+    return Dataset(store_of(path))
+
+
+class Dataset:
+    """A finished data set; made by `open_dataset`.
+
+    Parameters
+    ----------
+    store : Store
+        Where it lies.
+
+    Attributes
+    ----------
+    recipe : dict
+        Content of the recipe's file.
+    failed : list of (int, str)
+        Members without equilibrium, by their number in the recipe, each with its reason.
+    card : dict
+        All of ``dataset.json``.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self.card = read_card(store)
+        self.recipe: dict[str, Any] = self.card["recipe"]
+        self.failed: list[tuple[int, str]] = [(index, reason) for index, reason in self.card["failed"]]
+        self._chunks = _Chunks(store, self.card)
+
+    def __len__(self) -> int:
+        return self._chunks.n_members
+
+    def __repr__(self) -> str:
+        return (
+            f"Dataset({len(self)} members on {self.card['mesh']['n_nodes']} nodes, {len(self.failed)} failed, "
+            f"{self._store.url})"
+        )
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The mesh, undeformed, mm."""
+        mesh = read_data_mesh(self._store)
+        if mesh.digest() != self.card["mesh"]["digest"]:
+            where = self._store.where(MESH_NAME)
+            message = f"{where} must hold the mesh that the data were made on; it holds another one"
+            raise FormatError(message, where=where)
+        return mesh
+
+    @property
+    def displacement(self) -> "Displacements":
+        """The members' displacements: ``data.displacement[i]`` is (n_nodes, 3) float32 in mm, read when asked for."""
+        return Displacements(self._chunks)
+
+    @property
+    def parameters(self) -> "Parameters":
+        """The members' parameters: ``data.parameters[i]`` is a dict of numbers and arrays."""
+        return Parameters(self._chunks)
+
+    @property
+    def index(self) -> IntArray:
+        """Number of each member in the recipe, (n_members,); differs from the row after a failed member."""
+        lost = {index for index, _ in self.failed}
+        return np.array([i for i in range(len(self) + len(lost)) if i not in lost], dtype=np.int64)
+
+    @property
+    def split(self) -> dict[str, IntArray]:
+        """Rows of ``train``, ``valid`` and ``test``, ascending: 80, 10 and 10 % by the seed."""
+        return {name: np.array(self.card["split"][name], dtype=np.int64) for name in ("train", "valid", "test")}
+
+    def verify(self) -> None:
+        """Compare the SHA-256 of every file with that in ``dataset.json``; everything is read.
+
+        Raises
+        ------
+        FormatError
+            Names the first file that is missing or has changed.
+        """
+        entries = [self.card["mesh"], *self.card["chunks"], *([self.card["pairs"]] if self.card["pairs"] else [])]
+        for entry in entries:
+            content = self._store.read(entry["file"])
+            if hashlib.sha256(content).hexdigest() != entry["sha256"]:
+                where = self._store.where(entry["file"])
+                message = f"{where} must be the file that was written; its SHA-256 has changed"
+                raise FormatError(message, where=where)
+
+
+class Displacements:
+    """Displacements of a data set, read member by member.
+
+    Indexed by a row, it gives (n_nodes, 3) float32 in mm; by a slice or a list of rows, (k, n_nodes, 3).
+    """
+
+    def __init__(self, chunks: "_Chunks") -> None:
+        self._chunks = chunks
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Members, nodes, 3."""
+        return self._chunks.n_members, self._chunks.n_nodes, 3
+
+    def __len__(self) -> int:
+        return self._chunks.n_members
+
+    def __iter__(self) -> Iterator[Fields]:
+        return (self[row] for row in range(len(self)))
+
+    def __getitem__(self, rows: Any) -> Fields:
+        """Return the displacement of a member, or of several."""
+        if isinstance(rows, slice | list | np.ndarray):
+            many = range(len(self))[rows] if isinstance(rows, slice) else _rows(rows, len(self))
+            taken = np.empty((len(many), *self.shape[1:]), np.float32)
+            for place, row in enumerate(many):
+                self._chunks.read_into(row, taken[place])
+            return taken
+        one = np.empty(self.shape[1:], np.float32)
+        self._chunks.read_into(_row(rows, len(self)), one)
+        return one
+
+
+class Parameters(Sequence[dict[str, Any]]):
+    """Parameters of a data set's members, each a dict of numbers and arrays."""
+
+    def __init__(self, chunks: "_Chunks") -> None:
+        self._chunks = chunks
+
+    def __len__(self) -> int:
+        return self._chunks.n_members
+
+    @overload
+    def __getitem__(self, rows: int) -> dict[str, Any]: ...
+    @overload
+    def __getitem__(self, rows: slice) -> list[dict[str, Any]]: ...
+    def __getitem__(self, rows: int | slice) -> dict[str, Any] | list[dict[str, Any]]:
+        """Return the parameters of a member, or of several."""
+        if isinstance(rows, slice):
+            return [self._chunks.parameters(row) for row in range(len(self))[rows]]
+        return self._chunks.parameters(_row(rows, len(self)))
+
+
+class _Chunks:
+    """The chunks of a data set, opened when they are needed; the last few stay open."""
+
+    def __init__(self, store: Store, card: Mapping[str, Any]) -> None:
+        self._store = store
+        self._mark = card["recipe_sha256"]
+        self._names = [entry["file"] for entry in card["chunks"]]
+        self._counts = [entry["members"] for entry in card["chunks"]]
+        self._ends = np.cumsum(self._counts)
+        self.n_members = int(sum(self._counts))
+        self.n_nodes: int = card["mesh"]["n_nodes"]
+        self._open: OrderedDict[tuple[int, int], Any] = OrderedDict()
+        self._columns: dict[int, dict[str, npt.NDArray[Any]]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open": OrderedDict(), "_columns": {}}
+
+    def read_into(self, row: int, taken: Fields) -> None:
+        number, within = self._place(row)
+        with spoilt_is_said(self._store, self._names[number]):
+            self._file(number)["displacement_mm"].read_direct(taken, np.s_[within])
+
+    def parameters(self, row: int) -> dict[str, Any]:
+        number, within = self._place(row)
+        if number not in self._columns:
+            with spoilt_is_said(self._store, self._names[number]):
+                where = self._store.where(self._names[number])
+                self._columns[number] = read_parameters(self._file(number), where, self._counts[number])
+        columns = self._columns[number]
+        return {name: (c[within].item() if c.ndim == 1 else c[within].copy()) for name, c in columns.items()}
+
+    def _place(self, row: int) -> tuple[int, int]:
+        """Return a member's chunk and its row there."""
+        number = int(np.searchsorted(self._ends, row, side="right"))
+        return number, row - int(self._ends[number]) + self._counts[number]
+
+    def _file(self, number: int) -> Any:
+        """Return an open chunk, checked; a forked process opens its own."""
+        key = (os.getpid(), number)
+        if key in self._open:
+            self._open.move_to_end(key)
+            return self._open[key]
+        file = open_file(self._store, self._names[number])
+        try:
+            where = self._store.where(self._names[number])
+            check_chunk(file, where, number, self._mark)
+            checked(file, where, "displacement_mm", "f", (self._counts[number], self.n_nodes, 3))
+        except BaseException:
+            file.close()
+            raise
+        self._open[key] = file
+        if len(self._open) > _OPEN:
+            self._open.popitem(last=False)[1].close()
+        return file
+
+
+def split_of(n_members: int, seed: int) -> dict[str, IntArray]:
+    """Return the rows of the three splits: 80, 10 and 10 % of the members.
+
+    Parameters
+    ----------
+    n_members : int
+        Members with equilibrium.
+    seed : int
+        Of the data set.
+
+    Returns
+    -------
+    dict of str to ndarray of int64
+        ``train``, ``valid``, ``test``, each ascending.
+    """
+    n_held_out = int(n_members * HELD_OUT_SHARE)
+    n_train = n_members - 2 * n_held_out
+    order = np.random.default_rng([seed, 10]).permutation(n_members)
+    parts = np.split(order, [n_train, n_train + n_held_out])
+    return {name: np.sort(part) for name, part in zip(("train", "valid", "test"), parts, strict=True)}
+
+
+def read_card(store: Store) -> dict[str, Any]:
+    """Return the content of ``dataset.json``, checked.
+
+    Parameters
+    ----------
+    store : Store
+        Where the data set lies.
+
+    Returns
+    -------
+    dict
+        As `docs/files.md` states.
+
+    Raises
+    ------
+    FormatError
+        If it is missing, of the older form, or not as it must be.
+    """
+    where = store.where(CARD_NAME)
+    if not store.exists(CARD_NAME):
+        message = (
+            f"{store.url} must hold a finished data set, with {CARD_NAME}; it has none. "
+            "`tissuereg simulate RECIPE.toml --out DATA` makes one, and finishes one that was begun"
+        )
+        raise FormatError(message, where=where)
+    try:
+        card = json.loads(store.read(CARD_NAME))
+    except (ValueError, RecursionError) as error:
+        message = f"{where} must be JSON: {error}"
+        raise FormatError(message, where=where) from error
+    schema = card.get("schema") if isinstance(card, dict) else None
+    if schema == _OLD_SCHEMA:
+        message = (
+            f"{store.url} holds a data set of the older form {_OLD_SCHEMA} (.npz chunks), which is no longer read; "
+            "make it anew in another folder, from its recipe"
+        )
+        raise FormatError(message, where=where)
+    if schema != DATASET_SCHEMA:
+        message = f"{where} must have the schema {DATASET_SCHEMA}, got {schema!r}"
+        raise FormatError(message, where=where)
+    if fault := _fault(card):
+        message = f"{where} must be as `tissuereg simulate` writes it; {fault}"
+        raise FormatError(message, where=where)
+    return dict(card)
+
+
+def _fault(card: Mapping[str, Any]) -> str | None:
+    """Return what is wrong with a card, None if nothing is."""
+    files = [card.get("mesh"), *(card["chunks"] if isinstance(card.get("chunks"), list) else [None])]
+    files += [card["pairs"]] if card.get("pairs") is not None else []
+    if not all(isinstance(one, dict) and _plain_name(one.get("file")) for one in files):
+        return "mesh, chunks and pairs must name plain files"
+    if not all(isinstance(one.get("sha256"), str) for one in files):
+        return "every file must have its sha256"
+    counts = [one.get("members") for one in card["chunks"]]
+    if not all(_count(one) for one in counts) or not _count(card["mesh"].get("n_nodes")):
+        return "every chunk must state its members, and the mesh its n_nodes"
+    if not isinstance(card["mesh"].get("digest"), str) or not isinstance(card.get("recipe_sha256"), str):
+        return "it must hold the fingerprints of mesh and recipe"
+    if not isinstance(card.get("recipe"), dict) or not _failures(card.get("failed")):
+        return "it must hold the recipe, and the failed members as [number, reason]"
+    split = card.get("split")
+    rows = [split.get(name) for name in ("train", "valid", "test")] if isinstance(split, dict) else [None]
+    if not all(isinstance(part, list) and all(_count(row) and row < sum(counts) for row in part) for part in rows):
+        return "split must hold rows of train, valid and test"
+    return None
+
+
+def _plain_name(name: object) -> bool:
+    return isinstance(name, str) and bool(name) and "\\" not in name and PurePosixPath(name).name == name
+
+
+def _count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**53
+
+
+def _failures(failed: object) -> bool:
+    return isinstance(failed, list) and all(
+        isinstance(one, list) and len(one) == 2 and _count(one[0]) and isinstance(one[1], str) for one in failed
+    )
+
+
+def _row(row: Any, n_members: int) -> int:
+    """Return a row, counted from the end if negative."""
+    try:
+        number = operator.index(row)
+    except TypeError:
+        message = f"a member must be named by a whole number, a slice or a list of numbers, got {found(row)}"
+        raise ArgumentError(message, where="row") from None
+    if not -n_members <= number < n_members:
+        message = f"member {number} must lie below {n_members}, the number of members"
+        raise IndexError(message)
+    return number % n_members
+
+
+def _rows(rows: Any, n_members: int) -> list[int]:
+    return [_row(one, n_members) for one in rows]

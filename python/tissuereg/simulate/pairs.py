@@ -1,0 +1,92 @@
+"""Pairs of a data set: the same event simulated by the believed model and by another one."""
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg._version import __version__
+from tissuereg.errors import EnsembleError
+from tissuereg.io.hdf5 import packed
+from tissuereg.io.stores import store_of
+from tissuereg.material import Material
+from tissuereg.simulate.chunks import SOLVE, ChunkMaker, ChunkTask, chunk_maker
+from tissuereg.simulate.solve import Simulator
+from tissuereg.simulate.variation import random_inclusion
+
+PAIRS_NAME = "pairs.h5"
+PAIRS_SCHEMA = "tissuereg.pairs/1"
+
+
+@dataclass(frozen=True)
+class PairsReport:
+    """What is known about the pairs once they are written: size and SHA-256 of the file."""
+
+    n_bytes: int
+    sha256: str
+
+
+def make_pairs(task: ChunkTask) -> PairsReport:
+    """Make the pairs and write them, or find that they are there.
+
+    Parameters
+    ----------
+    task : ChunkTask
+        Any task of the data set; its number does not matter.
+
+    Returns
+    -------
+    PairsReport
+        Size and fingerprint of the file.
+
+    Raises
+    ------
+    EnsembleError
+        If more than half of the pairs fail.
+    OutputError
+        If they cannot be written.
+    """
+    store = store_of(task.destination)
+    if store.exists(PAIRS_NAME):
+        content = store.read(PAIRS_NAME)
+    else:
+        simulations, truths = _pairs(chunk_maker(task), task.threads)
+        arrays = {
+            "simulation_mm": simulations.astype(np.float32),
+            "truth_mm": truths.astype(np.float32),
+        }
+        attributes = {"schema": PAIRS_SCHEMA, "recipe_sha256": task.mark, "version": __version__}
+        content = packed(arrays, attributes, frozenset(arrays))
+        store.write(PAIRS_NAME, content)
+    return PairsReport(len(content), hashlib.sha256(content).hexdigest())
+
+
+def _pairs(maker: ChunkMaker, threads: int) -> tuple[FloatArray, FloatArray]:
+    """Return displacements (n_pairs, n_nodes, 3) of the believed model and of the other one, mm."""
+    recipe, simulator = maker.recipe, maker.simulator
+    rng = np.random.default_rng([maker.seed, 4])
+    pairs = recipe.pairs
+    believed = Material(recipe.material.young_kpa[0], recipe.material.poisson)
+    events, size, _ = maker.events(believed, pairs.members, rng, threads)
+    true_simulator = Simulator(simulator.mesh, element=pairs.element)
+    loads, true_loads, truths = [], [], []
+    for event, s in zip(events, size, strict=True):
+        loads.append(event.load(simulator, s))
+        load, material = pairs.variation.draw(event.load(true_simulator, s), believed, rng)
+        true_loads.append(load)
+        truths.append(Material(material.young_array * _inclusion(maker, rng), believed.poisson))
+    simulated = simulator.solve_many(loads, [believed] * len(loads), threads=threads, **SOLVE)
+    true = true_simulator.solve_many(true_loads, truths, threads=threads, **SOLVE)
+    both = np.intersect1d(simulated.solved, true.solved)
+    if len(both) < pairs.members / 2:
+        message = f"at least half of the pairs must find equilibrium, {len(both)} of {pairs.members} did"
+        raise EnsembleError(message, dropped=simulated.failed + true.failed)
+    return simulated.displacement[both], true.displacement[both]
+
+
+def _inclusion(maker: ChunkMaker, rng: np.random.Generator) -> FloatArray:
+    """Return the factor on Young's modulus of every tet: a stiff ball around a random node, or none."""
+    pairs, mesh = maker.recipe.pairs, maker.simulator.mesh
+    ball = random_inclusion(mesh, rng, pairs.inclusion_radius_mm, pairs.inclusion_contrast)
+    return ball if rng.random() < pairs.inclusion_share else np.ones(mesh.n_tets)
