@@ -72,7 +72,19 @@ def test_every_example_in_the_help_is_a_command_line():
 
 
 def test_help_is_quick_to_import():
-    heavy = ("torch", "onnxruntime", "meshio", "scipy", "trimesh", "matplotlib", "tqdm", "pytetwild", "pyvista")
+    heavy = (
+        "torch",
+        "onnxruntime",
+        "meshio",
+        "scipy",
+        "trimesh",
+        "matplotlib",
+        "tqdm",
+        "pytetwild",
+        "pyvista",
+        "h5py",
+        "fsspec",
+    )
     ask = f"print([m for m in {heavy!r} if m in sys.modules])"
     code = f"import sys\nfrom tissuereg.cli import main\nmain(['--help'])\n{ask}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -14,7 +14,19 @@ from support.scripts import REPOSITORY, script
 layers = script("tools", "layers")
 
 PACKAGE = Path(tissuereg.__file__).parent
-HEAVY = ("torch", "onnxruntime", "meshio", "scipy", "trimesh", "pyvista", "matplotlib", "pytetwild", "tqdm")
+HEAVY = (
+    "torch",
+    "onnxruntime",
+    "meshio",
+    "scipy",
+    "trimesh",
+    "pyvista",
+    "matplotlib",
+    "pytetwild",
+    "tqdm",
+    "h5py",
+    "fsspec",
+)
 
 
 def imports_of(path: Path) -> set[str]:

@@ -10,7 +10,7 @@ import pytest
 
 from support.files import GOOD_MARKERS, write_experiment
 from support.meshes import block
-from support.processes import Command, content
+from support.processes import PATIENCE, Command, content
 from tissuereg.io.cache import read_entry
 from tissuereg.io.drafts import DRAFT_PREFIX
 from tissuereg.io.meshes import write_vtu
@@ -106,3 +106,24 @@ def test_after_a_kill_the_next_run_is_right_and_nothing_is_left(name, inputs, tm
         assert command.left() == first.left()
         assert not list(command.place.rglob(f"{DRAFT_PREFIX}*"))
         check_cache(command, monkeypatch)
+
+
+def test_a_data_set_killed_between_chunks_keeps_them_and_ends_in_the_same_bits(inputs, tmp_path):
+    words = ("simulate", inputs / "recipe.toml", "--quiet", "--out", "{out}")
+    whole = Command(words, tmp_path / "whole")
+    assert whole.run()[0] == 0
+    command = Command(words, tmp_path / "killed")
+    process = command.start()
+    give_up = time.monotonic() + PATIENCE
+    while not (command.out / "chunk_0001.h5").exists() and time.monotonic() < give_up:
+        time.sleep(0.001)
+    process.kill()
+    process.communicate()
+    assert process.returncode == -9
+    kept = {file: file.stat().st_mtime_ns for file in command.out.glob("chunk_*.h5")}
+    assert 2 <= len(kept) < 6
+    assert not (command.out / "dataset.json").exists()
+    assert command.run()[0] == 0
+    assert {file: file.stat().st_mtime_ns for file in kept} == kept
+    found = {file.name: file.read_bytes() for file in command.out.iterdir()}
+    assert found == {file.name: file.read_bytes() for file in whole.out.iterdir()}

@@ -300,6 +300,11 @@ RECIPES = {
     "an unknown key": '[mesh]\nfile = "phantom"\n[data]\nmember = 3\n',
     "a value of another kind": '[mesh]\nfile = "phantom"\n[data]\nmembers = "many"\n',
     "no mesh": "seed = 3\n",
+    "two meshes": '[mesh]\nfile = "phantom"\nsource = "phantom"\n',
+    "an unknown body": '[mesh]\nsource = "liver"\n',
+    "nodes as text": '[mesh]\nsource = "phantom"\nn_nodes = "many"\n',
+    "shares above one": '[mesh]\nfile = "phantom"\n[data]\nplate_share = 0.6\ngravity_share = 0.5\n',
+    "a limit below the wanted motion": '[mesh]\nfile = "phantom"\n[data]\nmost_mm = 20.0\n',
 }
 
 

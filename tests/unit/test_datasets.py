@@ -1,5 +1,6 @@
 """Data sets: made in any process with the same bits, opened lazily, spoilt ones refused by name."""
 
+import itertools
 import json
 import pickle
 import sys
@@ -154,6 +155,36 @@ def test_another_recipe_seed_or_an_older_form_is_refused(made, spoilable, tmp_pa
         make_dataset(recipe, spoilable)
 
 
+def test_a_member_that_would_move_too_far_moves_less(tmp_path):
+    text = RECIPE.replace("[1.0, 8.0]", "[1.0, 15.0]\nmost_mm = {}")
+    make_dataset(recipe_in(tmp_path, text.format(1000.0)), tmp_path / "free")
+    make_dataset(recipe_in(tmp_path, text.format(15.0)), tmp_path / "bounded")
+    free, bounded = tr.open_dataset(tmp_path / "free"), tr.open_dataset(tmp_path / "bounded")
+    largest = [np.linalg.norm(data.displacement[:], axis=2).max(axis=1) for data in (free, bounded)]
+    far = largest[0] > 15.0
+    assert far.any()
+    assert largest[1].max() <= 15.0
+    np.testing.assert_array_equal(free.displacement[:][~far], bounded.displacement[:][~far])
+    for row in np.flatnonzero(far):
+        less = bounded.parameters[row]["linear_largest_mm"] / free.parameters[row]["linear_largest_mm"]
+        forces = [data.parameters[row]["patch_force_mN"] for data in (bounded, free)]
+        np.testing.assert_allclose(forces[0], less * forces[1], rtol=1e-12)
+        assert less < 1.0
+
+
+def test_the_motion_is_that_of_the_members(made):
+    data, said = tr.open_dataset(made[1]), made[2]["motion"]
+    fields = data.displacement[:].astype(float)
+    mean = np.linalg.norm(fields, axis=2).mean(axis=1)
+    assert said["mean_node_mm"]["mean"] == pytest.approx(mean.mean())
+    assert said["largest_mm"]["largest"] == pytest.approx(np.linalg.norm(fields, axis=2).max())
+    chunks = [fields[first : first + 6] for first in range(0, len(fields), 6)]
+    apart = [np.linalg.norm(a - b, axis=1).mean() for chunk in chunks for a, b in itertools.combinations(chunk, 2)]
+    assert said["n_pairs"] == len(apart)
+    assert said["apart_mm"]["mean"] == pytest.approx(np.mean(apart))
+    assert said["share_apart_7_mm"] == np.mean(np.array(apart) >= 7.0)
+
+
 # --- opened ---
 
 
@@ -210,12 +241,13 @@ def test_rows_slices_and_lists_agree(made):
 def test_reading_one_member_reads_no_other(tmp_path):
     recipe = recipe_in(tmp_path, RECIPE.replace("members = 22\nchunk = 6", "members = 60\nchunk = 60"))
     make_dataset(recipe, tmp_path / "data")
-    counted = []
+    counted, opened = [], []
 
     class Counting(LocalStore):
         def source(self, name):
             file = super().source(name).open("rb", buffering=0)
             inner = file.readinto
+            opened.append(file)
 
             class Handle:
                 seek, tell, close = file.seek, file.tell, file.close
@@ -236,6 +268,8 @@ def test_reading_one_member_reads_no_other(tmp_path):
     data.displacement[3]
     counted.clear()
     data.displacement[41]
+    for file in opened:
+        file.close()
     one = block().n_nodes * 12
     # The field and its checksum, and nodes of the tree of chunks, a few kB each: 60 members would be 86 kB.
     assert one <= sum(counted) <= one + 8192
@@ -315,7 +349,7 @@ def test_a_chunk_of_something_else_is_refused(spoilable, made, spoil, words):
         ({"schema": "x/1"}, "tissuereg.dataset/2"),
         ({"chunks": [{"file": "../chunk_0000.h5"}]}, "plain files"),
         ({"mesh": None}, "plain files"),
-        ({"split": {"train": [0, 99]}}, "split"),
+        ({"split": {"train": [0, 99], "valid": [], "test": []}}, "split"),
         ({"failed": [[1]]}, "failed"),
     ],
 )

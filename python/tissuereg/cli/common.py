@@ -14,6 +14,9 @@ from tissuereg._machine import machine, n_cores, versions
 
 Progress = Callable[[int, int], None]
 
+#: Shortest and longest time in s between two lines of progress.
+_FIRST_LINE, _LAST_LINE = 5.0, 60.0
+
 #: Exit code of an answer that was found and written, but is not to be trusted.
 UNTRUSTED = 4
 
@@ -122,7 +125,7 @@ def note(text: str) -> None:
 
 @contextlib.contextmanager
 def progress_bar(what: str, *, quiet: bool) -> Iterator[Progress | None]:
-    """Give a function that shows progress on standard error.
+    """Give a function that shows progress and the time left on standard error: a bar, or in a file a line at times.
 
     Parameters
     ----------
@@ -138,17 +141,47 @@ def progress_bar(what: str, *, quiet: bool) -> Iterator[Progress | None]:
     """
     if quiet:
         yield None
-        return
-    from tqdm import tqdm
+    elif sys.stderr.isatty():
+        from tqdm import tqdm
 
-    pause = 0.1 if sys.stderr.isatty() else 5.0  # a log file needs a line now and then, no animation
-    with tqdm(desc=what, file=sys.stderr, unit="", delay=0.3, mininterval=pause, maxinterval=pause) as bar:
+        with tqdm(desc=what, file=sys.stderr, unit="", delay=0.3) as bar:
 
-        def report(done: int, in_all: int) -> None:
-            bar.total = in_all
-            bar.update(done - bar.n)
+            def report(done: int, in_all: int) -> None:
+                bar.total = in_all
+                bar.update(done - bar.n)
 
-        yield report
+            yield report
+    else:
+        yield _Lines(what).report
+
+
+class _Lines:
+    """Progress as plain lines: a log file needs one now and then, no animation."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._start: tuple[float, int] | None = None
+        self._next = 0.0
+
+    def report(self, done: int, in_all: int) -> None:
+        """Print a line if it is time for one."""
+        now = time.monotonic()
+        if self._start is None:  # what is done by then was there before
+            self._start, self._next = (now, done), now + _FIRST_LINE
+        if now < self._next or done >= in_all:
+            return
+        spent, fresh = now - self._start[0], done - self._start[1]
+        self._next = now + max(_FIRST_LINE, min(_LAST_LINE, spent / 5))
+        if fresh > 0:
+            left = duration(spent / fresh * (in_all - done))
+            print(f"{self._what}: {done} of {in_all}, about {left} left", file=sys.stderr, flush=True)
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that suits it: ``40 s``, ``12 min``, ``3.5 h``."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 def seconds_line(seconds: dict[str, float]) -> str:

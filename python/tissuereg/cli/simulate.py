@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissuereg.cli.common import Outcome, Stopwatch, progress_bar, seconds_line
+from tissuereg.cli.common import Outcome, Stopwatch, note, progress_bar, seconds_line
 from tissuereg.cli.options import UsageError, add_common, command_parser, refuse_overwriting
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _run_recipe(args: argparse.Namespace) -> Outcome:
-    from tissuereg.simulate.dataset import make_dataset
+    from tissuereg.simulate.dataset import make_dataset, size_line
     from tissuereg.simulate.recipe import read_recipe
 
     for given, word in ((args.element is not None, "--element"), (args.plain, "--plain"), (args.noise, "--noise")):
@@ -73,6 +73,8 @@ def _run_recipe(args: argparse.Namespace) -> Outcome:
             message = f"{word} must be left out for a recipe, which states what is simulated"
             raise UsageError(message, where=word)
     recipe = read_recipe(args.path)
+    if not args.quiet:
+        note(size_line(recipe, args.out))
     with progress_bar("simulations", quiet=args.quiet) as progress:
         made = make_dataset(recipe, args.out, seed=args.seed, threads=args.threads, progress=progress)
     return _outcome({"schema": "tissuereg.simulate/1", **made}, args)
@@ -141,7 +143,20 @@ def _outcome(content: dict[str, Any], args: argparse.Namespace) -> Outcome:
         f"{content['members']} simulations, {len(content['failed'])} without equilibrium"
         + ("" if rate is None else f", {rate:.3g} per second"),
         *(f"  failed: {index}: {reason}" for index, reason in content["failed"][:10]),
+        *([_motion_line(content["motion"], content["bytes"])] if "motion" in content else []),
         seconds_line(content["seconds"]),
         f"written: {args.out}",
     ]
     return Outcome(content, "\n".join(lines), args.threads)
+
+
+def _motion_line(motion: dict[str, Any], n_bytes: int) -> str:
+    """Return in one line how far the members of a data set move, and its size."""
+    low, high = motion["mean_node_mm"]["quantiles"][0], motion["mean_node_mm"]["quantiles"][-1]
+    line = (
+        f"{n_bytes / 1e6:.0f} MB; a mean node moves {motion['mean_node_mm']['mean']:.2f} mm (90 % of them {low:.1f} to "
+        f"{high:.1f}), at most {motion['largest_mm']['largest']:.1f} mm"
+    )
+    if motion["share_apart_7_mm"] is not None:
+        line += f"; {motion['share_apart_7_mm']:.0%} of pairs lie 7 mm apart"
+    return line

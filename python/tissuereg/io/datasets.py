@@ -21,7 +21,7 @@ from tissuereg._arrays import IntArray
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.io.chunks import Fields, check_chunk, read_parameters
 from tissuereg.io.data_mesh import MESH_NAME, read_data_mesh
-from tissuereg.io.hdf5 import checked, open_file, spoilt_is_said
+from tissuereg.io.hdf5 import OpenFile, checked, spoilt_is_said
 from tissuereg.io.stores import Store, store_of
 from tissuereg.mesh import Mesh
 
@@ -212,7 +212,7 @@ class _Chunks:
         self._ends = np.cumsum(self._counts)
         self.n_members = int(sum(self._counts))
         self.n_nodes: int = card["mesh"]["n_nodes"]
-        self._open: OrderedDict[tuple[int, int], Any] = OrderedDict()
+        self._open: OrderedDict[tuple[int, int], OpenFile] = OrderedDict()
         self._columns: dict[int, dict[str, npt.NDArray[Any]]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -242,19 +242,19 @@ class _Chunks:
         key = (os.getpid(), number)
         if key in self._open:
             self._open.move_to_end(key)
-            return self._open[key]
-        file = open_file(self._store, self._names[number])
+            return self._open[key].file
+        whole = OpenFile(self._store, self._names[number])
         try:
             where = self._store.where(self._names[number])
-            check_chunk(file, where, number, self._mark)
-            checked(file, where, "displacement_mm", "f", (self._counts[number], self.n_nodes, 3))
+            check_chunk(whole.file, where, number, self._mark)
+            checked(whole.file, where, "displacement_mm", "f", (self._counts[number], self.n_nodes, 3))
         except BaseException:
-            file.close()
+            whole.close()
             raise
-        self._open[key] = file
+        self._open[key] = whole
         if len(self._open) > _OPEN:
             self._open.popitem(last=False)[1].close()
-        return file
+        return whole.file
 
 
 def split_of(n_members: int, seed: int) -> dict[str, IntArray]:
@@ -340,9 +340,9 @@ def _fault(card: Mapping[str, Any]) -> str | None:
         return "it must hold the fingerprints of mesh and recipe"
     if not isinstance(card.get("recipe"), dict) or not _failures(card.get("failed")):
         return "it must hold the recipe, and the failed members as [number, reason]"
-    split = card.get("split")
+    n_members, split = sum(counts), card.get("split")
     rows = [split.get(name) for name in ("train", "valid", "test")] if isinstance(split, dict) else [None]
-    if not all(isinstance(part, list) and all(_count(row) and row < sum(counts) for row in part) for part in rows):
+    if not all(isinstance(part, list) and all(_count(row) and row < n_members for row in part) for part in rows):
         return "split must hold rows of train, valid and test"
     return None
 

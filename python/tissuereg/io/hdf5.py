@@ -4,9 +4,9 @@ Every array is protected by checksums (fletcher32), so that damage is noticed wh
 """
 
 import io
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -84,23 +84,51 @@ def opened(store: Store, name: str, content: bytes | None = None) -> Iterator[An
         If it is missing or spoilt, also if that shows only while it is read.
     """
     with spoilt_is_said(store, name):
-        file = open_file(store, name, content)
+        whole = OpenFile(store, name, content)
         try:
-            yield file
+            yield whole.file
         finally:
-            file.close()
+            whole.close()
 
 
-def open_file(store: Store, name: str, content: bytes | None = None) -> Any:
-    """Return an open HDF5 file, to be closed by the caller; without the messages of `opened`."""
-    import h5py
+class OpenFile:
+    """An open HDF5 file, to be closed by its owner; without the messages of `opened`.
 
-    source = store.source(name) if content is None else io.BytesIO(content)
-    if isinstance(source, os.PathLike) and not os.path.exists(source):  # noqa: PTH110  (a Path or its like)
-        message = f"no such file: {store.where(name)}"
-        raise FormatError(message, where=store.where(name))
-    # A file that is there is whole and never changes: no lock is needed, and some shared folders have none.
-    return h5py.File(source, "r", locking=False) if isinstance(source, os.PathLike) else h5py.File(source, "r")
+    Parameters
+    ----------
+    store, name, content
+        As `opened`.
+
+    Attributes
+    ----------
+    file : h5py.File
+        The file.
+    """
+
+    def __init__(self, store: Store, name: str, content: bytes | None = None) -> None:
+        import h5py
+
+        source = store.source(name) if content is None else io.BytesIO(content)
+        if isinstance(source, Path):
+            self._source = None
+            if not source.exists():
+                message = f"no such file: {store.where(name)}"
+                raise FormatError(message, where=store.where(name))
+            # A file that is there is whole and never changes: no lock is needed, and some shared folders have none.
+            self.file = h5py.File(source, "r", locking=False)
+            return
+        self._source = source
+        try:
+            self.file = h5py.File(source, "r")
+        except BaseException:
+            source.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file, and the one under it."""
+        self.file.close()
+        if self._source is not None:
+            self._source.close()
 
 
 @contextmanager

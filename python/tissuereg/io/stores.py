@@ -26,10 +26,13 @@ class Store(Protocol):
     Attributes
     ----------
     url : str
-        The place, for messages and for other processes.
+        The place as it was given, for messages.
+    address : str
+        The place for other processes, which may run in another folder.
     """
 
     url: str
+    address: str
 
     def check(self) -> None:
         """Refuse early what could not be written at the end of a long run, and remove what killed writers left."""
@@ -94,6 +97,7 @@ class LocalStore:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.url = str(folder)
+        self.address = str(folder.absolute())
 
     def check(self) -> None:
         """Refuse a folder in which nothing can be written, and remove drafts of killed writers."""
@@ -147,7 +151,7 @@ class RemoteStore:
     """
 
     def __init__(self, url: str, files: Any, folder: str) -> None:
-        self.url = url.rstrip("/")
+        self.url = self.address = url.rstrip("/")
         self._files = files
         self._folder = folder.rstrip("/")
 

@@ -1,7 +1,7 @@
-"""The embedded breast phantom: two meshes, a trained network, and a synthetic measurement with known truth.
+"""The breast phantom: two embedded meshes, others of any size, a trained network, and a synthetic measurement.
 
-The measurement comes from another model than the one that users simulate with: another stiffness, a stiff
-lesion, ten-node elements, a finer mesh that shares no inner node, markers between nodes.
+The measurement's truth is known. It comes from another model than the one that users simulate with: another stiffness,
+a stiff lesion, ten-node elements, a finer mesh that shares no inner node, markers between nodes.
 """
 
 from importlib.resources import files
@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg.mesh import Mesh
+from tissuereg.phantom.breast import breast_mesh
+
+__all__ = ["breast_mesh", "phantom_mesh", "shipped_model_folder", "truth_mesh"]
 
 _FOLDER = Path(str(files("tissuereg.phantom")))
 
@@ -20,7 +23,7 @@ def phantom_mesh() -> Mesh:
 
 
 def truth_mesh() -> Mesh:
-    """Return the finer mesh on which the measurement is made: 2,931 corner nodes."""
+    """Return the finer mesh on which the measurement is made: 1,844 corner nodes."""
     return _mesh("truth")
 
 

@@ -34,6 +34,9 @@ SOLVE = {"tolerance": 1e-6, "max_iterations": 150}
 #: Why a member fails that the first, nearly linear pass could not answer.
 _NO_LINEAR_ANSWER = "no linear answer to its load, so that its size is unknown"
 
+#: How often a member that moves too far is solved again, and how far it is then meant to move, as a share of the most.
+_AGAIN, _BELOW = 4, 0.95
+
 #: The last maker of this process, by the fingerprint of its data set.
 _MAKERS: dict[str, "ChunkMaker"] = {}
 _MAKING = threading.Lock()
@@ -54,7 +57,7 @@ class ChunkTask:
     number : int
         Number of the chunk.
     destination : str
-        Folder or URL of the data set, which holds its mesh already.
+        Folder (absolute) or URL of the data set, which holds its mesh already.
     threads : int
         Threads to use; 0 takes all cores. The chunk does not depend on it.
     """
@@ -120,7 +123,8 @@ class ChunkMaker:
         self.simulator = Simulator(mesh, element=recipe.data.element)
         data, extent = recipe.data, mesh.extent
         radius = (data.radius_mm[0] / extent, data.radius_mm[1] / extent)
-        self._sampler = EventSampler(mesh, EventSettings(data.n_patches, radius, data.body_force_share))
+        settings = EventSettings(data.n_patches, radius, data.body_force_share, data.plate_share, data.gravity_share)
+        self._sampler = EventSampler(mesh, settings)
 
     def make(self, number: int, threads: int = 0, progress: Callable[[int], None] | None = None) -> Chunk:
         """Return a chunk.
@@ -152,10 +156,22 @@ class ChunkMaker:
         softest = Material(recipe.material.young_kpa[0], recipe.material.poisson)
         events, size, wanted = self.events(softest, n, rng, threads)
         size = size * young / recipe.material.young_kpa[0]  # the wanted motion holds at the member's own modulus
-        loads = [event.load(self.simulator, s) for event, s in zip(events, size, strict=True)]
         materials = [Material(y, recipe.material.poisson) for y in young]
-        found = self.simulator.solve_many(loads, materials, threads=threads, progress=progress, **SOLVE)
-        lost = {int(i): _NO_LINEAR_ANSWER for i in np.flatnonzero(size <= 0.0)} | dict(found.failed)
+        displacement, lost = self._solved(events, size, materials, threads, progress)
+        for _ in range(_AGAIN):
+            largest = np.linalg.norm(displacement, axis=2).max(axis=1)
+            far = np.flatnonzero(largest > recipe.data.most_mm)  # failed members are NaN
+            if not len(far):
+                break
+            less = _BELOW * recipe.data.most_mm / largest[far]
+            size[far], wanted[far] = size[far] * less, wanted[far] * less
+            again = [events[i] for i in far], size[far], [materials[i] for i in far]
+            displacement[far], failed_again = self._solved(*again, threads)
+            lost |= {int(far[i]): reason for i, reason in failed_again.items()}
+        else:
+            largest = np.linalg.norm(displacement, axis=2).max(axis=1)
+            far = np.flatnonzero(largest > recipe.data.most_mm)
+            lost |= {int(i): f"moves {largest[i]:.1f} mm, farther than [data] most_mm" for i in far}
         solved = np.array([i for i in range(n) if i not in lost], dtype=np.int64)
         failed = [(first + i, lost[i]) for i in sorted(lost)]
         if len(solved) < n / 2:
@@ -169,9 +185,25 @@ class ChunkMaker:
             "linear_largest_mm": wanted,
             **self._sampler.columns(events, size),
         }
-        displacement: Fields = found.displacement[solved].astype(np.float32)
+        fields: Fields = displacement[solved].astype(np.float32)
         kept = {name: column[solved] for name, column in columns.items()}
-        return Chunk(number, first + solved, displacement, kept, failed)
+        return Chunk(number, first + solved, fields, kept, failed)
+
+    def _solved(
+        self,
+        events: list[Event],
+        size: FloatArray,
+        materials: list[Material],
+        threads: int,
+        progress: Callable[[int], None] | None = None,
+    ) -> tuple[FloatArray, dict[int, str]]:
+        """Return displacements (n, n_nodes, 3) in mm, NaN where there is none, and the reasons for those."""
+        loads = [event.load(self.simulator, s) for event, s in zip(events, size, strict=True)]
+        found = self.simulator.solve_many(loads, materials, threads=threads, progress=progress, **SOLVE)
+        displacement, lost = found.displacement, dict(found.failed)
+        for member in np.flatnonzero(size <= 0.0):
+            displacement[member], lost[int(member)] = np.nan, _NO_LINEAR_ANSWER
+        return displacement, lost
 
     def events(
         self, material: Material, n: int, rng: np.random.Generator, threads: int

@@ -11,6 +11,7 @@ from concurrent.futures import Executor, as_completed
 from functools import partial
 from typing import Any
 
+from tissuereg._arguments import called, check_running, of_kind
 from tissuereg._clock import Clock
 from tissuereg._version import __version__
 from tissuereg.errors import ExperimentError
@@ -74,6 +75,11 @@ def make_dataset(
     OutputError
         If nothing can be written there.
     """
+    of_kind("recipe", recipe, Recipe)
+    check_running(seed=0 if seed is None else seed, threads=threads)
+    called("progress", progress)
+    if executor is not None:
+        of_kind("executor", executor, Executor)
     store, clock = store_of(out), Clock()
     seed = recipe.seed if seed is None else seed
     in_all = recipe.data.members + recipe.pairs.members
@@ -81,8 +87,8 @@ def make_dataset(
         with clock.stage("analyse"):
             mesh = recipe.mesh()
             mark = _begin(store, recipe, mesh, seed)
-            n_chunks = -(-recipe.data.members // recipe.data.chunk)
-            tasks = [ChunkTask(recipe.raw, mark, seed, number, store.url, threads) for number in range(n_chunks)]
+            n_chunks = _n_chunks(recipe)
+            tasks = [ChunkTask(recipe.raw, mark, seed, number, store.address, threads) for number in range(n_chunks)]
             if executor is None:
                 chunk_maker(tasks[0])
         reports: dict[int, ChunkReport] = {}
@@ -114,9 +120,19 @@ def make_dataset(
     }
 
 
-def estimated_bytes(recipe: Recipe, n_nodes: int) -> int:
-    """Return about how many bytes the displacements of a data set take."""
-    return 12 * n_nodes * (recipe.data.members + 2 * recipe.pairs.members)
+def size_line(recipe: Recipe, out: str | os.PathLike[str]) -> str:
+    """Return in one line what a data set will hold and take on disk, and what of it is there."""
+    data, n_nodes = recipe.data, recipe.mesh().n_nodes
+    n_bytes = 12 * n_nodes * (data.members + 2 * recipe.pairs.members)
+    n_chunks = _n_chunks(recipe)
+    present = len(store_of(out).names() & {chunk_name(number) for number in range(n_chunks)})
+    return f"{data.members} simulations on {n_nodes} nodes, about {n_bytes / 1e6:.0f} MB in {n_chunks} files" + (
+        f", {present} of which are there" if present else ""
+    )
+
+
+def _n_chunks(recipe: Recipe) -> int:
+    return -(-recipe.data.members // recipe.data.chunk)
 
 
 def _from(progress: Progress | None, in_all: int) -> Callable[[int, int], None] | None:

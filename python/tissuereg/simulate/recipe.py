@@ -13,8 +13,11 @@ from tissuereg.io.toml import read_toml
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.variation import Variation
 
-#: Name of the embedded mesh in a recipe.
+#: Name of the embedded mesh in a recipe, and of the body that meshes are made for.
 PHANTOM = "phantom"
+
+#: Nodes of the mesh that a recipe makes if it states none: as many as the paper's breast phantom has.
+DEFAULT_NODES = 4223
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,13 @@ class DataRecipe:
     radius_mm : tuple of float
         Range of a patch's radius.
     body_force_share : float
-        Probability of a body force.
+        Probability of a body force beside patches or a plate.
+    plate_share : float
+        Probability that a flat plate of such a radius is pressed in, in place of patches.
+    gravity_share : float
+        Probability that there is a body force alone.
+    most_mm : float
+        A member that moves farther somewhere is solved again under a smaller load.
     """
 
     members: int = 300
@@ -46,6 +55,9 @@ class DataRecipe:
     n_patches: tuple[int, int] = (1, 3)
     radius_mm: tuple[float, float] = (10.0, 40.0)
     body_force_share: float = 0.6
+    plate_share: float = 0.0
+    gravity_share: float = 0.0
+    most_mm: float = 1e3
 
 
 @dataclass(frozen=True)
@@ -113,8 +125,10 @@ class Recipe:
         File it was read from.
     seed : int
         Seed of all random numbers.
-    mesh_file : str
-        ``phantom``, or a mesh file relative to the recipe.
+    mesh_file : str or None
+        ``phantom``, or a mesh file relative to the recipe; None if the recipe makes its mesh.
+    n_nodes : int or None
+        Nodes of the mesh of the breast phantom that the recipe makes, about.
     fixed : str or None
         Plane of held nodes, if the mesh file has no such set.
     material, data, pairs
@@ -125,7 +139,8 @@ class Recipe:
 
     path: Path
     seed: int
-    mesh_file: str
+    mesh_file: str | None
+    n_nodes: int | None
     fixed: str | None
     material: MaterialRecipe
     data: DataRecipe
@@ -140,6 +155,10 @@ class Recipe:
         FormatError, MeshError
             If the file is missing or holds no usable mesh.
         """
+        if self.mesh_file is None:
+            from tissuereg.phantom.breast import breast_mesh
+
+            return breast_mesh(self.n_nodes or DEFAULT_NODES)
         if self.mesh_file == PHANTOM:
             from tissuereg.phantom import phantom_mesh
 
@@ -195,12 +214,7 @@ def recipe_of(raw: dict[str, Any], path: str | os.PathLike[str]) -> Recipe:
         known = "seed, [mesh], [material], [data], [pairs], [train]"
         message = f"{path}: unknown entries {', '.join(sorted(unknown))}; a recipe has {known}"
         raise ExperimentError(message, where=str(path))
-    mesh = raw.get("mesh", {})
-    if not isinstance(mesh, dict) or not isinstance(mesh.get("file"), str) or set(mesh) - {"file", "fixed"}:
-        message = (
-            f'{path}: [mesh] must hold file = "phantom" or a mesh file, and may hold fixed = "plane nx ny nz d [tol]"'
-        )
-        raise ExperimentError(message, where=f"{path}: [mesh]")
+    mesh = _mesh_table(path, raw.get("mesh", {}))
     seed = raw.get("seed", 0)
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
         message = f"{path}: seed must be a whole number of at least 0, got {seed!r}"
@@ -208,7 +222,8 @@ def recipe_of(raw: dict[str, Any], path: str | os.PathLike[str]) -> Recipe:
     recipe = Recipe(
         Path(path),
         seed,
-        mesh["file"],
+        mesh.get("file"),
+        mesh.get("n_nodes"),
         mesh.get("fixed"),
         _table(path, "material", raw.get("material", {}), MaterialRecipe),
         _table(path, "data", raw.get("data", {}), DataRecipe),
@@ -217,6 +232,21 @@ def recipe_of(raw: dict[str, Any], path: str | os.PathLike[str]) -> Recipe:
     )
     _check(path, recipe)
     return recipe
+
+
+def _mesh_table(path: Any, mesh: Any) -> dict[str, Any]:
+    """Return the table of the mesh, checked: a file, or the body that a mesh is made for."""
+    table = mesh if isinstance(mesh, dict) else {}
+    is_file = isinstance(table.get("file"), str) and not set(table) - {"file", "fixed"}
+    n_nodes = table.get("n_nodes", DEFAULT_NODES)
+    is_made = table.get("source") == PHANTOM and not set(table) - {"source", "n_nodes"} and type(n_nodes) is int
+    if is_file or is_made:
+        return table
+    message = (
+        f'{path}: [mesh] must hold file = "phantom" or a mesh file, and may hold fixed = "plane nx ny nz d [tol]"; '
+        f'or source = "phantom", and may then hold n_nodes = {DEFAULT_NODES}'
+    )
+    raise ExperimentError(message, where=f"{path}: [mesh]")
 
 
 def _table(path: Any, name: str, given: Any, kind: Any) -> Any:
@@ -259,8 +289,16 @@ def _check(path: Any, recipe: Recipe) -> None:
             data.largest_mm[0] > 0 and data.radius_mm[0] > 0,
             "[data] largest_mm and radius_mm must be positive",
         ),
+        (data.most_mm >= data.largest_mm[1], "[data] most_mm must be at least the largest of largest_mm"),
         (data.n_patches[0] >= 1, "[data] n_patches must start at 1 or more"),
-        (0 <= data.body_force_share <= 1 and 0 <= pairs.inclusion_share <= 1, "shares must lie in [0, 1]"),
+        (
+            all(
+                0 <= share <= 1
+                for share in (data.body_force_share, data.plate_share, data.gravity_share, pairs.inclusion_share)
+            ),
+            "shares must lie in [0, 1]",
+        ),
+        (data.plate_share + data.gravity_share <= 1, "[data] plate_share and gravity_share must sum to at most 1"),
         (recipe.material.young_kpa[0] > 0, "[material] young_kpa must be positive"),
         (-1 < recipe.material.poisson < 0.5, "[material] poisson must lie in (-1, 0.5)"),
         (

@@ -1,9 +1,9 @@
-r"""Random events on a body: surface patches pulled or pushed, and body forces in random directions.
+"""Random events on a body: surface patches pulled or pushed, plates pressed in, body forces in random directions.
 
-An event is drawn in two steps. First its *shape*: one to three patches of the free surface, each with a direction, and
-a share of body force. Then its *size*: the load is scaled so that in the linear solution the largest node displacement
-has a wanted value. The linear solutions of all events come from one cheap pass of nearly unloaded solves. Patches near
-the support and far from it therefore deform the body by similar amounts.
+An event is drawn in two steps. First its *shape*: one to three patches of the free surface, each with a direction, or a
+plate, and a share of body force; or a body force alone. Then its *size*: the load is scaled so that in the linear
+solution the largest node displacement has a wanted value. The linear solutions of all events come from one cheap pass
+of nearly unloaded solves. Patches near the support and far from it therefore deform the body by similar amounts.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import MeshError
 from tissuereg.load import Load
 from tissuereg.material import Material
@@ -21,6 +21,9 @@ from tissuereg.simulate.solve import Simulator
 
 #: Size of the first, nearly linear pass, as a share of the body's extent.
 _SMALL = 1e-4
+
+#: Range of a plate's depth as a share of its radius.
+_DEPTH_SHARE = (0.05, 0.4)
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,18 @@ class EventSettings:
     radius_share : tuple of float
         Smallest and largest patch radius as a share of the body's largest extent.
     body_force_share : float
-        Probability that an event has a body force as well.
+        Probability that an event with patches or a plate has a body force as well.
+    plate_share : float
+        Probability that a plate is pressed in, in place of patches.
+    gravity_share : float
+        Probability that there is nothing but a body force.
     """
 
     n_patches: tuple[int, int] = (1, 3)
     radius_share: tuple[float, float] = (0.08, 0.33)
     body_force_share: float = 0.6
+    plate_share: float = 0.0
+    gravity_share: float = 0.0
 
 
 class EventSampler:
@@ -74,6 +83,7 @@ class EventSampler:
         self._triangles = mesh.surface[free]
         self._centres = corners.mean(axis=1)[free]
         self._areas = np.linalg.norm(normal, axis=1)[free]
+        self._normals = normal[free] / self._areas[:, None]
         self._volume = float(mesh.volumes.sum())
 
     def draw(self, rng: np.random.Generator) -> "Event":
@@ -90,18 +100,54 @@ class EventSampler:
             Shape of the load, not yet scaled.
         """
         settings = self.settings
-        patches, drawn = [], []
+        other = settings.plate_share + settings.gravity_share
+        kind = rng.random() if other > 0.0 else 1.0
+        if kind < settings.gravity_share:
+            return Event((), _direction(rng) / self._volume)
+        if kind < other:
+            plate = self._plate(rng)
+            return Event((self.pressed(plate),), self._body_force(rng), (), plate)
+        patches: list[Loaded] = []
+        drawn: list[Patch] = []
         for _ in range(int(rng.integers(settings.n_patches[0], settings.n_patches[1] + 1))):
-            centre = self._centres[rng.choice(len(self._areas), p=self._areas / self._areas.sum())]
-            radius = self.mesh.extent * rng.uniform(*settings.radius_share)
+            row, radius = self._place(rng)
+            centre = self._centres[row]
             rows = np.flatnonzero(np.linalg.norm(self._centres - centre, axis=1) <= radius)
             direction = _direction(rng) * rng.uniform(0.3, 1.0)
             patches.append((self._triangles[rows], direction / self._areas[rows].sum()))
             drawn.append(Patch(centre, radius, direction))
-        body_force = np.zeros(3)
-        if rng.random() < settings.body_force_share:
-            body_force = _direction(rng) * rng.uniform(0.0, 1.5) / self._volume
-        return Event(tuple(patches), body_force, tuple(drawn))
+        return Event(tuple(patches), self._body_force(rng), tuple(drawn))
+
+    def pressed(self, plate: "Plate") -> "Loaded":
+        """Return the triangles that a plate presses, and the traction on each for a total of 1 mN.
+
+        The pressure is that of an elastic foundation: it grows with the depth by which the plate overlaps the
+        undeformed surface (K. L. Johnson, Contact Mechanics, 1985, section 4.3); no contact problem is solved.
+        """
+        along = (self._centres - plate.centre) @ plate.direction
+        across = np.linalg.norm(self._centres - plate.centre - np.outer(along, plate.direction), axis=1)
+        meets = (across <= plate.radius) & (self._normals @ plate.direction < 0.0) & (along <= plate.radius)
+        overlap = np.where(meets, along[meets].min(initial=np.inf) + plate.depth - along, 0.0)
+        rows = np.flatnonzero(overlap > 0.0)
+        share = overlap[rows] / (overlap[rows] * self._areas[rows]).sum()
+        return self._triangles[rows], np.outer(share, plate.direction)
+
+    def _plate(self, rng: np.random.Generator) -> "Plate":
+        row, radius = self._place(rng)
+        tilted = -self._normals[row] + 0.5 * rng.uniform() * _direction(rng)
+        depth = radius * rng.uniform(*_DEPTH_SHARE)
+        return Plate(self._centres[row], radius, np.asarray(tilted / np.linalg.norm(tilted)), depth)
+
+    def _place(self, rng: np.random.Generator) -> tuple[int, float]:
+        """Return a random triangle of the free surface, and a radius in mm."""
+        row = int(rng.choice(len(self._areas), p=self._areas / self._areas.sum()))
+        return row, self.mesh.extent * rng.uniform(*self.settings.radius_share)
+
+    def _body_force(self, rng: np.random.Generator) -> FloatArray:
+        """Return a body force in mN/mm^3, or zero."""
+        if rng.random() < self.settings.body_force_share:
+            return np.asarray(_direction(rng) * rng.uniform(0.0, 1.5) / self._volume)
+        return np.zeros(3)
 
     def columns(self, events: Sequence["Event"], sizes: FloatArray) -> dict[str, FloatArray]:
         """Return a table of events with their sizes.
@@ -117,7 +163,9 @@ class EventSampler:
         -------
         dict of str to ndarray
             ``patch_centre_mm`` (n_events, p, 3), ``patch_radius_mm`` (n_events, p), ``patch_force_mN`` (n_events, p, 3)
-            with p the largest number of patches, NaN where an event has fewer; ``body_force_mN_per_mm3`` (n_events, 3).
+            with p the largest number of patches, NaN where an event has fewer; ``body_force_mN_per_mm3`` (n_events, 3);
+            where plates are drawn, ``plate_centre_mm``, ``plate_force_mN`` (n_events, 3), ``plate_radius_mm``,
+            ``plate_depth_mm`` (n_events,), NaN where an event has none.
         """
         shape = (len(events), self.settings.n_patches[1])
         centre, force = np.full((*shape, 3), np.nan), np.full((*shape, 3), np.nan)
@@ -127,11 +175,22 @@ class EventSampler:
                 centre[row, column], radius[row, column] = patch.centre, patch.radius
                 force[row, column] = size * patch.force
         weight = np.array([size * event.body_force for event, size in zip(events, sizes, strict=True)])
-        return {
+        columns = {
             "patch_centre_mm": centre,
             "patch_radius_mm": radius,
             "patch_force_mN": force,
             "body_force_mN_per_mm3": weight.reshape(-1, 3),
+        }
+        if self.settings.plate_share == 0.0:
+            return columns
+        none = Plate(np.full(3, np.nan), np.nan, np.full(3, np.nan), np.nan)
+        plates = [event.plate or none for event in events]
+        pushes = [size * plate.direction for plate, size in zip(plates, sizes, strict=True)]
+        return columns | {
+            "plate_centre_mm": np.array([plate.centre for plate in plates]).reshape(-1, 3),
+            "plate_radius_mm": np.array([plate.radius for plate in plates]),
+            "plate_depth_mm": np.array([plate.depth for plate in plates]),
+            "plate_force_mN": np.array(pushes).reshape(-1, 3),
         }
 
 
@@ -145,15 +204,33 @@ class Patch:
 
 
 @dataclass(frozen=True, eq=False)
+class Plate:
+    """A flat disc pressed in along `direction` (a unit vector): centre, radius, and depth of overlap in mm.
+
+    The disc overlaps the undeformed surface by the depth where it meets it first.
+    """
+
+    centre: FloatArray
+    radius: float
+    direction: FloatArray
+    depth: float
+
+
+#: Triangles, and the traction on all or on each of them, kPa per mN of the event's size.
+Loaded = tuple[IntArray, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
 class Event:
     """A random load of unit size: patches (triangles, traction in kPa a unit) and a body force (mN/mm^3 a unit).
 
-    `drawn` says of each patch where it was drawn; other makers of events leave it empty.
+    `drawn` and `plate` say what was drawn; other makers of events leave them out.
     """
 
-    patches: tuple[tuple[Any, FloatArray], ...]
+    patches: tuple[Loaded, ...]
     body_force: FloatArray
     drawn: tuple[Patch, ...] = ()
+    plate: Plate | None = None
 
     def load(self, simulator: Simulator, scale: float, base: Load | None = None) -> Load:
         """Return the event as a load of a given size on top of another load.
@@ -173,6 +250,9 @@ class Event:
             Tractions added up where patches share a triangle.
         """
         base = base or Load()
+        body_force = scale * self.body_force + (0.0 if base.body_force is None else np.asarray(base.body_force))
+        if not self.patches:
+            return Load(base.forces, body_force, base.prescribed, base.traction)
         triangles = np.concatenate([t for t, _ in self.patches])
         traction = np.concatenate([np.broadcast_to(scale * p, (len(t), 3)) for t, p in self.patches])
         if base.traction is not None:
@@ -184,7 +264,6 @@ class Event:
         total = np.zeros((len(first), 3))
         np.add.at(total, facet.reshape(-1), traction)
         triangles, traction = triangles[first], total
-        body_force = scale * self.body_force + (0.0 if base.body_force is None else np.asarray(base.body_force))
         return Load(base.forces, body_force, base.prescribed, (triangles, traction))
 
 
