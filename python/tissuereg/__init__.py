@@ -12,7 +12,7 @@ from tissuereg.diagnose import diagnose
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment import Experiment
 from tissuereg.frames import register_frame
-from tissuereg.io.datasets import Dataset, open_dataset
+from tissuereg.io.datasets import open_dataset
 from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.material_experiments import read_material_experiment
@@ -31,7 +31,6 @@ from tissuereg.simulate.fine import FineModel
 from tissuereg.triangles import Triangles
 
 __all__ = [
-    "Dataset",
     "Experiment",
     "Fibre",
     "FilledMesh",

@@ -25,6 +25,7 @@ from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.problems import read_problem, read_simulation
 from tissuereg.io.surfaces import read_triangles
 from tissuereg.latent.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
+from tissuereg.simulate.dataset import make_dataset
 from tissuereg.simulate.recipe import read_recipe
 
 #: Examples of each file; `make test-sturdy` asks for 10,000.
@@ -249,8 +250,9 @@ def good(tmp_path_factory) -> Path:
     write_cached(folder)
     (folder / "recipe.toml").write_text(
         'seed = 3\n[mesh]\nfile = "mesh.vtu"\n[material]\nyoung_kpa = [5.0, 15.0]\npoisson = 0.45\n'
-        "[data]\nmembers = 12\nchunk = 6\nlargest_mm = [1.0, 9.0]\n"
+        "[data]\nmembers = 12\nchunk = 6\nlargest_mm = [1.0, 9.0]\n[pairs]\nmembers = 0\n"
     )
+    make_dataset(read_recipe(folder / "recipe.toml"), folder / "data", threads=1)
     (folder / "whole.toml").write_text(RECIPE)
     write_experiment(folder / "rig")
     write_experiment(folder / "wide-rig", toml=EXPERIMENT + MORE, forces_applied=FORCED)
@@ -353,7 +355,18 @@ def test_a_spoilt_file_is_read_or_refused(good, read, name, changes):
     reads_or_refuses(read, path)
 
 
+def read_data(folder):
+    """Read all of a data set."""
+    data = tr.open_dataset(folder)
+    assert data.displacement[:].shape == (len(data), data.card["mesh"]["n_nodes"], 3)
+    assert len(data.parameters[:]) == len(data)
+    assert len(data.index) == len(data)
+    assert data.mesh.n_nodes == data.card["mesh"]["n_nodes"]
+    assert set(data.split) == {"train", "valid", "test"}
+
+
 FOLDERS = [
+    *(pytest.param(read_data, f"data/{name}", id=f"data-{name}") for name in ("dataset.json", "chunk_0000.h5")),
     *(pytest.param(tr.read_experiment, f"rig/{name}", id=f"rig-{name}") for name in ("experiment.toml", *TABLES)),
     *(
         pytest.param(tr.read_experiment, f"wide-rig/{name}", id=f"wide-rig-{name}")
@@ -386,3 +399,4 @@ def test_the_file_that_is_spoilt_is_a_good_one(good, name):
     tr.read_experiment(good / "wide-rig")
     tr.read_material_experiment(good / "test")
     read_recipe(good / "recipe.toml")
+    read_data(good / "data")

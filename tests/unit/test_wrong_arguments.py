@@ -392,6 +392,7 @@ READERS = {
     "read_surface": tr.read_surface,
     "read_experiment": tr.read_experiment,
     "read_material_experiment": tr.read_material_experiment,
+    "open_dataset": tr.open_dataset,
 }
 
 

@@ -63,7 +63,7 @@ def open_dataset(path: str | os.PathLike[str]) -> "Dataset":
     >>> data.displacement[7].shape, data.parameters[7]["young_kpa"]  # doctest: +SKIP
     ((4223, 3), 31.4)
     """
-    return Dataset(store_of(path))
+    return Dataset(store_of(path, error=FormatError))
 
 
 class Dataset:
@@ -300,8 +300,8 @@ def read_card(store: Store) -> dict[str, Any]:
     where = store.where(CARD_NAME)
     if not store.exists(CARD_NAME):
         message = (
-            f"{store.url} must hold a finished data set, with {CARD_NAME}; it has none. "
-            "`tissuereg simulate RECIPE.toml --out DATA` makes one, and finishes one that was begun"
+            f"no such file: {where}; a finished data set holds it. `tissuereg simulate RECIPE.toml --out DATA` makes "
+            "one, and finishes one that was begun"
         )
         raise FormatError(message, where=where)
     try:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from tissuereg._arguments import place
-from tissuereg.errors import ArgumentError, FormatError, MissingPackageError
+from tissuereg.errors import ArgumentError, FormatError, MissingPackageError, TissueRegError
 from tissuereg.io.atomic import OutputError, atomic_file, check_folder_target
 from tissuereg.io.drafts import DRAFT_PREFIX, remove_stale_drafts
 
@@ -56,7 +56,7 @@ class Store(Protocol):
         """Return the full name of a file, for messages."""
 
 
-def store_of(given: str | os.PathLike[str] | Store) -> Store:
+def store_of(given: str | os.PathLike[str] | Store, *, error: type[TissueRegError] = ArgumentError) -> Store:
     """Return the store of a folder or a URL.
 
     Parameters
@@ -64,6 +64,8 @@ def store_of(given: str | os.PathLike[str] | Store) -> Store:
     given : path-like, str or Store
         A folder of this machine, or a URL of fsspec such as ``s3://bucket/data``; what the file system needs (keys,
         ports) comes from fsspec's own configuration.
+    error : type
+        Class of the error where it is neither.
 
     Returns
     -------
@@ -72,8 +74,8 @@ def store_of(given: str | os.PathLike[str] | Store) -> Store:
 
     Raises
     ------
-    ArgumentError
-        If it is no path, or fsspec does not know the protocol.
+    TissueRegError
+        Of that class, if it is no path or fsspec does not know the protocol.
     MissingPackageError
         If fsspec, or the package behind the protocol, is not installed.
     """
@@ -81,8 +83,8 @@ def store_of(given: str | os.PathLike[str] | Store) -> Store:
         return given
     if isinstance(given, str) and "://" in given:
         protocol, _, rest = given.partition("://")
-        return LocalStore(place("place", rest)) if protocol == "file" else _remote(given, protocol)
-    return LocalStore(place("place", given))
+        return LocalStore(place("path", rest, error=error)) if protocol == "file" else _remote(given, protocol, error)
+    return LocalStore(place("path", given, error=error))
 
 
 class LocalStore:
@@ -217,7 +219,7 @@ class RemoteStore:
         return not known & _WHOLE_OBJECTS and type(self._files).mv is not AbstractFileSystem.mv
 
 
-def _remote(url: str, protocol: str) -> RemoteStore:
+def _remote(url: str, protocol: str, wrong: type[TissueRegError]) -> RemoteStore:
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
@@ -233,7 +235,7 @@ def _remote(url: str, protocol: str) -> RemoteStore:
         raise MissingPackageError(message, where=url) from error
     except ValueError as error:
         message = f"{url} must be a folder, or a URL that fsspec knows: {error}"
-        raise ArgumentError(message, where=url) from error
+        raise wrong(message, where=url) from error
     return RemoteStore(url, files, folder)
 
 
