@@ -3,6 +3,7 @@
 import itertools
 import json
 import pickle
+import re
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -13,6 +14,7 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
+from support.scripts import REPOSITORY
 from tissuereg.errors import ArgumentError, ExperimentError, FormatError, MissingPackageError
 from tissuereg.io.datasets import Dataset
 from tissuereg.io.meshes import write_vtu
@@ -236,6 +238,25 @@ def test_rows_slices_and_lists_agree(made):
         data.displacement[len(data)]
     with pytest.raises(ArgumentError, match="whole number"):
         data.displacement["a"]
+
+
+def test_a_program_that_knows_only_the_page_reads_a_member(made, monkeypatch):
+    page = (REPOSITORY / "docs" / "files.md").read_text(encoding="utf-8")
+    code = next(text for text in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "h5py" in text)
+    monkeypatch.chdir(made[1].parent)
+    names: dict = {}
+    exec(code.replace("4711", "13"), names)
+    data = tr.open_dataset(made[1])
+    np.testing.assert_array_equal(names["displacement"], data.displacement[13])
+    assert names["young"] == data.parameters[13]["young_kpa"]
+
+
+def test_the_page_names_all_that_a_data_set_holds(made):
+    page = (REPOSITORY / "docs" / "files.md").read_text(encoding="utf-8")
+    with h5py.File(made[1] / "chunk_0000.h5") as file:
+        names = [*file, *file["parameters"], *file.attrs]
+    for name in [*names, *json.loads((made[1] / "dataset.json").read_text())]:
+        assert f"`{name}`" in page or f"`parameters/{name}`" in page, name
 
 
 def test_reading_one_member_reads_no_other(tmp_path):

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import torch
 
 from tissuereg_training.cli import main
-from tissuereg_training.data import mesh_digest
+from tissuereg_training.data import Split, mesh_digest
 from tissuereg_training.graph import Hierarchy, hierarchy
 from tissuereg_training.model import GraphVae
 
@@ -61,27 +62,45 @@ def smooth_fields(block: Block, n: int, seed: int, rank: int = 6) -> Any:
     return fields.astype(np.float32)
 
 
+def split_of(n_members: int, seed: int) -> Split:
+    """The split that `tissuereg simulate` writes."""
+    n_held_out = n_members // 10
+    order = np.random.default_rng([seed, 10]).permutation(n_members)
+    parts = np.split(order, [n_members - 2 * n_held_out, n_members - n_held_out])
+    return Split(*(np.sort(part) for part in parts))
+
+
+def write_hdf5(path: Path, **arrays: np.ndarray) -> None:
+    with h5py.File(path, "w") as file:
+        for name, array in arrays.items():
+            file.create_dataset(name, data=array)
+
+
 def write_dataset(folder: Path, block: Block, n_members: int, n_pairs: int = 12, chunks: int = 2) -> Path:
     folder.mkdir(parents=True)
     fields = smooth_fields(block, n_members, 1)
     np.savez(folder / "mesh.npz", nodes_mm=block.nodes.astype(float), tets=block.tets, fixed_nodes=block.held)
-    names = []
+    entries = []
     for k, rows in enumerate(np.array_split(np.arange(n_members), chunks)):
-        names.append(f"chunk_{k:04d}.npz")
-        np.savez(folder / names[-1], index=rows, displacement_mm=fields[rows], young_kpa=np.ones(len(rows)))
+        entries.append({"file": f"chunk_{k:04d}.h5", "members": len(rows)})
+        write_hdf5(folder / entries[-1]["file"], index=rows, displacement_mm=fields[rows])
     if n_pairs:
         simulated = smooth_fields(block, n_pairs, 2)
-        np.savez(folder / "pairs.npz", simulation_mm=simulated, truth_mm=1.1 * simulated)
+        write_hdf5(folder / "pairs.h5", simulation_mm=simulated, truth_mm=1.1 * simulated)
     card = {
-        "schema": "tissuereg.dataset/1",
+        "schema": "tissuereg.dataset/2",
         "recipe": {"mesh": {"file": "block.vtu"}},
-        "mesh_digest": mesh_digest(block.nodes, block.tets, block.held),
-        "n_nodes": block.n_nodes,
         "seed": 0,
         "members": n_members,
         "failed": [],
-        "chunks": names,
-        "pairs": "pairs.npz" if n_pairs else None,
+        "mesh": {
+            "file": "mesh.npz",
+            "digest": mesh_digest(block.nodes, block.tets, block.held),
+            "n_nodes": block.n_nodes,
+        },
+        "chunks": entries,
+        "pairs": {"file": "pairs.h5"} if n_pairs else None,
+        "split": {name: rows.tolist() for name, rows in vars(split_of(n_members, 0)).items()},
     }
     (folder / "dataset.json").write_text(json.dumps(card))
     return folder

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from conftest import RECIPE, make_workplace
@@ -17,12 +18,20 @@ def spoil(path, **arrays):
     np.savez(path, **{k: v for k, v in {**whole, **arrays}.items() if v is not None})
 
 
+def spoil_hdf5(path, **arrays):
+    with h5py.File(path, "a") as file:
+        for name, array in arrays.items():
+            del file[name]
+            if array is not None:
+                file.create_dataset(name, data=array)
+
+
 def nan_field(place):
-    path = place.data / "chunk_0001.npz"
-    with np.load(path) as chunk:
-        fields = chunk["displacement_mm"].copy()
+    path = place.data / "chunk_0001.h5"
+    with h5py.File(path) as chunk:
+        fields = chunk["displacement_mm"][()]
     fields[4, 7, 1] = np.nan
-    spoil(path, displacement_mm=fields)
+    spoil_hdf5(path, displacement_mm=fields)
 
 
 def edit_card(place, **entries):
@@ -30,46 +39,46 @@ def edit_card(place, **entries):
     path.write_text(json.dumps({**json.loads(path.read_text()), **entries}))
 
 
-def an_array(place):
-    with (place.data / "chunk_0000.npz").open("wb") as stream:
-        np.save(stream, np.zeros(3))
-
-
 CASES = {
     "no data set": (lambda p: (p.data / "dataset.json").unlink(), 2, "FormatError", "dataset.json"),
     "card is no json": (lambda p: (p.data / "dataset.json").write_text("{"), 2, "FormatError", "readable"),
-    "card of another kind": (lambda p: edit_card(p, schema="x/1"), 2, "FormatError", "tissuereg.dataset/1"),
-    "card names a path": (lambda p: edit_card(p, chunks=["../x.npz"]), 2, "FormatError", "plain file names"),
-    "chunk missing": (lambda p: (p.data / "chunk_0000.npz").unlink(), 2, "FormatError", "chunk_0000"),
-    "chunk cut short": (lambda p: (p.data / "chunk_0000.npz").write_bytes(b"PK12"), 2, "FormatError", "npz archive"),
-    "chunk is an array": (an_array, 2, "FormatError", "single"),
-    "pickled objects": (
-        lambda p: spoil(p.data / "chunk_0000.npz", index=np.array([{}] * 30, dtype=object)),
+    "card of another kind": (lambda p: edit_card(p, schema="x/1"), 2, "FormatError", "tissuereg.dataset/2"),
+    "card names a path": (
+        lambda p: edit_card(p, chunks=[{"file": "../x.h5", "members": 3}]),
         2,
         "FormatError",
-        "no pickled objects",
+        "plain file names",
     ),
-    "array missing": (lambda p: spoil(p.data / "chunk_0000.npz", index=None), 2, "FormatError", "lacks index"),
+    "chunk missing": (lambda p: (p.data / "chunk_0000.h5").unlink(), 2, "FormatError", "chunk_0000"),
+    "chunk cut short": (lambda p: (p.data / "chunk_0000.h5").write_bytes(b"PK12"), 2, "FormatError", "HDF5 file"),
+    "array missing": (lambda p: spoil_hdf5(p.data / "chunk_0000.h5", index=None), 2, "FormatError", "lacks index"),
     "nan field": (nan_field, 2, "FormatError", "the first in row 4"),
     "members twice": (
-        lambda p: spoil(p.data / "chunk_0001.npz", index=np.arange(30)),
+        lambda p: spoil_hdf5(p.data / "chunk_0001.h5", index=np.arange(30)),
         2,
         "FormatError",
-        "30 stand twice",
+        "member 0 comes after 29",
     ),
     "fields of another mesh": (
-        lambda p: spoil(p.data / "chunk_0000.npz", displacement_mm=np.zeros((30, 149, 3), np.float32)),
+        lambda p: spoil_hdf5(p.data / "chunk_0000.h5", displacement_mm=np.zeros((30, 149, 3), np.float32)),
         2,
         "MeshError",
         "150 nodes, got 149",
     ),
     "flat fields": (
-        lambda p: spoil(p.data / "chunk_0000.npz", displacement_mm=np.zeros((30, 450), np.float32)),
+        lambda p: spoil_hdf5(p.data / "chunk_0000.h5", displacement_mm=np.zeros((30, 450), np.float32)),
         2,
         "FormatError",
         "shape (members, 150, 3)",
     ),
-    "card of another mesh": (lambda p: edit_card(p, mesh_digest="0" * 64), 2, "MeshError", "one mesh"),
+    "no split": (lambda p: edit_card(p, split=None), 2, "FormatError", "train, valid and test"),
+    "split beyond the members": (
+        lambda p: edit_card(p, split={"train": [60], "valid": [0], "test": [1]}),
+        2,
+        "FormatError",
+        "rows below 60",
+    ),
+    "card of another mesh": (lambda p: edit_card(p, mesh={"file": "mesh.npz", "digest": "0" * 64}), 2, "MeshError", "one mesh"),
     "tets out of range": (
         lambda p: spoil(p.data / "mesh.npz", tets=np.array([[0, 1, 2, 150]])),
         2,
@@ -83,7 +92,7 @@ CASES = {
         "finite floats",
     ),
     "pairs that do not pair": (
-        lambda p: spoil(p.data / "pairs.npz", truth_mm=np.zeros((3, 150, 3), np.float32)),
+        lambda p: spoil_hdf5(p.data / "pairs.h5", truth_mm=np.zeros((3, 150, 3), np.float32)),
         2,
         "FormatError",
         "got 12 and 3",

@@ -4,10 +4,10 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from conftest import make_block, smooth_fields
+from conftest import make_block, smooth_fields, split_of
 
 from tissuereg_training.checkpoint import Checkpoint
-from tissuereg_training.data import split_members
+from tissuereg_training.data import check_split
 from tissuereg_training.errors import CheckpointError, DivergenceError, EnsembleError
 from tissuereg_training.evaluate import code_spread, codes, mean_error, measured_prior
 from tissuereg_training.fit import fit, new_model, set_normalisation
@@ -35,7 +35,7 @@ def fields(block):
 
 @pytest.fixture
 def start(block, fields):
-    split = split_members(60, 0, 4)
+    split = split_of(60, 0)
     levels = hierarchy(block.n_nodes, block.tets, 2)
 
     def make(settings=SETTINGS):
@@ -191,15 +191,11 @@ def test_pca_is_exact_at_full_rank_and_equals_the_singular_value_decomposition()
     assert pca_error(high[:20], high[20:], 5) == pytest.approx(np.linalg.norm(missed, axis=2).mean(), rel=1e-5)
 
 
-def test_splits_are_80_10_10_disjoint_and_seeded():
-    split = split_members(300, 4, 26)
-    assert [len(s) for s in (split.train, split.valid, split.test)] == [240, 30, 30]
-    assert len(set(np.concatenate([split.train, split.valid, split.test]).tolist())) == 300
-    assert np.array_equal(split.test, split_members(300, 4, 26).test)
-    assert not np.array_equal(split.test, split_members(300, 5, 26).test)
+def test_too_small_a_split_is_refused():
+    check_split(split_of(300, 4), 26)
     for n in (5, 32):
         with pytest.raises(EnsembleError, match=f"got {n} members"):
-            split_members(n, 0, 26)
+            check_split(split_of(n, 0), 26)
 
 
 def test_a_start_depends_on_the_seed_alone(start):

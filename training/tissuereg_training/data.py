@@ -1,6 +1,6 @@
-"""Data sets: reading the folder that `tissuereg simulate` makes, checking it, splitting it.
+"""Data sets: reading the folder that `tissuereg simulate` makes, and checking it.
 
-The layout (`dataset.json`, `mesh.npz`, `chunk_*.npz`, `pairs.npz`) is the whole interface to the main package.
+The layout (`dataset.json`, `mesh.npz`, `chunk_*.h5`, `pairs.h5`) is the whole interface to the main package.
 Displacements are taken as they are, in mm, in the frame of the held nodes.
 """
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -21,9 +22,16 @@ from tissuereg_training.recipe import Recipe
 
 FieldArray = npt.NDArray[np.float32]
 
-SCHEMA = "tissuereg.dataset/1"
-#: Shares of the test and of the validation split.
-HELD_OUT_SHARE = 0.1
+SCHEMA = "tissuereg.dataset/2"
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Rows of the three splits, ascending."""
+
+    train: IntArray
+    valid: IntArray
+    test: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +54,8 @@ class Dataset:
         Displacement in mm.
     simulations, truths : ndarray of float32, shape (n_pairs, n_nodes, 3)
         The same event simulated by the believed model and by another one, mm; may be empty.
+    split : Split
+        The data set's own.
     """
 
     folder: Path
@@ -56,22 +66,14 @@ class Dataset:
     fields: FieldArray
     simulations: FieldArray
     truths: FieldArray
+    split: Split
 
     def fingerprint(self) -> str:
-        """Return a SHA-256 over mesh, members and fields, so that a checkpoint knows its data."""
+        """Return a SHA-256 over mesh, members, fields and split, so that a checkpoint knows its data."""
         digest = hashlib.sha256(self.mesh_digest.encode())
-        for array in (self.index, self.fields):
+        for array in (self.index, self.fields, self.split.train, self.split.valid, self.split.test):
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
-
-
-@dataclass(frozen=True, eq=False)
-class Split:
-    """Rows of the three splits: 80, 10 and 10 % of the members."""
-
-    train: IntArray
-    valid: IntArray
-    test: IntArray
 
 
 def read_dataset(folder: str | os.PathLike[str]) -> Dataset:
@@ -101,22 +103,24 @@ def read_dataset(folder: str | os.PathLike[str]) -> Dataset:
     nodes, tets, held = mesh["nodes_mm"], mesh["tets"], mesh["fixed_nodes"]
     _check_mesh(folder / "mesh.npz", nodes, tets)
     digest = mesh_digest(nodes, tets, held)
-    if digest != card["mesh_digest"]:
+    if digest != card["mesh"]["digest"]:
         message = (
-            f"{folder} must hold one mesh: dataset.json was made for mesh {card['mesh_digest'][:12]}, "
+            f"{folder} must hold one mesh: dataset.json was made for mesh {card['mesh']['digest'][:12]}, "
             f"mesh.npz is {digest[:12]}"
         )
         raise MeshError(message, where=str(folder / "mesh.npz"))
-    chunks = [_read_chunk(folder / name, len(nodes)) for name in card["chunks"]]
+    chunks = [_read_chunk(folder / entry["file"], len(nodes)) for entry in card["chunks"]]
     index = np.concatenate([np.empty(0, np.int64), *(c[0] for c in chunks)])
     fields = np.concatenate([np.empty((0, len(nodes), 3), np.float32), *(c[1] for c in chunks)])
-    order = np.argsort(index, kind="stable")
-    if len(np.unique(index)) != len(index):
-        message = f"{folder}: every member must stand in one chunk, {len(index) - len(np.unique(index))} stand twice"
+    if (np.diff(index) <= 0).any():
+        row = int(np.flatnonzero(np.diff(index) <= 0)[0])
+        message = f"{folder}: members must be numbered upwards; member {index[row + 1]} comes after {index[row]}"
         raise FormatError(message, where=str(folder))
-    simulations, truths = _read_pairs(folder, card.get("pairs"), len(nodes))
+    pairs = card.get("pairs")
+    simulations, truths = _read_pairs(folder, pairs["file"] if pairs else None, len(nodes))
+    split = _read_split(folder / "dataset.json", card, len(fields))
     tets = np.ascontiguousarray(tets, dtype=np.int64)
-    return Dataset(folder, digest, tets, len(nodes), index[order], fields[order], simulations, truths)
+    return Dataset(folder, digest, tets, len(nodes), index, fields, simulations, truths, split)
 
 
 def mesh_digest(nodes: Any, tets: Any, held_nodes: Any) -> str:
@@ -162,10 +166,16 @@ def check_recipe_fits(recipe: Recipe, dataset_recipe: Any) -> None:
     made = dataset_recipe.get("mesh") if isinstance(dataset_recipe, dict) else None
     if not isinstance(wanted, dict) or not isinstance(made, dict):
         return
-    names = [Path(str(table.get("file", ""))).name for table in (wanted, made)]
+    names = [_mesh_name(table) for table in (wanted, made)]
     if all(names) and names[0] != names[1]:
-        message = f"{recipe.path}: [mesh] file must be the data's, {names[1]!r}; got {names[0]!r}"
-        raise ExperimentError(message, where=f"{recipe.path}: [mesh] file")
+        message = f"{recipe.path}: [mesh] must name the data's, {names[1]!r}; got {names[0]!r}"
+        raise ExperimentError(message, where=f"{recipe.path}: [mesh]")
+
+
+def _mesh_name(table: dict[str, Any]) -> str:
+    if "source" in table:
+        return f"{table['source']} of {table.get('n_nodes', 'default')} nodes"
+    return Path(str(table.get("file", ""))).name
 
 
 def read_dataset_recipe(folder: str | os.PathLike[str]) -> Any:
@@ -173,39 +183,28 @@ def read_dataset_recipe(folder: str | os.PathLike[str]) -> Any:
     return _read_card(Path(folder)).get("recipe", {})
 
 
-def split_members(n_members: int, seed: int, n_latent: int) -> Split:
-    """Return the three splits, drawn by index with the seed.
+def check_split(split: Split, n_latent: int) -> None:
+    """Check that a split is large enough to train on.
 
     Parameters
     ----------
-    n_members : int
-        Fields.
-    seed : int
-        Source of random numbers.
+    split : Split
+        The data set's.
     n_latent : int
         Latents; the training split must hold more fields than that, or principal components would be exact.
-
-    Returns
-    -------
-    Split
-        Sorted rows.
 
     Raises
     ------
     EnsembleError
         If there are too few members.
     """
-    n_held_out = int(n_members * HELD_OUT_SHARE)
-    n_train = n_members - 2 * n_held_out
-    if n_held_out < 1 or n_train <= n_latent:
+    if min(len(split.valid), len(split.test)) < 1 or len(split.train) <= n_latent:
+        n_members = len(split.train) + len(split.valid) + len(split.test)
         message = (
-            f"training {n_latent} latents must have more than {n_latent} fields in its 80 % split and one in each "
+            f"training {n_latent} latents must have more than {n_latent} fields in its training split and one in each "
             f"of the others, got {n_members} members in all; simulate more"
         )
         raise EnsembleError(message, where="members")
-    order = np.random.default_rng([seed, 10]).permutation(n_members)
-    parts = np.split(order, [n_train, n_train + n_held_out])
-    return Split(*(np.sort(part) for part in parts))
 
 
 def _read_card(folder: Path) -> dict[str, Any]:
@@ -218,12 +217,24 @@ def _read_card(folder: Path) -> dict[str, Any]:
     if not isinstance(card, dict) or card.get("schema") != SCHEMA:
         message = f"{path} must have schema {SCHEMA}, got {card.get('schema') if isinstance(card, dict) else card!r}"
         raise FormatError(message, where=str(path))
-    chunks, digest = card.get("chunks"), card.get("mesh_digest")
-    names_ok = isinstance(chunks, list) and all(isinstance(c, str) and Path(c).name == c for c in chunks)
-    if not names_ok or not isinstance(digest, str):
-        message = f"{path} must name its mesh_digest and its chunks (plain file names)"
+    mesh, chunks, pairs = card.get("mesh"), card.get("chunks"), card.get("pairs")
+    files = [mesh, *(chunks if isinstance(chunks, list) else [None]), *([pairs] if pairs is not None else [])]
+    names = [entry.get("file") if isinstance(entry, dict) else None for entry in files]
+    names_ok = all(isinstance(name, str) and Path(name).name == name for name in names)
+    if not names_ok or not isinstance(card["mesh"].get("digest"), str):
+        message = f"{path} must name its mesh, with digest, and its chunks (plain file names)"
         raise FormatError(message, where=str(path))
     return card
+
+
+def _read_split(path: Path, card: dict[str, Any], n_members: int) -> Split:
+    given = card.get("split")
+    parts = [given.get(name) for name in ("train", "valid", "test")] if isinstance(given, dict) else [None]
+    rows = [row for part in parts for row in (part if isinstance(part, list) else [None])]
+    if not all(type(row) is int and 0 <= row < n_members for row in rows) or len(set(rows)) != len(rows):
+        message = f"{path}: split must hold rows below {n_members} of train, valid and test, each once"
+        raise FormatError(message, where=f"{path}: split")
+    return Split(*(np.sort(np.array(part, dtype=np.int64)) for part in parts))
 
 
 def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
@@ -245,6 +256,22 @@ def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, npt.NDArray[An
         raise FormatError(message, where=str(path)) from error
 
 
+def _read_hdf5(path: Path, names: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
+    """Return arrays of an HDF5 file; their checksums are compared."""
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            missing = [name for name in names if not isinstance(file.get(name), h5py.Dataset)]
+            if missing:
+                message = f"{path} must hold {', '.join(names)}; it lacks {', '.join(missing)}"
+                raise FormatError(message, where=str(path))
+            return {name: file[name][()] for name in names}
+    except FormatError:
+        raise
+    except (OSError, RuntimeError, ValueError, TypeError, KeyError) as error:
+        message = f"{path} must be a whole HDF5 file of the data set: {error}"
+        raise FormatError(message, where=str(path)) from error
+
+
 def _check_mesh(path: Path, nodes: Any, tets: Any) -> None:
     if nodes.ndim != 2 or nodes.shape[1] != 3 or nodes.dtype.kind != "f" or not np.isfinite(nodes).all():
         message = f"{path}: nodes_mm must be finite floats of shape (n, 3), got {nodes.dtype} {nodes.shape}"
@@ -256,7 +283,7 @@ def _check_mesh(path: Path, nodes: Any, tets: Any) -> None:
 
 
 def _read_chunk(path: Path, n_nodes: int) -> tuple[IntArray, FieldArray]:
-    arrays = _read_arrays(path, ("index", "displacement_mm"))
+    arrays = _read_hdf5(path, ("index", "displacement_mm"))
     index, fields = arrays["index"], _fields(path, "displacement_mm", arrays["displacement_mm"], n_nodes)
     if index.dtype.kind not in "iu" or index.shape != (len(fields),):
         message = f"{path}: index must be whole numbers of shape ({len(fields)},), got {index.dtype} {index.shape}"
@@ -269,7 +296,7 @@ def _read_pairs(folder: Path, name: Any, n_nodes: int) -> tuple[FieldArray, Fiel
         empty = np.empty((0, n_nodes, 3), np.float32)
         return empty, empty
     path = folder / str(name)
-    arrays = _read_arrays(path, ("simulation_mm", "truth_mm"))
+    arrays = _read_hdf5(path, ("simulation_mm", "truth_mm"))
     simulations, truths = (_fields(path, key, array, n_nodes) for key, array in arrays.items())
     if len(simulations) != len(truths):
         message = f"{path}: every simulation must have its truth, got {len(simulations)} and {len(truths)}"

@@ -14,9 +14,9 @@ from tissuereg_training.data import (
     Dataset,
     Split,
     check_recipe_fits,
+    check_split,
     read_dataset,
     read_dataset_recipe,
-    split_members,
 )
 from tissuereg_training.errors import CheckpointError
 from tissuereg_training.evaluate import (
@@ -101,7 +101,8 @@ def train(
             dataset = read_dataset(data)
             seed = recipe.seed if seed is None else seed
             settings = recipe.settings
-            split = split_members(len(dataset.fields), seed, settings.n_latent)
+            split = dataset.split
+            check_split(split, settings.n_latent)
             checkpoint = _checkpoint(out, dataset, settings, seed, start)
         with clock.stage("coarsen"):
             levels = hierarchy(dataset.n_nodes, dataset.tets, len(settings.channels), settings.coarse_edges)
