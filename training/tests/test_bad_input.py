@@ -78,7 +78,12 @@ CASES = {
         "FormatError",
         "rows below 60",
     ),
-    "card of another mesh": (lambda p: edit_card(p, mesh={"file": "mesh.npz", "digest": "0" * 64}), 2, "MeshError", "one mesh"),
+    "card of another mesh": (
+        lambda p: edit_card(p, mesh={"file": "mesh.npz", "digest": "0" * 64}),
+        2,
+        "MeshError",
+        "one mesh",
+    ),
     "tets out of range": (
         lambda p: spoil(p.data / "mesh.npz", tets=np.array([[0, 1, 2, 150]])),
         2,
