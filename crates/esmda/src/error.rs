@@ -97,6 +97,69 @@ pub enum EsmdaError {
         /// Row of the failing pivot.
         pivot: usize,
     },
+    /// A prior covariance that is not symmetric.
+    #[error(
+        "the prior covariance must be symmetric, got {value} at row {row}, column {column} and \
+         {mirrored} across the diagonal"
+    )]
+    PriorNotSymmetric {
+        /// Row.
+        row: usize,
+        /// Column.
+        column: usize,
+        /// The entry.
+        value: f64,
+        /// The entry at (`column`, `row`).
+        mirrored: f64,
+    },
+    /// A prior covariance without a Cholesky factor.
+    #[error(
+        "the prior covariance must be positive definite; its factorisation fails at pivot {pivot}"
+    )]
+    PriorNotPositiveDefinite {
+        /// Row of the failing pivot.
+        pivot: usize,
+    },
+    /// A setting outside its range.
+    #[error("`{name}` must be {rule}, got {value}")]
+    Setting {
+        /// Name of the setting.
+        name: &'static str,
+        /// What it must be.
+        rule: &'static str,
+        /// What was given.
+        value: f64,
+    },
+    /// A call of a search before the one that it needs.
+    #[error("`{call}` needs {needed} first")]
+    OutOfOrder {
+        /// The call.
+        call: &'static str,
+        /// What must come before it.
+        needed: &'static str,
+    },
+    /// A direction in which no derivative can be had: the model fails on either side.
+    #[error(
+        "the model must predict on at least one side of the point for its derivative along prior \
+         direction {direction}; it fails on both"
+    )]
+    NoDifference {
+        /// Column of the prior's root.
+        direction: usize,
+    },
+    /// A search that did not reach a minimum.
+    #[error(
+        "no minimum was found in {evaluations} evaluations: the next step is {step:e} posterior \
+         standard deviations long where {tolerance:e} is wanted"
+    )]
+    NoMinimum {
+        /// Points at which the model was evaluated.
+        evaluations: usize,
+        /// Length of the undamped step from the best point.
+        step: f64,
+        /// Length at which the search ends.
+        tolerance: f64,
+    },
     /// An array of the wrong shape.
     #[error("`{argument}` must have shape {wanted:?}, got {found:?}")]
     Shape {
@@ -170,6 +233,8 @@ impl EsmdaError {
             Self::NotFinite { .. }
             | Self::TooLarge { .. }
             | Self::Overflow
+            | Self::NoDifference { .. }
+            | Self::NoMinimum { .. }
             | Self::NoConvergence { .. } => true,
             Self::EmptySchedule
             | Self::Alpha { .. }
@@ -180,6 +245,10 @@ impl EsmdaError {
             | Self::NoiseNotFinite { .. }
             | Self::NoiseNotSymmetric { .. }
             | Self::NoiseNotPositiveDefinite { .. }
+            | Self::PriorNotSymmetric { .. }
+            | Self::PriorNotPositiveDefinite { .. }
+            | Self::Setting { .. }
+            | Self::OutOfOrder { .. }
             | Self::Shape { .. }
             | Self::NoObservations
             | Self::TooFewMembers { .. } => false,

@@ -52,6 +52,8 @@
 //! * [`schedule`]: inflation coefficients, checked: `sum 1 / alpha = 1`.
 //! * [`noise`]: `C_d`, diagonal or dense, factored once.
 //! * [`screening`]: failed members, dropped with their reason.
+//! * [`gauss_newton`]: beside the ensemble, the most probable parameters and the Gaussian about them.
+//! * [`outliers`]: groups of observations that contradict the others after the fit.
 //!
 //! # Conventions
 //!
@@ -65,9 +67,14 @@
 //! lists of choices may grow in a minor version: they are `#[non_exhaustive]`, and settings are made from their default.
 #![forbid(unsafe_code)]
 
+mod check;
+mod chi_square;
 mod error;
+pub mod gauss_newton;
+mod gaussian;
 mod linalg;
 pub mod noise;
+pub mod outliers;
 pub mod schedule;
 pub mod screening;
 pub mod step;
@@ -76,7 +83,10 @@ pub mod step;
 pub use faer;
 
 pub use error::EsmdaError;
+pub use gauss_newton::{Evaluation, GaussNewton, Linearised, SearchSettings};
+pub use gaussian::Gaussian;
 pub use noise::NoiseCovariance;
+pub use outliers::{GroupScore, score_groups, worst_group};
 pub use schedule::Schedule;
 pub use screening::{Reason, Screening, screen_members};
 pub use step::{Factorisation, Side, Step, StepReport, StepSettings};

@@ -1,0 +1,165 @@
+//! Observations that contradict the others, tested after the fit: one chi-square a group.
+//!
+//! A group holds the observations of one instrument, such as the three components of a marker: they are right or wrong
+//! together. What a group differs from the fit by is not judged by the noise alone, for the fit has followed its own
+//! data: the residual of a wrong observation is the smaller, the more the fit leans on it.
+//!
+//! # Derivation
+//!
+//! Let `d = H x + e` with `e ~ N(0, C_d)`, the prior `x ~ N(m, C)`, and `S = H C H' + C_d`. The fit that minimises prior
+//! and data terms is `x^ = m + C H' S^-1 (d - H m)`, so its residual and the residual's covariance are
+//!
+//! ```text
+//! r = d - H x^ = (I - H C H' S^-1) (d - H m) = C_d S^-1 (d - H m)
+//! cov(r) = C_d S^-1 S S^-1 C_d = C_d S^-1 C_d = C_d - H P H',      P = (C^-1 + H' C_d^-1 H)^-1
+//! ```
+//!
+//! `H P H'`, the posterior covariance of the predictions, is what the fit has absorbed of the noise; with the noise
+//! whitened it is the hat matrix, and its diagonal the leverages. For a group with the rows `g`,
+//!
+//! ```text
+//! q = r_g' (C_d - H P H')_gg^-1 r_g
+//! ```
+//!
+//! follows a chi-square law with as many degrees of freedom as the group has rows, if prior and noise are as stated.
+//! Where the noise of different groups is independent, `q` is the misfit of the group to the prediction from all others.
+//!
+//! # Use
+//!
+//! Score, drop the group with the smallest p-value if it is below the level over the number of groups (Bonferroni:
+//! then some good group is lost from good data at most at the rate of the level), fit again without it, and repeat. One
+//! at a time: a wrong group spoils the residuals of the good ones.
+
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use faer::{Mat, MatRef, Par, Side};
+
+use crate::check::{check_finite, check_shape};
+use crate::{EsmdaError, chi_square, linalg};
+
+/// Least share of a group's noise that a fit is taken to leave, along any direction: the posterior covariance is an
+/// estimate, and a residual without any spread left could not be judged.
+pub const LEAST_SHARE: f64 = 0.05;
+
+/// How far one group of observations lies from the fit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct GroupScore {
+    /// `q` of the module's documentation.
+    pub chi_square: f64,
+    /// Observations of the group.
+    pub n_obs: usize,
+    /// Probability of a `chi_square` at least this large where nothing is wrong; one for a group without observations.
+    pub p_value: f64,
+    /// Mean leverage: the share of the group's noise, 0 to 1, that the fit has absorbed.
+    pub leverage: f64,
+}
+
+/// Scores groups of observations by their fitted residuals; see the [module documentation](self).
+///
+/// # Shapes
+///
+/// `residual` (`n_obs`) is observed minus fitted. `noise` and `absorbed` are (`n_obs`, `n_obs`), the covariances `C_d` and
+/// `H P H'` in the unit of the residual squared; of both, the lower halves of the groups' own blocks are read.
+/// `groups` (`n_obs`) names the group of every observation, counted from zero; there is one score for each up to the largest.
+///
+/// # Errors
+///
+/// [`EsmdaError::NoObservations`], [`EsmdaError::Shape`], [`EsmdaError::NotFinite`],
+/// [`EsmdaError::NoiseNotPositiveDefinite`] with the observation.
+///
+/// # Cost
+///
+/// A few times the cube of a group's size, for each group.
+///
+/// # Examples
+///
+/// ```
+/// use tissuereg_esmda::{faer::Mat, score_groups, worst_group};
+///
+/// // Two markers of two components; the fit has absorbed half the noise, and the second is three deviations off.
+/// let noise = Mat::<f64>::identity(4, 4);
+/// let absorbed = Mat::from_fn(4, 4, |i, j| if i == j { 0.5 } else { 0.0 });
+/// let scores = score_groups(&[0.5, -0.5, 3.0, 3.0], noise.as_ref(), absorbed.as_ref(), &[0, 0, 1, 1])?;
+/// assert!((scores[1].chi_square - 36.0).abs() < 1e-12);
+/// assert!((scores[1].p_value - (-18.0_f64).exp()).abs() < 1e-20);
+/// assert_eq!(worst_group(&scores, 0.01), Some(1));
+/// # Ok::<(), tissuereg_esmda::EsmdaError>(())
+/// ```
+pub fn score_groups(
+    residual: &[f64],
+    noise: MatRef<'_, f64>,
+    absorbed: MatRef<'_, f64>,
+    groups: &[usize],
+) -> Result<Vec<GroupScore>, EsmdaError> {
+    let n_obs = residual.len();
+    if n_obs == 0 {
+        return Err(EsmdaError::NoObservations);
+    }
+    check_shape("noise", noise.shape(), (n_obs, n_obs))?;
+    check_shape("absorbed", absorbed.shape(), (n_obs, n_obs))?;
+    check_shape("groups", (groups.len(), 1), (n_obs, 1))?;
+    check_finite("residual", MatRef::from_column_major_slice(residual, n_obs, 1))?;
+    check_finite("noise", noise)?;
+    check_finite("absorbed", absorbed)?;
+    let n_groups = 1 + groups.iter().copied().max().unwrap_or(0);
+    let mut rows = vec![Vec::new(); n_groups];
+    for (obs, &group) in groups.iter().enumerate() {
+        rows[group].push(obs);
+    }
+    rows.iter().map(|rows| score(residual, noise, absorbed, rows)).collect()
+}
+
+/// The group with the smallest p-value, if that is below `level` over the number of groups that have observations.
+///
+/// `level` is the rate at which some group is found although none is wrong (at most; Bonferroni's bound).
+pub fn worst_group(scores: &[GroupScore], level: f64) -> Option<usize> {
+    let n_groups = scores.iter().filter(|score| score.n_obs > 0).count();
+    let (worst, score) = scores.iter().enumerate().min_by(|(_, a), (_, b)| {
+        // Tails below the smallest number are all zero: the larger misfit is then the worse one.
+        a.p_value.total_cmp(&b.p_value).then(b.chi_square.total_cmp(&a.chi_square))
+    })?;
+    (score.p_value * (n_groups as f64) < level).then_some(worst)
+}
+
+fn score(
+    residual: &[f64],
+    noise: MatRef<'_, f64>,
+    absorbed: MatRef<'_, f64>,
+    rows: &[usize],
+) -> Result<GroupScore, EsmdaError> {
+    let n_obs = rows.len();
+    if n_obs == 0 {
+        return Ok(GroupScore { chi_square: 0.0, n_obs, p_value: 1.0, leverage: 0.0 });
+    }
+    let block = |matrix: MatRef<'_, f64>| {
+        Mat::from_fn(n_obs, n_obs, |i, j| matrix[(rows[i.max(j)], rows[i.min(j)])])
+    };
+    let mut lower = block(noise);
+    linalg::cholesky_in_place(lower.as_mut())
+        .map_err(|pivot| EsmdaError::NoiseNotPositiveDefinite { pivot: rows[pivot] })?;
+    let whiten = |matrix: &mut Mat<f64>| {
+        solve_lower_triangular_in_place(lower.as_ref(), matrix.as_mut(), Par::Seq);
+    };
+    let mut whitened = Mat::from_fn(n_obs, 1, |i, _| residual[rows[i]]);
+    whiten(&mut whitened);
+    // L^-1 A L^-T
+    let mut hat = block(absorbed);
+    whiten(&mut hat);
+    let mut hat = hat.transpose().to_owned();
+    whiten(&mut hat);
+    let leverage = hat.diagonal().column_vector().iter().sum::<f64>() / n_obs as f64;
+    let left = Mat::from_fn(n_obs, n_obs, |i, j| f64::from(u8::from(i == j)) - hat[(i, j)]);
+    let eigen = left
+        .self_adjoint_eigen(Side::Lower)
+        .map_err(|_| EsmdaError::NoConvergence { n_obs, n_members: n_obs })?;
+    let shares = eigen.S().column_vector();
+    let chi_square = (0..n_obs)
+        .map(|k| {
+            let axis = eigen.U().col(k);
+            let along: f64 = axis.iter().zip(whitened.col(0).iter()).map(|(u, r)| u * r).sum();
+            along * along / shares[k].max(LEAST_SHARE)
+        })
+        .sum();
+    let p_value = chi_square::tail(chi_square, n_obs);
+    Ok(GroupScore { chi_square, n_obs, p_value, leverage })
+}
