@@ -14,6 +14,8 @@ __all__ = [
     "Cause",
     "Compliance",
     "Contacts",
+    "GaussNewton",
+    "GroupScores",
     "Law",
     "Linearised",
     "ManySolutions",
@@ -221,6 +223,47 @@ class Contacts:
         self, samples: Sequence[_Integers], points: _Floats, *, threads: int = 0
     ) -> tuple[_Floats, _Floats, _Floats, _Floats, _Floats, float]: ...
     def draws(self, samples: Sequence[_Integers], normals: _Floats, *, threads: int = 0) -> _Floats: ...
+
+@final
+class GaussNewton:
+    def __new__(
+        cls,
+        mean: _Floats,
+        covariance: _Floats,
+        observed: _Floats,
+        noise: Noise,
+        *,
+        start: _Floats | None = None,
+        tolerance: float,
+        max_evaluations: int,
+        difference: float,
+        largest: float,
+    ) -> GaussNewton: ...
+    @property
+    def point(self) -> _Floats: ...
+    @property
+    def stencil(self) -> _Floats: ...
+    @property
+    def evaluations(self) -> int: ...
+    def evaluate(self, predicted: _Floats) -> tuple[bool, bool, float, float]: ...
+    def linearise(self, jacobian: _Floats) -> tuple[bool, float, list[int]]: ...
+    def linearise_by_differences(self, predicted: _Floats) -> tuple[bool, float, list[int]]: ...
+    def posterior(self) -> tuple[_Floats, _Floats, _Floats]: ...
+
+@final
+class GroupScores:
+    def __new__(
+        cls, residual: _Floats, noise: _Floats, absorbed: _Floats, groups: _Integers, n_groups: int
+    ) -> GroupScores: ...
+    @property
+    def chi_square(self) -> _Floats: ...
+    @property
+    def n_obs(self) -> _Integers: ...
+    @property
+    def p_value(self) -> _Floats: ...
+    @property
+    def leverage(self) -> _Floats: ...
+    def wrong(self, level: float) -> list[int]: ...
 
 @final
 class Law:

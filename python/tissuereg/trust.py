@@ -6,8 +6,7 @@ The misfit of a registration is
 
 prior and data terms at the posterior mean. If prior and noise are as stated and the model is linear, J equals the
 chi-square of the innovation and follows a chi-square law with one degree of freedom per measured coordinate.
-Each marker is tested separately by its fitted residual, whose covariance is smaller than the noise because the fit
-absorbs a part of it: C_d - H P+ H'.
+Each marker is tested separately by its fitted residual (`tissuereg.wrong_markers`).
 """
 
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg.wrong_markers import score_markers
 
 #: Significance level of the tests.
 LEVEL = 0.01
@@ -101,15 +101,10 @@ def judge(
         )
     if len(names) == 1 and not points[1]:
         reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
-    for index, name in enumerate(names):
-        rows = seen[seen // 3 == index]
-        if not len(rows):
-            continue
-        here = np.ix_(rows, rows)
-        score = _marker_score(flat[rows], noise[here], posterior_spread[here])
-        if score > float(chi2.isf(LEVEL / len(names), len(rows))):
-            off = np.sqrt(score)
-            reasons.append(f"wrong marker: {name} does not fit the others, {off:.1f} standard deviations off")
+    scores = score_markers(residual, noise, posterior_spread)
+    for index in sorted(scores.wrong(LEVEL)):
+        off = np.sqrt(scores.chi_square[index])
+        reasons.append(f"wrong marker: {names[index]} does not fit the others, {off:.1f} standard deviations off")
     if min_det_f <= 0:
         reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
     return Trust(not reasons, p_value, total, data_misfit, n_obs, reasons)
@@ -118,13 +113,3 @@ def judge(
 def _data(n_markers: int, n_points: int) -> str:
     """Return what was measured, in words."""
     return " and ".join(word for word, count in (("markers", n_markers), ("surface points", n_points)) if count)
-
-
-def _marker_score(residual: FloatArray, noise: FloatArray, absorbed: FloatArray) -> float:
-    """Return the squared Mahalanobis length of a fitted residual, its covariance floored at 5 % of the noise."""
-    values, vectors = np.linalg.eigh(noise)
-    whiten = vectors / np.sqrt(values)
-    left = np.eye(len(residual)) - whiten.T @ absorbed @ whiten
-    shares, axes = np.linalg.eigh(0.5 * (left + left.T))
-    scaled = axes.T @ (whiten.T @ residual)
-    return float(np.sum(scaled**2 / np.maximum(shares, 0.05)))

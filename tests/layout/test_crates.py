@@ -88,6 +88,7 @@ def test_every_error_of_a_crate_has_an_exception(crate):
         ("fem", "solve/settings.rs", "SolveSettings"),
         ("contacts", "run.rs", "ChainSettings"),
         ("esmda", "step/mod.rs", "StepSettings"),
+        ("esmda", "gauss_newton/mod.rs", "SearchSettings"),
     ],
 )
 def test_every_setting_can_be_set_outside_its_crate(crate, path, name):

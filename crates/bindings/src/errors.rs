@@ -19,6 +19,7 @@ mod imported {
 
     import_exception!(tissuereg.errors, TissueRegError);
     import_exception!(tissuereg.errors, ShapeError);
+    import_exception!(tissuereg.errors, ArgumentError);
     import_exception!(tissuereg.errors, MeshError);
     import_exception!(tissuereg.errors, SupportError);
     import_exception!(tissuereg.errors, MaterialError);
@@ -35,6 +36,7 @@ mod imported {
 pub(crate) enum Class {
     Base,
     Shape,
+    Argument,
     Mesh,
     Support,
     Material,
@@ -51,6 +53,7 @@ impl Class {
         match self {
             Self::Base => imported::TissueRegError::type_object(py),
             Self::Shape => imported::ShapeError::type_object(py),
+            Self::Argument => imported::ArgumentError::type_object(py),
             Self::Mesh => imported::MeshError::type_object(py),
             Self::Support => imported::SupportError::type_object(py),
             Self::Material => imported::MaterialError::type_object(py),
@@ -219,6 +222,19 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
         }
         E::NoiseNotPositiveDefinite { pivot } => (Class::Noise, Some(format!("pivot {pivot}"))),
         E::Overflow => (Class::Noise, None),
+        E::PriorNotSymmetric { row, column, .. } => {
+            (Class::Argument, Some(format!("row {row}, column {column}")))
+        }
+        E::PriorNotPositiveDefinite { pivot } => (Class::Argument, Some(format!("pivot {pivot}"))),
+        E::NotFinite { argument: argument @ ("mean" | "covariance"), row, column, .. } => {
+            (Class::Argument, Some(format!("{argument}, row {row}, column {column}")))
+        }
+        E::Setting { name, .. } => (Class::Argument, Some((*name).to_owned())),
+        E::OutOfOrder { call, .. } => (Class::Base, Some((*call).to_owned())),
+        E::NoDifference { direction } => {
+            (Class::Ensemble, Some(format!("prior direction {direction}")))
+        }
+        E::NoMinimum { .. } => (Class::Convergence, None),
         E::Shape { argument, .. } => (Class::Shape, Some((*argument).to_owned())),
         E::NoObservations => (Class::Shape, Some("predicted".to_owned())),
         E::NotFinite { argument: "observed", row, .. } => {
@@ -239,7 +255,16 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
                 dropped.iter().map(|(member, reason)| (*member, reason.to_string())).collect();
             details.set_item("dropped", dropped)
         }
-        E::NoiseNotPositiveDefinite { pivot } => details.set_item("pivot", pivot),
+        E::NoiseNotPositiveDefinite { pivot } | E::PriorNotPositiveDefinite { pivot } => {
+            details.set_item("pivot", pivot)
+        }
+        E::NoMinimum { evaluations, step, tolerance } => {
+            let report = PyDict::new(py);
+            report.set_item("evaluations", evaluations)?;
+            report.set_item("last_step", step)?;
+            report.set_item("tolerance", tolerance)?;
+            details.set_item("report", report)
+        }
         _ => Ok(()),
     })
 }

@@ -68,7 +68,7 @@ pub(crate) fn screen_members<'py>(
 
 /// Covariance of the observations' noise, factored.
 #[pyclass(frozen, module = "tissuereg._core")]
-pub(crate) struct Noise(NoiseCovariance);
+pub(crate) struct Noise(pub(crate) NoiseCovariance);
 
 #[pymethods]
 impl Noise {

@@ -10,6 +10,7 @@ mod contacts;
 mod errors;
 mod esmda;
 mod fem;
+mod gauss_newton;
 mod lock;
 mod report;
 
@@ -29,6 +30,9 @@ mod _core {
         Adjoints, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig, RigFrame, Solution,
         check_mesh, laws, surface_triangles,
     };
+
+    #[pymodule_export]
+    use super::gauss_newton::{GaussNewton, GroupScores};
 
     /// Version of all parts, from the workspace.
     #[pymodule_export]

@@ -86,7 +86,7 @@ pub use error::EsmdaError;
 pub use gauss_newton::{Evaluation, GaussNewton, Linearised, SearchSettings};
 pub use gaussian::Gaussian;
 pub use noise::NoiseCovariance;
-pub use outliers::{GroupScore, score_groups, worst_group};
+pub use outliers::{GroupScore, score_groups, wrong_groups};
 pub use schedule::Schedule;
 pub use screening::{Reason, Screening, screen_members};
 pub use step::{Factorisation, Side, Step, StepReport, StepSettings};

@@ -33,7 +33,7 @@
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, MatRef, Par, Side};
 
-use crate::check::{check_finite, check_shape};
+use crate::check::{check_finite, check_setting, check_shape};
 use crate::{EsmdaError, chi_square, linalg};
 
 /// Least share of a group's noise that a fit is taken to leave, along any direction: the posterior covariance is an
@@ -60,11 +60,11 @@ pub struct GroupScore {
 ///
 /// `residual` (`n_obs`) is observed minus fitted. `noise` and `absorbed` are (`n_obs`, `n_obs`), the covariances `C_d` and
 /// `H P H'` in the unit of the residual squared; of both, the lower halves of the groups' own blocks are read.
-/// `groups` (`n_obs`) names the group of every observation, counted from zero; there is one score for each up to the largest.
+/// `groups` (`n_obs`) names the group of every observation, below `n_groups`; a group may have none.
 ///
 /// # Errors
 ///
-/// [`EsmdaError::NoObservations`], [`EsmdaError::Shape`], [`EsmdaError::NotFinite`],
+/// [`EsmdaError::Shape`], [`EsmdaError::NotFinite`], [`EsmdaError::Setting`] for a group that there is not,
 /// [`EsmdaError::NoiseNotPositiveDefinite`] with the observation.
 ///
 /// # Cost
@@ -74,15 +74,16 @@ pub struct GroupScore {
 /// # Examples
 ///
 /// ```
-/// use tissuereg_esmda::{faer::Mat, score_groups, worst_group};
+/// use tissuereg_esmda::{faer::Mat, score_groups, wrong_groups};
 ///
 /// // Two markers of two components; the fit has absorbed half the noise, and the second is three deviations off.
 /// let noise = Mat::<f64>::identity(4, 4);
 /// let absorbed = Mat::from_fn(4, 4, |i, j| if i == j { 0.5 } else { 0.0 });
-/// let scores = score_groups(&[0.5, -0.5, 3.0, 3.0], noise.as_ref(), absorbed.as_ref(), &[0, 0, 1, 1])?;
+/// let (residual, groups) = ([0.5, -0.5, 3.0, 3.0], [0, 0, 1, 1]);
+/// let scores = score_groups(&residual, noise.as_ref(), absorbed.as_ref(), &groups, 2)?;
 /// assert!((scores[1].chi_square - 36.0).abs() < 1e-12);
 /// assert!((scores[1].p_value - (-18.0_f64).exp()).abs() < 1e-20);
-/// assert_eq!(worst_group(&scores, 0.01), Some(1));
+/// assert_eq!(wrong_groups(&scores, 0.01), [1]);
 /// # Ok::<(), tissuereg_esmda::EsmdaError>(())
 /// ```
 pub fn score_groups(
@@ -90,35 +91,41 @@ pub fn score_groups(
     noise: MatRef<'_, f64>,
     absorbed: MatRef<'_, f64>,
     groups: &[usize],
+    n_groups: usize,
 ) -> Result<Vec<GroupScore>, EsmdaError> {
     let n_obs = residual.len();
-    if n_obs == 0 {
-        return Err(EsmdaError::NoObservations);
-    }
     check_shape("noise", noise.shape(), (n_obs, n_obs))?;
     check_shape("absorbed", absorbed.shape(), (n_obs, n_obs))?;
     check_shape("groups", (groups.len(), 1), (n_obs, 1))?;
     check_finite("residual", MatRef::from_column_major_slice(residual, n_obs, 1))?;
     check_finite("noise", noise)?;
     check_finite("absorbed", absorbed)?;
-    let n_groups = 1 + groups.iter().copied().max().unwrap_or(0);
     let mut rows = vec![Vec::new(); n_groups];
     for (obs, &group) in groups.iter().enumerate() {
+        let value = group as f64;
+        check_setting("groups", value, "less than `n_groups`", group < n_groups)?;
         rows[group].push(obs);
     }
     rows.iter().map(|rows| score(residual, noise, absorbed, rows)).collect()
 }
 
-/// The group with the smallest p-value, if that is below `level` over the number of groups that have observations.
+/// Groups whose p-value is below `level` over the number of groups that have observations, the worst first.
 ///
-/// `level` is the rate at which some group is found although none is wrong (at most; Bonferroni's bound).
-pub fn worst_group(scores: &[GroupScore], level: f64) -> Option<usize> {
+/// `level` is the rate at which some group is found although none is wrong (at most; Bonferroni's bound). A wrong group
+/// may take good ones with it: drop the first alone, fit again, and ask again.
+pub fn wrong_groups(scores: &[GroupScore], level: f64) -> Vec<usize> {
     let n_groups = scores.iter().filter(|score| score.n_obs > 0).count();
-    let (worst, score) = scores.iter().enumerate().min_by(|(_, a), (_, b)| {
+    let beyond = |group: &usize| {
+        let score = scores[*group];
+        score.n_obs > 0 && score.p_value * (n_groups as f64) < level
+    };
+    let mut wrong: Vec<usize> = (0..scores.len()).filter(beyond).collect();
+    wrong.sort_by(|&a, &b| {
+        let (a, b) = (scores[a], scores[b]);
         // Tails below the smallest number are all zero: the larger misfit is then the worse one.
         a.p_value.total_cmp(&b.p_value).then(b.chi_square.total_cmp(&a.chi_square))
-    })?;
-    (score.p_value * (n_groups as f64) < level).then_some(worst)
+    });
+    wrong
 }
 
 fn score(

@@ -9,8 +9,7 @@ use faer::linalg::solvers::DenseSolveCore;
 use faer::prelude::Solve;
 use faer::{Mat, MatRef, Side, mat};
 use tissuereg_esmda::{
-    EsmdaError, GaussNewton, Gaussian, GroupScore, NoiseCovariance, SearchSettings, score_groups,
-    worst_group,
+    GaussNewton, Gaussian, GroupScore, NoiseCovariance, SearchSettings, score_groups, wrong_groups,
 };
 
 const N_MARKERS: usize = 15;
@@ -48,14 +47,15 @@ fn fit(problem: &LinearGaussian, kept: &[usize]) -> Fit {
 }
 
 fn scores(fit: &Fit) -> Vec<GroupScore> {
-    score_groups(&fit.residual, fit.noise.as_ref(), fit.absorbed.as_ref(), &fit.groups).unwrap()
+    score_groups(&fit.residual, fit.noise.as_ref(), fit.absorbed.as_ref(), &fit.groups, N_MARKERS)
+        .unwrap()
 }
 
 /// Markers dropped, one at a time with a fit between.
 fn dropped(problem: &LinearGaussian, level: f64) -> Vec<usize> {
     let mut kept: Vec<usize> = (0..N_MARKERS).collect();
     let mut dropped = Vec::new();
-    while let Some(worst) = worst_group(&scores(&fit(problem, &kept)), level) {
+    while let Some(&worst) = wrong_groups(&scores(&fit(problem, &kept)), level).first() {
         kept.retain(|&marker| marker != worst);
         dropped.push(worst);
     }
@@ -130,7 +130,8 @@ fn p_values_are_the_tails_of_the_chi_square_law() {
         residual[0] = f64::sqrt(x);
         let (noise, absorbed) = (Mat::<f64>::identity(n_obs, n_obs), Mat::zeros(n_obs, n_obs));
         let groups = vec![0; n_obs];
-        let scores = score_groups(&residual, noise.as_ref(), absorbed.as_ref(), &groups).unwrap();
+        let scores =
+            score_groups(&residual, noise.as_ref(), absorbed.as_ref(), &groups, 1).unwrap();
         // A rounding of x changes the tail by x times as much.
         let found = scores[0].p_value;
         assert!((found / tail - 1.0).abs() < 1e-12, "{n_obs} {x}: {found:e}");
@@ -191,7 +192,7 @@ fn a_change_of_axes_within_a_marker_changes_no_score() {
 #[test]
 fn a_fit_that_claims_to_have_absorbed_everything_leaves_a_twentieth() {
     let identity = Mat::<f64>::identity(1, 1);
-    let scores = score_groups(&[1.0], identity.as_ref(), identity.as_ref(), &[0]).unwrap();
+    let scores = score_groups(&[1.0], identity.as_ref(), identity.as_ref(), &[0], 1).unwrap();
     assert_eq!(scores[0].chi_square, 1.0 / 0.05);
     assert_eq!(scores[0].leverage, 1.0);
 }
@@ -200,17 +201,19 @@ fn a_fit_that_claims_to_have_absorbed_everything_leaves_a_twentieth() {
 fn groups_without_observations_count_for_nothing() {
     let (noise, absorbed) = (Mat::<f64>::identity(2, 2), Mat::zeros(2, 2));
     let score = |residual: &[f64]| {
-        score_groups(residual, noise.as_ref(), absorbed.as_ref(), &[2, 0]).unwrap()
+        score_groups(residual, noise.as_ref(), absorbed.as_ref(), &[2, 0], 3).unwrap()
     };
     let scores = score(&[4.0, 0.0]);
     assert_eq!(scores.iter().map(|score| score.n_obs).collect::<Vec<_>>(), [1, 0, 1]);
     assert_eq!((scores[1].chi_square, scores[1].p_value), (0.0, 1.0));
     // The level is shared by two groups, not three: the chance of 4 deviations is 6.33e-5.
-    assert_eq!(worst_group(&scores, 2.1 * 6.33e-5), Some(2));
-    assert_eq!(worst_group(&scores, 1.9 * 6.33e-5), None);
+    assert_eq!(wrong_groups(&scores, 2.1 * 6.33e-5), [2]);
+    assert!(wrong_groups(&scores, 1.9 * 6.33e-5).is_empty());
     // Where both tails are too small to be told apart, the larger misfit is the worse.
-    assert_eq!(worst_group(&score(&[50.0, 60.0]), 0.01), Some(0));
-    assert_eq!(worst_group(&[], 0.01), None);
+    assert_eq!(wrong_groups(&score(&[50.0, 60.0]), 0.01), [0, 2]);
+    let none = score_groups(&[], Mat::new().as_ref(), Mat::new().as_ref(), &[], 2).unwrap();
+    assert_eq!(none.len(), 2);
+    assert!(wrong_groups(&none, 1.0).is_empty());
 }
 
 #[test]
@@ -218,14 +221,14 @@ fn bad_arguments_are_refused_by_name() {
     let (one, nan) = (Mat::<f64>::identity(2, 2), mat![[1.0, 0.0], [0.0, f64::NAN]]);
     let try_with =
         |residual: &[f64], noise: MatRef<'_, f64>, absorbed: MatRef<'_, f64>, groups: &[usize]| {
-            score_groups(residual, noise, absorbed, groups).expect_err("must be refused")
+            score_groups(residual, noise, absorbed, groups, 2).expect_err("must be refused")
         };
     let (ones, nans) = (one.as_ref(), nan.as_ref());
     let small = one.get(..1, ..1);
-    assert_eq!(try_with(&[], small, small, &[]), EsmdaError::NoObservations);
     for (error, start) in [
         (try_with(&[1.0; 2], small, ones, &[0, 0]), "`noise` must have shape (2, 2), got (1, 1)"),
         (try_with(&[1.0; 2], ones, small, &[0, 0]), "`absorbed` must have shape (2, 2)"),
+        (try_with(&[1.0; 2], ones, ones, &[0, 2]), "`groups` must be less than `n_groups`, got 2"),
         (try_with(&[1.0; 2], ones, ones, &[0]), "`groups` must have shape (2, 1), got (1, 1)"),
         (
             try_with(&[1.0, f64::NAN], ones, ones, &[0, 0]),

@@ -1,0 +1,9 @@
+"""Parameters given observations: by an ensemble, ES-MDA, or by the most probable ones and the Gaussian about them.
+
+`tissuereg-esmda` computes; the model is a Python function of many columns of parameters.
+"""
+
+from tissuereg.assimilate.ensemble import ABSURD_MM, Assimilation, assimilate, balanced_draws
+from tissuereg.assimilate.laplace import Laplace, gauss_newton
+
+__all__ = ["ABSURD_MM", "Assimilation", "Laplace", "assimilate", "balanced_draws", "gauss_newton"]
