@@ -92,7 +92,7 @@ def gauss_newton(
         Prior of the latents.
     jacobian : callable, optional
         Latents (n_latent,) to the derivatives (n_obs, n_latent) of the predictions, mm. By default central differences
-        along the columns of the prior's Cholesky factor: one call of `predict` with 2 n_latent + 1 columns an iteration.
+        along the columns of the prior's Cholesky factor, one call of `predict` with 2 n_latent + 1 columns each time.
     start : ndarray of float64, shape (n_latent,), optional
         Where the search begins; by default the prior's mean.
     tolerance : float
