@@ -8,14 +8,18 @@ import numpy as np
 
 from tissuereg._arguments import maybe, named, of_kind, real, whole
 from tissuereg._arrays import FloatArray, float_array
+from tissuereg._choice import check_choice
 from tissuereg.contacts.settings import ContactSettings
-from tissuereg.errors import MarkerError, ShapeError, SurfaceError
+from tissuereg.errors import ArgumentError, MarkerError, ShapeError, SurfaceError
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.readings import suspect
 from tissuereg.readings.clouds import suspect_points
 from tissuereg.surface import SurfacePoints
+
+#: How the latents of a trained model are found.
+UPDATES = ("esmda", "gauss-newton")
 
 
 @dataclass(frozen=True)
@@ -24,8 +28,12 @@ class RegisterSettings:
 
     Parameters
     ----------
+    update : {"esmda", "gauss-newton"}
+        How the latents of a trained model are found: by an ensemble, or as the most probable ones with the Gaussian
+        about them, which needs fewer decodes.
     n_members, n_steps : int
-        Ensemble size N_e and number of assimilations N_a, with a trained model.
+        Ensemble size N_e and number of assimilations N_a, with a trained model. With ``update="gauss-newton"`` so many
+        draws from the Gaussian stand for the posterior, and there are no steps.
     decrease : float
         Ratio of successive inflation coefficients.
     contacts : ContactSettings
@@ -37,12 +45,14 @@ class RegisterSettings:
         If a value is not a number or out of its range.
     """
 
+    update: str = "esmda"
     n_members: int = 200
     n_steps: int = 5
     decrease: float = 2.0
     contacts: ContactSettings = field(default_factory=ContactSettings)
 
     def __post_init__(self) -> None:
+        check_choice("update", self.update, UPDATES, ArgumentError)
         whole("n_members", self.n_members, least=2)
         whole("n_steps", self.n_steps, least=1)
         real("decrease", self.decrease, above=0.0)

@@ -1,7 +1,7 @@
 """Registration with a trained model: Algorithm 1 of the paper.
 
 A simulation of the moment is encoded, an ensemble is drawn around its code, and ES-MDA updates the ensemble until the
-decoded fields agree with the markers.
+decoded fields agree with the markers; or Gauss-Newton finds the most probable code, and the ensemble is drawn about it.
 """
 
 import os
@@ -14,7 +14,7 @@ import numpy as np
 from tissuereg._arguments import found, place
 from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
-from tissuereg.assimilate import Assimilation, assimilate
+from tissuereg.assimilate import Assimilation, assimilate, gauss_newton
 from tissuereg.errors import ModelError
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.latent.model import Gaussian, LatentModel, error_covariance
@@ -26,6 +26,12 @@ from tissuereg.posterior import Posterior
 from tissuereg.result import MarkerFit, Registration, Target
 from tissuereg.trust import judge
 from tissuereg.widen import widened
+
+#: Distance of neighbours for derivatives of the decoder, in standard deviations of the prior: wide enough for float32.
+_DIFFERENCE = 1e-2
+
+#: The search ends at a step of so many standard deviations, less than any region shows.
+_TOLERANCE = 1e-2
 
 
 def register_by_model(
@@ -54,7 +60,9 @@ def register_by_model(
     ModelError
         If the model was trained for another mesh, or a file of it is corrupt.
     EnsembleError
-        If too few ensemble members survive.
+        If too few ensemble members survive, or the decoder fails where the search for the most probable code begins.
+    ConvergenceError
+        If that search finds no minimum.
     """
     with clock.stage("prior"):
         latent = _as_model(model, given.mesh, given.threads)
@@ -89,17 +97,24 @@ def _fit(latent: LatentModel, simulation: FloatArray | None, given: RegisterInpu
         noise = _noise(latent.errors(place), observed, markers, seen)
         rng = np.random.default_rng([given.seed, 2])
         prior, widening = widened(encoded, latent.prior(None), predict, measured, noise, rng)
-        ensemble = assimilate(
-            predict,
-            measured,
-            noise,
-            prior,
-            rng=rng,
-            n_members=settings.n_members,
-            n_steps=settings.n_steps,
-            decrease=settings.decrease,
-            threads=given.threads,
-        )
+        if settings.update == "gauss-newton":
+            # The first pass has already come near.
+            posterior = gauss_newton(
+                predict, measured, noise, prior, start=place, tolerance=_TOLERANCE, difference=_DIFFERENCE
+            )
+            ensemble = posterior.ensemble(rng, settings.n_members)
+        else:
+            ensemble = assimilate(
+                predict,
+                measured,
+                noise,
+                prior,
+                rng=rng,
+                n_members=settings.n_members,
+                n_steps=settings.n_steps,
+                decrease=settings.decrease,
+                threads=given.threads,
+            )
         place = ensemble.mean
     return _Fit(prior, widening, noise, ensemble)
 

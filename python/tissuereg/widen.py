@@ -75,7 +75,8 @@ def widened(
     innovation = observed - centre
 
     def covariance(factor: float) -> FloatArray:
-        return np.asarray(np.linalg.inv(precision / factor + bound))
+        inverse = np.linalg.inv(precision / factor + bound)
+        return np.asarray(0.5 * (inverse + inverse.T))
 
     def misfit(spread_of_latents: FloatArray) -> float:
         return float(innovation @ np.linalg.solve(slope @ spread_of_latents @ slope.T + noise, innovation))

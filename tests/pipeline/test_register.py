@@ -142,6 +142,33 @@ def test_the_phantom_is_registered_by_the_shipped_network():
     assert np.linalg.norm(lesion.mean - event.true_lesion) < 0.5 * np.linalg.norm(lesion.simulation - event.true_lesion)
 
 
+def test_gauss_newton_registers_the_phantom_as_the_ensemble_does():
+    from tissuereg.phantom.event import LESION_MM, make_event
+
+    event = make_event(seed=0)
+    simulation = tr.simulate(event.mesh, event.load, event.material).displacement
+    found = {
+        update: tr.register(
+            event.mesh,
+            event.markers,
+            model="phantom",
+            simulation=simulation,
+            targets={"lesion": LESION_MM},
+            settings=tr.RegisterSettings(update=update),
+        )
+        for update in ("esmda", "gauss-newton")
+    }
+    before = np.linalg.norm(simulation - event.true_displacement, axis=1).mean()
+    after = np.linalg.norm(found["gauss-newton"].displacement - event.true_displacement, axis=1).mean()
+    assert after < 0.5 * before
+    ensemble, laplace = (found[update].target("lesion") for update in ("esmda", "gauss-newton"))
+    # Mean and mode of a posterior that is nearly Gaussian: a small part of its standard deviation apart.
+    off = laplace.mean - ensemble.mean
+    assert off @ np.linalg.solve(ensemble.covariance, off) < 0.5**2
+    assert 0.7 < np.trace(laplace.covariance) / np.trace(ensemble.covariance) < 1.4
+    assert found["gauss-newton"].trust.chi_square == pytest.approx(found["esmda"].trust.chi_square, rel=0.2)
+
+
 def test_a_model_for_another_mesh_is_refused(block_mesh, seen):
     with pytest.raises(ModelError, match=r"must have been trained for this mesh: it knows a mesh of 1213 nodes"):
         tr.register(block_mesh, seen, model="phantom")

@@ -75,7 +75,9 @@ def test_draws_have_the_moments_of_the_posterior():
     np.testing.assert_allclose(draws.mean(axis=1), found.mean, atol=1e-12)
     np.testing.assert_allclose(np.cov(draws), found.covariance, atol=1e-12)
     assert np.array_equal(draws, found.draws(np.random.default_rng(0), 50))
-    assert found.draws(np.random.default_rng(0), 3).shape == (6, 3)
+    few = found.ensemble(np.random.default_rng(0), 3)
+    assert few.latents.shape == (6, 3)
+    assert (few.exact_draws, few.dropped) == (False, [])
 
 
 class Toy:

@@ -223,7 +223,7 @@ CALLS = {
     ),
     "RegisterSettings": (
         tr.RegisterSettings,
-        {"n_members": 9, "n_steps": 2, "decrease": 2.0, "contacts": quick().contacts},
+        {"update": "esmda", "n_members": 9, "n_steps": 2, "decrease": 2.0, "contacts": quick().contacts},
     ),
     "ContactSettings": (ContactSettings, {"n_slots": 3, "odds": 0.8, "sizes": (0.1,), "weight": (0.1, 2.0)}),
     "register": (

@@ -10,7 +10,7 @@ import numpy as np
 
 from tissuereg import _core
 from tissuereg._arrays import FloatArray, float_array
-from tissuereg.assimilate.ensemble import ABSURD_MM, balanced_draws
+from tissuereg.assimilate.ensemble import ABSURD_MM, Assimilation, balanced_draws
 from tissuereg.latent.model import Gaussian
 
 
@@ -47,7 +47,11 @@ class Laplace(Gaussian):
     one_sided: tuple[int, ...]
 
     def draws(self, rng: np.random.Generator, n_members: int) -> FloatArray:
-        """Return latents drawn from the posterior.
+        """Return latents (n_latent, n_members) drawn from the posterior; see `ensemble`."""
+        return self.ensemble(rng, n_members).latents
+
+    def ensemble(self, rng: np.random.Generator, n_members: int) -> Assimilation:
+        """Return draws from the posterior as the members of an ensemble.
 
         Parameters
         ----------
@@ -58,12 +62,12 @@ class Laplace(Gaussian):
 
         Returns
         -------
-        ndarray of float64, shape (n_latent, n_members)
-            One column a draw.
+        Assimilation
+            No member is lost.
         """
         shape = (len(self.mean), n_members)
-        normals, _ = balanced_draws(rng, shape, np.empty((0, n_members)))
-        return np.asarray(self.mean[:, None] + self.root @ normals)
+        normals, exact = balanced_draws(rng, shape, np.empty((0, n_members)))
+        return Assimilation(np.asarray(self.mean[:, None] + self.root @ normals), [], exact)
 
 
 def gauss_newton(

@@ -57,6 +57,8 @@ def add_parser(commands: Any) -> None:
     choices = ["auto", "tet4", "tet4-averaged", "tet10"]
     how.add_argument("--element", choices=choices, default="auto", help=text)
     how.add_argument("--polish", action="store_true", help="with a model: make its answer an equilibrium")
+    text = "with a model: an ensemble, or the most probable answer with its Gaussian (default: esmda)"
+    how.add_argument("--update", choices=["esmda", "gauss-newton"], help=text)
     how.add_argument(
         "--members", type=whole_number(8), metavar="N", help="ensemble members, with a model (default: 200)"
     )
@@ -132,5 +134,5 @@ def _settings(args: argparse.Namespace) -> "RegisterSettings":
     from tissuereg.registration import RegisterSettings
 
     settings = RegisterSettings()
-    chosen = {"n_members": args.members, "n_steps": args.steps}
+    chosen = {"update": args.update, "n_members": args.members, "n_steps": args.steps}
     return replace(settings, **{name: value for name, value in chosen.items() if value is not None})
