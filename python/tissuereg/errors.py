@@ -102,14 +102,14 @@ class MissingPackageError(TissueRegError, ImportError):
 
 
 class ConvergenceError(TissueRegError, RuntimeError):
-    """A solve found no equilibrium.
+    """A solve found no equilibrium, or a search no minimum.
 
     Attributes
     ----------
     report : dict
         The last equilibrium found: `load_fraction` and `displacement` (n_nodes, 3), mm. Where the search ended:
         `tried_fraction`, `residual_mN`, `tolerance_mN`, `min_det_f`, `worst_tets`, `reason`. Work done: `iterations`,
-        `factorisations`.
+        `factorisations`. Of a search by Gauss-Newton: `evaluations`, `last_step` and `tolerance`.
     """
 
     exit_code = 3

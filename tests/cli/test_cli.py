@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from support.files import EXPERIMENT, GOOD_MARKERS, run, run_json, write_experiment, write_problem
+from support.files import EXPERIMENT, GOOD_MARKERS, MARKERS_HEADER, run, run_json, write_experiment, write_problem
 from support.meshes import block
 from tissuereg.cli import build_parser, solve
 from tissuereg.io.cases import read_histories
@@ -369,6 +369,21 @@ def test_simulate_makes_a_data_set_and_finishes_one_that_was_begun(tmp_path, cap
 
 
 # --- register ---
+
+
+def test_register_takes_the_update_that_is_named(tmp_path, capsys):
+    body = tr.phantom.phantom_mesh()
+    write_vtu(tmp_path / "mesh.vtu", body)
+    places = body.nodes[body.surface_nodes[::60]]
+    rows = [f"P{i},{x},{y},{z},{x + 0.02 * z},{y},{z}\n" for i, (x, y, z) in enumerate(places.tolist())]
+    (tmp_path / "markers.csv").write_text(MARKERS_HEADER + "".join(rows))
+    fits = []
+    for update in ("esmda", "gauss-newton"):
+        words = ["register", tmp_path / "mesh.vtu", tmp_path / "markers.csv", "--model", "phantom", "--members", 40]
+        code, said, _ = run_json(capsys, *words, "--update", update, "--out", tmp_path / update)
+        assert code in (0, 4)
+        fits.append(said["markers"]["after_rms_mm"])
+    assert fits[0] != fits[1]
 
 
 def test_register_writes_its_files_and_tells_all(inputs, capsys):
