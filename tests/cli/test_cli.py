@@ -14,6 +14,7 @@ import tissuereg as tr
 from support.files import EXPERIMENT, GOOD_MARKERS, MARKERS_HEADER, run, run_json, write_experiment, write_problem
 from support.meshes import block
 from tissuereg.cli import build_parser, solve
+from tissuereg.cli.common import progress_bar
 from tissuereg.io.cases import read_histories
 from tissuereg.io.experiment_keys import FORCES_CSV
 from tissuereg.io.meshes import write_vtu
@@ -361,11 +362,40 @@ def test_simulate_makes_a_data_set_and_finishes_one_that_was_begun(tmp_path, cap
     code, said, _ = run_json(capsys, *words)
     assert code == 0
     assert said["members"] + len(said["failed"]) == 12
+    assert said["members_per_s"] > 0
+    assert said["motion"]["largest_mm"]["largest"] > said["motion"]["mean_node_mm"]["mean"] > 0
+    assert len(tr.open_dataset(tmp_path / "data")) == said["members"]
     first = (tmp_path / "data" / "chunk_0001.h5").read_bytes()
     (tmp_path / "data" / "chunk_0001.h5").unlink()
     code, again, _ = run_json(capsys, *words)
     assert (code, again["members"]) == (0, said["members"])
     assert (tmp_path / "data" / "chunk_0001.h5").read_bytes() == first
+
+
+def test_a_data_set_says_its_size_before_it_is_made_and_its_motion_after(tmp_path):
+    write_vtu(tmp_path / "mesh.vtu", block())
+    (tmp_path / "recipe.toml").write_text(
+        '[mesh]\nfile = "mesh.vtu"\n[data]\nmembers = 12\nchunk = 6\n[pairs]\nmembers = 0\n'
+    )
+    words = ["simulate", str(tmp_path / "recipe.toml"), "--out", str(tmp_path / "data")]
+    first, again = process(*words), process(*words)
+    assert "12 simulations on 120 nodes, about 0.0 MB in 2 files\n" in first.stderr
+    assert "in 2 files, 2 of which are there" in again.stderr
+    assert "a mean node moves" in first.stdout
+
+
+def test_progress_in_a_log_is_lines_with_the_time_left(monkeypatch, capsys):
+    now = [100.0]
+    monkeypatch.setattr("tissuereg.cli.common.time.monotonic", lambda: now[0])
+    with progress_bar("simulations", quiet=False) as report:
+        report(40, 100)  # there before
+        for done in range(41, 101):
+            now[0] += 1.0
+            report(done, 100)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "simulations: 45 of 100, about 55 s left"
+    assert 5 <= len(lines) <= 12
+    assert all(line.endswith(" s left") for line in lines)
 
 
 # --- register ---

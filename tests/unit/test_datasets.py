@@ -372,6 +372,8 @@ def test_a_chunk_of_something_else_is_refused(spoilable, made, spoil, words):
         ({"mesh": None}, "plain files"),
         ({"split": {"train": [0, 99], "valid": [], "test": []}}, "split"),
         ({"failed": [[1]]}, "failed"),
+        ({"failed": [[1, "a"], [1, "b"]]}, "every failed member once"),
+        ({"failed": [[23, "a"]]}, "by its number"),
     ],
 )
 def test_a_spoilt_card_is_refused(spoilable, changed, words):

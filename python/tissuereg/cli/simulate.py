@@ -152,10 +152,10 @@ def _outcome(content: dict[str, Any], args: argparse.Namespace) -> Outcome:
 
 def _motion_line(motion: dict[str, Any], n_bytes: int) -> str:
     """Return in one line how far the members of a data set move, and its size."""
-    low, high = motion["mean_node_mm"]["quantiles"][0], motion["mean_node_mm"]["quantiles"][-1]
+    mean = motion["mean_node_mm"]
     line = (
-        f"{n_bytes / 1e6:.0f} MB; a mean node moves {motion['mean_node_mm']['mean']:.2f} mm (90 % of them {low:.1f} to "
-        f"{high:.1f}), at most {motion['largest_mm']['largest']:.1f} mm"
+        f"{n_bytes / 1e6:.{1 if n_bytes < 1e7 else 0}f} MB; a mean node moves {mean['mean']:.2f} mm (90 % of members "
+        f"{mean['quantiles'][0]:.1f} to {mean['quantiles'][-1]:.1f}), at most {motion['largest_mm']['largest']:.1f} mm"
     )
     if motion["share_apart_7_mm"] is not None:
         line += f"; {motion['share_apart_7_mm']:.0%} of pairs lie 7 mm apart"

@@ -341,6 +341,9 @@ def _fault(card: Mapping[str, Any]) -> str | None:
     if not isinstance(card.get("recipe"), dict) or not _failures(card.get("failed")):
         return "it must hold the recipe, and the failed members as [number, reason]"
     n_members, split = sum(counts), card.get("split")
+    numbers = {one[0] for one in card["failed"]}
+    if len(numbers) < len(card["failed"]) or any(one >= n_members + len(numbers) for one in numbers):
+        return "failed must hold every failed member once, by its number in the recipe"
     rows = [split.get(name) for name in ("train", "valid", "test")] if isinstance(split, dict) else [None]
     if not all(isinstance(part, list) and all(_count(row) and row < n_members for row in part) for part in rows):
         return "split must hold rows of train, valid and test"

@@ -126,7 +126,8 @@ def size_line(recipe: Recipe, out: str | os.PathLike[str]) -> str:
     n_bytes = 12 * n_nodes * (data.members + 2 * recipe.pairs.members)
     n_chunks = _n_chunks(recipe)
     present = len(store_of(out).names() & {chunk_name(number) for number in range(n_chunks)})
-    return f"{data.members} simulations on {n_nodes} nodes, about {n_bytes / 1e6:.0f} MB in {n_chunks} files" + (
+    size = f"{n_bytes / 1e6:.{1 if n_bytes < 1e7 else 0}f} MB"
+    return f"{data.members} simulations on {n_nodes} nodes, about {size} in {n_chunks} files" + (
         f", {present} of which are there" if present else ""
     )
 
