@@ -372,6 +372,21 @@ def test_simulate_makes_a_data_set_and_finishes_one_that_was_begun(tmp_path, cap
     assert (tmp_path / "data" / "chunk_0001.h5").read_bytes() == first
 
 
+def test_a_data_set_may_be_written_to_a_url(tmp_path, capsys):
+    write_vtu(tmp_path / "mesh.vtu", block())
+    (tmp_path / "recipe.toml").write_text(
+        '[mesh]\nfile = "mesh.vtu"\n[data]\nmembers = 4\nchunk = 2\n[pairs]\nmembers = 0\n'
+    )
+    words = ["simulate", tmp_path / "recipe.toml", "--quiet", "--out"]
+    assert run_json(capsys, *words, "memory://cli/data")[0] == 0
+    assert len(tr.open_dataset("memory://cli/data")) == 4
+    code, said, _ = run_json(capsys, *words, "nosuch://cli/data")
+    assert (code, said["error"]) == (2, "ArgumentError")
+    (tmp_path / "file").write_text("a")
+    code, said, _ = run_json(capsys, *words, tmp_path / "file")
+    assert (code, said["error"]) == (2, "OutputError")
+
+
 def test_a_data_set_says_its_size_before_it_is_made_and_its_motion_after(tmp_path):
     write_vtu(tmp_path / "mesh.vtu", block())
     (tmp_path / "recipe.toml").write_text(

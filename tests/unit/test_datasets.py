@@ -15,7 +15,7 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from support.scripts import REPOSITORY
-from tissuereg.errors import ArgumentError, ExperimentError, FormatError, MissingPackageError
+from tissuereg.errors import ArgumentError, EnsembleError, ExperimentError, FormatError, MissingPackageError
 from tissuereg.io.datasets import Dataset
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.stores import LocalStore, RemoteStore, store_of
@@ -84,6 +84,17 @@ def test_a_chunk_does_not_depend_on_those_before_it(made, tmp_path):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     make_dataset(recipe, tmp_path)
     assert files(tmp_path) == files(folder)
+
+
+def test_a_task_that_fails_in_another_process_says_why(tmp_path):
+    recipe = recipe_in(tmp_path, RECIPE.replace("[1.0, 8.0]", "[1e4, 2e4]\nmost_mm = 1e5"))
+    with (
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+        pytest.raises(EnsembleError, match="at least half of a chunk") as raised,
+    ):
+        make_dataset(recipe, tmp_path / "data", executor=pool)
+    assert all(isinstance(index, int) and reason for index, reason in raised.value.dropped)
+    assert not (tmp_path / "data" / "dataset.json").exists()
 
 
 def test_what_is_there_is_not_made_again(made, spoilable):

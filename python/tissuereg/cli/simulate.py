@@ -34,7 +34,9 @@ def add_parser(commands: Any) -> None:
     purpose = "simulate an experiment, or a data set to train on"
     parser = command_parser(commands, "simulate", purpose, _DETAILS, "tissuereg simulate my-rig --out simulated")
     parser.add_argument("path", metavar="PATH", help="experiment folder or file, or data-set recipe")
-    parser.add_argument("--out", required=True, metavar="OUT", help="folder for the results")
+    parser.add_argument(
+        "--out", required=True, metavar="OUT", help="folder for the results; of a recipe also a URL that fsspec knows"
+    )
     how = parser.add_argument_group("experiment")
     how.add_argument("--plain", action="store_true", help="simulate on the mesh as it is, not with the fine model")
     text = "elements of a plain simulation (default: tet4; a recipe states its own)"
@@ -60,8 +62,10 @@ def run(args: argparse.Namespace) -> Outcome:
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.experiments import is_experiment
 
+    if not is_experiment(args.path):
+        return _run_recipe(args)
     check_folder_target(args.out)
-    return _run_experiment(args) if is_experiment(args.path) else _run_recipe(args)
+    return _run_experiment(args)
 
 
 def _run_recipe(args: argparse.Namespace) -> Outcome:
