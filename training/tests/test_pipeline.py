@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from conftest import RECIPE, smooth_fields
@@ -92,8 +93,8 @@ def test_change_errors_are_what_the_model_misses_from_simulation_to_truth(traine
     with np.load(trained.folder / "model" / "decoder_weights.npz", allow_pickle=False) as weights:
         plain, change = weights["error_fields_mm"], weights["change_error_fields_mm"]
         sizes = weights["change_sizes_mm"]
-    data = np.load(trained.folder / "data" / "pairs.npz", allow_pickle=False)
-    simulated, true = data["simulation_mm"], data["truth_mm"]
+    with h5py.File(trained.folder / "data" / "pairs.h5") as data:
+        simulated, true = data["simulation_mm"][()], data["truth_mm"][()]
     encoder, decoder = (session(trained.folder / "model" / f"{name}.onnx") for name in ("encoder", "decoder"))
     code = encoder.run(["mean"], {"displacement": simulated})[0]
     missed_of_simulated = simulated - decoder.run(None, {"z": code})[0]
