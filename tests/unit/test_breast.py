@@ -14,10 +14,10 @@ def edges_of(triangles):
     return np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
 
 
-@pytest.mark.parametrize("n_nodes", [150, 1213, 4223])
+@pytest.mark.parametrize("n_nodes", [150, 503, 1213, 4223])
 def test_the_mesh_has_about_the_nodes_asked_for_and_fits_together(n_nodes):
     mesh = tr.phantom.breast_mesh(n_nodes)
-    assert abs(mesh.n_nodes / n_nodes - 1.0) <= 0.02
+    assert abs(mesh.n_nodes / n_nodes - 1.0) <= (0.02 if n_nodes >= 1000 else 0.04)
     faces = np.sort(mesh.tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]].reshape(-1, 3), axis=1)
     assert np.unique(faces, axis=0, return_counts=True)[1].max() == 2
     # The boundary is closed, so that no face of a tet ends in the middle of another one's.
