@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from tissuereg import _core
 from tissuereg._arguments import found, place
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._clock import Clock
 from tissuereg.assimilate import Assimilation, assimilate, gauss_newton
 from tissuereg.errors import ModelError
@@ -26,6 +27,7 @@ from tissuereg.posterior import Posterior
 from tissuereg.result import MarkerFit, Registration, Target
 from tissuereg.trust import judge
 from tissuereg.widen import widened
+from tissuereg.wrong_markers import drop_wrong, score_markers
 
 #: Distance of neighbours for derivatives of the decoder, in standard deviations of the prior: wide enough for float32.
 _DIFFERENCE = 1e-2
@@ -70,20 +72,42 @@ def register_by_model(
             latent = latent.around(simulation)
     seen = np.flatnonzero(given.markers.seen)
     with clock.stage("assimilate"):
-        fit = _fit(latent, simulation, given, seen)
+        fit, wrong = _without_wrong(latent, simulation, given, seen)
+    used = np.setdiff1d(seen, list(wrong))
     with clock.stage("decode"):
         posterior = Posterior.of(latent, fit.ensemble, given.observed, given.targets)
-    return _result(given, seen, simulation, latent, fit, posterior, clock)
+    return _result(given, used, wrong, simulation, latent, fit, posterior, clock)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A posterior ensemble with its prior and noise."""
+    """A posterior ensemble with its prior and noise; of a minimum also the predictions there, and their covariance."""
 
     prior: Gaussian
     widening: float
     noise: FloatArray
     ensemble: Assimilation
+    predicted: FloatArray
+    absorbed: FloatArray
+
+
+def _without_wrong(
+    latent: LatentModel, simulation: FloatArray | None, given: RegisterInput, seen: Any
+) -> tuple[_Fit, dict[int, float]]:
+    """Return the fit, and the markers that were dropped because they do not fit the others, with their p-values.
+
+    Only where the fit is a minimum with its derivatives: the covariance of an ensemble is no exact share of the noise.
+    """
+    if given.settings.update != "gauss-newton":
+        return _fit(latent, simulation, given, seen), {}
+
+    def scored(kept: IntArray) -> tuple[_Fit, _core.GroupScores]:
+        fit = _fit(latent, simulation, given, seen[kept])
+        residual = given.markers.displacement[seen[kept]] - fit.predicted.reshape(-1, 3)
+        return fit, score_markers(residual, fit.noise, fit.absorbed)
+
+    fit, dropped = drop_wrong(scored, len(seen))
+    return fit, {int(seen[index]): chance for index, chance in dropped}
 
 
 def _fit(latent: LatentModel, simulation: FloatArray | None, given: RegisterInput, seen: Any) -> _Fit:
@@ -93,6 +117,7 @@ def _fit(latent: LatentModel, simulation: FloatArray | None, given: RegisterInpu
     predict = _predictor(latent, observed, seen)
     encoded = latent.prior(simulation)
     place: FloatArray | None = None
+    predicted = absorbed = np.empty(0)
     for _ in range(2):
         noise = _noise(latent.errors(place), observed, markers, seen)
         rng = np.random.default_rng([given.seed, 2])
@@ -103,6 +128,7 @@ def _fit(latent: LatentModel, simulation: FloatArray | None, given: RegisterInpu
                 predict, measured, noise, prior, start=place, tolerance=_TOLERANCE, difference=_DIFFERENCE
             )
             ensemble = posterior.ensemble(rng, settings.n_members)
+            predicted, absorbed = posterior.predicted, posterior.absorbed
         else:
             ensemble = assimilate(
                 predict,
@@ -116,19 +142,20 @@ def _fit(latent: LatentModel, simulation: FloatArray | None, given: RegisterInpu
                 threads=given.threads,
             )
         place = ensemble.mean
-    return _Fit(prior, widening, noise, ensemble)
+    return _Fit(prior, widening, noise, ensemble, predicted, absorbed)
 
 
 def _result(
     given: RegisterInput,
     seen: Any,
+    wrong: dict[int, float],
     simulation: FloatArray | None,
     latent: LatentModel,
     fit: _Fit,
     posterior: Posterior,
     clock: Clock,
 ) -> Registration:
-    """Assemble the result."""
+    """Assemble the result of the markers `seen` that were used; `wrong` has the chances of those that were dropped."""
     mesh, markers, inner = given.mesh, given.markers, given.targets
     before = np.zeros((mesh.n_nodes, 3)) if simulation is None else simulation
     observed = posterior.markers
@@ -138,6 +165,8 @@ def _result(
     off = fit.ensemble.mean - fit.prior.mean
     rows = (3 * seen[:, None] + np.arange(3)).ravel()
     notes = list(given.suspicions)
+    for i, chance in wrong.items():
+        notes.append(f"wrong marker: {markers.names[i]} does not fit the others (p = {chance:.1g}) and was left out")
     if fit.widening > 9.0:
         times = np.sqrt(fit.widening)
         notes.append(f"simulation: it is farther off than usual; its prior had to be widened {times:.1f}-fold")
@@ -151,7 +180,7 @@ def _result(
         notes,
     )
     target_start = inner.predict(before[inner.nodes])
-    unseen = np.flatnonzero(~markers.seen)
+    unseen = np.setdiff1d(np.arange(len(markers)), seen)
     return Registration(
         mesh=mesh,
         displacement=posterior.displacement,
@@ -179,7 +208,7 @@ def _result(
         },
         markers=MarkerFit(
             used=tuple(markers.names[i] for i in seen),
-            dropped=tuple((markers.names[i], "not seen") for i in unseen),
+            dropped=tuple((markers.names[i], "wrong" if i in wrong else "not seen") for i in unseen),
             before_rms_mm=rms_length(markers.displacement[seen] - start[seen]),
             after_rms_mm=rms_length(residual),
             residual_mm={markers.names[i]: row for i, row in zip(seen, residual, strict=True)},

@@ -101,7 +101,10 @@ def judge(
         )
     if len(names) == 1 and not points[1]:
         reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
-    scores = score_markers(residual, noise, posterior_spread)
+    # Markers are taken for independent here: a spread estimated from an ensemble is not consistent enough with the
+    # noise to take out what correlated errors share.
+    own = np.kron(np.eye(len(names)), np.ones((3, 3)))
+    scores = score_markers(residual, noise * own, posterior_spread)
     for index in sorted(scores.wrong(LEVEL)):
         off = np.sqrt(scores.chi_square[index])
         reasons.append(f"wrong marker: {names[index]} does not fit the others, {off:.1f} standard deviations off")

@@ -1,8 +1,8 @@
 """Markers that do not fit the others: a chi-square each on the fitted residual, and the worst dropped one by one.
 
 The residual of a fit is smaller than the noise, because the fit follows its own data. Of a fit that minimises prior and
-data terms its covariance is C_d - H P H', with H P H' the posterior covariance of the predictions; derived in
-`tissuereg-esmda`, module `outliers`.
+data terms its covariance is C_d - H P H', with H P H' the posterior covariance of the predictions, and the score of a
+marker is its misfit to the prediction from all others; derived in `tissuereg-esmda`, module `outliers`.
 """
 
 from collections.abc import Callable
@@ -29,12 +29,14 @@ def score_markers(residual: FloatArray, noise: FloatArray, absorbed: FloatArray)
     noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
         Covariance C_d, mm^2.
     absorbed : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Posterior covariance H P H' of the markers' predictions, mm^2. A marker keeps at least a twentieth of its noise.
+        Posterior covariance H P H' of the markers' predictions, mm^2. Where errors of different markers are correlated,
+        take that of the linearised model (`Laplace.absorbed`): one estimated from an ensemble is not exact enough. A
+        marker keeps at least a twentieth of its noise.
 
     Returns
     -------
     _core.GroupScores
-        Arrays with one entry a marker. ``chi_square``: squared length of the residual in its own standard deviations.
+        Arrays with one entry a marker. ``chi_square``: squared misfit to the others in its own standard deviations.
         ``n_obs``: components seen, its degrees of freedom. ``p_value``: the chance of a chi-square at least this large
         if the marker is good; 1 for one that was not seen. ``leverage``: the share of its noise that the fit has
         absorbed. ``wrong(level)``: markers beyond the level, shared out evenly among those that were seen (Bonferroni),

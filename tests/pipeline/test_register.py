@@ -169,6 +169,28 @@ def test_gauss_newton_registers_the_phantom_as_the_ensemble_does():
     assert found["gauss-newton"].trust.chi_square == pytest.approx(found["esmda"].trust.chi_square, rel=0.2)
 
 
+def test_with_a_model_gauss_newton_drops_a_wrong_marker_and_names_it():
+    from tissuereg.phantom.event import make_event
+
+    event = make_event(seed=0)
+    simulation = tr.simulate(event.mesh, event.load, event.material).displacement
+    measured = event.markers.measured.copy()
+    measured[3] += (0.0, 1.5, 1.5)
+    seen = tr.Markers(event.markers.reference, measured, 0.1)
+    settings = tr.RegisterSettings(update="gauss-newton")
+    result = tr.register(event.mesh, seen, model="phantom", simulation=simulation, settings=settings)
+    name = seen.names[3]
+    assert result.markers.dropped == ((name, "wrong"),)
+    assert [reason for reason in result.trust.reasons if reason.startswith(f"wrong marker: {name} ")]
+    # It does not bend the body: as if it had not been seen.
+    measured[3] = np.nan
+    seen = tr.Markers(event.markers.reference, measured, 0.1)
+    without = tr.register(event.mesh, seen, model="phantom", simulation=simulation, settings=settings)
+    assert np.array_equal(result.displacement, without.displacement)
+    off = event.markers.measured[3] - result.unseen[name].mean
+    assert off @ np.linalg.solve(result.unseen[name].covariance, off) < 16.0
+
+
 def test_a_model_for_another_mesh_is_refused(block_mesh, seen):
     with pytest.raises(ModelError, match=r"must have been trained for this mesh: it knows a mesh of 1213 nodes"):
         tr.register(block_mesh, seen, model="phantom")

@@ -76,9 +76,12 @@ def test_scores_and_chances_are_those_of_the_residuals_own_covariance():
     residual[1, 2] = np.nan
     scores = score_markers(residual, noise, absorbed)
     for marker, rows in enumerate(([0, 1, 2], [3, 4])):
-        own = residual.ravel()[rows]
-        wanted = own @ np.linalg.solve((noise - absorbed)[np.ix_(rows, rows)], own)
-        assert scores.chi_square[marker] == pytest.approx(wanted, rel=1e-12)
+        seen = np.arange(5)
+        inverse = np.linalg.inv(noise[np.ix_(seen, seen)])
+        weighted = (inverse @ residual.ravel()[seen])[rows]
+        # The fit has left 0.7 of the noise everywhere.
+        wanted = weighted @ np.linalg.solve(0.7 * inverse[np.ix_(rows, rows)], weighted)
+        assert scores.chi_square[marker] == pytest.approx(wanted, rel=1e-11)
         assert scores.n_obs[marker] == len(rows)
         assert scores.p_value[marker] == pytest.approx(chi2.sf(wanted, len(rows)), rel=1e-10)
     np.testing.assert_allclose(scores.leverage, 0.3, rtol=1e-12)

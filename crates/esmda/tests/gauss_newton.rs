@@ -229,6 +229,23 @@ fn a_start_from_which_plain_steps_diverge_converges_damped() {
 }
 
 #[test]
+fn steps_that_overshoot_by_less_than_the_rounding_of_the_misfit_are_damped_too() {
+    // At the minimum, z = 0, the second derivative is 30 without and 60.6 with the curvature of the model times its
+    // residual: a plain step goes from z to -1.02 z, and changes a misfit of 400 by a few thousandths.
+    let noise = NoiseCovariance::diagonal(&[1.0, 1.0]).unwrap();
+    let search = GaussNewton::new(standard(1), &[0.0, -20.0], noise, SearchSettings::default());
+    let mut search = search.unwrap().starting_at(&[4e-3]).unwrap();
+    let slope = 29.0_f64.sqrt();
+    let model =
+        |z: &[f64]| (vec![slope * z[0], 0.5 * 1.53 * z[0] * z[0]], mat![[slope], [1.53 * z[0]]]);
+    let (points, _) = run(&mut search, &model).unwrap();
+    // One step of 1.02 is needed to see it; undamped ones would go on to several times the distance.
+    assert!(points.iter().all(|z| z[0].abs() < 4.2e-3), "{points:?}");
+    // The tolerance is 1e-3 of the posterior's deviation, 30^-1/2, for a step of twice the distance.
+    assert!(search.posterior().unwrap().mean()[0].abs() < 1e-3 / 30.0_f64.sqrt());
+}
+
+#[test]
 fn an_affine_change_of_the_parameters_changes_nothing_else() {
     // Arctangents flatten out: plain steps from far away are much too long.
     let rows = Normals::new(21).matrix(6, 3);

@@ -89,27 +89,36 @@ fn the_covariance_of_the_fitted_residual_is_the_noise_less_what_the_fit_absorbed
 }
 
 #[test]
-fn with_independent_noise_a_score_is_the_misfit_to_the_prediction_from_all_others() {
-    let problem = problem(3);
-    let all: Vec<usize> = (0..N_MARKERS).collect();
-    let found = scores(&fit(&problem, &all));
-    for marker in 0..N_MARKERS {
-        let others: Vec<usize> = (0..3 * N_MARKERS).filter(|row| row / 3 != marker).collect();
-        let pick = |rows: &[usize]| {
-            Mat::from_fn(rows.len(), N_PARAMETERS, |i, j| problem.operator[(rows[i], j)])
-        };
-        let (mine, other) = (pick(&[3 * marker, 3 * marker + 1, 3 * marker + 2]), pick(&others));
-        let identity = |n: usize| Mat::<f64>::identity(n, n) * faer::Scale(0.25);
-        let spread = &other * other.transpose() + identity(others.len());
-        let data = Mat::from_fn(others.len(), 1, |i, _| problem.observed[others[i]]);
-        let gain = spread.llt(Side::Lower).unwrap().inverse();
-        let cross = &mine * other.transpose();
-        let away =
-            Mat::from_fn(3, 1, |i, _| problem.observed[3 * marker + i]) - &cross * &gain * data;
-        let covariance = &mine * mine.transpose() - &cross * gain * cross.transpose() + identity(3);
-        let wanted = (away.transpose() * covariance.llt(Side::Lower).unwrap().solve(&away))[(0, 0)];
-        // The two ways differ by rounding times the condition number of the spread, about 1e3.
-        assert!((found[marker].chi_square / wanted - 1.0).abs() < 1e-9, "marker {marker}");
+fn a_score_is_the_misfit_to_the_prediction_from_all_others() {
+    let correlated = |length: f64| {
+        let far = |i: usize, j: usize| (i as f64 - j as f64).abs() / length;
+        Mat::from_fn(3 * N_MARKERS, 3 * N_MARKERS, |i, j| 0.25 * (-far(i, j)).exp())
+    };
+    // Independent, and correlated across markers.
+    for length in [1e-3, 4.0] {
+        let mut problem = problem(3);
+        problem.covariance = correlated(length);
+        let all: Vec<usize> = (0..N_MARKERS).collect();
+        let found = scores(&fit(&problem, &all));
+        let spread = &problem.operator * problem.operator.transpose() + &problem.covariance;
+        for marker in 0..N_MARKERS {
+            let mine: Vec<usize> = (3 * marker..3 * marker + 3).collect();
+            let others: Vec<usize> = (0..3 * N_MARKERS).filter(|row| row / 3 != marker).collect();
+            let block = |rows: &[usize], columns: &[usize]| {
+                Mat::from_fn(rows.len(), columns.len(), |i, j| spread[(rows[i], columns[j])])
+            };
+            let data =
+                |rows: &[usize]| Mat::from_fn(rows.len(), 1, |i, _| problem.observed[rows[i]]);
+            let inverse = block(&others, &others).llt(Side::Lower).unwrap().inverse();
+            let gain = block(&mine, &others) * inverse;
+            let away = data(&mine) - &gain * data(&others);
+            let covariance = block(&mine, &mine) - &gain * block(&others, &mine);
+            let solved = covariance.llt(Side::Lower).unwrap().solve(&away);
+            let wanted = (away.transpose() * solved)[(0, 0)];
+            // The two ways differ by rounding times the condition number of the spread, about 1e4.
+            let ratio = found[marker].chi_square / wanted;
+            assert!((ratio - 1.0).abs() < 1e-9, "length {length}, marker {marker}: {ratio}");
+        }
     }
 }
 

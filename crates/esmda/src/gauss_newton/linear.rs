@@ -54,6 +54,21 @@ impl Linear {
         self.squares(&self.step).sqrt()
     }
 
+    /// The undamped step, (n, 1).
+    pub(super) fn step(&self) -> &Mat<f64> {
+        &self.step
+    }
+
+    /// Share of another step that the undamped one repeats, in the metric of the posterior; negative where it takes it back.
+    pub(super) fn repeated(&self, other: &Mat<f64>) -> f64 {
+        let theirs = product(self.whitened.as_ref(), other.as_ref());
+        let mine = product(self.whitened.as_ref(), self.step.as_ref());
+        let dot = |a: &Mat<f64>, b: &Mat<f64>| {
+            a.col(0).iter().zip(b.col(0).iter()).map(|(a, b)| a * b).sum::<f64>()
+        };
+        (dot(&mine, &theirs) + dot(&self.step, other)) / self.squares(other)
+    }
+
     /// The step that minimises `|A s - b|^2 + |w + s|^2 + damping |s|^2`.
     pub(super) fn damped(&self, residual: &Mat<f64>, place: &Mat<f64>, damping: f64) -> Damped {
         let step = if damping > 0.0 {

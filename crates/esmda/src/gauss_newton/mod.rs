@@ -51,9 +51,13 @@ const LEAST_DAMPING: f64 = 0.1;
 /// Factor by which the damping grows or falls.
 const DAMPING_FACTOR: f64 = 8.0;
 
-/// A decrease of less than this share of the misfit may be the rounding of the model, even one in `f32`; steps that promise
-/// no more are taken unless they do more harm than that.
+/// A decrease of less than this share of the misfit may be the rounding of the model, even one in `f32`. Steps that promise
+/// no more are taken unless they do more harm than that, and judged by the next one.
 const ROUNDING_SHARE: f64 = 1e-5;
+
+/// Share of a step that the next one may take back, and may repeat, before it is said to be too long or too short.
+const TAKEN_BACK: f64 = 0.5;
+const REPEATED: f64 = 0.25;
 
 /// What a caller may choose about a search.
 ///
@@ -178,8 +182,23 @@ pub struct GaussNewton {
     settings: SearchSettings,
     trial: Trial,
     best: Option<Best>,
-    damping: f64,
+    damping: Damping,
     evaluations: usize,
+}
+
+/// Damping of the next step, in units of the prior's precision.
+#[derive(Debug, Clone, Copy)]
+struct Damping(f64);
+
+impl Damping {
+    fn raise(&mut self) {
+        self.0 = FIRST_DAMPING.max(self.0 * DAMPING_FACTOR);
+    }
+
+    fn lower(&mut self) {
+        let less = self.0 / DAMPING_FACTOR;
+        self.0 = if less < LEAST_DAMPING { 0.0 } else { less };
+    }
 }
 
 /// A point at which the model is to be evaluated.
@@ -198,6 +217,8 @@ struct Best {
     place: Mat<f64>,
     /// `b` (n_obs, 1)
     residual: Mat<f64>,
+    /// The undamped step before this point, if the one taken could not be judged by its decrease.
+    before: Option<Mat<f64>>,
     linear: Option<Linear>,
 }
 
@@ -234,7 +255,7 @@ impl GaussNewton {
             settings,
             trial,
             best: None,
-            damping: 0.0,
+            damping: Damping(0.0),
             evaluations: 0,
         })
     }
@@ -303,21 +324,21 @@ impl GaussNewton {
         let tiny = expected <= rounding && decrease >= -rounding;
         let accepted = tiny || decrease >= LEAST_SHARE * expected;
         let failed = residual.is_none();
-        if tiny || decrease >= GOOD_SHARE * expected {
-            let less = self.damping / DAMPING_FACTOR;
-            self.damping = if less < LEAST_DAMPING { 0.0 } else { less };
-        } else if decrease < POOR_SHARE * expected {
-            self.damping = FIRST_DAMPING.max(self.damping * DAMPING_FACTOR);
+        let step = if tiny { Some(linear.step().clone()) } else { None };
+        if !tiny && decrease >= GOOD_SHARE * expected {
+            self.damping.lower();
+        } else if !tiny && decrease < POOR_SHARE * expected {
+            self.damping.raise();
         }
         if accepted {
             if let Some(residual) = residual {
-                self.accept(residual);
+                self.accept(residual, step);
             }
         } else {
             if self.evaluations >= self.settings.max_evaluations {
                 return Err(self.no_minimum(linear.length()));
             }
-            let damped = linear.damped(&best.residual, &best.place, self.damping);
+            let damped = linear.damped(&best.residual, &best.place, self.damping.0);
             self.trial = self.prior.after(best, damped);
         }
         Ok(Evaluation { accepted, failed, misfit, decrease, expected })
@@ -332,7 +353,7 @@ impl GaussNewton {
         let residual = self.residual(predicted).ok_or(EsmdaError::Overflow)?;
         self.evaluations += 1;
         let misfit = residual.squared_norm_l2() + self.trial.place.squared_norm_l2();
-        self.accept(residual);
+        self.accept(residual, None);
         Ok(Evaluation { accepted: true, failed: false, misfit, decrease: 0.0, expected: 0.0 })
     }
 
@@ -348,9 +369,9 @@ impl GaussNewton {
         residual.squared_norm_l2().is_finite().then_some(residual)
     }
 
-    fn accept(&mut self, residual: Mat<f64>) {
+    fn accept(&mut self, residual: Mat<f64>, before: Option<Mat<f64>>) {
         let Trial { point, place, .. } = self.trial.clone();
-        self.best = Some(Best { point, place, residual, linear: None });
+        self.best = Some(Best { point, place, residual, before, linear: None });
     }
 
     /// Linearises the model at the point just accepted and moves [`point`](Self::point) on by a step.
@@ -397,24 +418,32 @@ impl GaussNewton {
         sensitivity: Mat<f64>,
         one_sided: Vec<usize>,
     ) -> Result<Linearised, EsmdaError> {
-        let best = match &mut self.best {
-            Some(best) if best.linear.is_none() => best,
-            _ => {
-                let needed = "an accepted point";
-                return Err(EsmdaError::OutOfOrder { call: "linearise", needed });
-            }
+        let Some(mut best) = self.best.take_if(|best| best.linear.is_none()) else {
+            let needed = "an accepted point";
+            return Err(EsmdaError::OutOfOrder { call: "linearise", needed });
         };
-        let linear = Linear::new(sensitivity, &self.noise, &best.residual, &best.place)
-            .ok_or(EsmdaError::Overflow)?;
+        let linear = Linear::new(sensitivity, &self.noise, &best.residual, &best.place);
+        let Some(linear) = linear else {
+            self.best = Some(best);
+            return Err(EsmdaError::Overflow);
+        };
         let step = linear.length();
         let converged = step <= self.settings.tolerance;
-        let damped = linear.damped(&best.residual, &best.place, self.damping);
+        if let Some(before) = &best.before {
+            match linear.repeated(before) {
+                share if share < -TAKEN_BACK => self.damping.raise(),
+                share if share > REPEATED => self.damping.lower(),
+                _ => (),
+            }
+        }
+        let damped = linear.damped(&best.residual, &best.place, self.damping.0);
         best.linear = Some(linear);
-        self.trial = self.prior.after(best, damped);
+        self.trial = self.prior.after(&best, damped);
+        self.best = Some(best);
         if !converged && self.evaluations >= self.settings.max_evaluations {
             return Err(self.no_minimum(step));
         }
-        Ok(Linearised { converged, step, damping: self.damping, one_sided })
+        Ok(Linearised { converged, step, damping: self.damping.0, one_sided })
     }
 
     fn no_minimum(&self, step: f64) -> EsmdaError {
