@@ -64,6 +64,14 @@ pub enum EsmdaError {
         /// The standard deviation.
         std: f64,
     },
+    /// A standard deviation of a parameter that is not a positive finite number.
+    #[error("parameter standard deviations must be positive and finite, got {std} at row {row}")]
+    ParameterStd {
+        /// Parameter.
+        row: usize,
+        /// The standard deviation.
+        std: f64,
+    },
     /// An entry of a noise covariance that is not finite.
     #[error("the noise covariance must be finite, got {value} at row {row}, column {column}")]
     NoiseNotFinite {
@@ -242,6 +250,7 @@ impl EsmdaError {
             | Self::Decrease { .. }
             | Self::StepBeyondSchedule { .. }
             | Self::NoiseStd { .. }
+            | Self::ParameterStd { .. }
             | Self::NoiseNotFinite { .. }
             | Self::NoiseNotSymmetric { .. }
             | Self::NoiseNotPositiveDefinite { .. }

@@ -49,7 +49,7 @@
 //! # What is where
 //!
 //! * [`step`]: the update and its formula; [`Step::prepare`] returns what has [`Step::apply`].
-//! * [`schedule`]: inflation coefficients, checked: `sum 1 / alpha = 1`.
+//! * [`schedule`]: inflation coefficients, checked: `sum 1 / alpha = 1`; or chosen on the way, [`next_alpha`].
 //! * [`noise`]: `C_d`, diagonal or dense, factored once.
 //! * [`screening`]: failed members, dropped with their reason.
 //! * [`gauss_newton`]: beside the ensemble, the most probable parameters and the Gaussian about them.
@@ -87,7 +87,7 @@ pub use gauss_newton::{Evaluation, GaussNewton, Linearised, SearchSettings};
 pub use gaussian::Gaussian;
 pub use noise::NoiseCovariance;
 pub use outliers::{GroupScore, score_groups, wrong_groups};
-pub use schedule::Schedule;
+pub use schedule::{AdaptiveRule, Schedule, largest_change, next_alpha};
 pub use screening::{Reason, Screening, screen_members};
 pub use step::{Factorisation, Side, Step, StepReport, StepSettings};
 
