@@ -223,6 +223,31 @@ pub enum EsmdaError {
         /// Members that were dropped, each with its reason.
         dropped: Vec<(usize, Reason)>,
     },
+    /// A truncation that keeps nothing, or more than all.
+    #[error(
+        "a truncation must keep at least one direction or a share of the energy in (0, 1], got \
+         {value}"
+    )]
+    Truncation {
+        /// The rank or share.
+        value: f64,
+    },
+    /// A factor of a taper outside [0, 1].
+    #[error("a taper must lie in [0, 1], got {value} at parameter {row}, observation {column}")]
+    Taper {
+        /// Parameter.
+        row: usize,
+        /// Observation.
+        column: usize,
+        /// The factor.
+        value: f64,
+    },
+    /// A correlation threshold outside its range.
+    #[error("a correlation threshold must lie in [0, 1], below 1 for a smooth taper, got {value}")]
+    Threshold {
+        /// The threshold.
+        value: f64,
+    },
     /// The singular value decomposition did not converge.
     #[error("the singular values of {n_obs} x {n_members} whitened anomalies were not found")]
     NoConvergence {
@@ -259,6 +284,9 @@ impl EsmdaError {
             | Self::Setting { .. }
             | Self::OutOfOrder { .. }
             | Self::Shape { .. }
+            | Self::Truncation { .. }
+            | Self::Taper { .. }
+            | Self::Threshold { .. }
             | Self::NoObservations
             | Self::TooFewMembers { .. } => false,
         }

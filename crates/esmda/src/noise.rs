@@ -92,6 +92,9 @@ impl NoiseCovariance {
         if columns.shape() != wanted {
             return Err(EsmdaError::Shape { argument: "columns", wanted, found: columns.shape() });
         }
+        if columns.ncols() == 0 {
+            return Self::diagonal(std);
+        }
         Ok(Self { root: Root::LowRank(LowRank::new(std, columns)?) })
     }
 
@@ -126,7 +129,7 @@ impl NoiseCovariance {
     pub(crate) fn independent(&self) -> Option<&[f64]> {
         match &self.root {
             Root::Diagonal(std) => Some(std),
-            Root::Lower(_) => None,
+            Root::Lower(_) | Root::LowRank(_) => None,
         }
     }
 

@@ -25,13 +25,18 @@
 //!   and preparation no `m n^2`; with more than half as many observations as members it is multiplied out.
 
 mod gain;
+mod localized;
 mod rows;
+mod subspace;
 
 use faer::prelude::Reborrow;
 use faer::{MatMut, MatRef, Par};
 
 use self::gain::Gain;
+pub use self::localized::{LocalizedStep, Taper, gaspari_cohn};
 use self::rows::{Ensemble, Scaled, centred_transpose, check_matrix};
+pub use self::subspace::Truncation;
+use crate::check::check_shape;
 use crate::schedule::check_alpha;
 use crate::{EsmdaError, NoiseCovariance, linalg};
 
@@ -61,7 +66,8 @@ pub enum Side {
     Members,
 }
 
-/// What a caller may choose about a step; the answer depends on it by rounding only, on `par` not at all.
+/// What a caller may choose about a step; the answer depends on it by rounding only, on `par` not at all; only
+/// `truncation` changes it.
 ///
 /// Further settings may come: start from the default and change what differs.
 ///
@@ -86,6 +92,8 @@ pub struct StepSettings {
     pub condition_limit: f64,
     /// Largest absolute prediction taken for the work of a sane model, in the unit of the observations.
     pub largest: f64,
+    /// Singular directions that are kept; all by default, see [`Truncation`] for why.
+    pub truncation: Option<Truncation>,
 }
 
 impl Default for StepSettings {
@@ -96,6 +104,7 @@ impl Default for StepSettings {
             side: Side::Smaller,
             condition_limit: 1e6,
             largest: 1e12,
+            truncation: None,
         }
     }
 }
@@ -129,6 +138,12 @@ impl StepSettings {
     #[must_use]
     pub fn with_largest(self, largest: f64) -> Self {
         Self { largest, ..self }
+    }
+
+    /// The same with [`truncation`](Self::truncation), which by default there is not.
+    #[must_use]
+    pub fn with_truncation(self, truncation: Option<Truncation>) -> Self {
+        Self { truncation, ..self }
     }
 }
 
@@ -168,7 +183,9 @@ impl Step {
     ///
     /// [`EsmdaError::NoObservations`]; [`EsmdaError::TooFewMembers`] for fewer than two; [`EsmdaError::Shape`],
     /// [`EsmdaError::NotFinite`], [`EsmdaError::TooLarge`] for an argument by name; [`EsmdaError::Alpha`];
-    /// [`EsmdaError::Overflow`] where the noise is so small that whitened numbers leave the range of `f64`.
+    /// [`EsmdaError::Overflow`] where the noise is so small that whitened numbers leave the range of `f64`;
+    /// [`EsmdaError::Truncation`] for one out of range, and [`EsmdaError::NoConvergence`] where singular values are
+    /// requested and not found.
     ///
     /// # Cost
     ///
@@ -181,11 +198,9 @@ impl Step {
         draws: MatRef<'_, f64>,
         settings: &StepSettings,
     ) -> Result<Self, EsmdaError> {
-        check_arguments(predicted, observed, noise, alpha)?;
-        rows::check_shape("draws", draws, predicted.shape())?;
         let (draws, largest) = (Some(draws), settings.largest);
         let ensemble = Ensemble { predicted, observed, noise, alpha, draws, largest };
-        let Scaled { anomalies, innovations } = Scaled::new(&ensemble, settings.par)?;
+        let Scaled { anomalies, innovations } = scaled(&ensemble, settings)?;
         let (gain, report) = Gain::stochastic(anomalies, innovations, settings)?;
         Ok(Self { n_members: predicted.ncols(), par: settings.par, gain, report })
     }
@@ -215,10 +230,9 @@ impl Step {
         alpha: f64,
         settings: &StepSettings,
     ) -> Result<Self, EsmdaError> {
-        check_arguments(predicted, observed, noise, alpha)?;
         let (draws, largest) = (None, settings.largest);
         let ensemble = Ensemble { predicted, observed, noise, alpha, draws, largest };
-        let Scaled { anomalies, innovations } = Scaled::new(&ensemble, settings.par)?;
+        let Scaled { anomalies, innovations } = scaled(&ensemble, settings)?;
         let (gain, report) = Gain::square_root(&anomalies, &innovations)?;
         Ok(Self { n_members: predicted.ncols(), par: settings.par, gain, report })
     }
@@ -265,8 +279,8 @@ impl Step {
         updated: MatMut<'_, f64>,
     ) -> Result<(), EsmdaError> {
         let wanted = (parameters.nrows(), self.n_members);
-        rows::check_shape("parameters", parameters, wanted)?;
-        rows::check_shape("updated", updated.rb(), wanted)?;
+        check_shape("parameters", parameters.shape(), wanted)?;
+        check_shape("updated", updated.shape(), wanted)?;
         linalg::try_for_row_chunks(updated, self.par, |row_0, mut updated| {
             let rows = parameters.get(row_0..row_0 + updated.nrows(), ..);
             rows::check_rows("parameters", row_0, rows)?;
@@ -287,12 +301,19 @@ impl Step {
     }
 }
 
-fn check_arguments(
-    predicted: MatRef<'_, f64>,
-    observed: &[f64],
-    noise: &NoiseCovariance,
-    alpha: f64,
-) -> Result<(), EsmdaError> {
+/// Checks the arguments; `S'` and `R'`, truncated if that is wanted.
+fn scaled(ensemble: &Ensemble<'_>, settings: &StepSettings) -> Result<Scaled, EsmdaError> {
+    check_arguments(ensemble)?;
+    let Scaled { anomalies, innovations } = Scaled::new(ensemble, settings.par)?;
+    let anomalies = match settings.truncation {
+        Some(truncation) => truncation.cut(anomalies)?,
+        None => anomalies,
+    };
+    Ok(Scaled { anomalies, innovations })
+}
+
+fn check_arguments(ensemble: &Ensemble<'_>) -> Result<(), EsmdaError> {
+    let Ensemble { predicted, observed, noise, alpha, draws, .. } = *ensemble;
     let (n_obs, n_members) = predicted.shape();
     if n_obs == 0 {
         return Err(EsmdaError::NoObservations);
@@ -308,5 +329,5 @@ fn check_arguments(
     }
     check_alpha(0, alpha)?;
     check_matrix("observed", MatRef::from_column_major_slice(observed, n_obs, 1), (n_obs, 1))?;
-    Ok(())
+    draws.map_or(Ok(()), |draws| check_shape("draws", draws.shape(), predicted.shape()))
 }

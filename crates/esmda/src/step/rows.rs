@@ -9,6 +9,7 @@ use faer::{Mat, MatRef, Par};
 
 use pulp::{Arch, NullaryFnOnce};
 
+use crate::check::check_shape;
 use crate::{EsmdaError, NoiseCovariance, linalg};
 
 /// Partial sums of a mean. Fixed, so that the bits depend on nothing else.
@@ -62,7 +63,7 @@ pub(super) fn check_matrix(
     matrix: MatRef<'_, f64>,
     wanted: (usize, usize),
 ) -> Result<(), EsmdaError> {
-    check_shape(argument, matrix, wanted)?;
+    check_shape(argument, matrix.shape(), wanted)?;
     check_rows(argument, 0, matrix)
 }
 
@@ -91,17 +92,6 @@ impl NullaryFnOnce for CheckRows<'_> {
         }
         Ok(())
     }
-}
-
-pub(super) fn check_shape(
-    argument: &'static str,
-    matrix: MatRef<'_, f64>,
-    wanted: (usize, usize),
-) -> Result<(), EsmdaError> {
-    if matrix.shape() == wanted {
-        return Ok(());
-    }
-    Err(EsmdaError::Shape { argument, wanted, found: matrix.shape() })
 }
 
 #[inline(always)]
@@ -243,4 +233,15 @@ fn add_row(obs: usize, innovations: &mut [f64], draws: MatRef<'_, f64>) -> Resul
 #[inline(always)]
 fn finite(values: &[f64]) -> Result<(), EsmdaError> {
     if all_finite(values) { Ok(()) } else { Err(EsmdaError::Overflow) }
+}
+
+/// The first entry, row by row, of which `wrong` is true.
+pub(super) fn find(
+    matrix: MatRef<'_, f64>,
+    wrong: impl Fn(f64) -> bool,
+) -> Option<(usize, usize, f64)> {
+    (0..matrix.nrows()).find_map(|row| {
+        let mut entries = matrix.row(row).iter().copied().enumerate();
+        entries.find(|(_, value)| wrong(*value)).map(|(column, value)| (row, column, value))
+    })
 }
