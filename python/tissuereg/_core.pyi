@@ -18,6 +18,7 @@ __all__ = [
     "GroupScores",
     "Law",
     "Linearised",
+    "LocalizedStep",
     "ManySolutions",
     "Noise",
     "Rig",
@@ -27,7 +28,9 @@ __all__ = [
     "__version__",
     "check_mesh",
     "check_schedule",
+    "gaspari_cohn",
     "laws",
+    "next_alpha",
     "schedule_constant",
     "schedule_geometric",
     "screen_members",
@@ -42,6 +45,16 @@ def laws() -> list[tuple[str, list[tuple[str, bool, float, float]], list[list[fl
 def schedule_constant(n_steps: int) -> _Floats: ...
 def schedule_geometric(n_steps: int, decrease: float) -> _Floats: ...
 def check_schedule(alphas: _Floats, *, total: float = 1.0) -> _Floats: ...
+def next_alpha(
+    predicted: _Floats,
+    observed: _Floats,
+    noise: Noise,
+    *,
+    rule: str,
+    assimilated: float,
+    steps_left: int,
+) -> float: ...
+def gaspari_cohn(ratios: _Floats) -> _Floats: ...
 def screen_members(predicted: _Floats, limit: float) -> tuple[_Integers, list[tuple[int, str]]]: ...
 
 @final
@@ -393,8 +406,35 @@ class Noise:
     def diagonal(std: _Floats) -> Noise: ...
     @staticmethod
     def dense(covariance: _Floats) -> Noise: ...
+    @staticmethod
+    def low_rank(std: _Floats, columns: _Floats) -> Noise: ...
     @property
     def n_obs(self) -> int: ...
+
+@final
+class LocalizedStep:
+    def __new__(
+        cls,
+        predicted: _Floats,
+        observed: _Floats,
+        noise: Noise,
+        draws: _Floats,
+        *,
+        alpha: float,
+        threads: int = 0,
+        energy: float | None = None,
+        rank: int | None = None,
+    ) -> LocalizedStep: ...
+    def apply(self, parameters: _Floats, taper: _Floats) -> _Floats: ...
+    def apply_by_correlation(
+        self,
+        parameters: _Floats,
+        *,
+        kind: str = "smooth",
+        threshold: float | None = None,
+    ) -> _Floats: ...
+    @property
+    def n_members(self) -> int: ...
 
 @final
 class Step:
@@ -407,6 +447,9 @@ class Step:
         *,
         alpha: float,
         threads: int = 0,
+        factorisation: str = "auto",
+        energy: float | None = None,
+        rank: int | None = None,
     ) -> Step: ...
     @staticmethod
     def square_root(
@@ -416,6 +459,8 @@ class Step:
         *,
         alpha: float,
         threads: int = 0,
+        energy: float | None = None,
+        rank: int | None = None,
     ) -> Step: ...
     def apply(self, parameters: _Floats) -> _Floats: ...
     @property

@@ -28,6 +28,17 @@ def one(value):
     return np.array([value])
 
 
+def proposed(predicted, observed):
+    noise = _core.Noise.diagonal(np.ones(2))
+    return _core.next_alpha(predicted, observed, noise, rule="dmc", assimilated=0.0, steps_left=5)
+
+
+def localized(draws=None):
+    predicted = np.arange(8.0).reshape(2, 4)
+    draws = np.zeros((2, 4)) if draws is None else draws
+    return _core.LocalizedStep(predicted, np.zeros(2), _core.Noise.diagonal(np.ones(2)), draws, alpha=1.0)
+
+
 NO_NODES, NO_WEIGHTS = np.empty(0, dtype=np.int64), np.empty((0, 3))
 
 
@@ -93,6 +104,15 @@ def at_rest(body):
         ("std", lambda b, m: _core.Noise.diagonal([0.1])),
         ("covariance", lambda b, m: _core.Noise.dense(np.ones(3))),
         ("covariance", lambda b, m: _core.Noise.dense(np.ones((3, 2)))),
+        ("std", lambda b, m: _core.Noise.low_rank([0.1], np.ones((1, 1)))),
+        ("columns", lambda b, m: _core.Noise.low_rank(np.ones(2), np.ones((3, 1)))),
+        ("ratios", lambda b, m: _core.gaspari_cohn(np.ones((2, 2)))),
+        ("predicted", lambda b, m: proposed(np.ones(3), np.ones(3))),
+        ("observed", lambda b, m: proposed(np.ones((2, 3)), np.ones(3))),
+        ("draws", lambda b, m: localized(np.ones((2, 3)))),
+        ("parameters", lambda b, m: localized().apply(np.ones((2, 3)), np.ones((2, 2)))),
+        ("taper", lambda b, m: localized().apply(np.ones((2, 4)), np.ones((2, 3)))),
+        ("parameters", lambda b, m: localized().apply_by_correlation(np.ones((2, 3)))),
     ],
 )
 def test_a_wrong_array_is_refused_by_name_with_what_was_wanted_and_what_was_found(body, block_mesh, name, call):

@@ -257,3 +257,29 @@ def test_bad_data_of_group_scores_raise_by_cause():
     with pytest.raises(errors.ShapeError, match="`groups`"):
         _core.GroupScores(np.zeros(2), one, zero, np.zeros(3, np.int64), 2)
     assert repr(_core.GroupScores(np.zeros(2), one, zero, np.array([0, 1]), 2)) == "GroupScores(n_groups=2)"
+
+
+def test_choices_of_a_step_are_refused_by_name():
+    predicted, noise = np.arange(8.0).reshape(2, 4), _core.Noise.diagonal(np.ones(2))
+    arguments = (predicted, np.zeros(2), noise, np.zeros((2, 4)))
+    with pytest.raises(errors.TissueRegError, match="`factorisation` must be one of auto, cholesky, qr, svd, got lu"):
+        _core.Step(*arguments, alpha=1.0, factorisation="lu")
+    with pytest.raises(errors.TissueRegError, match="`energy` and `rank` must not both be given"):
+        _core.Step(*arguments, alpha=1.0, energy=0.5, rank=1)
+    with pytest.raises(errors.TissueRegError, match="share of the energy in"):
+        _core.Step.square_root(*arguments[:3], alpha=1.0, energy=0.0)
+    with pytest.raises(errors.ScheduleError, match="`rule` must be one of dmc, ler, got rlm"):
+        _core.next_alpha(*arguments[:3], rule="rlm", assimilated=0.0, steps_left=3)
+    with pytest.raises(errors.ScheduleError, match="add up to 1"):
+        _core.next_alpha(*arguments[:3], rule="dmc", assimilated=1.0, steps_left=3)
+    localized = _core.LocalizedStep(*arguments, alpha=1.0)
+    with pytest.raises(errors.TissueRegError, match="`kind` must be one of threshold, smooth, got hard"):
+        localized.apply_by_correlation(predicted, kind="hard")
+    with pytest.raises(errors.TissueRegError, match="correlation threshold must lie in") as caught:
+        localized.apply_by_correlation(predicted, threshold=-0.5)
+    assert caught.value.where == "threshold"
+    with pytest.raises(errors.TissueRegError, match="a taper must lie in") as caught:
+        localized.apply(predicted, np.array([[1.0, 1.0], [2.0, 1.0]]))
+    assert caught.value.where == "taper, row 1, column 0"
+    with pytest.raises(errors.NoiseError, match="`columns` must be finite"):
+        _core.Noise.low_rank(np.ones(2), np.array([[np.nan], [0.0]]))

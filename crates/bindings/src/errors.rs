@@ -240,6 +240,9 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
         E::NotFinite { argument: "observed", row, .. } => {
             (Class::Marker, Some(format!("observed, row {row}")))
         }
+        E::NotFinite { argument: "columns", row, column, .. } => {
+            (Class::Noise, Some(format!("columns, row {row}, column {column}")))
+        }
         E::NotFinite { argument, column, .. } => {
             (Class::Ensemble, Some(format!("{argument}, member {column}")))
         }
@@ -247,6 +250,12 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
             (Class::Ensemble, Some(format!("predicted, member {column}")))
         }
         E::TooFewMembers { .. } | E::NoConvergence { .. } => (Class::Ensemble, None),
+        E::ParameterStd { row, .. } => (Class::Base, Some(format!("std, row {row}"))),
+        E::Taper { row, column, .. } => {
+            (Class::Base, Some(format!("taper, row {row}, column {column}")))
+        }
+        E::Threshold { .. } => (Class::Base, Some("threshold".to_owned())),
+        E::Truncation { .. } => (Class::Base, Some("truncation".to_owned())),
         _ => (Class::Base, None),
     };
     raise_with(py, class, &error.to_string(), place.as_deref(), |details| match error {

@@ -3,10 +3,12 @@
 use faer::MatMut;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
-use tissuereg_esmda::{NoiseCovariance, Schedule, StepSettings, step};
+use tissuereg_esmda::{
+    AdaptiveRule, Factorisation, NoiseCovariance, Schedule, StepSettings, Truncation, step,
+};
 
 use crate::arrays::{self, View};
-use crate::errors;
+use crate::errors::{self, Class};
 use crate::lock;
 
 /// Equal inflation coefficients, float64 (n_steps,).
@@ -38,6 +40,34 @@ pub(crate) fn check_schedule<'py>(
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
     let alphas = View::<f64>::new("alphas", alphas, &[&[None]])?;
     alphas_of(py, Schedule::with_total(alphas.slice(), total))
+}
+
+/// The coefficient of the next step by a rule, "dmc" or "ler", from predictions, float64 (n_obs, n_members).
+#[pyfunction]
+#[pyo3(signature = (predicted, observed, noise, *, rule, assimilated, steps_left))]
+pub(crate) fn next_alpha(
+    py: Python<'_>,
+    predicted: &Bound<'_, PyAny>,
+    observed: &Bound<'_, PyAny>,
+    noise: &Bound<'_, Noise>,
+    rule: &str,
+    assimilated: f64,
+    steps_left: usize,
+) -> PyResult<f64> {
+    let predicted = View::<f64>::new("predicted", predicted, &[&[None, None]])?;
+    let n_obs = predicted.matrix().nrows();
+    let observed = View::<f64>::new("observed", observed, &[&[Some(n_obs)]])?;
+    let rule = match rule {
+        "dmc" => AdaptiveRule::DataMisfit,
+        "ler" => AdaptiveRule::RestrictedStep,
+        other => {
+            let message = format!("`rule` must be one of dmc, ler, got {other}");
+            return Err(errors::raise(py, Class::Schedule, &message, Some("rule")));
+        }
+    };
+    let (y, d, noise) = (predicted.matrix(), observed.slice(), &noise.get().0);
+    tissuereg_esmda::next_alpha(rule, y, d, noise, assimilated, steps_left)
+        .map_err(|error| errors::from_esmda(py, &error))
 }
 
 fn alphas_of(
@@ -89,6 +119,21 @@ impl Noise {
         noise.map(Self).map_err(|error| errors::from_esmda(py, &error))
     }
 
+    /// Independent noise and shared errors: `diag(std)^2 + columns columns'`; float64 (n_obs,) and (n_obs, k).
+    #[staticmethod]
+    fn low_rank(
+        py: Python<'_>,
+        std: &Bound<'_, PyAny>,
+        columns: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
+        let std = View::<f64>::new("std", std, &[&[None]])?;
+        let n_obs = std.slice().len();
+        let columns = View::<f64>::new("columns", columns, &[&[Some(n_obs), None]])?;
+        let (std, columns) = (std.slice(), columns.matrix());
+        let noise = lock::run_released(py, 1, |_| NoiseCovariance::low_rank(std, columns));
+        noise.map(Self).map_err(|error| errors::from_esmda(py, &error))
+    }
+
     /// Number of observations.
     #[getter]
     fn n_obs(&self) -> usize {
@@ -98,6 +143,37 @@ impl Noise {
     fn __repr__(&self) -> String {
         format!("Noise(n_obs={})", self.0.n_obs())
     }
+}
+
+/// Settings of a step from what Python may choose: a factorisation by name, and what is kept of the anomalies.
+pub(crate) fn settings_of(
+    py: Python<'_>,
+    factorisation: &str,
+    energy: Option<f64>,
+    rank: Option<usize>,
+) -> PyResult<StepSettings> {
+    let factorisation = match factorisation {
+        "auto" => Factorisation::Auto,
+        "cholesky" => Factorisation::Cholesky,
+        "qr" => Factorisation::Qr,
+        "svd" => Factorisation::Svd,
+        other => {
+            let choices = "auto, cholesky, qr, svd";
+            let message = format!("`factorisation` must be one of {choices}, got {other}");
+            return Err(errors::raise(py, Class::Base, &message, Some("factorisation")));
+        }
+    };
+    let truncation = match (energy, rank) {
+        (None, None) => None,
+        (Some(energy), None) => Some(Truncation::Energy(energy)),
+        (None, Some(rank)) => Some(Truncation::Rank(rank)),
+        (Some(_), Some(_)) => {
+            let message = "`energy` and `rank` must not both be given: each sets the truncation";
+            return Err(errors::raise(py, Class::Base, message, Some("rank")));
+        }
+    };
+    let settings = StepSettings::default().with_factorisation(factorisation);
+    Ok(settings.with_truncation(truncation))
 }
 
 /// One prepared ES-MDA update. The arrays given must not be written to while it is made or applied.
@@ -110,7 +186,10 @@ pub(crate) struct Step {
 #[pymethods]
 impl Step {
     #[new]
-    #[pyo3(signature = (predicted, observed, noise, draws, *, alpha, threads=0))]
+    #[pyo3(signature = (
+        predicted, observed, noise, draws, *, alpha, threads=0, factorisation="auto", energy=None, rank=None
+    ))]
+    #[allow(clippy::too_many_arguments)] // Keywords of the Python signature.
     fn new(
         py: Python<'_>,
         predicted: &Bound<'_, PyAny>,
@@ -119,7 +198,11 @@ impl Step {
         draws: &Bound<'_, PyAny>,
         alpha: f64,
         threads: usize,
+        factorisation: &str,
+        energy: Option<f64>,
+        rank: Option<usize>,
     ) -> PyResult<Self> {
+        let settings = settings_of(py, factorisation, energy, rank)?;
         let predicted = View::<f64>::new("predicted", predicted, &[&[None, None]])?;
         let (n_obs, n_members) = predicted.matrix().shape();
         let observed = View::<f64>::new("observed", observed, &[&[Some(n_obs)]])?;
@@ -127,15 +210,15 @@ impl Step {
         let (y, d, e, noise) =
             (predicted.matrix(), observed.slice(), draws.matrix(), &noise.get().0);
         let prepared = lock::run_released(py, threads, |par| {
-            let settings = StepSettings::default().with_par(par);
-            step::Step::prepare(y, d, noise, alpha, e, &settings)
+            step::Step::prepare(y, d, noise, alpha, e, &settings.with_par(par))
         });
         prepared.map(|step| Self { step, threads }).map_err(|error| errors::from_esmda(py, &error))
     }
 
     /// The deterministic square-root form: no draws.
     #[staticmethod]
-    #[pyo3(signature = (predicted, observed, noise, *, alpha, threads=0))]
+    #[pyo3(signature = (predicted, observed, noise, *, alpha, threads=0, energy=None, rank=None))]
+    #[allow(clippy::too_many_arguments)] // Keywords of the Python signature.
     fn square_root(
         py: Python<'_>,
         predicted: &Bound<'_, PyAny>,
@@ -143,14 +226,16 @@ impl Step {
         noise: &Bound<'_, Noise>,
         alpha: f64,
         threads: usize,
+        energy: Option<f64>,
+        rank: Option<usize>,
     ) -> PyResult<Self> {
+        let settings = settings_of(py, "auto", energy, rank)?;
         let predicted = View::<f64>::new("predicted", predicted, &[&[None, None]])?;
         let n_obs = predicted.matrix().nrows();
         let observed = View::<f64>::new("observed", observed, &[&[Some(n_obs)]])?;
         let (y, d, noise) = (predicted.matrix(), observed.slice(), &noise.get().0);
         let prepared = lock::run_released(py, threads, |par| {
-            let settings = StepSettings::default().with_par(par);
-            step::Step::prepare_square_root(y, d, noise, alpha, &settings)
+            step::Step::prepare_square_root(y, d, noise, alpha, &settings.with_par(par))
         });
         prepared.map(|step| Self { step, threads }).map_err(|error| errors::from_esmda(py, &error))
     }

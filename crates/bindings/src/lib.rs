@@ -11,6 +11,7 @@ mod errors;
 mod esmda;
 mod fem;
 mod gauss_newton;
+mod localized;
 mod lock;
 mod report;
 
@@ -23,13 +24,16 @@ mod _core {
     use super::contacts::Contacts;
     #[pymodule_export]
     use super::esmda::{
-        Noise, Step, check_schedule, schedule_constant, schedule_geometric, screen_members,
+        Noise, Step, check_schedule, next_alpha, schedule_constant, schedule_geometric,
+        screen_members,
     };
     #[pymodule_export]
     use super::fem::{
         Adjoints, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig, RigFrame, Solution,
         check_mesh, laws, surface_triangles,
     };
+    #[pymodule_export]
+    use super::localized::{LocalizedStep, gaspari_cohn};
 
     #[pymodule_export]
     use super::gauss_newton::{GaussNewton, GroupScores};

@@ -3,7 +3,7 @@
 `tissuereg-esmda` computes; the model is a Python function of many columns of parameters.
 """
 
-from tissuereg.assimilate.ensemble import ABSURD_MM, Assimilation, assimilate, balanced_draws
+from tissuereg.assimilate.ensemble import ABSURD_MM, Assimilation, StepOptions, assimilate, balanced_draws
 from tissuereg.assimilate.laplace import Laplace, gauss_newton
 
-__all__ = ["ABSURD_MM", "Assimilation", "Laplace", "assimilate", "balanced_draws", "gauss_newton"]
+__all__ = ["ABSURD_MM", "Assimilation", "Laplace", "StepOptions", "assimilate", "balanced_draws", "gauss_newton"]
