@@ -23,6 +23,7 @@ LAYERS: tuple[tuple[str, str], ...] = (
         "assimilate baselines latent observe phantom posterior readings simulate widen",
     ),
     ("files, the only place of other units", "io"),
+    ("many tasks, the only place of processes and Dask", "parallel"),
     ("physical effects, values kept with a mesh", "_per_mesh effects"),
     (
         "plain data",

@@ -101,6 +101,12 @@ class MissingPackageError(TissueRegError, ImportError):
     """An optional package is needed for the requested operation."""
 
 
+class ClusterError(TissueRegError, RuntimeError):
+    """Workers for tasks cannot be had, or are lost; running the same command again resumes."""
+
+    exit_code = 3
+
+
 class ConvergenceError(TissueRegError, RuntimeError):
     """A solve found no equilibrium, or a search no minimum.
 

@@ -26,6 +26,8 @@ HEAVY = (
     "tqdm",
     "h5py",
     "fsspec",
+    "distributed",
+    "dask",
 )
 
 

@@ -1,12 +1,14 @@
 """``tissuereg simulate``: all cases of an experiment, or a data set for training."""
 
 import argparse
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tissuereg.cli.common import Outcome, Stopwatch, note, progress_bar, seconds_line
-from tissuereg.cli.options import UsageError, add_common, command_parser, refuse_overwriting
+from tissuereg.cli.options import UsageError, add_common, command_parser, positive_number, refuse_overwriting
+from tissuereg.parallel.opening import TASK_LIMIT
 
 if TYPE_CHECKING:
     from tissuereg.experiment import Experiment
@@ -42,6 +44,14 @@ def add_parser(commands: Any) -> None:
     text = "elements of a plain simulation (default: tet4; a recipe states its own)"
     how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
     how.add_argument("--noise", action="store_true", help="add the noise that the experiment states, by --seed")
+    group = parser.add_argument_group("data set")
+    text = (
+        "make chunks on a Dask cluster: tcp://HOST:PORT, local:N (N processes here) or FILE.yaml (jobs of a batch "
+        "system, see docs/cluster.md); a chunk then has one thread unless --threads says otherwise"
+    )
+    group.add_argument("--cluster", metavar="WHERE", help=text)
+    text = "seconds after which a chunk counts as hung and is made elsewhere (default: %(default)g)"
+    group.add_argument("--chunk-limit", type=positive_number, default=TASK_LIMIT, metavar="S", help=text)
     add_common(parser, seed="seed of noise (default: 0), or of a data set (default: the recipe's)")
     parser.set_defaults(run=run)
 
@@ -69,6 +79,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _run_recipe(args: argparse.Namespace) -> Outcome:
+    from tissuereg.parallel import open_executor
     from tissuereg.simulate.dataset import make_dataset, size_line
     from tissuereg.simulate.recipe import read_recipe
 
@@ -79,8 +90,13 @@ def _run_recipe(args: argparse.Namespace) -> Outcome:
     recipe = read_recipe(args.path)
     if not args.quiet:
         note(size_line(recipe, args.out))
-    with progress_bar("simulations", quiet=args.quiet) as progress:
-        made = make_dataset(recipe, args.out, seed=args.seed, threads=args.threads, progress=progress)
+    threads = args.threads if args.cluster is None else args.threads or 1
+    with contextlib.ExitStack() as open_:
+        executor = None
+        if args.cluster is not None:
+            executor = open_.enter_context(open_executor(args.cluster, task_limit=args.chunk_limit))
+        progress = open_.enter_context(progress_bar("simulations", quiet=args.quiet))
+        made = make_dataset(recipe, args.out, seed=args.seed, threads=threads, progress=progress, executor=executor)
     return _outcome({"schema": "tissuereg.simulate/1", **made}, args)
 
 
@@ -91,6 +107,9 @@ def _run_experiment(args: argparse.Namespace) -> Outcome:
     from tissuereg.simulate.believed import simulate_experiment
     from tissuereg.simulate.noise import with_noise
 
+    if args.cluster is not None:
+        message = "--cluster must be left out for an experiment; it makes the chunks of a data set"
+        raise UsageError(message, where="--cluster")
     if args.element is not None and not args.plain:
         message = "--element must come with --plain: the fine model has elements of its own"
         raise UsageError(message, where="--element")
@@ -148,6 +167,11 @@ def _outcome(content: dict[str, Any], args: argparse.Namespace) -> Outcome:
         + ("" if rate is None else f", {rate:.3g} per second"),
         *(f"  failed: {index}: {reason}" for index, reason in content["failed"][:10]),
         *([_motion_line(content["motion"], content["bytes"])] if "motion" in content else []),
+        *(
+            []
+            if content.get("overhead") is None
+            else [f"{content['overhead']:.1%} of the workers' time went into no chunk"]
+        ),
         seconds_line(content["seconds"]),
         f"written: {args.out}",
     ]

@@ -6,27 +6,30 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, as_completed
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
 from tissuereg._arguments import called, check_running, of_kind
 from tissuereg._clock import Clock
 from tissuereg._version import __version__
-from tissuereg.errors import ExperimentError
+from tissuereg.errors import ClusterError, ExperimentError, TissueRegError
 from tissuereg.io.chunks import chunk_name
 from tissuereg.io.data_mesh import MESH_NAME, pack_mesh
 from tissuereg.io.datasets import CARD_NAME, DATASET_SCHEMA, read_card, split_of
 from tissuereg.io.json import dumps
 from tissuereg.io.stores import Store, store_of
 from tissuereg.mesh import Mesh
+from tissuereg.parallel import Executor, Failed, one_result
 from tissuereg.simulate.chunks import ChunkReport, ChunkTask, chunk_maker, data_mark, make_one_chunk
 from tissuereg.simulate.motion import motion_summary
 from tissuereg.simulate.pairs import PAIRS_NAME, PairsReport, make_pairs
 from tissuereg.simulate.recipe import Recipe
 
 Progress = Callable[[int, int], None]
+
+#: So many more chunks than were made may fail on workers before the rest is given up.
+_MOST_FAILED = 10
 
 #: Marks the place as that of a data set, before anything else is there.
 _MARKER = "recipe.sha256"
@@ -55,14 +58,15 @@ def make_dataset(
         Threads of a chunk; 0 takes all cores. The data do not depend on it.
     progress : callable of (int, int), optional
         Called with simulations done and simulations in all.
-    executor : concurrent.futures.Executor, optional
+    executor : tissuereg.parallel.Executor, optional
         Where chunks are made, each a task of its own that writes its file itself. By default in this process.
 
     Returns
     -------
     dict
         ``members``, ``failed`` (list of [index, reason]), ``members_per_s`` (None if all was there), ``motion``
-        (`tissuereg.simulate.motion.motion_summary`), ``bytes``, ``seconds``, ``seed``.
+        (`tissuereg.simulate.motion.motion_summary`), ``bytes``, ``seconds``, ``seed``, ``overhead`` (None without an
+        executor): the share of the workers' time that did not go into making chunks.
 
     Raises
     ------
@@ -74,6 +78,8 @@ def make_dataset(
         If more than half of a chunk fails.
     OutputError
         If nothing can be written there.
+    ClusterError
+        If the workers are lost, or some chunks could not be made on them; the others are kept.
     """
     of_kind("recipe", recipe, Recipe)
     check_running(seed=0 if seed is None else seed, threads=threads)
@@ -88,21 +94,25 @@ def make_dataset(
             mesh = recipe.mesh()
             mark = _begin(store, recipe, mesh, seed)
             n_chunks = _n_chunks(recipe)
-            tasks = [ChunkTask(recipe.raw, mark, seed, number, store.address, threads) for number in range(n_chunks)]
+            task_of = partial(_task, recipe.raw, mark, seed, store.address, threads)
             if executor is None:
-                chunk_maker(tasks[0])
+                chunk_maker(task_of(0))
         reports: dict[int, ChunkReport] = {}
-        done = 0
+        done, before = 0, 0.0 if executor is None else executor.worker_seconds
         with clock.stage("solve"):
-            for report in _made(tasks, recipe, executor, _from(progress, in_all)):
+            for report in _made(map(task_of, range(n_chunks)), recipe, executor, _from(progress, in_all)):
                 reports[report.number] = report
                 done += report.members + len(report.failed)
                 if progress is not None:
                     progress(done, in_all)
+        overhead = None
+        if executor is not None:
+            spent = executor.worker_seconds - before
+            overhead = 1.0 - sum(report.seconds for report in reports.values()) / spent
         pairs = None
         with clock.stage("pairs"):
             if recipe.pairs.members:
-                pairs = make_pairs(tasks[0]) if executor is None else executor.submit(make_pairs, tasks[0]).result()
+                pairs = make_pairs(task_of(0)) if executor is None else one_result(executor, make_pairs, task_of(0))
         if progress is not None:
             progress(in_all, in_all)
         in_order = [reports[number] for number in range(n_chunks)]
@@ -115,6 +125,7 @@ def make_dataset(
         "members_per_s": fresh / clock.seconds["solve"] if fresh else None,
         "motion": card["motion"],
         "bytes": card["bytes"],
+        "overhead": overhead,
         "seconds": clock.seconds,
         "seed": seed,
     }
@@ -140,8 +151,12 @@ def _from(progress: Progress | None, in_all: int) -> Callable[[int, int], None] 
     return None if progress is None else (lambda first, done: progress(first + done, in_all))
 
 
+def _task(recipe: dict[str, Any], mark: str, seed: int, address: str, threads: int, number: int) -> ChunkTask:
+    return ChunkTask(recipe, mark, seed, number, address, threads)
+
+
 def _made(
-    tasks: list[ChunkTask], recipe: Recipe, executor: Executor | None, within: Callable[[int, int], None] | None
+    tasks: Iterable[ChunkTask], recipe: Recipe, executor: Executor | None, within: Callable[[int, int], None] | None
 ) -> Iterator[ChunkReport]:
     """Give the report of every chunk, as soon as it is there."""
     if executor is None:
@@ -149,13 +164,23 @@ def _made(
             first = task.number * recipe.data.chunk
             yield make_one_chunk(task, None if within is None else partial(within, first))
         return
-    futures = [executor.submit(make_one_chunk, task) for task in tasks]
-    try:
-        for future in as_completed(futures):
-            yield future.result()
-    finally:
-        for future in futures:
-            future.cancel()
+    n_made, failed = 0, list[Failed]()
+    for outcome in executor.run(make_one_chunk, tasks):
+        if not isinstance(outcome, Failed):
+            n_made += 1
+            yield outcome.result
+            continue
+        failed.append(outcome)
+        lasting = isinstance(outcome.error, TissueRegError) and not isinstance(outcome.error, ClusterError)
+        if lasting or len(failed) >= n_made + _MOST_FAILED:
+            raise outcome.error
+    if failed:
+        numbers = ", ".join(str(one.index) for one in failed[:10])
+        message = (
+            f"every chunk must be made; {len(failed)} could not be, the first of them {numbers}: "
+            f"{failed[0].error}. The others are kept; run the same command again"
+        )
+        raise ClusterError(message) from failed[0].error
 
 
 def _begin(store: Store, recipe: Recipe, mesh: Mesh, seed: int) -> str:

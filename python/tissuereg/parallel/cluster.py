@@ -1,0 +1,408 @@
+"""Dask: the executor over a scheduler and its workers.
+
+Dask already runs a task again whose worker died. Added here: only a few tasks are in the scheduler at a time; a task that
+hangs is stopped; a task is blamed for the death of a worker only if it ran there; a lost scheduler is tried again.
+"""
+
+import time
+import uuid
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+from tissuereg.errors import ClusterError, MissingPackageError, TissueRegError
+from tissuereg.parallel.executor import Failed, Finished
+
+#: How often a task may begin. More means that it kills its workers.
+MOST_STARTS = 6
+
+#: How often a task may take too long.
+MOST_HANGS = 2
+
+#: How often a task runs again, at once, that raised an error which is not ours: a file system may recover.
+_RETRIES = 2
+
+#: Tasks in the scheduler at a time: twice the threads of the workers, and at least this many.
+_LEAST_IN_FLIGHT = 256
+
+#: Pause between looks at what is done, at what hangs, and at the number of workers, in s.
+_PAUSE, _LOOKING, _COUNTING = 0.01, 0.2, 2.0
+
+#: Time in s that a suspected task waits, so that the word of its start is out before it may kill its worker.
+_SENDING = 0.2
+
+#: Time in s for the scheduler to answer one question.
+_ANSWER = 30.0
+
+#: Settings of a scheduler that is started here. Whether a task kills its workers is decided in `Cluster`.
+SETTINGS: dict[str, Any] = {
+    "distributed.scheduler.allowed-failures": 5,
+    "distributed.scheduler.worker-ttl": "60s",
+    "distributed.nanny.pre-spawn-environ.RAYON_NUM_THREADS": 1,
+}
+
+
+@dataclass
+class _Job:
+    """A task on its way.
+
+    Attributes
+    ----------
+    index : int
+        Its place.
+    task : object
+        The task.
+    starts, hangs : int
+        How often it began, and took too long.
+    suspected : bool
+        Whether the scheduler gave it up because workers died that had it, running or waiting.
+    started : tuple of (str, float) or None
+        Address of its worker, and when it was last seen to begin there.
+    future : distributed.Future or None
+        Its place in the scheduler.
+    """
+
+    index: int
+    task: Any
+    starts: int = 0
+    hangs: int = 0
+    suspected: bool = False
+    started: tuple[str, float] | None = None
+    future: Any = None
+
+
+class Cluster(AbstractContextManager["Cluster"]):
+    """Runs tasks on a Dask cluster; `tissuereg.parallel.open_executor` makes one.
+
+    Parameters
+    ----------
+    where : object
+        What `distributed.Client` takes: an address, or a cluster object, which is closed at the end.
+    name : str
+        Its name in messages.
+    task_limit : float
+        Time in s after which a task counts as hung.
+    patience : float
+        Time in s for which a scheduler that does not answer is tried again.
+
+    Raises
+    ------
+    ClusterError
+        If nothing answers.
+    """
+
+    def __init__(self, where: Any, name: str, *, task_limit: float, patience: float) -> None:
+        self._where, self._name = where, name
+        self._task_limit, self._patience = task_limit, patience
+        self._spent = 0.0
+        self._workers, self._counted, self._looked = 0, 0.0, 0.0
+        self._topic = ""
+        self._jobs: dict[str, _Job] = {}
+        self._client = self._connected(min(10.0, patience))
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the cluster; one that was started here ends."""
+        with suppress(Exception):
+            self._client.close(timeout=5)
+        if not isinstance(self._where, str):
+            with suppress(Exception):
+                self._where.close(timeout=10)
+
+    @property
+    def n_workers(self) -> int:
+        """Threads of all workers there are now."""
+        return sum(self._client.nthreads().values())
+
+    @property
+    def worker_seconds(self) -> float:
+        """Time that threads of workers were there for the tasks of all runs so far, in s."""
+        return self._spent
+
+    def run(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Finished | Failed]:
+        """Yield outcomes as they come; see `Executor.run`.
+
+        Raises
+        ------
+        ClusterError
+            If the scheduler is lost, and is not back within the time that was given.
+        """
+        source, waiting = enumerate(tasks), deque[_Job]()
+        prefix = f"{getattr(function, '__name__', 'task')}-{uuid.uuid4().hex[:8]}"
+        self._jobs, self._counted = {}, time.monotonic()
+        n_sent = 0
+        self._workers = self.n_workers
+        try:
+            while True:
+                if self._client.status != "running":
+                    waiting.extend(self._recovered())
+                self._count()
+                while len(self._jobs) < max(_LEAST_IN_FLIGHT, 2 * self._workers):
+                    job = waiting.popleft() if waiting else _next_job(source)
+                    if job is None:
+                        break
+                    key = f"{prefix}-{n_sent}"  # a task that is sent again is another one to the scheduler
+                    n_sent += 1
+                    self._send(job, key, function)
+                if not self._jobs:
+                    return
+                done = [k for k, job in self._jobs.items() if job.future is None or job.future.status != "pending"]
+                yield from self._collected(done, waiting)
+                yield from self._stopped(waiting)
+                if not done:
+                    time.sleep(_PAUSE)
+        finally:
+            self._count(last=True)
+            with suppress(Exception):
+                self._client.cancel([job.future for job in self._jobs.values() if job.future is not None])
+            self._jobs = {}
+
+    def _send(self, job: _Job, key: str, function: Callable[[Any], Any]) -> None:
+        self._jobs[key] = job
+        job.started = None
+        job.future = self._client.submit(
+            _work, function, job.task, self._topic, key, job.suspected, key=key, retries=_RETRIES, pure=False
+        )
+
+    def _collected(self, done: list[str], waiting: "deque[_Job]") -> Iterator[Finished | Failed]:
+        """Take finished tasks out of the scheduler; those that are to be run again wait."""
+        finished = {key: self._jobs[key].future for key in done if _status(self._jobs[key]) == "finished"}
+        results: dict[str, Any] = {}
+        if finished:
+            with suppress(Exception):  # the scheduler or a worker is lost just now: seen at the next look
+                results = self._client.sync(
+                    lambda: self._client.gather(finished, errors="skip", asynchronous=True), callback_timeout=_ANSWER
+                )
+        for key in done:
+            job = self._jobs[key]
+            if (result := results.get(key)) is not None:
+                del self._jobs[key]
+                well, value = result
+                yield Finished(job.index, value) if well else Failed(job.index, value)
+            elif _status(job) == "error":
+                del self._jobs[key]
+                if not _died(error := _error(job)):
+                    yield Failed(job.index, error)
+                elif job.starts >= MOST_STARTS:
+                    yield self._deadly(job)
+                else:
+                    job.suspected = True
+                    waiting.append(job)
+            elif _status(job) in ("cancelled", "lost"):
+                waiting.append(self._jobs.pop(key))
+
+    def _stopped(self, waiting: "deque[_Job]") -> Iterator[Failed]:
+        """Stop what hangs, and give up what hangs or kills its worker again and again."""
+        now = time.monotonic()
+        if now - self._looked < _LOOKING:
+            return
+        self._looked = now
+        hung: dict[str, None] = {}
+        for key, job in list(self._jobs.items()):
+            if job.starts > MOST_STARTS:
+                self._forget(key)
+                yield self._deadly(job)
+            elif job.started is not None and now - job.started[1] > self._task_limit:
+                hung[job.started[0]] = None
+                job.hangs += 1
+                job.started = None
+                if job.hangs >= MOST_HANGS:
+                    self._forget(key)
+                    message = (
+                        f"a task must end within {self._task_limit:g} s; task {job.index} did not, {job.hangs} times"
+                    )
+                    yield Failed(job.index, ClusterError(message, where=f"task {job.index}"))
+                else:
+                    job.starts -= 1
+                    waiting.append(self._forget(key))
+        if hung:
+            with suppress(Exception):
+                self._client.sync(
+                    self._client.scheduler.restart_workers,
+                    workers=[*hung],
+                    timeout=_ANSWER,
+                    wait_for_workers=False,
+                    on_error="return",
+                    stimulus_id=f"task-limit-{time.time()}",
+                    callback_timeout=2 * _ANSWER,
+                )
+
+    def _forget(self, key: str) -> _Job:
+        job = self._jobs.pop(key)
+        with suppress(Exception):
+            self._client.cancel([job.future])
+        return job
+
+    def _deadly(self, job: _Job) -> Failed:
+        message = f"a worker must live through its task; the one of task {job.index} died, {job.starts} times"
+        return Failed(job.index, ClusterError(message, where=f"task {job.index}"))
+
+    def _recovered(self) -> list[_Job]:
+        """Connect again, and return the jobs that the scheduler had."""
+        jobs, self._jobs = list(self._jobs.values()), {}
+        with suppress(Exception):
+            self._client.close(timeout=2)
+        if not isinstance(self._where, str):
+            message = f"the scheduler of {self._name} must live; it is gone. Run the same command again"
+            raise ClusterError(message, where=self._name)
+        self._client = self._connected(self._patience)
+        return jobs
+
+    def _connected(self, patience: float) -> Any:
+        import distributed
+
+        client_of: Any = distributed.Client
+        until = time.monotonic() + patience
+        while True:
+            try:
+                left = max(1.0, until - time.monotonic())
+                client = client_of(self._where, timeout=left, set_as_default=False)
+                break
+            except (OSError, TimeoutError, ValueError) as error:
+                if time.monotonic() >= until:
+                    message = (
+                        f"a Dask scheduler must answer at {self._name}; none did in {patience:g} s: "
+                        f"{str(error) or type(error).__name__}. Run the same command again once it does"
+                    )
+                    raise ClusterError(message, where=self._name) from error
+                time.sleep(0.2)
+        self._topic = f"tissuereg-{uuid.uuid4().hex}"
+        client.subscribe_topic(self._topic, self._note)
+        return client
+
+    def _note(self, event: tuple[float, dict[str, str]]) -> None:
+        """Note that a worker has begun a task; called in the client's own thread."""
+        job = self._jobs.get(event[1]["key"])
+        if job is not None:
+            job.started = (event[1]["worker"], time.monotonic())
+            job.starts += 1
+
+    def _count(self, *, last: bool = False) -> None:
+        now = time.monotonic()
+        if last or now - self._counted > _COUNTING:
+            self._spent += (now - self._counted) * self._workers
+            self._counted = now
+            if not last:
+                with suppress(Exception):
+                    self._workers = self.n_workers
+
+
+def reach(address: str, *, task_limit: float, patience: float) -> Cluster:
+    """Return the executor over a scheduler that runs already.
+
+    Parameters
+    ----------
+    address : str
+        ``tcp://HOST:PORT``.
+    task_limit, patience : float
+        As in `Cluster`.
+
+    Returns
+    -------
+    Cluster
+        Open.
+
+    Raises
+    ------
+    MissingPackageError
+        If dask.distributed is not installed.
+    ClusterError
+        If nothing answers.
+    """
+    need_dask()
+    return Cluster(address, address, task_limit=task_limit, patience=patience)
+
+
+def local(n: int, *, task_limit: float, patience: float) -> Cluster:
+    """Return the executor over worker processes of this machine, one thread each.
+
+    Parameters
+    ----------
+    n : int
+        How many.
+    task_limit, patience : float
+        As in `Cluster`.
+
+    Returns
+    -------
+    Cluster
+        Open; its processes end with it, and with this process.
+
+    Raises
+    ------
+    MissingPackageError
+        If dask.distributed is not installed.
+    ClusterError
+        If the processes do not start.
+    """
+    need_dask()
+    import logging
+
+    import dask
+    import distributed
+
+    local_cluster: Any = distributed.LocalCluster
+    with dask.config.set(SETTINGS), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Port .* is already in use")
+        try:
+            cluster = local_cluster(
+                n_workers=n,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                memory_limit=0,  # nothing is kept in workers; a limit would only stop them
+                silence_logs=logging.CRITICAL,
+            )
+        except (OSError, TimeoutError, RuntimeError) as error:
+            message = f"{n} worker processes must start on this machine; they did not: {error}"
+            raise ClusterError(message, where=f"local:{n}") from error
+    return Cluster(cluster, f"local:{n}", task_limit=task_limit, patience=patience)
+
+
+def need_dask() -> None:
+    """Raise MissingPackageError where dask.distributed is not installed."""
+    try:
+        import distributed  # noqa: F401
+    except ImportError as error:
+        message = "a cluster needs dask.distributed, which is not installed; `pip install 'tissuereg[cluster]'`"
+        raise MissingPackageError(message, where="distributed") from error
+
+
+def _work(function: Callable[[Any], Any], task: Any, topic: str, key: str, suspected: bool) -> tuple[bool, Any]:
+    """Run a task in a worker: an error of ours is an answer, any other one lets Dask try again."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    worker.log_event(topic, {"key": key, "worker": worker.address})
+    if suspected:
+        time.sleep(_SENDING)
+    try:
+        return True, function(task)
+    except TissueRegError as error:
+        return False, error
+
+
+def _next_job(source: Iterator[tuple[int, Any]]) -> _Job | None:
+    following = next(source, None)
+    return None if following is None else _Job(*following)
+
+
+def _status(job: _Job) -> str:
+    return "lost" if job.future is None else str(job.future.status)
+
+
+def _error(job: _Job) -> Exception:
+    try:
+        error = None if job.future is None else job.future.exception(timeout=_ANSWER)
+    except Exception as unreadable:
+        error = unreadable
+    return error if isinstance(error, Exception) else ClusterError(f"task {job.index} failed: {error}")
+
+
+def _died(error: Exception) -> bool:
+    from distributed import KilledWorker
+
+    return isinstance(error, KilledWorker)

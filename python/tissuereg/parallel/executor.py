@@ -1,0 +1,156 @@
+"""What an executor is: it runs one function on many tasks and gives their outcomes as they come."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A task that has returned.
+
+    Attributes
+    ----------
+    index : int
+        Its place among the tasks, from 0.
+    result : object
+        What the function returned.
+    """
+
+    index: int
+    result: Any
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A task without a result; the others go on.
+
+    Attributes
+    ----------
+    index : int
+        Its place among the tasks, from 0.
+    error : Exception
+        What the function raised, or a `ClusterError` if it took too long or its worker died again and again.
+    """
+
+    index: int
+    error: Exception
+
+
+@runtime_checkable
+class Executor(Protocol):
+    """Runs a function on many tasks."""
+
+    @property
+    def n_workers(self) -> int:
+        """Tasks that run side by side now."""
+        ...
+
+    @property
+    def worker_seconds(self) -> float:
+        """Time that workers were there for the tasks of all runs so far, summed over workers, in s."""
+        ...
+
+    def run(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Finished | Failed]:
+        """Yield the outcome of every task once, in the order in which they finish.
+
+        Parameters
+        ----------
+        function : callable
+            Of one task; defined at the top of a module. It may be called more than once for a task (a worker died),
+            so a second call must do no harm.
+        tasks : iterable
+            Small values that can be pickled. They are taken as workers become free, never all at once.
+
+        Yields
+        ------
+        Finished or Failed
+            One for each task.
+
+        Raises
+        ------
+        ClusterError
+            If the cluster is lost for good.
+        """
+        ...
+
+
+class InProcess(AbstractContextManager["InProcess"]):
+    """Runs tasks one after another in this process."""
+
+    def __init__(self) -> None:
+        self._spent = 0.0
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing to close."""
+
+    @property
+    def n_workers(self) -> int:
+        """Always 1."""
+        return 1
+
+    @property
+    def worker_seconds(self) -> float:
+        """Wall time of all runs so far in s."""
+        return self._spent
+
+    def run(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Finished | Failed]:
+        """Yield the outcomes in the order of the tasks; see `Executor.run`."""
+        for index, task in enumerate(tasks):
+            start = time.perf_counter()
+            outcome = outcome_of(function, index, task)
+            self._spent += time.perf_counter() - start
+            yield outcome
+
+
+def outcome_of(function: Callable[[Any], Any], index: int, task: Any) -> Finished | Failed:
+    """Return what became of a task that is run here and now.
+
+    Parameters
+    ----------
+    function : callable
+        Of one task.
+    index : int
+        Place of the task.
+    task : object
+        The task.
+
+    Returns
+    -------
+    Finished or Failed
+        Failed for any exception but an interrupt.
+    """
+    try:
+        return Finished(index, function(task))
+    except Exception as error:
+        return Failed(index, error)
+
+
+def one_result(executor: Executor, function: Callable[[Any], Any], task: Any) -> Any:
+    """Return the result of a single task.
+
+    Parameters
+    ----------
+    executor : Executor
+        Where it runs.
+    function : callable
+        Of one task.
+    task : object
+        The task.
+
+    Returns
+    -------
+    object
+        What the function returned.
+
+    Raises
+    ------
+    Exception
+        What the function raised.
+    """
+    (outcome,) = executor.run(function, [task])
+    if isinstance(outcome, Failed):
+        raise outcome.error
+    return outcome.result
