@@ -14,7 +14,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-solver bench-esmda peers phantom-data phantom-model clean
+.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -38,6 +38,7 @@ help:
 	@echo "make loadfree-supports  the same with partly wrong supports, on 24 further events; make loadfree-supports-data"
 	@echo "make loadfree-time   wall times of whole registrations"
 	@echo "make bench           times by stage -> benchmarks/results/"
+	@echo "make bench-cluster   what Dask costs: overhead, task rate, bytes -> benchmarks/results/cluster.json"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make bench-esmda     one ES-MDA update, and other programs on the same arrays"
 	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
@@ -163,6 +164,9 @@ blind-sizes: $(VENV)/.installed-dev
 blind-data: $(VENV)/.installed-dev
 	PYTHONPATH=tests OMP_NUM_THREADS=1 ONE=$(ONE) $(BIN)/python -m blind.generator
 	$(if $(ONE),,PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m blind.generator.store)
+
+bench-cluster: $(VENV)/.installed-dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/cluster.py
 
 # Registration with an unknown load on simulated events (tests/loadfree/README.md); an interrupted run resumes.
 HALF ?= dev

@@ -78,20 +78,27 @@ class Dask:
                 cwd=self.folder,
                 stdout=log,
                 stderr=log,
+                start_new_session=True,
             )
         self.processes.append(process)
 
     def start(self, n_workers=2):
-        self._start("scheduler", "--port", self.address.rpartition(":")[2])
+        port = self.address.rpartition(":")[2]
+        self._start("scheduler", "--port", port)
         for _ in range(n_workers):
             self._start("worker", self.address, "--nthreads", "1")
+        until = time.monotonic() + PATIENCE
+        while time.monotonic() < until:
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", int(port))) == 0:
+                    return
+            time.sleep(0.1)
 
     def kill(self):
         """Kill the scheduler, then the workers, which would not come back of themselves."""
         for process in self.processes:
-            process.kill() if process is self.processes[0] else process.terminate()
-        for process in self.processes:
-            process.wait(30)
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
         self.processes = []
 
 

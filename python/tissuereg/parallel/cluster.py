@@ -1,7 +1,7 @@
 """Dask: the executor over a scheduler and its workers.
 
-Dask already runs a task again whose worker died. Added here: only a few tasks are in the scheduler at a time; a task that
-hangs is stopped; a task is blamed for the death of a worker only if it ran there; a lost scheduler is tried again.
+Dask already runs a task again whose worker died. Added here: only a few tasks are in the scheduler at a time; a task
+that hangs is stopped; a task is blamed for the death of a worker only if it ran there; a lost scheduler is tried again.
 """
 
 import time
@@ -352,7 +352,7 @@ def local(n: int, *, task_limit: float, patience: float) -> Cluster:
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",
                 memory_limit=0,  # nothing is kept in workers; a limit would only stop them
                 silence_logs=logging.CRITICAL,
             )
