@@ -1,7 +1,7 @@
-"""What Dask costs and gives: ``make bench-cluster`` -> ``benchmarks/results/cluster.json``, shown in ``docs/cluster.md``.
+"""What Dask costs and gives: ``make bench-cluster`` -> ``benchmarks/results/cluster.json`` and ``docs/cluster.md``.
 
-One process, ``local:1`` and ``local:2`` make the same data set in turns, so that what else the machine does falls on all;
-a run of a warm cluster that has made one chunk a worker before, as a long run would have. Then empty tasks.
+One process, ``local:1`` and ``local:2`` make the same data set in turns, so that what else the machine does falls on
+all, with the mesh analysed before, as in a long run. Then empty tasks.
 """
 
 import argparse

@@ -2,9 +2,8 @@
 
 import argparse
 import json
-import multiprocessing
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 
 from loadfree.archive import SCRATCH, commit, key_of, read_rows, scratch_path, write_results
 from loadfree.bench import LOADFREE, Bench
@@ -13,6 +12,7 @@ from loadfree.layouts import LAYOUTS, N_MARKERS, NOISE_MM
 from loadfree.rivals import Case
 from loadfree.score import scored
 from tissuereg import TissueRegError
+from tissuereg.parallel import Failed, InProcess, Processes
 
 
 def arguments(words: list[str] | None, bench: Bench) -> argparse.Namespace:
@@ -92,14 +92,11 @@ def _run(bench: Bench, tasks: list, jobs: int, path) -> None:
             out.writelines(json.dumps(row) + "\n" for row in rows)
             out.flush()
 
-        if jobs == 1:
-            for task in tasks:
-                keep(answer_event(task, bench))
-            return
-        # Solvers keep threads of their own: a forked process would hang.
-        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-            for future in as_completed([pool.submit(answer_event, task, bench) for task in tasks]):
-                keep(future.result())
+        with InProcess() if jobs == 1 else Processes(jobs) as executor:
+            for outcome in executor.run(partial(answer_event, bench=bench), tasks):
+                if isinstance(outcome, Failed):
+                    raise outcome.error
+                keep(outcome.result)
 
 
 def _conditions(options: argparse.Namespace) -> dict:
