@@ -301,6 +301,7 @@ def test_a_file_of_jobs_with_a_wrong_entry_is_refused_by_its_name(tmp_path, old,
 def test_a_file_of_jobs_starts_workers_and_ends_them(tmp_path, monkeypatch):
     pytest.importorskip("dask_jobqueue")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, sys.path)]))
     file = tmp_path / "jobs.yaml"
     job = "{cores: 1, processes: 1, memory: 1GB, interface: lo, scheduler_options: {dashboard: false}}"
     file.write_text(f"kind: local\nworkers: {{minimum: 1, maximum: 2}}\njob: {job}\n")
