@@ -3,49 +3,8 @@
 use super::entry::Precision;
 use super::fronts::{Front, Fronts, Spot};
 
-/// Numbers in buffers that are grown in place (the system moves their pages) and not made anew.
-const MUCH: usize = 1 << 18;
-
-/// Buffers that are no longer needed.
-pub(super) struct Spares<T>(Vec<Vec<T>>);
-
-impl<T> Default for Spares<T> {
-    fn default() -> Self {
-        Self(Vec::new())
-    }
-}
-
-impl<T> Spares<T> {
-    pub(super) fn keep(&mut self, buffer: Vec<T>) {
-        self.0.push(buffer);
-    }
-
-    /// Room for so many numbers: the smallest spare that has it; where none has, a new one, or the
-    /// largest, to grow, where a new one would be much.
-    pub(super) fn take(&mut self, entries: usize) -> Vec<T> {
-        let fit = |spare: &Vec<T>| match spare.len() {
-            room if room >= entries => (0, room),
-            room => (1, usize::MAX - room),
-        };
-        let best = (0..self.0.len()).min_by_key(|&k| fit(&self.0[k]));
-        match best {
-            Some(k) if self.0[k].len() >= entries || entries > MUCH => self.0.swap_remove(k),
-            _ => Vec::new(),
-        }
-    }
-}
-
-/// Make room for a matrix by columns and clear it on and below the diagonal.
-pub(super) fn clear_lower<T: Precision>(matrix: &mut Vec<T>, n_rows: usize, n_columns: usize) {
-    let entries = n_rows * n_columns;
-    if matrix.len() < entries && entries <= MUCH {
-        // Growing would copy what is to be cleared.
-        *matrix = vec![T::default(); entries];
-        return;
-    }
-    if matrix.len() < entries {
-        matrix.resize(entries, T::default());
-    }
+/// Clear a matrix by columns on and below the diagonal.
+pub(super) fn clear_lower<T: Precision>(matrix: &mut [T], n_rows: usize, n_columns: usize) {
     for j in 0..n_columns {
         matrix[j * (n_rows + 1)..(j + 1) * n_rows].fill(T::default());
     }

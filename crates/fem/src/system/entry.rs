@@ -12,6 +12,7 @@ use super::fronts::BLOCK;
 /// Number type in which a factor is made and used.
 pub(crate) trait Precision:
     RealField
+    + 'static
     + Copy
     + Default
     + std::ops::AddAssign

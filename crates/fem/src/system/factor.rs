@@ -17,7 +17,7 @@ use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, MatMut, Par};
 
-use super::assemble::{Spares, Target, add_update, clear_lower};
+use super::assemble::{Target, add_update, clear_lower};
 use super::entry::{Entry, Precision};
 use super::fronts::{Front, Fronts};
 use super::panels::{AddSquares, Column, Slots, Store, Stored};
@@ -25,6 +25,10 @@ use crate::error::FemError;
 
 /// Subtrees with less work than this are not worth a second thread.
 const PARALLEL_WORK: f64 = 2e6;
+
+/// Subtrees a thread, about, into which a factorisation is split: enough to share evenly, and few, as each
+/// has buffers of its own.
+const PIECES: f64 = 16.0;
 
 /// Fronts with less work than this are factored by one thread.
 const PARALLEL_FRONT: f64 = 2e7;
@@ -123,7 +127,8 @@ impl<E: Entry> Numeric<E> {
         panels.try_reserve_exact(fronts.n_entries).map_err(too_large)?;
         panels = vec![E::default(); fronts.n_entries];
         let mut columns = vec![Column::default(); fronts.n_unknowns];
-        let work = Work { fronts, matrix, making };
+        let share = fronts.work / (PIECES * rayon::current_num_threads() as f64);
+        let work = Work { fronts, matrix, making, least_work: share.max(PARALLEL_WORK) };
         let mut rest = Slots { panels: &mut panels, columns: &mut columns };
         let mut scratch = Scratch::default();
         let (mut panel, mut unknown) = (0, 0);
@@ -174,8 +179,6 @@ type Updates<T> = Vec<(u32, Vec<T>)>;
 
 /// What one thread keeps between fronts.
 struct Scratch<T> {
-    /// Of updates.
-    spares: Spares<T>,
     /// The front at work, before it is stored in steps.
     panel: Vec<T>,
     blocks: Vec<[f64; 9]>,
@@ -185,12 +188,17 @@ struct Scratch<T> {
 
 impl<T> Default for Scratch<T> {
     fn default() -> Self {
-        Self {
-            spares: Spares::default(),
-            panel: Vec::new(),
-            blocks: Vec::new(),
-            memory: None,
-            memory_size: 0,
+        Self { panel: Vec::new(), blocks: Vec::new(), memory: None, memory_size: 0 }
+    }
+}
+
+impl<T: Precision> Scratch<T> {
+    /// Make room for a panel.
+    fn widen(&mut self, entries: usize) {
+        if self.panel.len() < entries {
+            // The old one goes first.
+            self.panel = Vec::new();
+            self.panel = vec![T::default(); entries];
         }
     }
 }
@@ -200,6 +208,8 @@ struct Work<'a, B: Blocks> {
     fronts: &'a Fronts,
     matrix: &'a B,
     making: Making<'a>,
+    /// Subtrees with less work than this stay on one thread.
+    least_work: f64,
 }
 
 impl<B: Blocks> Work<'_, B> {
@@ -211,7 +221,7 @@ impl<B: Blocks> Work<'_, B> {
         scratch: &mut Scratch<E::Real>,
     ) -> Result<Vec<E::Real>, FemError> {
         let front = &self.fronts.fronts[root as usize];
-        if !self.making.parallel || front.work < PARALLEL_WORK {
+        if !self.making.parallel || front.work < self.least_work {
             return self.sequence(root, slots, scratch);
         }
         let entries = slots.panels.len() - front.panel_len();
@@ -219,7 +229,10 @@ impl<B: Blocks> Work<'_, B> {
         let (below, own) = slots.split(entries, columns);
         let children = self.fronts.children_of(front);
         let updates = self.children(children, below, scratch)?;
-        self.front(front, own, updates, scratch)
+        let mut update = vec![E::Real::default(); front.update_len()];
+        let passed = updates.iter().map(|(child, update)| (*child, update.as_slice()));
+        self.front(front, own, passed, &mut update, scratch)?;
+        Ok(update)
     }
 
     /// Factor sibling subtrees, whose slots follow each other.
@@ -241,8 +254,6 @@ impl<B: Blocks> Work<'_, B> {
                     || self.children(low, low_slots, scratch),
                     || self.children(high, high_slots, &mut Scratch::default()),
                 );
-                // The fronts above are few and larger than what these needed.
-                scratch.spares = Spares::default();
                 let mut all = first?;
                 all.extend(second?);
                 Ok(all)
@@ -255,55 +266,65 @@ impl<B: Blocks> Work<'_, B> {
         &self.fronts.fronts[self.fronts.fronts[root as usize].first_below]
     }
 
-    /// Factor a subtree front by front.
+    /// Factor a subtree front by front. Updates wait on a stack of known height: memory that is new to the
+    /// process costs more than most of what is done in it.
     fn sequence<E: Entry>(
         &self,
         root: u32,
         slots: Slots<E>,
         scratch: &mut Scratch<E::Real>,
     ) -> Result<Vec<E::Real>, FemError> {
-        let first_below = self.fronts.fronts[root as usize].first_below;
-        let mut pending: Updates<E::Real> = Vec::new();
+        let subtree = self.fronts.fronts[root as usize].first_below..root as usize + 1;
+        let panel = self.fronts.fronts[subtree.clone()].iter().map(|f| f.size() * f.n_own).max();
+        scratch.widen(panel.unwrap_or(0));
+        let mut stack = vec![E::Real::default(); self.fronts.stack_of(root)];
+        let mut top = 0;
         let mut rest = slots;
-        for f in first_below..=root as usize {
-            let front = &self.fronts.fronts[f];
+        for front in &self.fronts.fronts[subtree] {
             let (own, after) = rest.split(front.panel_len(), front.n_own);
             rest = after;
-            let updates = pending.split_off(pending.len() - front.children.len());
-            let update = self.front(front, own, updates, scratch)?;
-            pending.push((f as u32, update));
+            let begin = top - self.fronts.passed_to(front);
+            let (below, above) = stack.split_at_mut(top);
+            let mut at = begin;
+            let updates = self.fronts.children_of(front).iter().map(|&child| {
+                let update = &below[at..at + self.fronts.fronts[child as usize].update_len()];
+                at += update.len();
+                (child, update)
+            });
+            self.front(front, own, updates, &mut above[..front.update_len()], scratch)?;
+            stack.copy_within(top..top + front.update_len(), begin);
+            top = begin + front.update_len();
         }
-        Ok(pending.pop().map(|(_, update)| update).unwrap_or_default())
+        Ok(stack[..top].to_vec())
     }
 
-    /// Assemble and eliminate one front; return its update, of which only what lies on or below
-    /// the diagonal means anything.
-    fn front<E: Entry>(
+    /// Assemble and eliminate one front; of its update only what lies on or below the diagonal
+    /// means anything.
+    fn front<'u, E: Entry>(
         &self,
         front: &Front,
         slots: Slots<E>,
-        children: Updates<E::Real>,
+        children: impl Iterator<Item = (u32, &'u [E::Real])>,
+        update: &mut [E::Real],
         scratch: &mut Scratch<E::Real>,
-    ) -> Result<Vec<E::Real>, FemError> {
+    ) -> Result<(), FemError> {
         if self.making.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             return Err(FemError::Cancelled);
         }
-        let n = front.n_rows;
-        let mut update = scratch.spares.take(n * n);
-        clear_lower(&mut update, n, n);
+        scratch.widen(front.size() * front.n_own);
         let mut panel = std::mem::take(&mut scratch.panel);
+        clear_lower(update, front.n_rows, front.n_rows);
         clear_lower(&mut panel, front.size(), front.n_own);
-        self.add_cliques(front, &mut panel, &mut update, scratch)?;
+        self.add_cliques(front, &mut panel, update, scratch)?;
         for (child, child_update) in children {
-            add_update(self.fronts, front, child, &child_update, &mut panel, &mut update);
-            scratch.spares.keep(child_update);
+            add_update(self.fronts, front, child, child_update, &mut panel, update);
         }
-        self.eliminate(front, &mut panel, &mut update, scratch)?;
+        self.eliminate(front, &mut panel, update, scratch)?;
         let steps = self.fronts.steps_of(front);
         let store = Store { steps, size: front.size(), eliminated: &panel, slots };
         pulp::Arch::new().dispatch(store);
         scratch.panel = panel;
-        Ok(update)
+        Ok(())
     }
 
     fn add_cliques<T: Precision>(

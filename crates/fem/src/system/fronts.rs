@@ -63,6 +63,11 @@ impl Front {
         self.n_own + self.n_rows
     }
 
+    /// Entries of its update.
+    pub(super) fn update_len(&self) -> usize {
+        self.n_rows * self.n_rows
+    }
+
     /// Entries of the panel.
     pub(super) fn panel_len(&self) -> usize {
         self.panel_len
@@ -181,6 +186,22 @@ impl Fronts {
 
     pub(super) fn in_parent_of(&self, front: &Front) -> &[u32] {
         &self.in_parent[front.rows..front.rows + front.n_rows]
+    }
+
+    /// Entries of the updates of a front's children.
+    pub(super) fn passed_to(&self, front: &Front) -> usize {
+        let update_len = |&child: &u32| self.fronts[child as usize].update_len();
+        self.children_of(front).iter().map(update_len).sum()
+    }
+
+    /// Entries of the updates that wait at the same time while a subtree is factored front by front.
+    pub(super) fn stack_of(&self, root: u32) -> usize {
+        let (mut top, mut most) = (0, 0);
+        for front in &self.fronts[self.fronts[root as usize].first_below..=root as usize] {
+            most = most.max(top + front.update_len());
+            top = top + front.update_len() - self.passed_to(front);
+        }
+        most
     }
 
     pub(super) fn children_of(&self, front: &Front) -> &[u32] {
