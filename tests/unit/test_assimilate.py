@@ -224,6 +224,50 @@ def test_latents_in_batches_are_latents_at_once(options):
     np.testing.assert_allclose(runs[2], runs[0], atol=1e-12)
 
 
+def test_a_latent_whose_taper_is_zero_stays_where_it_was():
+    operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
+    taper = np.ones((6, 9))
+    taper[2] = 0.0
+    seen = []
+    found = assimilate(
+        lambda z: seen.append(z) or operator @ z,
+        observed,
+        noise,
+        prior,
+        rng=np.random.default_rng(0),
+        options=StepOptions(localization=taper),
+    )
+    assert np.array_equal(found.latents[2], seen[0][2])
+    others = [0, 1, 3, 4, 5]
+    assert np.abs(found.latents[others] - seen[0][others]).min(axis=1).max() > 1e-6
+
+
+@pytest.mark.parametrize("kind", ["threshold", "smooth"])
+def test_latents_without_a_strong_correlation_stay_where_they_were(kind):
+    operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
+
+    def run(threshold):
+        seen = []
+        found = assimilate(
+            lambda z: seen.append(z) or operator @ z,
+            observed,
+            noise,
+            prior,
+            rng=np.random.default_rng(0),
+            n_steps=1,
+            options=StepOptions(localization=kind, threshold=threshold),
+        )
+        return seen[0], found.latents
+
+    before, _ = run(0.5)
+    strongest = np.abs(np.corrcoef(before, operator @ before)[:6, 6:]).max(axis=1)
+    limit = float(np.median(strongest))
+    # Smooth factors end at twice the distance from one at which the threshold lies.
+    before, after = run(limit if kind == "threshold" else (1.0 + limit) / 2.0)
+    stayed = (after == before).all(axis=1)
+    assert np.array_equal(stayed, strongest < limit)
+
+
 def test_model_error_of_low_rank_is_the_dense_covariance_that_it_stands_for():
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
     columns = np.random.default_rng(5).standard_normal((9, 2))
