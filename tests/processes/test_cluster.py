@@ -298,7 +298,8 @@ def test_a_file_of_jobs_with_a_wrong_entry_is_refused_by_its_name(tmp_path, old,
 
 
 @pytest.mark.slow
-def test_a_file_of_jobs_starts_workers_and_ends_them(tmp_path, monkeypatch):
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # dask-jobqueue waits for no local job
+def test_a_file_of_jobs_starts_workers_that_run_tasks(tmp_path, monkeypatch):
     pytest.importorskip("dask_jobqueue")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, sys.path)]))

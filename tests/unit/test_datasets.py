@@ -5,8 +5,6 @@ import json
 import pickle
 import re
 import sys
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import h5py
 import numpy as np
@@ -19,6 +17,7 @@ from tissuereg.errors import ArgumentError, EnsembleError, ExperimentError, Form
 from tissuereg.io.datasets import Dataset
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.stores import LocalStore, RemoteStore, store_of
+from tissuereg.parallel import Processes
 from tissuereg.simulate.chunks import SOLVE
 from tissuereg.simulate.dataset import make_dataset
 from tissuereg.simulate.recipe import read_recipe
@@ -72,7 +71,7 @@ def all_bits(data):
 def test_threads_and_processes_do_not_change_a_bit(made, tmp_path):
     recipe, folder, _ = made
     make_dataset(recipe, tmp_path / "threads", threads=2)
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+    with Processes(2) as pool:
         make_dataset(recipe, tmp_path / "processes", executor=pool)
     assert files(tmp_path / "threads") == files(folder)
     assert files(tmp_path / "processes") == files(folder)
