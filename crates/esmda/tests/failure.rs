@@ -89,6 +89,16 @@ fn a_step_is_refused_for_bad_numbers_by_place() {
 }
 
 #[test]
+fn a_prediction_is_refused_from_just_beyond_the_limit_on() {
+    let limit = StepSettings::default().largest;
+    assert!(with(|c| c.predicted[(2, 9)] = -limit).is_ok());
+    refuses(
+        with(|c| c.predicted[(2, 9)] = -1.01 * limit),
+        "must stay within 1e12 in absolute value, got -1.01e12 at observation 2, member 9",
+    );
+}
+
+#[test]
 fn a_step_is_refused_for_wrong_shapes_by_name() {
     refuses(with(|c| c.observed.truncate(3)), "`observed` must have shape (4, 1), got (3, 1)");
     refuses(with(|c| c.std.truncate(3)), "`noise` must have shape (4, 1), got (3, 1)");
