@@ -276,7 +276,7 @@ def test_reading_one_member_reads_no_other(tmp_path):
 
     class Counting(LocalStore):
         def source(self, name):
-            file = super().source(name).open("rb", buffering=0)
+            file = super().source(name)
             inner = file.readinto
             opened.append(file)
 
@@ -304,6 +304,25 @@ def test_reading_one_member_reads_no_other(tmp_path):
     one = block().n_nodes * 12
     # The field and its checksum, and nodes of the tree of chunks, a few kB each: 60 members would be 86 kB.
     assert one <= sum(counted) <= one + 8192
+
+
+@pytest.mark.parametrize("locking", [True, False, "best-effort"])
+def test_a_file_that_the_same_program_has_open_already_is_read(made, locking):
+    with h5py.File(made[1] / "chunk_0001.h5", locking=locking) as file:
+        np.testing.assert_array_equal(tr.open_dataset(made[1]).displacement[6], file["displacement_mm"][0])
+
+
+def test_a_file_that_cannot_be_opened_is_not_said_to_be_spoilt(spoilable, monkeypatch):
+    data = tr.open_dataset(spoilable)
+    data.displacement[0]
+
+    def refused(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.open", refused)
+    with pytest.raises(FormatError, match=r"chunk_0001\.h5 must be readable: .*Permission denied") as raised:
+        data.displacement[7]
+    assert "Delete" not in str(raised.value)
 
 
 def test_a_pickled_data_set_reads_on(made):

@@ -4,9 +4,9 @@ Every array is protected by checksums (fletcher32), so that damage is noticed wh
 """
 
 import io
+import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,27 +108,20 @@ class OpenFile:
     def __init__(self, store: Store, name: str, content: bytes | None = None) -> None:
         import h5py
 
-        source = store.source(name) if content is None else io.BytesIO(content)
-        if isinstance(source, Path):
-            self._source = None
-            if not source.exists():
-                message = f"no such file: {store.where(name)}"
-                raise FormatError(message, where=store.where(name))
-            # A file that is there is whole and never changes: no lock is needed, and some shared folders have none.
-            self.file = h5py.File(source, "r", locking=False)
-            return
-        self._source = source
+        # Not by its path: HDF5 would lock it, which some shared folders cannot, and refuse it where another part of the
+        # program has it open with another kind of lock. A file that is there is whole and never changes.
+        self._source = store.source(name) if content is None else io.BytesIO(content)
         try:
-            self.file = h5py.File(source, "r")
+            self.file = h5py.File(self._source, "r")
         except BaseException:
-            source.close()
+            self._source.close()
             raise
+        weakref.finalize(self, self._source.close)  # for owners that go away without a word
 
     def close(self) -> None:
         """Close the file, and the one under it."""
         self.file.close()
-        if self._source is not None:
-            self._source.close()
+        self._source.close()
 
 
 @contextmanager

@@ -49,8 +49,8 @@ class Store(Protocol):
     def read(self, name: str) -> bytes:
         """Return the content of a file."""
 
-    def source(self, name: str) -> Path | BinaryIO:
-        """Return a file as h5py opens it: a path, or an open file with random access."""
+    def source(self, name: str) -> BinaryIO:
+        """Return an open file with random access, for h5py; its reader closes it."""
 
     def where(self, name: str) -> str:
         """Return the full name of a file, for messages."""
@@ -130,9 +130,10 @@ class LocalStore:
         with _as_format_error(self.where(name)):
             return (self.folder / name).read_bytes()
 
-    def source(self, name: str) -> Path:
-        """Return the path of a file."""
-        return self.folder / name
+    def source(self, name: str) -> BinaryIO:
+        """Return an open file."""
+        with _as_format_error(self.where(name)):
+            return (self.folder / name).open("rb", buffering=0)
 
     def where(self, name: str) -> str:
         """Return the path of a file as text."""
