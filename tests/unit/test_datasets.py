@@ -392,6 +392,23 @@ def test_a_chunk_of_something_else_is_refused(spoilable, made, spoil, words):
         make_dataset(made[0], spoilable)
 
 
+def test_spoilt_pairs_are_refused_before_the_card_vouches_for_them(tmp_path):
+    recipe = recipe_in(tmp_path, RECIPE.replace("members = 22", "members = 2").replace("members = 0", "members = 2"))
+    make_dataset(recipe, tmp_path / "data")
+    pairs = tmp_path / "data" / "pairs.h5"
+    with h5py.File(pairs) as file:
+        field = file["truth_mm"][1].tobytes()
+    content = bytearray(pairs.read_bytes())
+    content[content.index(field) + 100] ^= 4
+    pairs.write_bytes(content)
+    with pytest.raises(FormatError, match=r"pairs\.h5 must be a whole HDF5 file"):
+        make_dataset(recipe, tmp_path / "data")
+    with h5py.File(pairs, "w"):
+        pass
+    with pytest.raises(FormatError, match=r"pairs\.h5 must hold the pairs of this data set"):
+        make_dataset(recipe, tmp_path / "data")
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [

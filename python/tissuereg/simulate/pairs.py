@@ -7,8 +7,8 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg._version import __version__
-from tissuereg.errors import EnsembleError
-from tissuereg.io.hdf5 import packed
+from tissuereg.errors import EnsembleError, FormatError
+from tissuereg.io.hdf5 import array_of, opened, packed
 from tissuereg.io.stores import store_of
 from tissuereg.material import Material
 from tissuereg.simulate.chunks import SOLVE, ChunkMaker, ChunkTask, chunk_maker
@@ -44,12 +44,15 @@ def make_pairs(task: ChunkTask) -> PairsReport:
     ------
     EnsembleError
         If more than half of the pairs fail.
+    FormatError
+        If the pairs are there already, but spoilt.
     OutputError
         If they cannot be written.
     """
     store = store_of(task.destination)
     if store.exists(PAIRS_NAME):
         content = store.read(PAIRS_NAME)
+        _check(task, content)
     else:
         simulations, truths = _pairs(chunk_maker(task), task.threads)
         arrays = {
@@ -60,6 +63,18 @@ def make_pairs(task: ChunkTask) -> PairsReport:
         content = packed(arrays, attributes, frozenset(arrays))
         store.write(PAIRS_NAME, content)
     return PairsReport(len(content), hashlib.sha256(content).hexdigest())
+
+
+def _check(task: ChunkTask, content: bytes) -> None:
+    """Refuse pairs of another data set, or spoilt ones; their checksums are compared."""
+    store = store_of(task.destination)
+    where, n_nodes = store.where(PAIRS_NAME), chunk_maker(task).simulator.mesh.n_nodes
+    with opened(store, PAIRS_NAME, content) as file:
+        if (file.attrs.get("schema"), file.attrs.get("recipe_sha256")) != (PAIRS_SCHEMA, task.mark):
+            message = f"{where} must hold the pairs of this data set ({PAIRS_SCHEMA}); it holds something else"
+            raise FormatError(message, where=where)
+        n_pairs = len(array_of(file, where, "simulation_mm", "f", (None, n_nodes, 3)))
+        array_of(file, where, "truth_mm", "f", (n_pairs, n_nodes, 3))
 
 
 def _pairs(maker: ChunkMaker, threads: int) -> tuple[FloatArray, FloatArray]:
