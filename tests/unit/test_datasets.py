@@ -86,7 +86,9 @@ def test_a_chunk_does_not_depend_on_those_before_it(made, tmp_path):
 
 
 def test_a_task_that_fails_in_another_process_says_why(tmp_path):
-    recipe = recipe_in(tmp_path, RECIPE.replace("[1.0, 8.0]", "[1e4, 2e4]\nmost_mm = 1e5"))
+    recipe = recipe_in(
+        tmp_path, RECIPE.replace("[1.0, 8.0]", "[1e4, 2e4]\nmost_mm = 1e5").replace("chunk = 6", "chunk = 11")
+    )
     with (
         ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
         pytest.raises(EnsembleError, match="at least half of a chunk") as raised,
@@ -343,6 +345,27 @@ def test_a_failed_member_is_recorded_with_its_reason(tmp_path, monkeypatch):
     assert set(data.index) == set(range(recipe.data.members)) - {index for index, _ in data.failed}
     again = make_dataset(recipe, tmp_path / "data")
     assert again["failed"] == said["failed"]
+
+
+def test_a_member_that_fails_alone_in_its_chunk_ends_no_data_set(tmp_path, monkeypatch):
+    monkeypatch.setitem(SOLVE, "max_iterations", 9)
+    said = make_dataset(recipe_in(tmp_path, RECIPE.replace("chunk = 6", "chunk = 1")), tmp_path / "data")
+    data = tr.open_dataset(tmp_path / "data")
+    assert said["failed"]
+    assert said["motion"]["n_pairs"] == 0
+    assert {0, 1} == {entry["members"] for entry in data.card["chunks"]}
+    assert np.isfinite(data.displacement[:]).all()
+    assert len(data.parameters[:]) == len(data) == 22 - len(said["failed"])
+    data.verify()
+
+
+def test_a_data_set_of_which_most_fails_is_none(tmp_path, monkeypatch):
+    monkeypatch.setitem(SOLVE, "max_iterations", 1)
+    recipe = recipe_in(tmp_path, RECIPE.replace("members = 22\nchunk = 6", "members = 5\nchunk = 2"))
+    with pytest.raises(EnsembleError, match="at least half of the members must find equilibrium, 0 of 5 did") as raised:
+        make_dataset(recipe, tmp_path / "data")
+    assert len(raised.value.dropped) == 5
+    assert not (tmp_path / "data" / "dataset.json").exists()
 
 
 # --- spoilt ---

@@ -37,6 +37,9 @@ _NO_LINEAR_ANSWER = "no linear answer to its load, so that its size is unknown"
 #: How often a member that moves too far is solved again, and how far it is then meant to move, as a share of the most.
 _AGAIN, _BELOW = 4, 0.95
 
+#: A chunk of fewer members says nothing about the rest: all of it may fail.
+_FEW = 8
+
 #: The last maker of this process, by the fingerprint of its data set.
 _MAKERS: dict[str, "ChunkMaker"] = {}
 _MAKING = threading.Lock()
@@ -146,7 +149,7 @@ class ChunkMaker:
         Raises
         ------
         EnsembleError
-            If more than half of it fails.
+            If more than half of at least eight members fail.
         """
         recipe = self.recipe
         rng = np.random.default_rng([self.seed, 3, number])
@@ -174,7 +177,7 @@ class ChunkMaker:
             lost |= {int(i): f"moves {largest[i]:.1f} mm, farther than [data] most_mm" for i in far}
         solved = np.array([i for i in range(n) if i not in lost], dtype=np.int64)
         failed = [(first + i, lost[i]) for i in sorted(lost)]
-        if len(solved) < n / 2:
+        if n >= _FEW and len(solved) < n / 2:
             message = (
                 f"at least half of a chunk must find equilibrium, {len(solved)} of {n} did; lower [data] largest_mm"
             )
@@ -242,7 +245,7 @@ def make_one_chunk(task: ChunkTask, progress: Callable[[int], None] | None = Non
     Raises
     ------
     EnsembleError
-        If more than half of the chunk fails.
+        If more than half of a chunk of at least eight members fails.
     ExperimentError
         If the destination holds another mesh, or this process another version, than the task was made for.
     FormatError

@@ -13,7 +13,7 @@ from typing import Any
 from tissuereg._arguments import called, check_running, of_kind
 from tissuereg._clock import Clock
 from tissuereg._version import __version__
-from tissuereg.errors import ClusterError, ExperimentError, TissueRegError
+from tissuereg.errors import ClusterError, EnsembleError, ExperimentError, TissueRegError
 from tissuereg.io.chunks import chunk_name
 from tissuereg.io.data_mesh import MESH_NAME, pack_mesh
 from tissuereg.io.datasets import CARD_NAME, DATASET_SCHEMA, read_card, split_of
@@ -75,7 +75,7 @@ def make_dataset(
     FormatError
         If a chunk that is there already is spoilt.
     EnsembleError
-        If more than half of a chunk fails.
+        If more than half of a chunk of at least eight members fails, or of the whole.
     OutputError
         If nothing can be written there.
     ClusterError
@@ -116,6 +116,7 @@ def make_dataset(
         if progress is not None:
             progress(in_all, in_all)
         in_order = [reports[number] for number in range(n_chunks)]
+        _check_enough(in_order)
         card = _card(recipe, mesh, mark, seed, in_order, pairs)
         store.write(CARD_NAME, dumps(card).encode())
     fresh = sum(report.members + len(report.failed) for report in in_order if report.made)
@@ -203,6 +204,18 @@ def _begin(store: Store, recipe: Recipe, mesh: Mesh, seed: int) -> str:
     if not store.exists(MESH_NAME):
         store.write(MESH_NAME, pack_mesh(mesh))
     return mark
+
+
+def _check_enough(reports: list[ChunkReport]) -> None:
+    """Refuse a data set of which more than half has failed, in chunks too small to be judged alone."""
+    failed = [one for report in reports for one in report.failed]
+    solved = sum(report.members for report in reports)
+    if solved < len(failed):
+        message = (
+            f"at least half of the members must find equilibrium, {solved} of {solved + len(failed)} did; lower [data] "
+            "largest_mm"
+        )
+        raise EnsembleError(message, dropped=failed)
 
 
 def _card(
