@@ -226,9 +226,12 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
             (Class::Argument, Some(format!("row {row}, column {column}")))
         }
         E::PriorNotPositiveDefinite { pivot } => (Class::Argument, Some(format!("pivot {pivot}"))),
-        E::NotFinite { argument: argument @ ("mean" | "covariance"), row, column, .. } => {
-            (Class::Argument, Some(format!("{argument}, row {row}, column {column}")))
-        }
+        E::NotFinite {
+            argument: argument @ ("mean" | "covariance" | "start" | "residual" | "absorbed"),
+            row,
+            column,
+            ..
+        } => (Class::Argument, Some(format!("{argument}, row {row}, column {column}"))),
         E::Setting { name, .. } => (Class::Argument, Some((*name).to_owned())),
         E::OutOfOrder { call, .. } => (Class::Base, Some((*call).to_owned())),
         E::NoDifference { direction } => {
@@ -240,8 +243,8 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
         E::NotFinite { argument: "observed", row, .. } => {
             (Class::Marker, Some(format!("observed, row {row}")))
         }
-        E::NotFinite { argument: "columns", row, column, .. } => {
-            (Class::Noise, Some(format!("columns, row {row}, column {column}")))
+        E::NotFinite { argument: argument @ ("columns" | "noise"), row, column, .. } => {
+            (Class::Noise, Some(format!("{argument}, row {row}, column {column}")))
         }
         E::NotFinite { argument, column, .. } => {
             (Class::Ensemble, Some(format!("{argument}, member {column}")))
@@ -250,12 +253,12 @@ pub(crate) fn from_esmda(py: Python<'_>, error: &EsmdaError) -> PyErr {
             (Class::Ensemble, Some(format!("predicted, member {column}")))
         }
         E::TooFewMembers { .. } | E::NoConvergence { .. } => (Class::Ensemble, None),
-        E::ParameterStd { row, .. } => (Class::Base, Some(format!("std, row {row}"))),
+        E::ParameterStd { row, .. } => (Class::Argument, Some(format!("std, row {row}"))),
         E::Taper { row, column, .. } => {
-            (Class::Base, Some(format!("taper, row {row}, column {column}")))
+            (Class::Argument, Some(format!("taper, row {row}, column {column}")))
         }
-        E::Threshold { .. } => (Class::Base, Some("threshold".to_owned())),
-        E::Truncation { .. } => (Class::Base, Some("truncation".to_owned())),
+        E::Threshold { .. } => (Class::Argument, Some("threshold".to_owned())),
+        E::Truncation { .. } => (Class::Argument, Some("truncation".to_owned())),
         _ => (Class::Base, None),
     };
     raise_with(py, class, &error.to_string(), place.as_deref(), |details| match error {

@@ -7,7 +7,7 @@ use tissuereg_esmda::{
     AdaptiveRule, Factorisation, NoiseCovariance, Schedule, StepSettings, Truncation, step,
 };
 
-use crate::arrays::{self, View};
+use crate::arrays::View;
 use crate::errors::{self, Class};
 use crate::lock;
 
@@ -160,7 +160,7 @@ pub(crate) fn settings_of(
         other => {
             let choices = "auto, cholesky, qr, svd";
             let message = format!("`factorisation` must be one of {choices}, got {other}");
-            return Err(errors::raise(py, Class::Base, &message, Some("factorisation")));
+            return Err(errors::raise(py, Class::Argument, &message, Some("factorisation")));
         }
     };
     let truncation = match (energy, rank) {
@@ -169,7 +169,7 @@ pub(crate) fn settings_of(
         (None, Some(rank)) => Some(Truncation::Rank(rank)),
         (Some(_), Some(_)) => {
             let message = "`energy` and `rank` must not both be given: each sets the truncation";
-            return Err(errors::raise(py, Class::Base, message, Some("rank")));
+            return Err(errors::raise(py, Class::Argument, message, Some("rank")));
         }
     };
     let settings = StepSettings::default().with_factorisation(factorisation);

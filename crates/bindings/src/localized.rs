@@ -95,7 +95,7 @@ impl LocalizedStep {
             "smooth" => Taper::Smooth(threshold),
             other => {
                 let message = format!("`kind` must be one of threshold, smooth, got {other}");
-                return Err(errors::raise(py, Class::Base, &message, Some("kind")));
+                return Err(errors::raise(py, Class::Argument, &message, Some("kind")));
             }
         };
         self.update(py, &parameters, taper)

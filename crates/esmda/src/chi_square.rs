@@ -10,6 +10,9 @@ pub(crate) fn tail(x: f64, dof: usize) -> f64 {
         return 1.0;
     }
     let half = 0.5 * x;
+    if half.is_infinite() {
+        return 0.0;
+    }
     let density = (-half).exp();
     // `term` is (x/2)^(k/2) exp(-x/2) / Gamma(k/2 + 1) for k = 1 or 2, the first that is added.
     let (mut sum, mut term, mut k) = if dof % 2 == 1 {

@@ -4,11 +4,8 @@ use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatRef, Par};
 
-use crate::check::{check_finite, check_shape};
+use crate::check::{check_finite, check_shape, find_asymmetry};
 use crate::{EsmdaError, linalg};
-
-/// Relative asymmetry that rounding may leave in a covariance.
-const SYMMETRY_TOLERANCE: f64 = 1e-10;
 
 /// `N(m, C)` with `C = M M'`, `M` lower triangular.
 ///
@@ -44,14 +41,8 @@ impl Gaussian {
         check_shape("covariance", covariance.shape(), (n, n))?;
         check_finite("mean", MatRef::from_column_major_slice(mean, n, 1))?;
         check_finite("covariance", covariance)?;
-        for column in 0..n {
-            for row in 0..column {
-                let (value, mirrored) = (covariance[(row, column)], covariance[(column, row)]);
-                let scale = (covariance[(row, row)] * covariance[(column, column)]).abs().sqrt();
-                if (value - mirrored).abs() > SYMMETRY_TOLERANCE * scale {
-                    return Err(EsmdaError::PriorNotSymmetric { row, column, value, mirrored });
-                }
-            }
+        if let Some((row, column, value, mirrored)) = find_asymmetry(covariance) {
+            return Err(EsmdaError::PriorNotSymmetric { row, column, value, mirrored });
         }
         let mut root = covariance.to_owned();
         linalg::cholesky_in_place(root.as_mut())

@@ -147,6 +147,13 @@ pub(crate) fn gram(a: MatRef<'_, f64>, par: Par) -> Mat<f64> {
     whole
 }
 
+/// `a b`
+pub(crate) fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
+    let mut product = Mat::zeros(a.nrows(), b.ncols());
+    matmul(product.as_mut(), Accum::Replace, a, b, 1.0, Par::Seq);
+    product
+}
+
 /// Overwrites the lower half by the Cholesky factor; the failing pivot otherwise.
 pub(crate) fn cholesky_in_place(matrix: MatMut<'_, f64>) -> Result<(), usize> {
     let scratch =

@@ -10,10 +10,8 @@ use faer::prelude::{Reborrow, ReborrowMut};
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 
 use self::low_rank::LowRank;
+use crate::check::{check_shape, find, find_asymmetry};
 use crate::{EsmdaError, linalg};
-
-/// Relative asymmetry that rounding may leave in a covariance.
-const SYMMETRY_TOLERANCE: f64 = 1e-10;
 
 /// Covariance of the observations' noise, in the unit of the observations squared.
 ///
@@ -88,10 +86,7 @@ impl NoiseCovariance {
     /// ```
     pub fn low_rank(std: &[f64], columns: MatRef<'_, f64>) -> Result<Self, EsmdaError> {
         check_std(std)?;
-        let wanted = (std.len(), columns.ncols());
-        if columns.shape() != wanted {
-            return Err(EsmdaError::Shape { argument: "columns", wanted, found: columns.shape() });
-        }
+        check_shape("columns", columns.shape(), (std.len(), columns.ncols()))?;
         if columns.ncols() == 0 {
             return Self::diagonal(std);
         }
@@ -208,31 +203,15 @@ fn check_std(std: &[f64]) -> Result<(), EsmdaError> {
 }
 
 fn check_symmetric(covariance: MatRef<'_, f64>) -> Result<(), EsmdaError> {
-    let (n_rows, n_columns) = covariance.shape();
-    if n_rows != n_columns {
-        let wanted = (n_rows, n_rows);
-        return Err(EsmdaError::Shape {
-            argument: "covariance",
-            wanted,
-            found: covariance.shape(),
-        });
+    let n_obs = covariance.nrows();
+    check_shape("covariance", covariance.shape(), (n_obs, n_obs))?;
+    if let Some((row, column, value)) = find(covariance, |value| !value.is_finite()) {
+        return Err(EsmdaError::NoiseNotFinite { row, column, value });
     }
-    for column in 0..n_columns {
-        for row in 0..n_rows {
-            let value = covariance[(row, column)];
-            if !value.is_finite() {
-                return Err(EsmdaError::NoiseNotFinite { row, column, value });
-            }
+    match find_asymmetry(covariance) {
+        Some((row, column, value, mirrored)) => {
+            Err(EsmdaError::NoiseNotSymmetric { row, column, value, mirrored })
         }
+        None => Ok(()),
     }
-    for column in 0..n_columns {
-        for row in 0..column {
-            let (value, mirrored) = (covariance[(row, column)], covariance[(column, row)]);
-            let scale = (covariance[(row, row)] * covariance[(column, column)]).abs().sqrt();
-            if (value - mirrored).abs() > SYMMETRY_TOLERANCE * scale {
-                return Err(EsmdaError::NoiseNotSymmetric { row, column, value, mirrored });
-            }
-        }
-    }
-    Ok(())
 }

@@ -202,13 +202,15 @@ impl Weighted {
             .self_adjoint_eigen(Side::Lower)
             .map_err(|_| EsmdaError::NoConvergence { n_obs, n_members: n_obs })?;
         let shares = eigen.S().column_vector();
-        let chi_square = (0..n_obs)
+        let chi_square: f64 = (0..n_obs)
             .map(|k| {
                 let axis = eigen.U().col(k);
                 let along: f64 = axis.iter().zip(whitened.col(0).iter()).map(|(u, r)| u * r).sum();
                 along * along / shares[k].max(LEAST_SHARE)
             })
             .sum();
+        // Infinity less infinity, in a residual beyond all numbers.
+        let chi_square = if chi_square.is_nan() { f64::INFINITY } else { chi_square };
         let p_value = chi_square::tail(chi_square, n_obs);
         Ok(GroupScore { chi_square, n_obs, p_value, leverage })
     }

@@ -226,6 +226,24 @@ fn groups_without_observations_count_for_nothing() {
 }
 
 #[test]
+fn a_misfit_beyond_the_range_of_numbers_is_wrong() {
+    let absorbed = Mat::from_fn(3, 3, |i, j| if i == j { 1e-7 } else { 1e-8 });
+    for (size, std) in [(1e160, 1.0), (1e300, 1e-3), (f64::MAX, 1e-3)] {
+        let noise = Mat::from_fn(3, 3, |i, j| if i == j { std * std } else { 0.0 });
+        for residual in [[size, 0.0, 0.0], [size, -size, size]] {
+            let score = |groups: &[usize]| {
+                score_groups(&residual, noise.as_ref(), absorbed.as_ref(), groups, 3).unwrap()
+            };
+            for groups in [[0, 0, 0], [0, 1, 2]] {
+                let found = score(&groups);
+                assert_eq!((found[0].chi_square, found[0].p_value), (f64::INFINITY, 0.0));
+                assert!(wrong_groups(&found, 0.01).contains(&0));
+            }
+        }
+    }
+}
+
+#[test]
 fn bad_arguments_are_refused_by_name() {
     let (one, nan) = (Mat::<f64>::identity(2, 2), mat![[1.0, 0.0], [0.0, f64::NAN]]);
     let try_with =

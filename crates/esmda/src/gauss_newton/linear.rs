@@ -1,10 +1,12 @@
 //! The model linearised at a point, in whitened numbers.
 
-use faer::linalg::matmul::matmul;
-use faer::linalg::triangular_solve::solve_upper_triangular_in_place;
-use faer::{Accum, Mat, MatRef, Par};
+use faer::linalg::triangular_solve::{
+    solve_lower_triangular_in_place, solve_upper_triangular_in_place,
+};
+use faer::{Mat, MatRef, Par};
 
-use crate::{NoiseCovariance, linalg};
+use crate::NoiseCovariance;
+use crate::linalg::{self, product};
 
 /// `A = L^-1 G M` and what follows from it: steps, and the root of the posterior covariance.
 #[derive(Debug, Clone)]
@@ -98,12 +100,7 @@ impl Linear {
     /// `B R^-1 = (R^-T B')'`
     fn times_inverse(&self, rows: MatRef<'_, f64>) -> Mat<f64> {
         let mut columns = rows.transpose().to_owned();
-        let lower = self.upper.transpose();
-        faer::linalg::triangular_solve::solve_lower_triangular_in_place(
-            lower,
-            columns.as_mut(),
-            Par::Seq,
-        );
+        solve_lower_triangular_in_place(self.upper.transpose(), columns.as_mut(), Par::Seq);
         columns.transpose().to_owned()
     }
 }
@@ -129,10 +126,4 @@ fn solve(
     let mut step = product(q.transpose(), right.as_ref());
     solve_upper_triangular_in_place(upper.as_ref(), step.as_mut(), Par::Seq);
     (upper, step)
-}
-
-pub(super) fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
-    let mut product = Mat::zeros(a.nrows(), b.ncols());
-    matmul(product.as_mut(), Accum::Replace, a, b, 1.0, Par::Seq);
-    product
 }

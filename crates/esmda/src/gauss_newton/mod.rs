@@ -33,8 +33,9 @@ mod linear;
 
 use faer::{Mat, MatRef, Par};
 
-use self::linear::{Damped, Linear, product};
+use self::linear::{Damped, Linear};
 use crate::check::{check_finite, check_setting, check_shape};
+use crate::linalg::product;
 use crate::{EsmdaError, Gaussian, NoiseCovariance};
 
 /// Share of the decrease of the linear model that a step must bring.

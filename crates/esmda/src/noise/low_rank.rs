@@ -13,6 +13,7 @@ use faer::linalg::matmul::matmul;
 use faer::prelude::{Reborrow, ReborrowMut};
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 
+use crate::check::check_finite;
 use crate::{EsmdaError, linalg};
 
 /// The root `L` in factors.
@@ -27,31 +28,19 @@ pub(super) struct LowRank {
 }
 
 impl LowRank {
-    /// Of checked standard deviations and `B`, (`n_obs`, anything).
+    /// Of checked standard deviations and `B`, (`n_obs`, one or more).
     pub(super) fn new(std: &[f64], columns: MatRef<'_, f64>) -> Result<Self, EsmdaError> {
         let (n_obs, n_columns) = columns.shape();
-        let mut scaled = columns.to_owned();
-        for column in 0..n_columns {
-            for row in 0..n_obs {
-                let value = columns[(row, column)];
-                if !value.is_finite() {
-                    return Err(EsmdaError::NotFinite { argument: "columns", row, column, value });
-                }
-                scaled[(row, column)] = value / std[row];
-            }
-        }
+        check_finite("columns", columns)?;
+        let scaled =
+            Mat::from_fn(n_obs, n_columns, |row, column| columns[(row, column)] / std[row]);
         if !scaled.is_all_finite() {
             return Err(EsmdaError::Overflow);
         }
-        let (basis, singular) = if n_columns == 0 {
-            (Mat::zeros(n_obs, 0), Vec::new())
-        } else {
-            let failed = EsmdaError::NoConvergence { n_obs, n_members: n_columns };
-            let svd = linalg::thin_svd(scaled.as_ref()).ok_or(failed)?;
-            (svd.u, svd.w)
-        };
-        let stretch = singular.iter().map(|s| s.hypot(1.0)).collect();
-        Ok(Self { std: std.to_vec(), basis, stretch })
+        let failed = EsmdaError::NoConvergence { n_obs, n_members: n_columns };
+        let svd = linalg::thin_svd(scaled.as_ref()).ok_or(failed)?;
+        let stretch = svd.w.iter().map(|s| s.hypot(1.0)).collect();
+        Ok(Self { std: std.to_vec(), basis: svd.u, stretch })
     }
 
     /// `rows <- rows L^-T`

@@ -6,6 +6,7 @@
 
 use faer::{Mat, MatRef, Par};
 
+use crate::check::{check_finite, check_shape, check_update};
 use crate::{EsmdaError, NoiseCovariance};
 
 /// How the next coefficient follows from the misfits `phi_j = |L^-1 (d - y_j)|^2 / 2` of the members, `C_d = L L'`.
@@ -91,7 +92,7 @@ pub fn next_alpha(
     };
     let remaining = 1.0 - assimilated;
     let least = remaining / (2.0_f64.powi(steps) - 1.0);
-    // A misfit of zero gives an infinite share, or NaN from 0 / 0 never: n_obs is positive.
+    // A misfit of zero gives an infinite share, and never 0 / 0: there are observations.
     Ok(1.0 / share.max(least).min(remaining))
 }
 
@@ -111,11 +112,8 @@ pub fn largest_change(
     std: &[f64],
 ) -> Result<f64, EsmdaError> {
     let wanted = (std.len(), before.ncols());
-    for (argument, matrix) in [("before", before), ("after", after)] {
-        if matrix.shape() != wanted {
-            return Err(EsmdaError::Shape { argument, wanted, found: matrix.shape() });
-        }
-    }
+    check_shape("before", before.shape(), wanted)?;
+    check_shape("after", after.shape(), wanted)?;
     let mut largest = 0.0_f64;
     for (row, &deviation) in std.iter().enumerate() {
         if !(deviation.is_finite() && deviation > 0.0) {
@@ -139,33 +137,12 @@ fn misfits(
     observed: &[f64],
     noise: &NoiseCovariance,
 ) -> Result<Vec<f64>, EsmdaError> {
+    check_update(predicted, observed, noise)?;
+    check_finite("observed", MatRef::from_column_major_slice(observed, observed.len(), 1))?;
+    check_finite("predicted", predicted)?;
     let (n_obs, n_members) = predicted.shape();
-    if n_obs == 0 {
-        return Err(EsmdaError::NoObservations);
-    }
-    if n_members < 2 {
-        let dropped = Vec::new();
-        return Err(EsmdaError::TooFewMembers { kept: n_members, minimum: 2, dropped });
-    }
-    for (argument, found) in [("observed", observed.len()), ("noise", noise.n_obs())] {
-        if found != n_obs {
-            return Err(EsmdaError::Shape { argument, wanted: (n_obs, 1), found: (found, 1) });
-        }
-    }
-    let mut innovations = Mat::zeros(n_members, n_obs);
-    for (row, &value) in observed.iter().enumerate() {
-        if !value.is_finite() {
-            return Err(EsmdaError::NotFinite { argument: "observed", row, column: 0, value });
-        }
-        for column in 0..n_members {
-            let prediction = predicted[(row, column)];
-            if !prediction.is_finite() {
-                let argument = "predicted";
-                return Err(EsmdaError::NotFinite { argument, row, column, value: prediction });
-            }
-            innovations[(column, row)] = value - prediction;
-        }
-    }
+    let mut innovations =
+        Mat::from_fn(n_members, n_obs, |member, obs| observed[obs] - predicted[(obs, member)]);
     noise.whiten_in_place(innovations.as_mut(), Par::Seq);
     Ok(innovations.row_iter().map(|row| row.squared_norm_l2() / 2.0).collect())
 }

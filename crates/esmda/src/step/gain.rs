@@ -7,7 +7,8 @@ use faer::linalg::triangular_solve::{
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 
 use super::{Factorisation, Side, StepReport, StepSettings};
-use crate::{EsmdaError, linalg};
+use crate::EsmdaError;
+use crate::linalg::{self, product};
 
 /// `W` (n, n).
 #[derive(Debug, Clone)]
@@ -192,12 +193,6 @@ impl Gain {
 fn decompose(anomalies: &Mat<f64>) -> Result<linalg::ThinSvd, EsmdaError> {
     let (n_members, n_obs) = anomalies.shape();
     linalg::thin_svd(anomalies.as_ref()).ok_or(EsmdaError::NoConvergence { n_obs, n_members })
-}
-
-fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
-    let mut product = Mat::zeros(a.nrows(), b.ncols());
-    matmul(product.as_mut(), Accum::Replace, a, b, 1.0, Par::Seq);
-    product
 }
 
 fn solve_cholesky(lower: &Mat<f64>, rhs: &mut Mat<f64>) {

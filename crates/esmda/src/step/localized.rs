@@ -11,14 +11,15 @@
 //! [`Step::prepare`](super::Step::prepare). `K` is made a block of rows at a time: memory beside the arguments is
 //! two matrices (`n_members`, `n_obs`) and a block (64, `n_obs`) a thread.
 
-use faer::linalg::matmul::matmul;
 use faer::prelude::{Reborrow, ReborrowMut};
-use faer::{Accum, Mat, MatMut, MatRef, Par};
+use faer::{Mat, MatMut, MatRef, Par};
 use rayon::prelude::*;
 
-use super::rows::{Ensemble, Scaled, centred_transpose, check_matrix, find};
+use super::rows::{Ensemble, Scaled, centred_transpose, check_matrix};
 use super::{StepSettings, scaled};
-use crate::{EsmdaError, NoiseCovariance, linalg};
+use crate::check::{check_shape, find};
+use crate::linalg::{self, product};
+use crate::{EsmdaError, NoiseCovariance};
 
 /// Rows of the gain that are made at a time.
 const BLOCK_ROWS: usize = 64;
@@ -114,8 +115,7 @@ impl LocalizedStep {
         for (k, &w) in svd.w.iter().enumerate() {
             left.col_mut(k).iter_mut().for_each(|value| *value *= w / (1.0 + w * w));
         }
-        let mut gain = Mat::zeros(n_members, n_obs);
-        matmul(gain.as_mut(), Accum::Replace, left.as_ref(), svd.v.transpose(), 1.0, Par::Seq);
+        let mut gain = product(left.as_ref(), svd.v.transpose());
         noise.unscale_gain_in_place(gain.as_mut(), par);
         noise.colour_in_place(innovations.as_mut(), par);
         let mut directions = centred_transpose(predicted);
@@ -213,12 +213,6 @@ fn normalise(column: Option<faer::col::ColMut<'_, f64, usize, faer::ContiguousFw
     values.iter_mut().for_each(|value| *value /= length);
 }
 
-fn product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
-    let mut product = Mat::zeros(a.nrows(), b.ncols());
-    matmul(product.as_mut(), Accum::Replace, a, b, 1.0, Par::Seq);
-    product
-}
-
 fn multiply(gain: &mut Mat<f64>, factor: impl Fn(usize, usize) -> f64) {
     for obs in 0..gain.ncols() {
         for (row, value) in gain.col_mut(obs).iter_mut().enumerate() {
@@ -230,10 +224,7 @@ fn multiply(gain: &mut Mat<f64>, factor: impl Fn(usize, usize) -> f64) {
 fn check_taper(taper: Taper<'_>, wanted: (usize, usize)) -> Result<(), EsmdaError> {
     match taper {
         Taper::Given(factors) => {
-            if factors.shape() != wanted {
-                let (argument, found) = ("taper", factors.shape());
-                return Err(EsmdaError::Shape { argument, wanted, found });
-            }
+            check_shape("taper", factors.shape(), wanted)?;
             match find(factors, |value| !(0.0..=1.0).contains(&value)) {
                 Some((row, column, value)) => Err(EsmdaError::Taper { row, column, value }),
                 None => Ok(()),

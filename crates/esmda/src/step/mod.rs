@@ -36,7 +36,7 @@ use self::gain::Gain;
 pub use self::localized::{LocalizedStep, Taper, gaspari_cohn};
 use self::rows::{Ensemble, Scaled, centred_transpose, check_matrix};
 pub use self::subspace::Truncation;
-use crate::check::check_shape;
+use crate::check::{check_shape, check_update};
 use crate::schedule::check_alpha;
 use crate::{EsmdaError, NoiseCovariance, linalg};
 
@@ -314,19 +314,8 @@ fn scaled(ensemble: &Ensemble<'_>, settings: &StepSettings) -> Result<Scaled, Es
 
 fn check_arguments(ensemble: &Ensemble<'_>) -> Result<(), EsmdaError> {
     let Ensemble { predicted, observed, noise, alpha, draws, .. } = *ensemble;
-    let (n_obs, n_members) = predicted.shape();
-    if n_obs == 0 {
-        return Err(EsmdaError::NoObservations);
-    }
-    if n_members < 2 {
-        let dropped = Vec::new();
-        return Err(EsmdaError::TooFewMembers { kept: n_members, minimum: 2, dropped });
-    }
-    for (argument, found) in [("observed", observed.len()), ("noise", noise.n_obs())] {
-        if found != n_obs {
-            return Err(EsmdaError::Shape { argument, wanted: (n_obs, 1), found: (found, 1) });
-        }
-    }
+    check_update(predicted, observed, noise)?;
+    let n_obs = observed.len();
     check_alpha(0, alpha)?;
     check_matrix("observed", MatRef::from_column_major_slice(observed, n_obs, 1), (n_obs, 1))?;
     draws.map_or(Ok(()), |draws| check_shape("draws", draws.shape(), predicted.shape()))

@@ -234,14 +234,3 @@ fn add_row(obs: usize, innovations: &mut [f64], draws: MatRef<'_, f64>) -> Resul
 fn finite(values: &[f64]) -> Result<(), EsmdaError> {
     if all_finite(values) { Ok(()) } else { Err(EsmdaError::Overflow) }
 }
-
-/// The first entry, row by row, of which `wrong` is true.
-pub(super) fn find(
-    matrix: MatRef<'_, f64>,
-    wrong: impl Fn(f64) -> bool,
-) -> Option<(usize, usize, f64)> {
-    (0..matrix.nrows()).find_map(|row| {
-        let mut entries = matrix.row(row).iter().copied().enumerate();
-        entries.find(|(_, value)| wrong(*value)).map(|(column, value)| (row, column, value))
-    })
-}
