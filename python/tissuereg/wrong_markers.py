@@ -49,8 +49,8 @@ def score_markers(residual: FloatArray, noise: FloatArray, absorbed: FloatArray)
     ShapeError
         If the arrays do not fit each other.
     """
-    n_markers = len(residual)
-    rows = float_array("residual", residual, (n_markers, 3)).ravel()
+    residual = float_array("residual", residual, (None, 3))
+    n_markers, rows = len(residual), residual.ravel()
     shape = (len(rows), len(rows))
     seen = np.flatnonzero(np.isfinite(rows))
     block = np.ix_(seen, seen)

@@ -8,7 +8,7 @@ import pytest
 
 from tissuereg import _core
 from tissuereg.assimilate import StepOptions, assimilate, balanced_draws
-from tissuereg.errors import EnsembleError, ScheduleError, ShapeError, TissueRegError
+from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
 from tissuereg.latent.model import Gaussian
 
 
@@ -327,7 +327,15 @@ def test_there_is_no_hidden_generator():
     [
         ({"schedule": "adaptive"}, ScheduleError, "`schedule` must be one of geometric, dmc, ler"),
         ({"schedule": [4.0, 2.0, 1.0]}, ScheduleError, "add up to 1 within 1e-9, got 1.75"),
-        ({"schedule": "dmc", "max_steps": 0}, ScheduleError, "at least one step"),
+        ({"schedule": "dmc", "max_steps": 0}, ScheduleError, "`max_steps` must be a whole number of at least 1"),
+        (
+            {"options": StepOptions(form="square_root"), "perturbations": lambda step, shape: np.zeros(shape)},
+            ArgumentError,
+            "`perturbations` must be None in the square-root form",
+        ),
+        ({"n_members": 1, "min_members": 0}, EnsembleError, "at least 2 ensemble members"),
+        ({"noise": _core.Noise.diagonal(np.ones(4))}, ShapeError, "`noise` must be that of 9 observations, got 4"),
+        ({"prior": Gaussian(np.zeros(6), np.zeros((6, 6)))}, ArgumentError, "`prior` must be positive definite"),
         (
             {"perturbations": lambda step, shape: np.zeros((2, 2))},
             ShapeError,
@@ -337,8 +345,9 @@ def test_there_is_no_hidden_generator():
 )
 def test_wrong_settings_of_a_run_are_refused(settings, error, message):
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
+    given = {"noise": noise, "prior": prior, "rng": np.random.default_rng(0), **settings}
     with pytest.raises(error, match=message):
-        assimilate(lambda z: operator @ z, observed, noise, prior, rng=np.random.default_rng(0), **settings)
+        assimilate(lambda z: operator @ z, observed, **given)
 
 
 @pytest.mark.parametrize(
@@ -348,9 +357,13 @@ def test_wrong_settings_of_a_run_are_refused(settings, error, message):
         ({"factorisation": "lu"}, "`factorisation` must be one of auto, cholesky, qr, svd"),
         ({"localization": "distance"}, "`localization` must be one of threshold, smooth"),
         ({"form": "square_root", "localization": "smooth"}, "`localization` must be None"),
+        ({"form": "square_root", "factorisation": "qr"}, "`factorisation` must be auto"),
+        ({"localization": "smooth", "factorisation": "cholesky"}, "`factorisation` must be auto"),
+        ({"threshold": 0.3}, "`threshold` must be None unless"),
+        ({"localization": np.ones((6, 9)), "threshold": 0.3}, "`threshold` must be None unless"),
         ({"batch_rows": 0}, "`batch_rows` must be"),
         ({"energy": 1.5}, "a share of the energy"),
-        ({"rank": 0}, "at least one direction"),
+        ({"rank": 0}, "`rank` must be a whole number of at least 1"),
         ({"rank": 2, "energy": 0.5}, "`energy` and `rank` must not both"),
         ({"localization": np.full((6, 9), 1.5)}, r"a taper must lie in \[0, 1\]"),
         ({"localization": np.ones((9, 6))}, "`localization` must have shape"),
@@ -359,7 +372,7 @@ def test_wrong_settings_of_a_run_are_refused(settings, error, message):
 )
 def test_wrong_options_of_a_step_are_refused(settings, message):
     operator, prior, noise, observed, _, _ = linear_problem(np.random.default_rng(3))
-    with pytest.raises(TissueRegError, match=message):
+    with pytest.raises((ArgumentError, ShapeError), match=message):
         assimilate(
             lambda z: operator @ z,
             observed,

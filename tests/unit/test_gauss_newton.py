@@ -219,17 +219,28 @@ def test_a_search_without_a_minimum_raises_with_its_report():
     assert report["last_step"] == pytest.approx(9.950371902099892)
 
 
+def test_noise_may_be_factored_already():
+    given = (lambda z: 2.0 * z, np.array([1.0]))
+    dense, low_rank = (
+        gauss_newton(*given, noise, ONE)
+        for noise in (0.05 * np.eye(1), _core.Noise.low_rank(np.array([0.1]), np.array([[0.2]])))
+    )
+    # 0.1^2 + 0.2^2 is 0.05 but for the rounding.
+    np.testing.assert_allclose(low_rank.mean, dense.mean, rtol=1e-12)
+    np.testing.assert_allclose(low_rank.covariance, dense.covariance, rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("error", "match", "change"),
     [
         (NoiseError, "positive definite", {"noise": -np.eye(1)}),
-        (ShapeError, "`observed` must be .* shape", {"observed": np.ones(2)}),
+        (ShapeError, r"`noise` must have shape \(2, 2\)", {"observed": np.ones(2)}),
         (ArgumentError, "prior covariance must be positive definite", {"prior": Gaussian(np.zeros(1), -np.eye(1))}),
         (ArgumentError, "`mean` must be finite", {"prior": Gaussian(np.full(1, np.nan), np.eye(1))}),
-        (ArgumentError, "`tolerance` must be positive", {"tolerance": 0.0}),
-        (ArgumentError, "`difference` must be positive", {"difference": -1.0}),
-        (ArgumentError, "`max_evaluations` must be at least one", {"max_evaluations": 0}),
-        (ShapeError, "`start` must be", {"start": np.zeros(2)}),
+        (ArgumentError, "`tolerance` must be a finite number greater than 0", {"tolerance": 0.0}),
+        (ArgumentError, "`difference` must be a finite number greater than 0", {"difference": -1.0}),
+        (ArgumentError, "`max_evaluations` must be a whole number of at least 1", {"max_evaluations": 0}),
+        (ShapeError, r"`start` must have shape \(1,\)", {"start": np.zeros(2)}),
         (
             ShapeError,
             r"`predict\(latents\)` must have shape \(1, 3\), got \(2, 3\)",

@@ -17,11 +17,14 @@ import tissuereg as tr
 from support.files import FIDUCIALS, GOOD_MARKERS, write_experiment
 from support.meshes import block
 from support.rigs import rig
+from tissuereg.assimilate import StepOptions, assimilate, gauss_newton
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.effects import EFFECTS
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.io.experiments import read_experiment
+from tissuereg.latent.model import Gaussian
 from tissuereg.simulate.fine import FineMeshing
+from tissuereg.wrong_markers import score_markers
 
 
 class SomeClass:
@@ -116,6 +119,15 @@ def filled(**given):
 def saved(**given):
     with tempfile.TemporaryDirectory() as folder:
         registered().save(Path(folder) / "out", **given)
+
+
+def gaussian():
+    return Gaussian(np.zeros(1), np.eye(1))
+
+
+def assimilated(**given):
+    good = {"observed": [1.0], "noise": np.eye(1), "prior": gaussian(), "rng": np.random.default_rng(0)}
+    return assimilate(lambda z: z, **{**good, "n_members": 9, "min_members": 5, **given})
 
 
 def diagnosis_of_nothing(**given):
@@ -310,12 +322,57 @@ CALLS = {
         lambda **given: tr.FineModel(**{"experiment": rig(), **given}),
         {"experiment": rig(), "meshing": FineMeshing(rim_edge=2.0)},
     ),
+    "StepOptions": (StepOptions, {"form": "stochastic", "factorisation": "auto", "energy": 0.9, "batch_rows": 2}),
+    "StepOptions by correlation": (
+        lambda **given: assimilated(options=StepOptions(**{"localization": "smooth", **given})),
+        {"localization": "smooth", "threshold": 0.3, "rank": 1},
+    ),
+    "assimilate": (
+        lambda **given: assimilated(**given),
+        {
+            "observed": [1.0],
+            "noise": np.eye(1),
+            "prior": gaussian(),
+            "rng": np.random.default_rng(0),
+            "n_members": 9,
+            "n_steps": 2,
+            "schedule": "geometric",
+            "decrease": 2.0,
+            "max_steps": 5,
+            "options": StepOptions(),
+            "perturbations": lambda step, shape: np.ones(shape),
+            "min_members": 5,
+            "threads": 1,
+        },
+    ),
+    "gauss_newton": (
+        lambda **given: gauss_newton(
+            lambda z: z, **{"observed": [1.0], "noise": np.eye(1), "prior": gaussian(), **given}
+        ),
+        {
+            "observed": [1.0],
+            "noise": np.eye(1),
+            "prior": gaussian(),
+            "jacobian": lambda z: np.eye(1),
+            "start": [0.0],
+            "tolerance": 1e-3,
+            "max_evaluations": 5,
+            "difference": 1e-4,
+        },
+    ),
+    "score_markers": (
+        score_markers,
+        {"residual": np.ones((1, 3)), "noise": np.eye(3), "absorbed": 0.1 * np.eye(3)},
+    ),
+    "phantom.breast_mesh": (tr.phantom.breast_mesh, {"n_nodes": 300}),
     "FineMeshing": (FineMeshing, {"rim_edge": 0.5, "growth": 1.0, "edge_share": 0.5, "cut": True}),
 }
 
 #: What a message may call an argument instead of its name; several are split by bars.
 CALLED = {
     "tets": "tet",
+    "observed": "noise",
+    "schedule": "coefficients",
     "node_sets": "node set|`a`",
     "reference": "marker",
     "measured": "marker",

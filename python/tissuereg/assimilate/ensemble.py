@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arguments import whole
+from tissuereg._arguments import called, check_running, maybe, of_kind, real, whole
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg._choice import check_choice
-from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError
+from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
 from tissuereg.latent.model import Gaussian
 
 #: A predicted marker displacement beyond this many mm marks a failed member.
@@ -37,7 +37,7 @@ BY_CORRELATION = ("threshold", "smooth")
 
 @dataclass(frozen=True, eq=False)
 class StepOptions:
-    """How one update is made.
+    """How one update is made; an option that would change nothing beside the others is refused.
 
     Attributes
     ----------
@@ -53,9 +53,14 @@ class StepOptions:
     localization : ndarray of float64, shape (n_latent, n_obs), or {"threshold", "smooth"}, optional
         Factors in [0, 1] on the gain, or factors by sample correlation; stochastic form only.
     threshold : float, optional
-        Absolute correlation that counts, 3 / sqrt(n_members) by default.
+        Absolute correlation that counts, of a localization by sample correlation; 3 / sqrt(n_members) by default.
     batch_rows : int, optional
         Latents updated at a time; all by default.
+
+    Raises
+    ------
+    ArgumentError
+        If an option is out of its range, or does not go with another one.
     """
 
     form: str = "stochastic"
@@ -74,6 +79,23 @@ class StepOptions:
         if self.localization is not None and self.form == "square_root":
             message = "`localization` must be None in the square-root form: it has no gain of single observations"
             raise ArgumentError(message, where="localization")
+        if self.factorisation != "auto" and (self.form == "square_root" or self.localization is not None):
+            message = (
+                "`factorisation` must be auto in the square-root form and with localization: both take singular values"
+            )
+            raise ArgumentError(message, where="factorisation")
+        if self.threshold is not None:
+            if not isinstance(self.localization, str):
+                message = "`threshold` must be None unless `localization` is one of threshold, smooth"
+                raise ArgumentError(message, where="threshold")
+            real("threshold", self.threshold, least=0.0)
+        if self.energy is not None:
+            if self.rank is not None:
+                message = "`energy` and `rank` must not both be given: each sets the truncation"
+                raise ArgumentError(message, where="rank")
+            real("energy", self.energy, above=0.0)
+        if self.rank is not None:
+            whole("rank", self.rank, least=1)
         if self.batch_rows is not None:
             whole("batch_rows", self.batch_rows, least=1)
 
@@ -205,7 +227,7 @@ def assimilate(
     Parameters
     ----------
     predict : callable
-        Latents (n_latent, n_members) to predictions (n_obs, n_members) in mm.
+        Latents (n_latent, n_members) to predictions (n_obs, n_members) in mm; float32 is converted.
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
     noise : ndarray of float64, shape (n_obs, n_obs), or Noise
@@ -228,9 +250,9 @@ def assimilate(
         Form, factorisation, truncation, localization and batches of a step.
     perturbations : callable, optional
         Step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place of
-        `balanced_draws`.
+        `balanced_draws`; stochastic form only.
     min_members : int
-        Fewer surviving members than this raise.
+        Fewer surviving members than this, or than two, raise.
     threads : int
         Threads of the update; the result does not depend on it.
 
@@ -247,6 +269,13 @@ def assimilate(
         If `noise` is not positive definite.
     ScheduleError
         If `schedule` is no known word, or the inverses of its coefficients do not sum to one.
+    MarkerError
+        If `observed` is not finite.
+    ShapeError
+        If an array, or what `predict` or `perturbations` returns, has another shape.
+    ArgumentError
+        If another argument is of the wrong kind or out of its range, or the prior's covariance is not positive
+        definite.
 
     Notes
     -----
@@ -256,10 +285,20 @@ def assimilate(
     Reynolds, SPE Journal 21, 2195-2207, 2016, the restricted step: a quarter of the mean normalised misfit, doubled
     until the change is allowed.
     """
-    covariance = noise if isinstance(noise, _core.Noise) else _core.Noise.dense(noise)
-    options = StepOptions() if options is None else options
+    check_running(threads=threads)
+    observed = float_array("observed", observed, (None,))
+    covariance = noise_of(noise, len(observed))
+    of_kind("prior", prior, Gaussian)
+    of_kind("rng", rng, np.random.Generator)
+    whole("n_members", n_members, least=1)
+    fewest = max(whole("min_members", min_members), 2)
+    options = maybe("options", options, StepOptions) or StepOptions()
+    called("perturbations", perturbations)
+    if perturbations is not None and options.form == "square_root":
+        message = "`perturbations` must be None in the square-root form, which draws none"
+        raise ArgumentError(message, where="perturbations")
     coefficients = _Coefficients(schedule, n_steps, decrease, max_steps)
-    root = np.linalg.cholesky(prior.covariance)
+    root = _root_of(prior)
     prior_std = np.sqrt(np.diag(prior.covariance))[:, None]
     shape = (len(prior.mean), n_members)
     draws, balanced = balanced_draws(rng, shape, np.empty((0, n_members)))
@@ -267,11 +306,11 @@ def assimilate(
     members = np.arange(n_members)
     dropped: list[tuple[int, str]] = []
     while not coefficients.complete:
-        predicted = predict(latents)
+        predicted = float_array("predict(latents)", predict(latents), (len(observed), latents.shape[1]))
         kept, lost = _core.screen_members(predicted, ABSURD_MM)
         dropped += [(int(members[index]), reason) for index, reason in lost]
-        if len(kept) < max(min_members, 2):
-            message = f"at least {min_members} ensemble members must survive, {len(kept)} of {n_members} are left"
+        if len(kept) < fewest:
+            message = f"at least {fewest} ensemble members must survive, {len(kept)} of {n_members} are left"
             raise EnsembleError(message, dropped=dropped)
         members, latents, predicted = (
             members[kept],
@@ -298,6 +337,24 @@ def assimilate(
     return Assimilation(latents, dropped, balanced, tuple(coefficients.used))
 
 
+def noise_of(noise: FloatArray | _core.Noise, n_obs: int) -> _core.Noise:
+    """Return a covariance of the noise of `n_obs` observations, factored."""
+    if isinstance(noise, _core.Noise):
+        if noise.n_obs != n_obs:
+            message = f"`noise` must be that of {n_obs} observations, got {noise.n_obs}"
+            raise ShapeError(message, where="noise")
+        return noise
+    return _core.Noise.dense(float_array("noise", noise, (n_obs, n_obs)))
+
+
+def _root_of(prior: Gaussian) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.cholesky(prior.covariance))
+    except np.linalg.LinAlgError as error:
+        message = "the covariance of `prior` must be positive definite; it has no Cholesky factor"
+        raise ArgumentError(message, where="prior") from error
+
+
 class _Coefficients:
     """Inflation coefficients, given in advance or chosen step by step."""
 
@@ -312,6 +369,9 @@ class _Coefficients:
             self._given = [float(alpha) for alpha in _core.check_schedule(alphas)]
             return
         check_choice("schedule", schedule, SCHEDULES, ScheduleError)
+        whole("n_steps", n_steps, least=1, error=ScheduleError)
+        whole("max_steps", max_steps, least=1, error=ScheduleError)
+        real("decrease", decrease, above=0.0, error=ScheduleError)
         if schedule == "geometric":
             self._given = [float(alpha) for alpha in _core.schedule_geometric(n_steps, decrease)]
         else:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arrays import FloatArray, float_array
-from tissuereg.assimilate.ensemble import ABSURD_MM, Assimilation, balanced_draws
+from tissuereg._arguments import called, of_kind, real, whole
+from tissuereg._arrays import FloatArray, float_array, optional_array
+from tissuereg.assimilate.ensemble import ABSURD_MM, Assimilation, balanced_draws, noise_of
 from tissuereg.latent.model import Gaussian
 
 
@@ -65,7 +66,7 @@ class Laplace(Gaussian):
         Assimilation
             No member is lost.
         """
-        shape = (len(self.mean), n_members)
+        shape = (len(self.mean), whole("n_members", n_members))
         normals, exact = balanced_draws(rng, shape, np.empty((0, n_members)))
         return Assimilation(np.asarray(self.mean[:, None] + self.root @ normals), [], exact)
 
@@ -73,7 +74,7 @@ class Laplace(Gaussian):
 def gauss_newton(
     predict: Callable[[FloatArray], FloatArray],
     observed: FloatArray,
-    noise: FloatArray,
+    noise: FloatArray | _core.Noise,
     prior: Gaussian,
     *,
     jacobian: Callable[[FloatArray], FloatArray] | None = None,
@@ -90,7 +91,7 @@ def gauss_newton(
         Latents (n_latent, n_columns) to predictions (n_obs, n_columns) in mm.
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
-    noise : ndarray of float64, shape (n_obs, n_obs)
+    noise : ndarray of float64, shape (n_obs, n_obs), or Noise
         Covariance C_d of the measurement about a perfect model's prediction, mm^2.
     prior : Gaussian
         Prior of the latents.
@@ -122,8 +123,10 @@ def gauss_newton(
         If `noise` is not positive definite.
     ArgumentError
         If the prior's covariance is not positive definite, or a setting is out of range.
+    MarkerError
+        If `observed` is not finite.
     ShapeError
-        If what `predict` or `jacobian` returns has another shape.
+        If an array, or what `predict` or `jacobian` returns, has another shape.
 
     Notes
     -----
@@ -133,15 +136,18 @@ def gauss_newton(
     and N. Liu, "Inverse theory for petroleum reservoir characterization and history matching", Cambridge University
     Press, 2008, chapter 8.
     """
+    called("jacobian", jacobian)
+    observed = float_array("observed", observed, (None,))
+    mean = float_array("prior.mean", of_kind("prior", prior, Gaussian).mean, (None,))
     search = _core.GaussNewton(
-        np.ascontiguousarray(prior.mean, np.float64),
-        np.ascontiguousarray(prior.covariance, np.float64),
-        np.ascontiguousarray(observed, np.float64),
-        _core.Noise.dense(np.ascontiguousarray(noise, np.float64)),
-        start=None if start is None else np.ascontiguousarray(start, np.float64),
-        tolerance=tolerance,
-        max_evaluations=max_evaluations,
-        difference=difference,
+        mean,
+        float_array("prior.covariance", prior.covariance, (len(mean), len(mean))),
+        observed,
+        noise_of(noise, len(observed)),
+        start=optional_array("start", start, (len(mean),)),
+        tolerance=real("tolerance", tolerance, above=0.0),
+        max_evaluations=whole("max_evaluations", max_evaluations, least=1),
+        difference=real("difference", difference, above=0.0),
         largest=ABSURD_MM,
     )
     accepted = 0
