@@ -46,7 +46,9 @@ def packed(arrays: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any]
             content = _utf8(array) if array.dtype.kind == "U" else array
             if content.size:
                 chunks = (1, *content.shape[1:]) if name in by_row else content.shape
-                file.create_dataset(name, data=content, chunks=chunks, fletcher32=True, track_times=False)
+                made = file.create_dataset(name, data=content, chunks=chunks, fletcher32=True, track_times=False)
+                # Closing would place it too, but a debugger or Dask's profiler may keep it open until later ones are there.
+                made.flush()
             else:
                 file.create_dataset(name, shape=content.shape, dtype=content.dtype, track_times=False)
     return whole.getvalue()
