@@ -47,7 +47,7 @@ def packed(arrays: Mapping[str, npt.NDArray[Any]], attributes: Mapping[str, Any]
             if content.size:
                 chunks = (1, *content.shape[1:]) if name in by_row else content.shape
                 made = file.create_dataset(name, data=content, chunks=chunks, fletcher32=True, track_times=False)
-                # Closing would place it too, but a debugger or Dask's profiler may keep it open until later ones are there.
+                # Closing would place it too, but a debugger or Dask's profiler may keep it open until others are there.
                 made.flush()
             else:
                 file.create_dataset(name, shape=content.shape, dtype=content.dtype, track_times=False)

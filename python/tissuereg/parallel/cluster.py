@@ -280,13 +280,15 @@ class Cluster(AbstractContextManager["Cluster"]):
             job.starts += 1
 
     def _count(self, *, last: bool = False) -> None:
+        """Add the time since the last count for the workers of then or of now, whichever are more."""
         now = time.monotonic()
         if last or now - self._counted > _COUNTING:
-            self._spent += (now - self._counted) * self._workers
-            self._counted = now
-            if not last:
+            before = self._workers
+            if self._client.status == "running":
                 with suppress(Exception):
                     self._workers = self.n_workers
+            self._spent += (now - self._counted) * max(before, self._workers)
+            self._counted = now
 
 
 def reach(address: str, *, task_limit: float, patience: float) -> Cluster:

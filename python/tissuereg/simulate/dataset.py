@@ -66,7 +66,7 @@ def make_dataset(
     dict
         ``members``, ``failed`` (list of [index, reason]), ``members_per_s`` (None if all was there), ``motion``
         (`tissuereg.simulate.motion.motion_summary`), ``bytes``, ``seconds``, ``seed``, ``overhead`` (None without an
-        executor): the share of the workers' time that did not go into making chunks.
+        executor, or where none of its workers was counted): the share of the workers' time that made no chunk.
 
     Raises
     ------
@@ -108,7 +108,8 @@ def make_dataset(
         overhead = None
         if executor is not None:
             spent = executor.worker_seconds - before
-            overhead = 1.0 - sum(report.seconds for report in reports.values()) / spent
+            if spent > 0.0:
+                overhead = 1.0 - sum(report.seconds for report in reports.values()) / spent
         pairs = None
         with clock.stage("pairs"):
             if recipe.pairs.members:
