@@ -20,8 +20,6 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-from readme import write_table
-
 ARCHIVE = Path(__file__).resolve().parent / "results" / "esmda.json"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
 #: Variables that hold OpenBLAS to kernels of an older processor, which would slow numpy and with it the peers.
@@ -230,7 +228,7 @@ def table(answer: dict) -> str:
         f"`{answer['command']}`, {answer['date']}, "
         f"{machine['processor']}, {machine['cores']} cores; {versions}{quick}.",
         "",
-        "| latents, observations, members; threads | program | minimum, ms | median | 99 % | first | off | extra MB |",
+        "| parameters, observations, members; threads | program | minimum, ms | median | 99 % | first | off | extra MB |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     ratios = []
@@ -278,7 +276,7 @@ def main() -> None:
     peers = ("numpy", "scipy", "iterative_ensemble_smoother", "pyesmda", "dageo")
     answer = {
         "schema": "tissuereg.benchmark-esmda/1",
-        "command": "python benchmarks/esmda.py",
+        "command": " ".join(["python benchmarks/esmda.py", *sys.argv[1:]]),
         "date": time.strftime("%Y-%m-%d"),
         "machine": machine(),
         "quick": options.quick,
@@ -287,6 +285,8 @@ def main() -> None:
     }
     options.out.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
     if options.out == ARCHIVE:
+        from readme import write_table
+
         write_table(ARCHIVE.name, table(answer))
     sys.stdout.write(table(answer))
 

@@ -261,10 +261,13 @@ def test_rows_slices_and_lists_agree(made):
     np.testing.assert_array_equal(data.displacement[4:14:3], everything[4:14:3])
     np.testing.assert_array_equal(data.displacement[[9, 2]], everything[[9, 2]])
     assert data.parameters[7]["young_kpa"] == data.parameters[5:9][2]["young_kpa"]
-    with pytest.raises(IndexError):
-        data.displacement[len(data)]
-    with pytest.raises(ArgumentError, match="whole number"):
-        data.displacement["a"]
+    np.testing.assert_array_equal(data.displacement[np.array(3)], everything[3])
+    for beyond in (len(data), -len(data) - 1):
+        with pytest.raises(IndexError, match=f"from -22 to 21, got {beyond}"):
+            data.displacement[beyond]
+    for wrong in ("a", True, [True] * 22, np.ones(22, dtype=bool), 1.5, [[1]], None):
+        with pytest.raises(ArgumentError, match="whole number"):
+            data.displacement[wrong]
 
 
 def test_a_program_that_knows_only_the_page_reads_a_member(made, monkeypatch):

@@ -170,7 +170,7 @@ class Displacements:
 
     def __getitem__(self, rows: Any) -> Fields:
         """Return the displacement of a member, or of several."""
-        if isinstance(rows, slice | list | np.ndarray):
+        if isinstance(rows, slice | list) or (isinstance(rows, np.ndarray) and rows.ndim):
             many = range(len(self))[rows] if isinstance(rows, slice) else _rows(rows, len(self))
             taken = np.empty((len(many), *self.shape[1:]), np.float32)
             for place, row in enumerate(many):
@@ -367,12 +367,13 @@ def _failures(failed: object) -> bool:
 def _row(row: Any, n_members: int) -> int:
     """Return a row, counted from the end if negative."""
     try:
-        number = operator.index(row)
+        # A mask would be taken for rows 0 and 1.
+        number = operator.index(None if isinstance(row, bool) else row)
     except TypeError:
         message = f"a member must be named by a whole number, a slice or a list of numbers, got {found(row)}"
         raise ArgumentError(message, where="row") from None
     if not -n_members <= number < n_members:
-        message = f"member {number} must lie below {n_members}, the number of members"
+        message = f"a member's row must lie from {-n_members} to {n_members - 1}, got {number}"
         raise IndexError(message)
     return number % n_members
 
