@@ -433,6 +433,19 @@ def test_a_chunk_of_something_else_is_refused(spoilable, made, spoil, words):
         make_dataset(made[0], spoilable)
 
 
+def test_a_file_that_was_altered_gets_no_new_card(made, spoilable):
+    card, chunk = (spoilable / "dataset.json").read_bytes(), spoilable / "chunk_0001.h5"
+    with h5py.File(chunk, "a") as file:
+        file["parameters/young_kpa"][0] = 1.0
+    with pytest.raises(FormatError, match=r"chunk_0001\.h5 must be the file that was written") as raised:
+        make_dataset(made[0], spoilable)
+    assert raised.value.where == str(chunk)
+    assert (spoilable / "dataset.json").read_bytes() == card
+    chunk.unlink()
+    make_dataset(made[0], spoilable)
+    assert files(spoilable) == files(made[1])
+
+
 def test_spoilt_pairs_are_refused_before_the_card_vouches_for_them(tmp_path):
     recipe = recipe_in(tmp_path, RECIPE.replace("members = 22", "members = 2").replace("members = 0", "members = 2"))
     make_dataset(recipe, tmp_path / "data")

@@ -366,9 +366,9 @@ def _failures(failed: object) -> bool:
 
 def _row(row: Any, n_members: int) -> int:
     """Return a row, counted from the end if negative."""
+    whole: Any = None if isinstance(row, bool) else row  # a mask would be taken for rows 0 and 1
     try:
-        # A mask would be taken for rows 0 and 1.
-        number = operator.index(None if isinstance(row, bool) else row)
+        number = operator.index(whole)
     except TypeError:
         message = f"a member must be named by a whole number, a slice or a list of numbers, got {found(row)}"
         raise ArgumentError(message, where="row") from None

@@ -66,6 +66,8 @@ def breast_mesh(n_nodes: int) -> Mesh:
     ------
     ArgumentError
         If the number is out of range.
+    MeshError
+        If no lattice gives a number so near.
     """
     return _breast_mesh(whole("n_nodes", n_nodes, least=_LEAST, most=_MOST))
 

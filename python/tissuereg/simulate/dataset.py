@@ -13,7 +13,7 @@ from typing import Any
 from tissuereg._arguments import called, check_running, of_kind
 from tissuereg._clock import Clock
 from tissuereg._version import __version__
-from tissuereg.errors import ClusterError, EnsembleError, ExperimentError, TissueRegError
+from tissuereg.errors import ClusterError, EnsembleError, ExperimentError, FormatError, TissueRegError
 from tissuereg.io.chunks import chunk_name
 from tissuereg.io.data_mesh import MESH_NAME, pack_mesh
 from tissuereg.io.datasets import CARD_NAME, DATASET_SCHEMA, read_card, split_of
@@ -73,7 +73,7 @@ def make_dataset(
     ExperimentError
         If the folder holds other files, or another recipe's data.
     FormatError
-        If a chunk that is there already is spoilt.
+        If a chunk, or the pairs, that are there already are spoilt, or no longer those of a card that is there.
     EnsembleError
         If more than half of a chunk of at least eight members fails, or of the whole.
     OutputError
@@ -118,6 +118,7 @@ def make_dataset(
             progress(in_all, in_all)
         in_order = [reports[number] for number in range(n_chunks)]
         _check_enough(in_order)
+        _check_unchanged(store, in_order, pairs)
         card = _card(recipe, mesh, mark, seed, in_order, pairs)
         store.write(CARD_NAME, dumps(card).encode())
     fresh = sum(report.members + len(report.failed) for report in in_order if report.made)
@@ -217,6 +218,26 @@ def _check_enough(reports: list[ChunkReport]) -> None:
             "largest_mm"
         )
         raise EnsembleError(message, dropped=failed)
+
+
+def _check_unchanged(store: Store, reports: list[ChunkReport], pairs: PairsReport | None) -> None:
+    """Refuse files that are no longer those of the card that is there, lest a new card vouch for them."""
+    try:
+        card = read_card(store)
+    except FormatError:
+        return  # there is none, or it says nothing
+    told = {entry["file"]: entry["sha256"] for entry in (*card["chunks"], card["pairs"]) if entry}
+    found = {chunk_name(report.number): report.sha256 for report in reports if not report.made}
+    if pairs is not None and not pairs.made:
+        found[PAIRS_NAME] = pairs.sha256
+    for name, sha256 in found.items():
+        if told.get(name, sha256) != sha256:
+            where = store.where(name)
+            message = (
+                f"{where} must be the file that was written; its SHA-256 has changed. Delete it, and the same command "
+                "makes it anew"
+            )
+            raise FormatError(message, where=where)
 
 
 def _card(

@@ -21,10 +21,11 @@ PAIRS_SCHEMA = "tissuereg.pairs/1"
 
 @dataclass(frozen=True)
 class PairsReport:
-    """What is known about the pairs once they are written: size and SHA-256 of the file."""
+    """What is known about the pairs' file: its size and SHA-256, and whether it was made now."""
 
     n_bytes: int
     sha256: str
+    made: bool
 
 
 def make_pairs(task: ChunkTask) -> PairsReport:
@@ -50,7 +51,8 @@ def make_pairs(task: ChunkTask) -> PairsReport:
         If they cannot be written.
     """
     store = store_of(task.destination)
-    if store.exists(PAIRS_NAME):
+    made = not store.exists(PAIRS_NAME)
+    if not made:
         content = store.read(PAIRS_NAME)
         _check(task, content)
     else:
@@ -62,7 +64,7 @@ def make_pairs(task: ChunkTask) -> PairsReport:
         attributes = {"schema": PAIRS_SCHEMA, "recipe_sha256": task.mark, "version": __version__}
         content = packed(arrays, attributes, frozenset(arrays))
         store.write(PAIRS_NAME, content)
-    return PairsReport(len(content), hashlib.sha256(content).hexdigest())
+    return PairsReport(len(content), hashlib.sha256(content).hexdigest(), made)
 
 
 def _check(task: ChunkTask, content: bytes) -> None:
