@@ -228,7 +228,8 @@ def table(answer: dict) -> str:
         f"`{answer['command']}`, {answer['date']}, "
         f"{machine['processor']}, {machine['cores']} cores; {versions}{quick}.",
         "",
-        "| parameters, observations, members; threads | program | minimum, ms | median | 99 % | first | off | extra MB |",
+        "| parameters, observations, members; threads | program "
+        "| minimum, ms | median | 99 % | first | off | extra MB |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     ratios = []
