@@ -177,6 +177,25 @@ def test_a_worker_that_hangs_marks_no_task_as_failed(cluster, tmp_path, what):
 
 
 @pytest.mark.slow
+def test_workers_that_dask_gives_up_are_started_again(tmp_path):
+    import dask
+
+    # Dask gives up a worker of this machine that is not back in time: here at once, else after 15 s.
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "10ms"}), open_executor("local:2") as executor:
+        results, errors = outcomes_of(executor, tmp_path, {0: KILL, 1: KILL})
+    assert (len(results), errors) == (40, {})
+
+
+@pytest.mark.slow
+def test_the_start_of_a_worker_is_no_time_of_the_task_that_waits_for_it(tmp_path):
+    # A fresh process takes longer than the limit until it runs a task; this one kills all of them.
+    with open_executor("local:1", task_limit=0.8) as executor:
+        results, errors = outcomes_of(executor, tmp_path, {1: "always"}, n=3)
+    assert set(results) == {0, 2}
+    assert "died" in str(errors[1])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [KILL, STOP])
 def test_a_chunk_whose_worker_is_lost_in_its_middle_is_made_again_with_the_same_bits(cluster, inputs, tmp_path, number):
     (tmp_path / "flags").mkdir()

@@ -37,6 +37,10 @@ _SENDING = 0.2
 #: Time in s for the scheduler to answer one question.
 _ANSWER = 30.0
 
+#: Time in s for a hung worker to end of itself before it is killed. Must be far below Dask's `lost-worker-timeout` of
+#: 15 s, after which a local cluster gives up a worker that is not back.
+_ENDING = 3.0
+
 #: Settings of a scheduler that is started here. Whether a task kills its workers is decided in `Cluster`.
 SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": 5,
@@ -87,6 +91,8 @@ class Cluster(AbstractContextManager["Cluster"]):
         Time in s after which a task counts as hung.
     patience : float
         Time in s for which a scheduler that does not answer is tried again.
+    n_kept : int
+        Workers to which a cluster object is brought back when some are lost; 0 leaves their number to it.
 
     Raises
     ------
@@ -94,8 +100,8 @@ class Cluster(AbstractContextManager["Cluster"]):
         If nothing answers.
     """
 
-    def __init__(self, where: Any, name: str, *, task_limit: float, patience: float) -> None:
-        self._where, self._name = where, name
+    def __init__(self, where: Any, name: str, *, task_limit: float, patience: float, n_kept: int = 0) -> None:
+        self._where, self._name, self._n_kept = where, name, n_kept
         self._task_limit, self._patience = task_limit, patience
         self._spent = 0.0
         self._workers, self._counted, self._looked = 0, 0.0, 0.0
@@ -200,12 +206,13 @@ class Cluster(AbstractContextManager["Cluster"]):
             return
         self._looked = now
         hung: dict[str, None] = {}
+        late = self._late(now)
         for key, job in list(self._jobs.items()):
             if job.starts > MOST_STARTS:
                 self._forget(key)
                 yield self._deadly(job)
-            elif job.started is not None and now - job.started[1] > self._task_limit:
-                hung[job.started[0]] = None
+            elif key in late:
+                hung[late[key]] = None
                 job.hangs += 1
                 job.started = None
                 if job.hangs >= MOST_HANGS:
@@ -222,12 +229,31 @@ class Cluster(AbstractContextManager["Cluster"]):
                 self._client.sync(
                     self._client.scheduler.restart_workers,
                     workers=[*hung],
-                    timeout=_ANSWER,
+                    timeout=_ENDING,
                     wait_for_workers=False,
                     on_error="return",
                     stimulus_id=f"task-limit-{time.time()}",
                     callback_timeout=2 * _ANSWER,
                 )
+
+    def _late(self, now: float) -> dict[str, str]:
+        """Return the tasks that run for too long, and their workers, which are there.
+
+        A task whose worker has died waits for the next one, which may take long to start.
+        """
+        begun = {key: job.started for key, job in self._jobs.items() if job.started is not None}
+        late = {key: worker for key, (worker, since) in begun.items() if now - since > self._task_limit}
+        if not late:
+            return {}
+        try:
+            there = self._client.nthreads()
+        except Exception:  # nobody answers: nothing is known to hang
+            return {}
+        for key in [key for key, worker in late.items() if worker not in there]:
+            del late[key]
+            if self._jobs[key].started == begun[key]:  # it may have begun elsewhere meanwhile
+                self._jobs[key].started = None
+        return late
 
     def _forget(self, key: str) -> _Job:
         job = self._jobs.pop(key)
@@ -289,6 +315,9 @@ class Cluster(AbstractContextManager["Cluster"]):
                     self._workers = self.n_workers
             self._spent += (now - self._counted) * max(before, self._workers)
             self._counted = now
+            if not last and self._workers < self._n_kept:
+                with suppress(Exception):
+                    self._where.scale(self._n_kept)  # starts those again that Dask has given up
 
 
 def reach(address: str, *, task_limit: float, patience: float) -> Cluster:
@@ -361,7 +390,7 @@ def local(n: int, *, task_limit: float, patience: float) -> Cluster:
         except (OSError, TimeoutError, RuntimeError) as error:
             message = f"{n} worker processes must start on this machine; they did not: {error}"
             raise ClusterError(message, where=f"local:{n}") from error
-    return Cluster(cluster, f"local:{n}", task_limit=task_limit, patience=patience)
+    return Cluster(cluster, f"local:{n}", task_limit=task_limit, patience=patience, n_kept=n)
 
 
 def need_dask() -> None:
