@@ -24,6 +24,7 @@ from tissuereg.material import Fibre, Material
 from tissuereg.mesh import Mesh
 from tissuereg.meshing import FilledMesh, tetrahedralize
 from tissuereg.registration import RegisterSettings, register
+from tissuereg.registrations import register_many
 from tissuereg.result import Registration
 from tissuereg.simulate import Simulation, Simulator, simulate
 from tissuereg.simulate.believed import simulate_experiment
@@ -59,6 +60,7 @@ __all__ = [
     "read_targets",
     "register",
     "register_frame",
+    "register_many",
     "simulate",
     "simulate_experiment",
     "tetrahedralize",

@@ -67,7 +67,7 @@ def register_by_model(
         If that search finds no minimum.
     """
     with clock.stage("prior"):
-        latent = _as_model(model, given.mesh, given.threads)
+        latent = as_model(model, given.mesh, given.threads)
         if simulation is not None and isinstance(latent, NetworkModel):
             latent = latent.around(simulation)
     seen = np.flatnonzero(given.markers.seen)
@@ -225,7 +225,8 @@ def _result(
     )
 
 
-def _as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
+def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
+    """Return a model, read from its folder if necessary; raise ModelError if it is none, or knows another mesh."""
     if isinstance(model, (str, os.PathLike)):
         if str(model) == "phantom":
             from tissuereg.phantom import shipped_model_folder

@@ -23,6 +23,7 @@ from tissuereg.effects import EFFECTS
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.io.experiments import read_experiment
 from tissuereg.latent.model import Gaussian
+from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.simulate.fine import FineMeshing
 from tissuereg.wrong_markers import score_markers
 
@@ -128,6 +129,28 @@ def gaussian():
 def assimilated(**given):
     good = {"observed": [1.0], "noise": np.eye(1), "prior": gaussian(), "rng": np.random.default_rng(0)}
     return assimilate(lambda z: z, **{**good, "n_members": 9, "min_members": 5, **given})
+
+
+def registrations(**changed):
+    """Register one moment of many; what fails for it is raised."""
+    given = {"mesh": mesh(), "markers": markers(), "measured": markers().measured[None], "settings": quick()}
+    for result in tr.register_many(**{**given, **changed}):
+        if isinstance(result, Failed):
+            raise result.error
+
+
+def opened(**given):
+    """Check the arguments of a cluster, of which none is there."""
+    cluster = importlib.import_module("tissuereg.parallel.cluster")
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(cluster, "reach", lambda *_, **__: None)
+        changed.setattr(cluster, "local", lambda *_, **__: None)
+        return open_executor(**{"address": "tcp://127.0.0.1:8786", **given})
+
+
+def processes(**given):
+    with Processes(**given) as made:
+        return made.n_workers
 
 
 def diagnosis_of_nothing(**given):
@@ -263,6 +286,23 @@ CALLS = {
             "tell": None,
         },
     ),
+    "register_many": (
+        registrations,
+        {
+            "mesh": mesh(),
+            "markers": markers(),
+            "measured": markers().measured[None],
+            "executor": None,
+            "progress": None,
+            "targets": {},
+            "seed": 0,
+            "threads": 1,
+            "settings": quick(),
+            "held": "sure",
+        },
+    ),
+    "open_executor": (opened, {"address": "local:2", "task_limit": 900.0, "patience": 60.0}),
+    "Processes": (processes, {"n": 2}),
     "register of a surface": (
         lambda **given: registration(markers=None, **given),
         {"surface": mesh().nodes[mesh().surface_nodes], "surface_std": 0.1},
@@ -370,6 +410,7 @@ CALLS = {
 
 #: What a message may call an argument instead of its name; several are split by bars.
 CALLED = {
+    "address": "cluster",
     "tets": "tet",
     "observed": "noise",
     "schedule": "coefficients",

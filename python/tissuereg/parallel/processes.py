@@ -16,6 +16,9 @@ from tissuereg._arguments import whole
 from tissuereg.errors import ClusterError
 from tissuereg.parallel.executor import Failed, Finished, outcome_of
 
+#: More processes are a slip of the pen.
+_MOST = 9999
+
 
 class Processes(AbstractContextManager["Processes"]):
     """Runs tasks in processes of this machine, started afresh; they end with the process that made them.
@@ -30,11 +33,11 @@ class Processes(AbstractContextManager["Processes"]):
     Raises
     ------
     ArgumentError
-        If `n` is no positive whole number.
+        If `n` is no whole number from 1 to 9999.
     """
 
     def __init__(self, n: int) -> None:
-        whole("n", n, least=1)
+        whole("n", n, least=1, most=_MOST)
         self._n = n
         self._spent = 0.0
         # Solvers keep threads of their own: a forked process would hang.
