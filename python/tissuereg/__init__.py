@@ -9,6 +9,7 @@
 from tissuereg import effects, errors, phantom
 from tissuereg._version import __version__
 from tissuereg.diagnose import diagnose
+from tissuereg.diagnose.many import diagnose_many
 from tissuereg.errors import TissueRegError
 from tissuereg.experiment import Experiment
 from tissuereg.frames import register_frame
@@ -48,6 +49,7 @@ __all__ = [
     "Triangles",
     "__version__",
     "diagnose",
+    "diagnose_many",
     "effects",
     "errors",
     "open_dataset",

@@ -19,7 +19,7 @@ from tissuereg.inputs import as_markers, as_mesh
 from tissuereg.latent_registration import as_model
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
-from tissuereg.parallel import Executor, Failed, Finished, InProcess
+from tissuereg.parallel import Executor, Failed, Finished, InProcess, in_order
 from tissuereg.registration import register
 from tissuereg.result import Registration
 
@@ -98,7 +98,7 @@ def register_many(
         of_kind("executor", executor, Executor)
         options.setdefault("threads", 1)
     registrar = _Registrar(as_mesh(mesh), options)
-    return _in_order(registrar, _moments(markers, measured), executor, progress)
+    return _registered(registrar, _moments(markers, measured), executor, progress)
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _moments(markers: Any, measured: Any) -> Iterator[Markers]:
     return map(as_markers, markers)
 
 
-def _in_order(
+def _registered(
     registrar: _Registrar, moments: Iterator[Markers], executor: Executor | None, progress: Callable[[int], None] | None
 ) -> Iterator[Registration | Failed]:
     taken: dict[int, Markers] = {}
@@ -200,18 +200,17 @@ def _in_order(
         packed = registrar.packed()
         mark = hashlib.sha256(packed).hexdigest()
         outcomes = here.run(_register_moment, (_Task(mark, packed, markers) for markers in noted()))
-    waiting: dict[int, Finished | Failed] = {}
-    following = 0
-    for done, outcome in enumerate(outcomes, start=1):
+    for outcome in in_order(_without_slips(outcomes), progress):
+        markers = taken.pop(outcome.index)
+        yield outcome if isinstance(outcome, Failed) else registrar.completed(outcome.result, markers)
+
+
+def _without_slips(outcomes: Iterator[Finished | Failed]) -> Iterator[Finished | Failed]:
+    """Pass outcomes on; a wrong argument is the caller's, and no single moment's."""
+    for outcome in outcomes:
         if isinstance(outcome, Failed) and isinstance(outcome.error, ArgumentError):
             raise outcome.error
-        waiting[outcome.index] = outcome
-        if progress is not None:
-            progress(done)
-        while (found_next := waiting.pop(following, None)) is not None:
-            markers = taken.pop(following)
-            following += 1
-            yield found_next if isinstance(found_next, Failed) else registrar.completed(found_next.result, markers)
+        yield outcome
 
 
 def _register_moment(task: _Task) -> Registration:

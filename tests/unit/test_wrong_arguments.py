@@ -162,6 +162,13 @@ def diagnosis_of_nothing(**given):
             raise
 
 
+def diagnosed(**given):
+    """Check the arguments of many diagnoses, of which none is made."""
+    with tempfile.TemporaryDirectory() as folder:
+        for outcome in tr.diagnose_many(**{"experiments": [], "out": folder, **given}):
+            raise outcome.error
+
+
 #: Every public function and class: a call that works, and other names of its arguments in messages.
 CALLS = {
     "Mesh": (tr.Mesh, {"nodes": mesh().nodes, "tets": mesh().tets, "node_sets": {"fixed": [0, 1, 2]}, "frame": "LPS"}),
@@ -323,6 +330,18 @@ CALLS = {
             "progress": None,
         },
     ),
+    "diagnose_many": (
+        diagnosed,
+        {
+            "experiments": [],
+            "executor": None,
+            "seed": 0,
+            "threads": 1,
+            "keep": False,
+            "element": "tet4",
+            "progress": None,
+        },
+    ),
     "simulate_experiment": (
         lambda **given: tr.simulate_experiment(**{"experiment": rig(), "model": "plain", **given}),
         {"experiment": None, "model": "plain", "element": "tet4", "threads": 1, "progress": None},
@@ -429,6 +448,7 @@ CALLED = {
     "time": "frame",
     "name": "actuator",
     "experiment": "experiment",
+    "experiments": "no such file",
     "fibre": "Fibre",
     "targets": "target",
     "surface": "vertices|no such file",

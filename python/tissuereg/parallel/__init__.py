@@ -3,8 +3,8 @@
 The one place that makes processes and knows of Dask. The rest of the package takes an `Executor`.
 """
 
-from tissuereg.parallel.executor import Executor, Failed, Finished, InProcess, one_result
+from tissuereg.parallel.executor import Executor, Failed, Finished, InProcess, in_order, one_result
 from tissuereg.parallel.opening import open_executor
 from tissuereg.parallel.processes import Processes
 
-__all__ = ["Executor", "Failed", "Finished", "InProcess", "Processes", "one_result", "open_executor"]
+__all__ = ["Executor", "Failed", "Finished", "InProcess", "Processes", "in_order", "one_result", "open_executor"]

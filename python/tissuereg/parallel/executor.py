@@ -128,6 +128,34 @@ def outcome_of(function: Callable[[Any], Any], index: int, task: Any) -> Finishe
         return Failed(index, error)
 
 
+def in_order(
+    outcomes: Iterable[Finished | Failed], progress: Callable[[int], None] | None = None
+) -> Iterator[Finished | Failed]:
+    """Yield outcomes in the order of their tasks.
+
+    Parameters
+    ----------
+    outcomes : iterable of Finished or Failed
+        As they come.
+    progress : callable of int, optional
+        Called with the number of outcomes that have come.
+
+    Yields
+    ------
+    Finished or Failed
+        Each as soon as it and all before it are there.
+    """
+    waiting: dict[int, Finished | Failed] = {}
+    following = 0
+    for done, outcome in enumerate(outcomes, start=1):
+        waiting[outcome.index] = outcome
+        if progress is not None:
+            progress(done)
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
+
+
 def one_result(executor: Executor, function: Callable[[Any], Any], task: Any) -> Any:
     """Return the result of a single task.
 
