@@ -11,23 +11,20 @@ import argparse
 import functools
 import importlib
 import json
-import multiprocessing
-import multiprocessing.process
 import os
 import shlex
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
 from blind.materialise import DATA, case_names, folder_of
+from tissuereg.errors import ClusterError
+from tissuereg.parallel import Failed, Processes
 
 TIERS = DATA / "tiers.json"
 BUILD = Path("build") / "blind"
@@ -198,27 +195,12 @@ def answer_all(questions: list[Question], work: Path, jobs: int) -> Iterator[tup
     by_case: dict[str, list[Question]] = {}
     for question in questions:
         by_case.setdefault(question.case, []).append(question)
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, context, initializer=follow_parent)
-    try:
-        tasks = [pool.submit(_diagnose_case, some, work, 0 if jobs == 1 else 1) for some in by_case.values()]
-        for done in as_completed(tasks):
-            yield from done.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def follow_parent() -> None:
-    """Let this worker end with Ctrl-C, and with the process that made it, however that ends."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
-
-
-def _end_after(parent: multiprocessing.process.BaseProcess) -> None:
-    parent.join()
-    os._exit(1)
+    answered = functools.partial(_diagnose_case, work=work, threads=0 if jobs == 1 else 1)
+    with Processes(jobs) as executor:
+        for outcome in executor.run(answered, by_case.values()):
+            if isinstance(outcome, Failed):
+                raise outcome.error
+            yield from outcome.result
 
 
 def _diagnose_case(questions: list[Question], work: Path, threads: int) -> list[tuple[Question, dict]]:
@@ -251,7 +233,7 @@ def main() -> None:
                 f"{number}/{len(questions)} {where}: {answer['verdict']} {named} ({answer['seconds']:.1f} s)",
                 flush=True,
             )
-    except (KeyboardInterrupt, BrokenProcessPool):
+    except (KeyboardInterrupt, ClusterError):
         sys.exit("stopped; finished answers are saved, and the same command resumes from there")
 
 

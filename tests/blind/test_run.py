@@ -119,37 +119,3 @@ def test_an_interrupted_run_leaves_nothing_half_written(tmp_path):
     assert begun.returncode == 1
     assert "resumes from there" in errors
     assert not list(predictions.glob("*"))
-
-
-POOL = """
-import multiprocessing, os, time
-from concurrent.futures import ProcessPoolExecutor
-from blind.run import follow_parent
-
-if __name__ == "__main__":
-    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=follow_parent)
-    print(pool.submit(os.getpid).result(), flush=True)
-    pool.submit(time.sleep, 600.0).result()
-"""
-
-
-def test_workers_end_with_the_process_that_made_them(tmp_path):
-    script = tmp_path / "pool.py"
-    script.write_text(POOL, encoding="utf-8")
-    path = os.pathsep.join(sys.path)
-    made = subprocess.Popen(
-        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path}
-    )
-    with made.stdout as output:
-        worker = int(output.readline())
-    os.kill(worker, 0)  # it is there
-    made.kill()
-    made.wait()
-    for _ in range(200):
-        try:
-            os.kill(worker, 0)
-        except ProcessLookupError:
-            return
-        time.sleep(0.1)
-    os.kill(worker, signal.SIGKILL)
-    pytest.fail("the worker lives on")

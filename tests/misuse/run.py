@@ -1,7 +1,6 @@
 """Run `tissuereg.readings`, and then `register`, on misread and on good events; count their answers."""
 
 from collections.abc import Iterable, Iterator
-from multiprocessing import Pool
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from misuse.events import BODIES, Event, good, misusable
 from misuse.misuses import MISUSES, alike
 from tissuereg.errors import TissueRegError
 from tissuereg.observe import MarkerObservation
+from tissuereg.parallel import Failed, Processes, in_order
 from tissuereg.readings import suspect
 
 #: Good events a body, events that a misuse is tried on, events with one marker off; the odd half makes the page.
@@ -83,9 +83,12 @@ def through_register(answers: dict, jobs: int) -> None:
     events += [good(row["body"], row["event"]) for row in well]
     off = [row for row in answers["one_marker_off"] if not row["found"]]
     events += [marker_off(row["body"], row["event"])[1] for row in off]
-    with Pool(jobs) as pool:
-        for row, found in zip([*rows, *well, *off], pool.imap(registered, events, chunksize=4), strict=True):
-            row["register"] = found
+    with Processes(jobs) as executor:
+        outcomes = in_order(executor.run(registered, events))
+        for row, outcome in zip([*rows, *well, *off], outcomes, strict=True):
+            if isinstance(outcome, Failed):
+                raise outcome.error
+            row["register"] = outcome.result
 
 
 def good_events(numbers: Iterable[int]) -> list[dict]:
