@@ -251,7 +251,7 @@ def table(answer: dict) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=ARCHIVE)
+    parser.add_argument("--out", type=Path, help="of a part or a smoke run: none by default; of the whole: the archive")
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--quick", action="store_true", help="few repeats")
     parser.add_argument("--threads", type=int, help=argparse.SUPPRESS)
@@ -266,6 +266,8 @@ def main() -> None:
         return
     from tissuereg._machine import machine
 
+    whole = not options.quick and options.cases == list(CASES)
+    out = options.out or (ARCHIVE if whole else None)
     cases = []
     for name in options.cases:
         for threads in (1, 2) if name == "large" else (1,):
@@ -284,8 +286,9 @@ def main() -> None:
         "versions": {"python": sys.version.split()[0], **{name: version(name) for name in ("tissuereg", *peers)}},
         "cases": cases,
     }
-    options.out.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
-    if options.out == ARCHIVE:
+    if out is not None:
+        out.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
+    if out == ARCHIVE:
         from readme import write_table
 
         write_table(ARCHIVE.name, table(answer))
