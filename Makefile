@@ -38,7 +38,7 @@ help:
 	@echo "make loadfree-supports  the same with partly wrong supports, on 24 further events; make loadfree-supports-data"
 	@echo "make loadfree-time   wall times of whole registrations"
 	@echo "make bench           times by stage -> benchmarks/results/"
-	@echo "make bench-cluster   what Dask costs: overhead, task rate, bytes -> benchmarks/results/cluster.json"
+	@echo "make bench-cluster   what Dask costs: overhead, task rate, bytes -> benchmarks/results/, docs/cluster.md"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make bench-esmda     one ES-MDA update, and other programs on the same arrays"
 	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"

@@ -1,4 +1,4 @@
-"""The tables of `README.md`, each between two marks that name its archive."""
+"""The tables of `README.md` and of other pages, each between two marks that name its archive."""
 
 from pathlib import Path
 
@@ -10,14 +10,14 @@ def marks(archive: str) -> tuple[str, str]:
     return f"<!-- {archive}: begin -->\n", f"<!-- {archive}: end -->"
 
 
-def table(archive: str) -> str:
+def table(archive: str, page: Path = README) -> str:
     """Return the table of an archive."""
     begin, end = marks(archive)
-    return README.read_text(encoding="utf-8").split(begin)[1].split(end)[0]
+    return page.read_text(encoding="utf-8").split(begin)[1].split(end)[0]
 
 
-def write_table(archive: str, table: str) -> None:
+def write_table(archive: str, table: str, page: Path = README) -> None:
     """Replace the table of an archive."""
     begin, end = marks(archive)
-    before, rest = README.read_text(encoding="utf-8").split(begin)
-    README.write_text(before + begin + table + end + rest.split(end)[1], encoding="utf-8")
+    before, rest = page.read_text(encoding="utf-8").split(begin)
+    page.write_text(before + begin + table + end + rest.split(end)[1], encoding="utf-8")

@@ -60,6 +60,20 @@ def test_the_table_of_the_smoother_is_that_of_its_json():
     assert script.table(answer) != kept
 
 
+def test_the_figures_of_many_machines_are_those_of_their_json():
+    script = loaded("cluster")
+    answer = json.loads((BENCHMARKS / "results" / "cluster.json").read_text(encoding="utf-8"))
+    kept = loaded("readme").table("cluster.json", BENCHMARKS.parent / "docs" / "cluster.md")
+    assert script.figures(answer) == kept
+    slower = {**answer, "chunk_s": {name: 2.0 * one for name, one in answer["chunk_s"].items()}}
+    assert script.figures(slower) != kept
+    assert "does not keep up with chunks of 16" in script.figures({**answer, "empty_tasks_per_s": 100.0})
+    assert "It keeps up with chunks of 16" in script.figures({**answer, "empty_tasks_per_s": 1e6})
+    quiet = script.figures({**answer, "load_before": 0.05})
+    assert "busy" not in quiet
+    assert "busy" in script.figures({**answer, "load_before": 3.0})
+
+
 def test_the_page_of_parts_of_material_tests_is_that_of_its_archive():
     script = loaded("material_parts")
     archive = json.loads((BENCHMARKS / "results" / "material-parts.json").read_text(encoding="utf-8"))
