@@ -194,3 +194,18 @@ def test_the_page_shows_the_layers_that_are_held():
     assert layers.written(page.replace("| errors", "| mirrors")) == page
     with pytest.raises(ValueError, match="once each"):
         layers.written(page.replace(layers.END, ""))
+
+
+def pools_of(path: Path) -> set[str]:
+    """Names that a file imports and that make processes for tasks."""
+    makes = re.compile(r"(multiprocessing|distributed|dask|dask_jobqueue|joblib|concurrent\.futures\.process)(\.|$)")
+    named = "concurrent.futures.ProcessPoolExecutor"
+    return {name for name in imports_of(path) if makes.match(name) or name == named}
+
+
+def test_only_parallel_makes_processes_for_tasks_and_knows_dask():
+    own = PACKAGE / "parallel"
+    runners = [*(REPOSITORY / "benchmarks").glob("*.py"), *(REPOSITORY / "tests").glob("*/run.py")]
+    others = [path for path in PACKAGE.rglob("*.py") if own not in path.parents]
+    assert {str(path): pools_of(path) for path in [*others, *runners] if pools_of(path)} == {}
+    assert {path.name for path in own.glob("*.py") if pools_of(path)} >= {"processes.py", "cluster.py", "jobs.py"}

@@ -10,12 +10,15 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import tissuereg as tr
 from support.cluster_tasks import Harming, square
 from support.meshes import block
 from support.processes import PATIENCE, Command, content
-from tissuereg.errors import ArgumentError, ClusterError, FormatError, MaterialError, MissingPackageError
+from tissuereg.contacts.settings import ContactSettings
+from tissuereg.errors import ArgumentError, ClusterError, FormatError, MarkerError, MaterialError, MissingPackageError
 from tissuereg.io.meshes import write_vtu
 from tissuereg.parallel import Failed, Finished, InProcess, Processes, one_result, open_executor
 from tissuereg.parallel.jobs import read_jobs
@@ -135,6 +138,20 @@ def test_a_task_that_raises_is_alone_in_failing_and_a_passing_error_is_tried_aga
     assert isinstance(errors[5], OSError)
     with pytest.raises(MaterialError, match="task 1 must"):
         one_result(cluster, square, (str(tmp_path), 1, "ours"))
+
+
+def test_registrations_of_a_cluster_are_those_of_register(cluster, block_mesh):
+    top = block_mesh.nodes[block_mesh.nodes[:, 2] == block_mesh.nodes[:, 2].max()][::4]
+    measured = top + np.array([[[0.5, 0.0, 0.0]], [[np.nan] * 3], [[0.0, 0.4, 0.1]]])
+    few = ContactSettings(n_chains=2, n_chains_first=2, max_passes=1, n_kept=1, powers=(1.0,), n_draws=2)
+    settings = tr.RegisterSettings(contacts=few)
+    found = list(tr.register_many(block_mesh, (top, top), measured, executor=cluster, settings=settings))
+    assert isinstance(found[1], Failed)
+    assert isinstance(found[1].error, MarkerError)
+    for number in (0, 2):
+        alone = tr.register(block_mesh, (top, measured[number]), settings=settings, threads=1)
+        assert np.array_equal(found[number].displacement, alone.displacement)
+        assert np.array_equal(found[number].node_covariance, alone.node_covariance)
 
 
 def test_tasks_are_taken_as_workers_become_free(cluster, tmp_path):
