@@ -33,6 +33,10 @@ RECIPE = '[mesh]\nfile = "mesh.vtu"\n[data]\nmembers = 96\nchunk = 8\n[pairs]\nm
 KILL, STOP = int(signal.SIGKILL), int(getattr(signal, "SIGSTOP", 0))
 
 
+#: As it was before anything was started here.
+ENVIRONMENT = dict(os.environ)
+
+
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory):
     """A recipe, and the data set that one process makes of it."""
@@ -152,6 +156,13 @@ def test_registrations_of_a_cluster_are_those_of_register(cluster, block_mesh):
         alone = tr.register(block_mesh, (top, measured[number]), settings=settings, threads=1)
         assert np.array_equal(found[number].displacement, alone.displacement)
         assert np.array_equal(found[number].node_covariance, alone.node_covariance)
+
+
+def test_workers_started_here_keep_freed_memory_and_have_one_thread(cluster):
+    wanted = {"MALLOC_MMAP_THRESHOLD_": str(2**25), "MALLOC_TRIM_THRESHOLD_": str(2**26), "RAYON_NUM_THREADS": "1"}
+    found = {one.index: one.result for one in cluster.run(os.getenv, wanted)}
+    # What the environment of the command says goes before.
+    assert [found[k] for k in range(3)] == [ENVIRONMENT.get(name, value) for name, value in wanted.items()]
 
 
 def test_tasks_are_taken_as_workers_become_free(cluster, tmp_path):

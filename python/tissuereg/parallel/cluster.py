@@ -41,11 +41,15 @@ _ANSWER = 30.0
 #: 15 s, after which a local cluster gives up a worker that is not back.
 _ENDING = 3.0
 
-#: Settings of a scheduler that is started here. Whether a task kills its workers is decided in `Cluster`.
+#: Settings of a scheduler that is started here. Whether a task kills its workers is decided in `Cluster`. Dask has
+#: workers return freed memory at once, and factors then touch new pages again and again: here it is kept, by the
+#: thresholds in bytes that glibc comes to by itself.
 SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": 5,
     "distributed.scheduler.worker-ttl": "60s",
     "distributed.nanny.pre-spawn-environ.RAYON_NUM_THREADS": 1,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 25,
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 26,
 }
 
 
