@@ -138,7 +138,9 @@ def _peer_row(row: dict, answer: dict) -> str:
         if (x["name"], x["threads"]) == (row["problem"], row["threads"]) and "error" not in x
     ]
     ours = same[0] if same else answer["tet10"] if row["element"] == "tet10" else None
-    ratio = f"{row['cold_s']['median'] / ours['cold_s']['median']:.0f}" if ours and "error" not in ours else ""
+    # A ratio holds within one run alone: ours may have been measured again since.
+    together = ours and "error" not in ours and "floor" not in ours
+    ratio = f"{row['cold_s']['median'] / ours['cold_s']['median']:.0f}" if together else ""
     cells = [row["version"], row["settings"], row["problem"], str(row["threads"]), _ms(row["cold_s"]), ratio, _off(row)]
     return _line([*cells, _counts(row["counters"]), f"{row['peak_mib']:.0f}"])
 
