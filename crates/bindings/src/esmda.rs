@@ -54,9 +54,7 @@ pub(crate) fn next_alpha(
     assimilated: f64,
     steps_left: usize,
 ) -> PyResult<f64> {
-    let predicted = View::<f64>::new("predicted", predicted, &[&[None, None]])?;
-    let n_obs = predicted.matrix().nrows();
-    let observed = View::<f64>::new("observed", observed, &[&[Some(n_obs)]])?;
+    let (predicted, observed) = compared(predicted, observed)?;
     let rule = match rule {
         "dmc" => AdaptiveRule::DataMisfit,
         "ler" => AdaptiveRule::RestrictedStep,
@@ -176,6 +174,16 @@ pub(crate) fn settings_of(
     Ok(settings.with_truncation(truncation))
 }
 
+/// Predictions, float64 (n_obs, n_members), and what was observed, float64 (n_obs,).
+pub(crate) fn compared<'py>(
+    predicted: &Bound<'py, PyAny>,
+    observed: &Bound<'py, PyAny>,
+) -> PyResult<(View<'py, f64>, View<'py, f64>)> {
+    let predicted = View::new("predicted", predicted, &[&[None, None]])?;
+    let observed = View::new("observed", observed, &[&[Some(predicted.matrix().nrows())]])?;
+    Ok((predicted, observed))
+}
+
 /// One prepared ES-MDA update. The arrays given must not be written to while it is made or applied.
 #[pyclass(frozen, module = "tissuereg._core")]
 pub(crate) struct Step {
@@ -203,9 +211,8 @@ impl Step {
         rank: Option<usize>,
     ) -> PyResult<Self> {
         let settings = settings_of(py, factorisation, energy, rank)?;
-        let predicted = View::<f64>::new("predicted", predicted, &[&[None, None]])?;
+        let (predicted, observed) = compared(predicted, observed)?;
         let (n_obs, n_members) = predicted.matrix().shape();
-        let observed = View::<f64>::new("observed", observed, &[&[Some(n_obs)]])?;
         let draws = View::<f64>::new("draws", draws, &[&[Some(n_obs), Some(n_members)]])?;
         let (y, d, e, noise) =
             (predicted.matrix(), observed.slice(), draws.matrix(), &noise.get().0);
@@ -230,9 +237,7 @@ impl Step {
         rank: Option<usize>,
     ) -> PyResult<Self> {
         let settings = settings_of(py, "auto", energy, rank)?;
-        let predicted = View::<f64>::new("predicted", predicted, &[&[None, None]])?;
-        let n_obs = predicted.matrix().nrows();
-        let observed = View::<f64>::new("observed", observed, &[&[Some(n_obs)]])?;
+        let (predicted, observed) = compared(predicted, observed)?;
         let (y, d, noise) = (predicted.matrix(), observed.slice(), &noise.get().0);
         let prepared = lock::run_released(py, threads, |par| {
             step::Step::prepare_square_root(y, d, noise, alpha, &settings.with_par(par))

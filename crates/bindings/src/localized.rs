@@ -7,7 +7,7 @@ use tissuereg_esmda::Taper;
 
 use crate::arrays::{self, View};
 use crate::errors::{self, Class};
-use crate::esmda::{Noise, settings_of};
+use crate::esmda::{Noise, compared, settings_of};
 use crate::lock;
 
 /// Gaspari and Cohn's function of distances over half the distance of no influence, float64 (n,).
@@ -49,9 +49,8 @@ impl LocalizedStep {
         rank: Option<usize>,
     ) -> PyResult<Self> {
         let settings = settings_of(py, "auto", energy, rank)?;
-        let predicted = View::<f64>::new("predicted", predicted, &[&[None, None]])?;
+        let (predicted, observed) = compared(predicted, observed)?;
         let (n_obs, n_members) = predicted.matrix().shape();
-        let observed = View::<f64>::new("observed", observed, &[&[Some(n_obs)]])?;
         let draws = View::<f64>::new("draws", draws, &[&[Some(n_obs), Some(n_members)]])?;
         let (y, d, e, noise) =
             (predicted.matrix(), observed.slice(), draws.matrix(), &noise.get().0);

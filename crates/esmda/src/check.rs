@@ -1,11 +1,17 @@
 //! Checks of arguments by name.
 
+use std::borrow::Cow;
+
 use faer::MatRef;
+use pulp::{Arch, NullaryFnOnce};
 
 use crate::{EsmdaError, NoiseCovariance};
 
 /// Relative asymmetry that rounding may leave in a covariance.
 const SYMMETRY_TOLERANCE: f64 = 1e-10;
+
+/// Partial sums of a pass over a row. Fixed, so that the bits depend on nothing else.
+pub(crate) const LANES: usize = 8;
 
 /// Refuses another shape.
 pub(crate) fn check_shape(
@@ -21,10 +27,71 @@ pub(crate) fn check_finite(
     argument: &'static str,
     matrix: MatRef<'_, f64>,
 ) -> Result<(), EsmdaError> {
-    match find(matrix, |value| !value.is_finite()) {
-        Some((row, column, value)) => Err(EsmdaError::NotFinite { argument, row, column, value }),
+    check_rows(argument, 0, matrix)
+}
+
+/// Refuses an entry that is not finite; the first of `rows` is row `row_0` of the argument.
+pub(crate) fn check_rows(
+    argument: &'static str,
+    row_0: usize,
+    rows: MatRef<'_, f64>,
+) -> Result<(), EsmdaError> {
+    Arch::new().dispatch(CheckRows { argument, row_0, rows })
+}
+
+struct CheckRows<'a> {
+    argument: &'static str,
+    row_0: usize,
+    rows: MatRef<'a, f64>,
+}
+
+impl NullaryFnOnce for CheckRows<'_> {
+    type Output = Result<(), EsmdaError>;
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        for row in 0..self.rows.nrows() {
+            check_row(self.argument, self.row_0 + row, &row_of(self.rows, row))?;
+        }
+        Ok(())
+    }
+}
+
+#[inline(always)]
+pub(crate) fn check_row(
+    argument: &'static str,
+    row: usize,
+    values: &[f64],
+) -> Result<(), EsmdaError> {
+    if all_finite(values) {
+        return Ok(());
+    }
+    match values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
+        Some((column, &value)) => Err(EsmdaError::NotFinite { argument, row, column, value }),
         None => Ok(()),
     }
+}
+
+/// A row as a slice; copied where its entries do not lie together.
+#[inline(always)]
+pub(crate) fn row_of<'a>(matrix: MatRef<'a, f64>, row: usize) -> Cow<'a, [f64]> {
+    match matrix.row(row).try_as_row_major() {
+        Some(contiguous) => Cow::Borrowed(contiguous.as_slice()),
+        None => Cow::Owned(matrix.row(row).iter().copied().collect()),
+    }
+}
+
+/// Whether all are finite: zero times anything else is NaN.
+#[inline(always)]
+pub(crate) fn all_finite(values: &[f64]) -> bool {
+    let mut zeros = [0.0; LANES];
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            zeros[lane] += chunk[lane] * 0.0;
+        }
+    }
+    zeros.iter().chain(rest).map(|value| value * 0.0).sum::<f64>() == 0.0
 }
 
 /// The first entry, row by row, of which `wrong` is true.

@@ -36,7 +36,7 @@ use self::gain::Gain;
 pub use self::localized::{LocalizedStep, Taper, gaspari_cohn};
 use self::rows::{Ensemble, Scaled, centred_transpose, check_matrix};
 pub use self::subspace::Truncation;
-use crate::check::{check_shape, check_update};
+use crate::check::{check_rows, check_shape, check_update};
 use crate::schedule::check_alpha;
 use crate::{EsmdaError, NoiseCovariance, linalg};
 
@@ -283,7 +283,7 @@ impl Step {
         check_shape("updated", updated.shape(), wanted)?;
         linalg::try_for_row_chunks(updated, self.par, |row_0, mut updated| {
             let rows = parameters.get(row_0..row_0 + updated.nrows(), ..);
-            rows::check_rows("parameters", row_0, rows)?;
+            check_rows("parameters", row_0, rows)?;
             updated.copy_from(rows);
             self.gain.add_to(updated, centred_transpose(rows));
             Ok(())

@@ -1,28 +1,13 @@
-//! Passes over rows: checks, means, and the transposes `S'` and `R'`.
+//! Passes over rows: means, and the transposes `S'` and `R'`.
 //!
 //! Each entry is read once, from a contiguous slice, by loops without branches, which compile to vector instructions:
 //! at surgical size such passes cost as much as the algebra.
 
-use std::borrow::Cow;
-
 use faer::{Mat, MatRef, Par};
-
 use pulp::{Arch, NullaryFnOnce};
 
-use crate::check::check_shape;
+use crate::check::{LANES, all_finite, check_finite, check_row, check_shape, row_of};
 use crate::{EsmdaError, NoiseCovariance, linalg};
-
-/// Partial sums of a mean. Fixed, so that the bits depend on nothing else.
-const LANES: usize = 8;
-
-/// A row as a slice; copied where its entries do not lie together.
-#[inline(always)]
-fn row_of<'a>(matrix: MatRef<'a, f64>, row: usize) -> Cow<'a, [f64]> {
-    match matrix.row(row).try_as_row_major() {
-        Some(contiguous) => Cow::Borrowed(contiguous.as_slice()),
-        None => Cow::Owned(matrix.row(row).iter().copied().collect()),
-    }
-}
 
 /// Mean, and largest absolute value, of a slice that is not empty.
 ///
@@ -44,19 +29,6 @@ fn mean_and_largest(values: &[f64]) -> (f64, f64) {
     (first + sum / values.len() as f64, sizes.fold(0.0, f64::max))
 }
 
-/// Whether all are finite: zero times anything else is NaN.
-#[inline(always)]
-fn all_finite(values: &[f64]) -> bool {
-    let mut zeros = [0.0; LANES];
-    let (chunks, rest) = values.as_chunks::<LANES>();
-    for chunk in chunks {
-        for lane in 0..LANES {
-            zeros[lane] += chunk[lane] * 0.0;
-        }
-    }
-    zeros.iter().chain(rest).map(|value| value * 0.0).sum::<f64>() == 0.0
-}
-
 /// Refuses a matrix of another shape or with an entry that is not finite.
 pub(super) fn check_matrix(
     argument: &'static str,
@@ -64,45 +36,7 @@ pub(super) fn check_matrix(
     wanted: (usize, usize),
 ) -> Result<(), EsmdaError> {
     check_shape(argument, matrix.shape(), wanted)?;
-    check_rows(argument, 0, matrix)
-}
-
-/// Refuses an entry that is not finite; the first of `rows` is row `row_0` of the argument.
-pub(super) fn check_rows(
-    argument: &'static str,
-    row_0: usize,
-    rows: MatRef<'_, f64>,
-) -> Result<(), EsmdaError> {
-    Arch::new().dispatch(CheckRows { argument, row_0, rows })
-}
-
-struct CheckRows<'a> {
-    argument: &'static str,
-    row_0: usize,
-    rows: MatRef<'a, f64>,
-}
-
-impl NullaryFnOnce for CheckRows<'_> {
-    type Output = Result<(), EsmdaError>;
-
-    #[inline(always)]
-    fn call(self) -> Self::Output {
-        for row in 0..self.rows.nrows() {
-            check_row(self.argument, self.row_0 + row, &row_of(self.rows, row))?;
-        }
-        Ok(())
-    }
-}
-
-#[inline(always)]
-fn check_row(argument: &'static str, row: usize, values: &[f64]) -> Result<(), EsmdaError> {
-    if all_finite(values) {
-        return Ok(());
-    }
-    match values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
-        Some((column, &value)) => Err(EsmdaError::NotFinite { argument, row, column, value }),
-        None => Ok(()),
-    }
+    check_finite(argument, matrix)
 }
 
 fn check_prediction(row: usize, values: &[f64], limit: f64) -> Result<(), EsmdaError> {
