@@ -76,8 +76,11 @@ test-sturdy: $(VENV)/.installed-dev
 	TISSUEREG_CASES=2000 $(CARGO) test -p tissuereg-fem --test fuzz
 	TISSUEREG_CASES=10000 $(BIN)/python -m pytest tests/unit/test_fuzzed_files.py
 
+# Files side by side in a process a core, so that what a module prepares is made once; WORKERS=0: one after another.
+WORKERS ?= logical
+
 test-python: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 # Tests that take minutes.
 test-slow: $(VENV)/.installed-dev
