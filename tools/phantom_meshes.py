@@ -1,9 +1,12 @@
-"""Make the two meshes of the embedded breast phantom (needs the extra `mesh`).
+"""Make the meshes of the embedded breast phantom (needs the extra `mesh`), and the truth of its event.
 
-    python tools/phantom_meshes.py
+    python tools/phantom_meshes.py            # meshes, then the truth on them
+    python tools/phantom_meshes.py --truth    # the truth alone, on the meshes that are there
 
-writes ``python/tissuereg/phantom/data/{body,truth}.npz``: the mesh that users simulate on, and the finer
-mesh on which the phantom's "measurement" is made. They share the surface, no inner node.
+writes ``python/tissuereg/phantom/data/{full,small}-{body,truth}.npz``: for each size the mesh that users simulate on,
+and the finer mesh on which the phantom's "measurement" is made, with its true displacement. They share the surface, no
+inner node. The full body is that of ``breast_mesh``, kept so that it has the same digest on every machine; the
+other program does not make the same mesh twice.
 """
 
 import argparse
@@ -11,11 +14,14 @@ import itertools
 from pathlib import Path
 
 import numpy as np
-import pytetwild
+
+from tissuereg.phantom import SIZES, breast_mesh
+from tissuereg.phantom.event import solve_truth
+from tissuereg.simulate.recipe import DEFAULT_NODES
 
 DATA = Path(__file__).resolve().parent.parent / "python" / "tissuereg" / "phantom" / "data"
 RADIUS, HEIGHT, DROOP = 60.0, 52.0, 7.0
-EDGE_LENGTH_SHARE = {"body": 0.0605, "truth": 0.0475}
+EDGE_LENGTH_SHARE = {"small-body": 0.0605, "small-truth": 0.0475, "full-truth": 0.029}
 
 
 def dome_point(ring: float, angle: float) -> np.ndarray:
@@ -49,6 +55,8 @@ def breast_surface(n_rings: int = 40, n_around: int = 120, n_base: int = 20) -> 
 
 def tetrahedra(points: np.ndarray, triangles: np.ndarray, edge_length_share: float) -> tuple[np.ndarray, np.ndarray]:
     """Return nodes rounded to 1e-4 mm and positive tets of the body inside a surface."""
+    import pytetwild
+
     nodes, tets = pytetwild.tetrahedralize(
         points, triangles, edge_length_fac=edge_length_share, epsilon=2e-3, quiet=True
     )[:2]
@@ -61,21 +69,35 @@ def tetrahedra(points: np.ndarray, triangles: np.ndarray, edge_length_share: flo
     return nodes, tets
 
 
+def write(name: str, nodes: np.ndarray, tets: np.ndarray, **more: np.ndarray) -> None:
+    """Write one mesh, and what goes with it."""
+    fixed = np.flatnonzero(nodes[:, 2] == 0.0)
+    np.savez_compressed(
+        DATA / f"{name}.npz",
+        nodes_mm=nodes,
+        tets=tets.astype(np.int32),
+        fixed_nodes=fixed.astype(np.int32),
+        **more,
+    )
+    print(f"{name}: {len(nodes)} nodes, {len(tets)} tets, {len(fixed)} held")
+
+
 def main() -> None:
-    """Write both meshes."""
+    """Write the meshes and the truths."""
     formatter = argparse.RawDescriptionHelpFormatter
-    argparse.ArgumentParser(description=__doc__, formatter_class=formatter).parse_args()
-    surface = breast_surface()
-    for name, share in EDGE_LENGTH_SHARE.items():
-        nodes, tets = tetrahedra(*surface, share)
-        fixed = np.flatnonzero(nodes[:, 2] == 0.0)
-        np.savez_compressed(
-            DATA / f"{name}.npz",
-            nodes_mm=nodes,
-            tets=tets.astype(np.int32),
-            fixed_nodes=fixed.astype(np.int32),
-        )
-        print(f"{name}: {len(nodes)} nodes, {len(tets)} tets, {len(fixed)} held")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
+    parser.add_argument("--truth", action="store_true", help="solve for the truth on the meshes that are there")
+    if not parser.parse_args().truth:
+        body = breast_mesh(DEFAULT_NODES)
+        write("full-body", body.nodes, body.tets)
+        surface = breast_surface()
+        for name, share in EDGE_LENGTH_SHARE.items():
+            write(name, *tetrahedra(*surface, share))
+    for size in SIZES:
+        with np.load(DATA / f"{size}-truth.npz") as mesh:
+            nodes, tets = mesh["nodes_mm"], mesh["tets"]
+        fields = (field.astype(np.float32) for field in solve_truth(size))
+        write(f"{size}-truth", nodes, tets, **dict(zip(("displacement_mm", "on_body_mm"), fields, strict=True)))
 
 
 if __name__ == "__main__":

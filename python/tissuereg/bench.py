@@ -148,7 +148,7 @@ def bench_register(settings: BenchSettings) -> list[Row]:
     list of dict
         Three rows, or two if no network is shipped.
     """
-    event = make_event(seed=settings.seed, threads=settings.threads)
+    event = make_event(seed=settings.seed)
     simulator = Simulator(event.mesh)
     simulation = simulator.solve(event.load, event.material, threads=settings.threads).displacement
 
@@ -189,7 +189,7 @@ BENCHES: dict[str, Callable[[BenchSettings], list[Row]]] = {
 def _problems(settings: BenchSettings) -> list[tuple[str, Problem]]:
     if settings.problems:
         return [(Path(path).stem, read_problem(path)) for path in settings.problems]
-    event = make_event(seed=settings.seed, threads=settings.threads)
+    event = make_event(seed=settings.seed)
     return [("phantom", Problem(event.mesh, event.material, event.load))]
 
 
@@ -209,7 +209,7 @@ def _one_solve(problem: Problem, element: str, settings: BenchSettings) -> Calla
 
 
 def _one_ensemble(element: str, settings: BenchSettings) -> Callable[[], _Run]:
-    mesh, material = phantom_mesh(), make_event(seed=settings.seed, threads=settings.threads).material
+    mesh, material = phantom_mesh(), make_event(seed=settings.seed).material
     prepared = Simulator(mesh, element=element)
     sampler, rng = EventSampler(mesh), np.random.default_rng([settings.seed, 6])
     events = [sampler.draw(rng) for _ in range(settings.members)]

@@ -39,7 +39,7 @@ def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) ->
     """
     clock = Clock()
     with clock.stage("measure"):
-        event = make_event(seed=seed, threads=threads)
+        event = make_event(seed=seed)
     with clock.stage("simulate"):
         simulation = simulate(event.mesh, event.load, event.material, threads=threads).displacement
     result = register(

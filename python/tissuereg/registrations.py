@@ -85,7 +85,7 @@ def register_many(
     Examples
     --------
     >>> from tissuereg.phantom.event import make_event
-    >>> event = make_event(seed=0)
+    >>> event = make_event(seed=0, size="small")
     >>> moved = [event.markers.measured, event.markers.measured + 0.05]
     >>> [result.trust.ok for result in register_many(event.mesh, event.markers, moved)]
     [True, True]

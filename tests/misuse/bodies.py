@@ -68,4 +68,4 @@ def ellipsoid() -> tr.Mesh:
     return tr.Mesh(nodes, tets, {"fixed": skin[low]})
 
 
-BODIES = {"dome": dome, "phantom": phantom_mesh, "slab": slab, "beam": beam, "ellipsoid": ellipsoid}
+BODIES = {"dome": dome, "phantom": lambda: phantom_mesh("small"), "slab": slab, "beam": beam, "ellipsoid": ellipsoid}

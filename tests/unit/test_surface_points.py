@@ -109,7 +109,7 @@ def test_the_error_of_the_model_is_shared_by_points_close_to_each_other_and_nois
 
 def test_flat_faces_have_no_facet_error_and_a_curved_surface_has_that_of_its_edges(block_mesh):
     assert np.max(facet_errors(block_mesh)) < 1e-6
-    phantom = tr.phantom.phantom_mesh()
+    phantom = tr.phantom.phantom_mesh("small")
     errors = facet_errors(phantom)
     assert 0.02 < np.median(errors) < 0.1  # edges of 7 mm on a radius of 60 mm: an arrow height of 0.1 mm
 

@@ -13,8 +13,11 @@ from tissuereg.io.toml import read_toml
 from tissuereg.mesh import Mesh
 from tissuereg.simulate.variation import Variation
 
-#: Name of the embedded mesh in a recipe, and of the body that meshes are made for.
+#: The embedded body in a recipe: as the source of meshes of any number of nodes.
 PHANTOM = "phantom"
+
+#: Its embedded meshes, by the names that stand for a file, and their sizes.
+EMBEDDED = {PHANTOM: "full", "phantom-small": "small"}
 
 #: Nodes of the mesh that a recipe makes if it states none: as many as the paper's breast phantom has.
 DEFAULT_NODES = 4223
@@ -126,7 +129,7 @@ class Recipe:
     seed : int
         Seed of all random numbers.
     mesh_file : str or None
-        ``phantom``, or a mesh file relative to the recipe; None if the recipe makes its mesh.
+        ``phantom``, ``phantom-small``, or a mesh file relative to the recipe; None if the recipe makes its mesh.
     n_nodes : int or None
         Nodes of the mesh of the breast phantom that the recipe makes, about.
     fixed : str or None
@@ -159,10 +162,10 @@ class Recipe:
             from tissuereg.phantom.breast import breast_mesh
 
             return breast_mesh(self.n_nodes or DEFAULT_NODES)
-        if self.mesh_file == PHANTOM:
+        if self.mesh_file in EMBEDDED:
             from tissuereg.phantom import phantom_mesh
 
-            return phantom_mesh()
+            return phantom_mesh(EMBEDDED[self.mesh_file])
         from tissuereg.io.meshes import read_mesh
 
         return read_mesh(self.path.parent / self.mesh_file, fixed=self.fixed)
@@ -243,7 +246,8 @@ def _mesh_table(path: Any, mesh: Any) -> dict[str, Any]:
     if is_file or is_made:
         return table
     message = (
-        f'{path}: [mesh] must hold file = "phantom" or a mesh file, and may hold fixed = "plane nx ny nz d [tol]"; '
+        f'{path}: [mesh] must hold file = "phantom", "phantom-small" or a mesh file, and may hold '
+        f'fixed = "plane nx ny nz d [tol]"; '
         f'or source = "phantom", and may then hold n_nodes = {DEFAULT_NODES}'
     )
     raise ExperimentError(message, where=f"{path}: [mesh]")

@@ -107,7 +107,7 @@ def _dome(reference):
 
 def _phantom(_):
     bodies = []
-    for name in ("body", "truth"):
+    for name in ("small-body", "small-truth"):
         with np.load(PHANTOM / f"{name}.npz") as mesh:
             bodies.append((mesh["nodes_mm"].astype(float), mesh["tets"].astype(int), mesh["fixed_nodes"].astype(int)))
     nodes, tets, _ = bodies[1]
