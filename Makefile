@@ -14,7 +14,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model clean
+.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model table2-model small-model demo-figures clean
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -41,7 +41,9 @@ help:
 	@echo "make bench-cluster   what Dask costs: overhead, task rate, bytes -> benchmarks/results/, docs/cluster.md"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make bench-esmda     one ES-MDA update, and other programs on the same arrays"
-	@echo "make phantom-model   data set and network of the phantom, anew (about half an hour)"
+	@echo "make phantom-model   data set and shipped model of the phantom, anew (hours; resumable); make table2-model: the paper's"
+	@echo "                     network on the same data; make small-model: that of tests, on the small phantom (half an hour)"
+	@echo "make demo-figures    what the README shows of the demo, after a change of model or phantom"
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -211,11 +213,23 @@ bench-esmda: $(VENV)/.installed-dev
 	$(BIN)/python -m pip install --quiet pyesmda dageo iterative_ensemble_smoother
 	$(BIN)/python benchmarks/esmda.py
 
+# Runs of hours: each goes on where it was stopped. What is shipped are the files of build/phantom-model.
 phantom-data: $(VENV)/.installed
-	$(BIN)/tissuereg simulate training/recipes/phantom.toml --out build/phantom-data
+	$(BIN)/tissuereg simulate training/recipes/breast.toml --out build/phantom-data
 
 phantom-model: phantom-data training
-	$(TRAINING_BIN)/tissuereg train training/recipes/phantom.toml --data build/phantom-data --out build/phantom-model
+	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --out build/phantom-model
+
+table2-model: phantom-data training
+	$(TRAINING_BIN)/tissuereg train training/recipes/table2.toml --data build/phantom-data --out build/table2-model
+
+small-model: training
+	$(BIN)/tissuereg simulate training/recipes/small.toml --out build/small-data
+	$(TRAINING_BIN)/tissuereg train training/recipes/small.toml --data build/small-data --out build/small-model
+
+# What the README and docs/phantom.png show of the demo, with the model that is shipped.
+demo-figures: $(VENV)/.installed-dev
+	$(BIN)/python tools/demo_figures.py
 
 clean:
 	rm -rf target $(VENV) $(TRAINING_VENV) $(DOCS_VENV) .venv-peers build demo

@@ -3,7 +3,7 @@
 >>> import tissuereg as tr
 >>> mesh = tr.phantom.phantom_mesh()
 >>> mesh.n_nodes
-1213
+4258
 """
 
 from tissuereg import effects, errors, phantom

@@ -13,6 +13,7 @@ import pytest
 import tissuereg as tr
 from support.files import EXPERIMENT, GOOD_MARKERS, MARKERS_HEADER, run, run_json, write_experiment, write_problem
 from support.meshes import block
+from support.small_model import SMALL_MODEL
 from tissuereg.cli import build_parser, solve
 from tissuereg.cli.common import progress_bar
 from tissuereg.io.cases import read_histories
@@ -417,14 +418,14 @@ def test_progress_in_a_log_is_lines_with_the_time_left(monkeypatch, capsys):
 
 
 def test_register_takes_the_update_that_is_named(tmp_path, capsys):
-    body = tr.phantom.phantom_mesh()
+    body = tr.phantom.phantom_mesh("small")
     write_vtu(tmp_path / "mesh.vtu", body)
     places = body.nodes[body.surface_nodes[::60]]
     rows = [f"P{i},{x},{y},{z},{x + 0.02 * z},{y},{z}\n" for i, (x, y, z) in enumerate(places.tolist())]
     (tmp_path / "markers.csv").write_text(MARKERS_HEADER + "".join(rows))
     fits = []
     for update in ("esmda", "gauss-newton"):
-        words = ["register", tmp_path / "mesh.vtu", tmp_path / "markers.csv", "--model", "phantom", "--members", 40]
+        words = ["register", tmp_path / "mesh.vtu", tmp_path / "markers.csv", "--model", SMALL_MODEL, "--members", 40]
         code, said, _ = run_json(capsys, *words, "--update", update, "--out", tmp_path / update)
         assert code in (0, 4)
         fits.append(said["markers"]["after_rms_mm"])

@@ -1,6 +1,7 @@
 """Does every code block of the documentation do what its page says?"""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -10,11 +11,14 @@ import tissuereg as tr
 from support.blocks import REPOSITORY, blocks, run_page
 from support.material_curves import believed, in_modes
 from support.rig_folders import write_rig
+from support.scripts import script
 from support.surfaces import sphere, write_stl
 from tissuereg.demo import run_demo
 from tissuereg.io.material_experiments import write_material_experiment, write_test_table
 
 DOCS = REPOSITORY / "docs"
+FIGURES = script("tools", "demo_figures")
+NUMBER = re.compile(r"\d+\.\d+")
 PAGES = [REPOSITORY / "README.md", *sorted(DOCS.rglob("*.md"))]
 #: Guides are followed by `test_guides.py`, in a copy of the sources.
 WITH_BLOCKS = [page for page in PAGES if blocks(page) and page.parent.name != "guides"]
@@ -111,6 +115,14 @@ def test_the_readme_runs_and_finds_the_lesion(run):
     assert (folder / "report.html").is_file()
     assert (folder / "registered" / "registered.vtu").is_file()
     assert isinstance(result, tr.Registration)
+    shown, made = script("benchmarks", "readme").table("demo", REPOSITORY / "README.md"), FIGURES.demo_table(answer)
+    assert NUMBER.sub("", shown) == NUMBER.sub("", made)
+    # One unit of the last digit: other processors round other sums.
+    np.testing.assert_allclose(*(list(map(float, NUMBER.findall(text))) for text in (shown, made)), atol=0.0101)
+
+
+def test_the_readme_shows_the_errors_of_the_model_that_is_shipped():
+    assert script("benchmarks", "readme").table("model", REPOSITORY / "README.md") == FIGURES.model_table()
 
 
 def test_blocks_that_are_not_run_are_known():

@@ -7,7 +7,7 @@ from tissuereg.cli.common import Outcome, seconds_line
 from tissuereg.cli.options import UsageError, add_common, command_parser
 
 _DETAILS = (
-    "An embedded breast phantom, its physics simulation and a shipped network: simulation, encoder, ES-MDA over the "
+    "An embedded breast phantom, its physics simulation and a shipped model: simulation, encoder, ES-MDA over the "
     "ONNX decoder, registered mesh. The measurement was made with another model (other stiffness, a stiff lesion, "
     "ten-node elements, finer mesh), so errors are those against a truth that the model does not know. With --files "
     "nothing is computed: DIR gets surface/ (organ.stl, markers and targets, for 'mesh' and 'register') and rig/ (an "

@@ -1,6 +1,7 @@
 """The breast phantom: embedded meshes, others of any number of nodes, a trained model, and a synthetic measurement.
 
-The body has two sizes: ``full``, as many nodes as the paper's, and ``small``, for quick examples. The measurement's truth is known. It comes from another model than the one that users simulate
+The body has two sizes: ``full``, as many nodes as the paper's, which the shipped model was trained on; and ``small``,
+for quick examples. The measurement's truth is known. It comes from another model than the one that users simulate
 with: another stiffness, a stiff lesion, ten-node elements, a finer mesh that shares no inner node, markers between
 nodes.
 """
@@ -25,13 +26,13 @@ SIZES = ("full", "small")
 _FOLDER = Path(str(files("tissuereg.phantom")))
 
 
-def phantom_mesh(size: str = "small") -> Mesh:
+def phantom_mesh(size: str = "full") -> Mesh:
     """Return the mesh to simulate and register on; its node set ``fixed`` is the chest wall.
 
     Parameters
     ----------
     size : str
-        ``full``: 4,258 nodes, ``breast_mesh(4223)``. ``small``: 1,213 nodes.
+        ``full``: 4,258 nodes, ``breast_mesh(4223)``, which the shipped model was trained on. ``small``: 1,213 nodes.
 
     Returns
     -------
@@ -46,7 +47,7 @@ def phantom_mesh(size: str = "small") -> Mesh:
     return _mesh(size, "body")
 
 
-def truth_mesh(size: str = "small") -> Mesh:
+def truth_mesh(size: str = "full") -> Mesh:
     """Return the finer mesh on which the measurement is made.
 
     Parameters
@@ -68,7 +69,7 @@ def truth_mesh(size: str = "small") -> Mesh:
     return _mesh(size, "truth")
 
 
-def true_fields(size: str = "small") -> tuple[FloatArray, FloatArray]:
+def true_fields(size: str = "full") -> tuple[FloatArray, FloatArray]:
     """Return the true displacement of the phantom's event, as `tissuereg.phantom.event.solve_truth` gave it.
 
     Parameters

@@ -58,7 +58,7 @@ class PhantomEvent:
     true_lesion: FloatArray
 
 
-def make_event(*, seed: int = 0, size: str = "small") -> PhantomEvent:
+def make_event(*, seed: int = 0, size: str = "full") -> PhantomEvent:
     """Return the phantom's event, its measurement taken from the finer, stiffer, second-order model.
 
     Parameters
@@ -66,7 +66,7 @@ def make_event(*, seed: int = 0, size: str = "small") -> PhantomEvent:
     seed : int
         Of the markers' places and noise.
     size : str
-        Of the body: ``full`` or ``small``; see `phantom_mesh`.
+        Of the body: ``full`` for the mesh of the shipped model, ``small`` for quick examples; see `phantom_mesh`.
 
     Returns
     -------

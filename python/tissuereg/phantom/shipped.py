@@ -1,4 +1,4 @@
-"""The recipe of data on the full body, for models of the paper's size."""
+"""The recipe of the data on which the shipped model was trained."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -7,12 +7,12 @@ from tissuereg.simulate.recipe import Recipe, read_recipe
 
 
 def shipped_recipe() -> Recipe:
-    """Return the recipe of 10,000 deformations of the full body.
+    """Return the recipe of the data on which the shipped model was trained.
 
     Returns
     -------
     Recipe
-        That of ``training/recipes/breast.toml``: its mesh is ``phantom_mesh("full")``; its ``data`` and ``material`` are
+        That of ``training/recipes/breast.toml``: its mesh is ``phantom_mesh()``; its ``data`` and ``material`` are
         what `EventSampler` draws deformations of that body from.
     """
     return read_recipe(Path(str(files("tissuereg.phantom"))) / "data" / "breast.toml")
