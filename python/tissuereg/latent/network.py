@@ -1,7 +1,8 @@
 """A trained encoder and decoder, run by onnxruntime."""
 
+import hashlib
 import os
-from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,10 @@ import numpy as np
 from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import ModelError
 from tissuereg.io.npz import Archive, open_npz
+from tissuereg.latent.batches import in_batches
 from tissuereg.latent.card import check_files, read_card
+from tissuereg.latent.cut import CutDecoder, session
+from tissuereg.latent.decoders import ClosureDecoder, GraphDecoder, read_decoder
 from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement
 from tissuereg.mesh import Mesh
 
@@ -19,6 +23,9 @@ _LEAST_SIZE_MM = 0.3
 
 #: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
 _BATCH = 25
+
+#: Sets of points whose cut decoders a model keeps.
+_KEPT = 8
 
 
 class NetworkModel:
@@ -62,6 +69,7 @@ class NetworkModel:
         self._encoder = _session(self.folder / "encoder.onnx")
         self._decoder = _session(self.folder / "decoder.onnx")
         self._has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
+        self._cut: dict[str, CutDecoder] = {}
         with open_npz(self.folder / "decoder_weights.npz") as weights:
             self._errors = _errors_in(weights, "error_fields_mm", "error_sizes_mm", self.n_nodes)
             self._change_errors = _errors_in(weights, "change_error_fields_mm", "change_sizes_mm", self.n_nodes)
@@ -124,20 +132,50 @@ class NetworkModel:
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
-        batches = [latents[:, i : i + _BATCH] for i in range(0, latents.shape[1], _BATCH)]
         extra = {} if nodes is None or not self._has_nodes else {"nodes": np.asarray(nodes, np.int64)}
 
         def run(batch: FloatArray) -> Any:
-            return self._decoder.run(["displacement"], {"z": np.ascontiguousarray(batch.T, np.float32), **extra})[0]
+            return self._decoder.run(["displacement"], {"z": batch, **extra})[0]
 
-        if len(batches) == 1:
-            fields = run(batches[0])
-        else:
-            with ThreadPoolExecutor(self._threads) as pool:
-                fields = np.concatenate(list(pool.map(run, batches)))
+        fields = in_batches(run, latents, _BATCH, self._threads)
         if nodes is not None and not extra:
             fields = fields[:, nodes]
         return np.asarray(fields, dtype=np.float64)
+
+    @cached_property
+    def tables(self) -> ClosureDecoder | GraphDecoder | None:
+        """The decoder's weights; None if they are of no kind that can be cut."""
+        return read_decoder(self.folder / "decoder_weights.npz")
+
+    def cut(self, rows: Any) -> CutDecoder | None:
+        """Return the decoder at points alone, made once for the same points and checked against ``decoder.onnx``.
+
+        Parameters
+        ----------
+        rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
+            Weights of every point on the nodes.
+
+        Returns
+        -------
+        CutDecoder or None
+            None if the weights are of no kind that can be cut. Cost: some tenths of a second at first.
+
+        Raises
+        ------
+        ModelError
+            If the weights and ``decoder.onnx`` are not the same decoder.
+        """
+        digest = hashlib.sha256(rows.indptr.tobytes() + rows.indices.tobytes() + rows.data.tobytes()).hexdigest()
+        if digest not in self._cut and self.tables is not None:
+            made = CutDecoder(self.tables, rows, self._threads)
+            codes = self.prior(None)
+            spread = np.linalg.cholesky(codes.covariance + 1e-12 * np.trace(codes.covariance) * np.eye(self.n_latent))
+            draws = np.random.default_rng(0).standard_normal((self.n_latent, 3))
+            made.check(rows, self.decode, codes.mean[:, None] + spread @ draws, str(self.folder))
+            while len(self._cut) >= _KEPT:
+                self._cut.pop(next(iter(self._cut)))
+            self._cut[digest] = made
+        return self._cut.get(digest)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
         """Return the encoder's distribution, widened by the mismatch of truths and simulations in latent space.
@@ -222,14 +260,4 @@ def _errors_in(weights: Archive, fields: str, sizes: str, n_nodes: int) -> Scale
 
 
 def _session(path: Path) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions share no public base class
-        message = f"{path} must be an ONNX network that onnxruntime can load: {error}"
-        raise ModelError(message, where=str(path)) from error
+    return session(str(path), str(path))

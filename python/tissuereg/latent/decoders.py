@@ -1,0 +1,385 @@
+r"""Decoders as tables: what ``decoder_weights.npz`` of a model holds, and the same decoder at a few points alone.
+
+A point is a row of weights on nodes, so rows are a sparse matrix P (n_rows, n_nodes). Two kinds of decoders are known.
+
+**Closure**: ``u = mean + sum_j c_j components_j`` with ``c = MLP(z)``. At points it ends in ``P components`` (3 n_rows,
+n_components) in place of the whole fields.
+
+**Graph network** (Table II): a linear layer, then on every level ``x <- act(sum_m T_m x B_m + b)`` with T_m the
+unpooling and the coefficients of one basis in one table (fine nodes, coarse nodes). At points, the last level's tables
+become P T_m, and every earlier level keeps the nodes that these reach. What is linear with nothing between is one
+matrix: the linear layer with the first level, and the last level with P.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.errors import FormatError, ModelError
+from tissuereg.io.npz import Archive, open_npz
+from tissuereg.latent.onnx_bytes import OnnxGraph
+
+#: Activations, by their names in a closure's weights: the operators that make them up.
+ACTIVATIONS = ("elu", "silu", "relu", "tanh")
+
+#: A group of rows is split only if this share of its products is enough afterwards: each group copies its inputs.
+_WORTH = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class ClosureDecoder:
+    """``displacement = mean + components @ MLP(z)``.
+
+    Attributes
+    ----------
+    layers : tuple of (ndarray of float64 (n_out, n_in), ndarray of float64 (n_out,))
+        Weights and biases of the MLP; an activation follows all but the last.
+    activation : str
+        One of `ACTIVATIONS`.
+    components : ndarray of float64, shape (n_components, n_nodes, 3)
+        mm.
+    mean : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    """
+
+    layers: tuple[tuple[FloatArray, FloatArray], ...]
+    activation: str
+    components: FloatArray
+    mean: FloatArray
+
+    def network_at(self, rows: Any) -> tuple[bytes, int]:
+        """Return the decoder at points as an ONNX file, and its multiply-adds a member.
+
+        Parameters
+        ----------
+        rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
+            Weights of every point on the nodes.
+
+        Returns
+        -------
+        file : bytes
+            From ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows) mm; x, y and z of a row follow each other.
+        multiply_adds : int
+            Of one member.
+        """
+        at = np.stack([rows @ field for field in self.components], axis=-1) if len(self.components) else np.empty(0)
+        last, bias = self.layers[-1]
+        fields = at.reshape(3 * rows.shape[0], -1)
+        offset = (rows @ self.mean).ravel()
+        layers = list(self.layers)
+        # The MLP ends linear: with few points its last layer and the components are one smaller matrix.
+        if fields.shape[0] * last.shape[1] <= last.size + fields.size:
+            layers[-1] = (fields @ last, fields @ bias + offset)
+        else:
+            layers.append((fields, offset))
+        graph, x = OnnxGraph("closure_at_points"), "z"
+        for number, (weight, constant) in enumerate(layers):
+            final = number == len(layers) - 1
+            inputs = [x, graph.table(weight.T), graph.table(constant)]
+            x = graph.node("Gemm", inputs, output="moved" if final else "")
+            if number < len(self.layers) - 1:
+                x = _activated(graph, self.activation, x)
+        work = sum(weight.size for weight, _ in layers)
+        return graph.to_bytes(("z", self.layers[0][0].shape[1]), ("moved", 3 * rows.shape[0])), work
+
+
+@dataclass(frozen=True, eq=False)
+class GraphLevel:
+    """One level of a graph network's decoder: unpooling and convolution in one.
+
+    Attributes
+    ----------
+    tables : tuple of scipy.sparse.csr_array, shape (n_fine, n_coarse)
+        T_m for every basis, all with the same pattern.
+    bases : ndarray of float64, shape (M, n_in, n_out)
+        B_m.
+    bias : ndarray of float64, shape (n_out,)
+        b.
+    """
+
+    tables: tuple[Any, ...]
+    bases: FloatArray
+    bias: FloatArray
+
+    @cached_property
+    def joined(self) -> Any:
+        """All tables as one of float32, shape (n_fine, n_coarse M): bases of a coarse node follow each other."""
+        from scipy import sparse
+
+        blocks = [sparse.coo_array(table) for table in self.tables]
+        n_bases, (n_fine, n_coarse) = len(blocks), blocks[0].shape
+        rows = np.concatenate([one.row for one in blocks])
+        columns = np.concatenate([one.col.astype(np.int64) * n_bases + m for m, one in enumerate(blocks)])
+        values = np.concatenate([one.data for one in blocks]).astype(np.float32)
+        return sparse.csr_array((values, (rows, columns)), (n_fine, n_coarse * n_bases))
+
+    @cached_property
+    def joined_bases(self) -> Any:
+        """All bases, transposed, as one matrix of float32, shape (M n_out, n_in)."""
+        return np.ascontiguousarray(self.bases.transpose(0, 2, 1).reshape(-1, self.bases.shape[1]), np.float32)
+
+    def at(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Return the tables of some rows at some coarse nodes, dense: (n_rows, n_columns, M)."""
+        return _dense([table[rows] for table in self.tables], columns)
+
+    def reached(self, rows: IntArray) -> IntArray:
+        """Return the coarse nodes that some rows need."""
+        return np.unique(self.tables[0][rows].indices).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class GraphDecoder:
+    """Table II's decoder: a linear layer and the levels, coarsest first.
+
+    Attributes
+    ----------
+    weight : ndarray of float64, shape (n_coarsest n_channels, n_latent)
+        Of the linear layer; channels of a node follow each other.
+    bias : ndarray of float64, shape (n_coarsest n_channels,)
+        Of the linear layer.
+    levels : tuple of GraphLevel
+        ELU follows all but the last.
+    mean : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    scale : float
+        mm: displacement = mean + scale * output.
+    """
+
+    weight: FloatArray
+    bias: FloatArray
+    levels: tuple[GraphLevel, ...]
+    mean: FloatArray
+    scale: float
+
+    def network_at(self, rows: Any) -> tuple[bytes, int]:
+        """Return the decoder at points as an ONNX file, and its multiply-adds; see `ClosureDecoder.network_at`."""
+        last = self.levels[-1]
+        at_points = [rows @ table for table in last.tables]
+        offset = (rows @ self.mean + self.scale * np.outer(rows.sum(axis=1), last.bias)).ravel()
+        needed = [np.unique(at_points[0].indices).astype(np.int64)]
+        for level in self.levels[-2:0:-1]:
+            needed.insert(0, level.reached(needed[0]))
+        n_latent = self.weight.shape[1]
+        graph = OnnxGraph("graph_network_at_points")
+        if len(self.levels) == 1:
+            expanded = self._expanded(at_points, needed[-1])
+            given = [
+                graph.node("Identity", ["z"]),
+                *_linear(graph, expanded @ self.weight, expanded @ self.bias + offset),
+            ]
+            graph.node("Gemm", given, output="moved")
+            return graph.to_bytes(("z", n_latent), ("moved", len(offset))), len(offset) * n_latent
+        matrix, constant = self._first(needed[0])
+        x = graph.node("Elu", [graph.node("Gemm", ["z", *_linear(graph, matrix, constant)])])
+        work = matrix.size
+        for number, level in enumerate(self.levels[1:-1]):
+            columns, rows_here = needed[number], needed[number + 1]
+            x, added = _summed(graph, level.at(rows_here, columns), level.bases, x)
+            x = graph.node("Elu", [graph.node("Add", [x, graph.table(level.bias)])])
+            x = graph.reshape(x, 0, len(rows_here) * len(level.bias))
+            work += added
+        added = self._end(graph, at_points, needed[-1], x, offset)
+        return graph.to_bytes(("z", n_latent), ("moved", len(offset))), work + added
+
+    def _end(self, graph: OnnxGraph, at_points: list[Any], columns: IntArray, x: str, offset: FloatArray) -> int:
+        """Add the last level at points; return its multiply-adds.
+
+        Its products sum_m (P T_m)_rk B_m are constants. For few points they are one matrix; for many, as the patches
+        under markers off the surface have, bases come first.
+        """
+        bases = self.scale * self.levels[-1].bases
+        table = _dense(at_points, columns)
+        groups = _groups(table.any(axis=2))
+        by_groups: int = len(columns) * bases.size + sum(
+            len(group) * int(table[group].any(axis=(0, 2)).sum()) * len(bases) * 3 for group in groups
+        )
+        whole = len(offset) * len(columns) * bases.shape[1]
+        if whole <= by_groups:
+            graph.node("Gemm", [x, *_linear(graph, self._expanded(at_points, columns), offset)], output="moved")
+            return whole
+        y, added = _summed(graph, table, bases, x, groups)
+        y = graph.reshape(y, 0, len(offset))
+        graph.node("Add", [y, graph.table(offset)], output="moved")
+        return added
+
+    def _expanded(self, at_points: list[Any], columns: IntArray) -> FloatArray:
+        """Return the last level at points as one matrix (3 n_rows, n_columns n_in)."""
+        found: FloatArray = np.einsum(
+            "rkm,mio->roki", _dense(at_points, columns), self.scale * self.levels[-1].bases, optimize=True
+        )
+        return found.reshape(3 * at_points[0].shape[0], -1)
+
+    def decode(self, latents: FloatArray) -> FloatArray:
+        """Return whole displacement fields (n_members, n_nodes, 3) of latents (n_latent, n_members), mm.
+
+        In single precision. Cost: sums over neighbours take their non-zero coefficients alone, one core; milliseconds a member.
+        """
+        n_members = latents.shape[1]
+        x = (self.weight @ latents + self.bias[:, None]).astype(np.float32)
+        for number, level in enumerate(self.levels):
+            _, n_in, n_out = level.bases.shape
+            # Coarse nodes and bases are rows; channels and members columns.
+            nodes = x.reshape(-1, n_in, n_members)
+            products = np.matmul(level.joined_bases, nodes).reshape(-1, n_out * n_members)
+            y = (level.joined @ products).reshape(-1, n_out, n_members) + level.bias[:, None].astype(np.float32)
+            x = y if number == len(self.levels) - 1 else np.where(y > 0.0, y, np.expm1(np.minimum(y, 0.0)))
+        return np.asarray(self.mean + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
+
+    def _first(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return linear layer and first level at some of its nodes as one matrix and one constant."""
+        level, n_in = self.levels[0], self.levels[0].bases.shape[1]
+        joined = np.concatenate([self.weight, self.bias[:, None]], axis=1).reshape(-1, n_in, self.weight.shape[1] + 1)
+        found = sum(
+            np.einsum("rkq,ko->roq", np.tensordot(table[rows].toarray(), joined, 1), basis, optimize=True)
+            for table, basis in zip(level.tables, level.bases, strict=True)
+        )
+        flat = np.asarray(found).reshape(-1, joined.shape[2])
+        return flat[:, :-1], flat[:, -1] + np.tile(level.bias, len(rows))
+
+
+def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
+    """Return the decoder in a file of weights, or None if it is of neither kind.
+
+    Parameters
+    ----------
+    path : Path
+        ``decoder_weights.npz`` of a model.
+
+    Returns
+    -------
+    ClosureDecoder, GraphDecoder or None
+        The whole decoder.
+
+    Raises
+    ------
+    ModelError
+        If arrays are missing, not finite, or do not fit each other.
+    """
+    try:
+        with open_npz(path) as weights:
+            if "components_mm" in weights:
+                return _closure(weights)
+            return _graph_network(weights) if "fully_connected.weight" in weights else None
+    except FormatError as error:
+        raise ModelError(str(error), where=str(path)) from error
+
+
+def _closure(weights: Archive) -> ClosureDecoder:
+    activation = str(weights.raw("activation")).lower()
+    if activation not in ACTIVATIONS:
+        message = f"`activation` in {weights.path} must be one of {', '.join(ACTIVATIONS)}, got {activation!r}"
+        raise ModelError(message, where=str(weights.path))
+    mean = weights.floats("mean_mm", None, 3)
+    layers: list[tuple[FloatArray, FloatArray]] = []
+    while f"layer{len(layers)}/weight" in weights or not layers:
+        name = f"layer{len(layers)}"
+        weight = weights.floats(f"{name}/weight", None, len(layers[-1][1]) if layers else None)
+        layers.append((weight, weights.floats(f"{name}/bias", len(weight))))
+    components = weights.floats("components_mm", len(layers[-1][1]), len(mean), 3)
+    return ClosureDecoder(tuple(layers), activation, components, mean)
+
+
+def _graph_network(weights: Archive) -> GraphDecoder:
+    sizes = weights.indices("levels", None)
+    weight = weights.floats("fully_connected.weight", None, None)
+    bias = weights.floats("fully_connected.bias", len(weight))
+    levels: list[GraphLevel] = []
+    n_in = len(weight) // max(1, int(sizes[0]))
+    for k in range(1, len(sizes)):
+        levels.append(_level(weights, k, int(sizes[k - 1]), int(sizes[k]), n_in))
+        n_in = levels[-1].bases.shape[2]
+    if not levels or n_in != 3 or len(weight) != sizes[0] * levels[0].bases.shape[1]:
+        message = f"the layers in {weights.path} must fit each other and end in 3 channels, they end in {n_in}"
+        raise ModelError(message, where=str(weights.path))
+    mean = weights.floats("mean_mm", int(sizes[-1]), 3)
+    return GraphDecoder(weight, bias, tuple(levels), mean, float(weights.floats("scale_mm")))
+
+
+def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> GraphLevel:
+    from scipy import sparse
+
+    bases = weights.floats(f"conv{k}.bases", None, n_in, None)
+    up, near = weights.indices(f"unpool{k}.edges", None, 2), weights.indices(f"conv{k}.edges", None, 2)
+    shares = weights.floats(f"unpool{k}.weights", len(up))
+    coefficients = weights.floats(f"conv{k}.coefficients", len(near), len(bases))
+    for name, edges, most in (("unpool", up, (n_fine, n_coarse)), ("conv", near, (n_fine, n_fine))):
+        if len(edges) == 0 or edges.min() < 0 or (edges.max(axis=0) >= most).any():
+            message = f"edges of {name}{k} in {weights.path} must lie between nodes of {most[0]} and {most[1]}"
+            raise ModelError(message, where=str(weights.path))
+    unpool = sparse.csr_array((shares, (up[:, 0], up[:, 1])), (n_fine, n_coarse))
+    # One pattern for all bases, whatever sums to zero: columns are found from the first.
+    reach = sparse.csr_array((np.ones(len(near)), (near[:, 0], near[:, 1])), (n_fine, n_fine)) @ unpool
+    zero = reach * 0.0
+    tables = tuple(
+        sparse.csr_array(sparse.csr_array((one, (near[:, 0], near[:, 1])), (n_fine, n_fine)) @ unpool + zero)
+        for one in coefficients.T
+    )
+    return GraphLevel(tables, bases, weights.floats(f"conv{k}.bias", bases.shape[2]))
+
+
+def _dense(tables: list[Any], columns: IntArray) -> FloatArray:
+    """Return sparse tables, one a basis, at some columns as one dense (n_rows, n_columns, M)."""
+    return np.stack([table[:, columns].toarray() for table in tables], axis=-1)
+
+
+def _summed(
+    graph: OnnxGraph, table: FloatArray, bases: FloatArray, x: str, groups: list[IntArray] | None = None
+) -> tuple[str, int]:
+    """Add ``sum_m T_m x B_m`` with a table (n_rows, n_columns, M); return its name and its multiply-adds.
+
+    Bases come first. The sum over neighbours is dense within groups of rows that share their neighbours. The result is
+    (members, n_rows, n_out).
+    """
+    n_bases, n_in, n_out = bases.shape
+    n_columns = table.shape[1]
+    x = graph.reshape(x, -1, n_in)
+    x = graph.node("MatMul", [x, graph.table(bases.transpose(1, 0, 2).reshape(n_in, -1))])
+    given = graph.reshape(x, -1, n_columns, n_bases * n_out)
+    work = n_columns * bases.size
+    groups = _groups(table.any(axis=2)) if groups is None else groups
+    parts = []
+    for group in groups:
+        near = np.flatnonzero(table[group].any(axis=(0, 2)))
+        block = graph.table(table[np.ix_(group, near)].reshape(len(group), -1))
+        taken = graph.node("Gather", [given, graph.table(near)], axis=1) if len(near) < n_columns else given
+        taken = graph.reshape(taken, 0, len(near) * n_bases, n_out)
+        parts.append(graph.node("MatMul", [block, taken]))
+        work += len(group) * len(near) * n_bases * n_out
+    if len(parts) == 1:
+        return parts[0], work
+    # Back into the order of the rows.
+    order = np.argsort(np.concatenate(groups), kind="stable")
+    return graph.node("Gather", [graph.node("Concat", parts, axis=1), graph.table(order)], axis=1), work
+
+
+def _groups(pattern: Any) -> list[IntArray]:
+    """Return groups of rows of a 0/1 pattern that need few columns each, by halving while that saves products."""
+
+    def halved(rows: IntArray) -> list[IntArray]:
+        mine = pattern[rows]
+        if len(rows) < 16:
+            return [rows]
+        # The leading variation of the pattern over its rows; neighbours in the body are neighbours along it.
+        away = mine - mine.mean(axis=0)
+        order = np.argsort(np.linalg.svd(away, full_matrices=False)[0][:, 0], kind="stable")
+        halves = [np.sort(rows[order[: len(rows) // 2]]), np.sort(rows[order[len(rows) // 2 :]])]
+        after = sum(len(half) * int(pattern[half].any(axis=0).sum()) for half in halves)
+        if after > _WORTH * len(rows) * int(mine.any(axis=0).sum()):
+            return [rows]
+        return [group for half in halves for group in halved(half)]
+
+    return halved(np.arange(len(pattern)))
+
+
+def _linear(graph: OnnxGraph, matrix: FloatArray, constant: FloatArray) -> tuple[str, str]:
+    return graph.table(np.ascontiguousarray(matrix.T)), graph.table(constant)
+
+
+def _activated(graph: OnnxGraph, activation: str, x: str) -> str:
+    if activation == "silu":
+        return graph.node("Mul", [x, graph.node("Sigmoid", [x])])
+    return graph.node(activation.capitalize(), [x])
