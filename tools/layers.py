@@ -15,7 +15,7 @@ from pathlib import Path
 LAYERS: tuple[tuple[str, str], ...] = (
     ("commands", "__main__ cli"),
     ("ready-made runs", "bench demo frames registrations skeleton"),
-    ("public calls", "contact_answer contact_registration diagnose latent_registration registration"),
+    ("public calls", "contact_answer contact_registration diagnose latent_registration registrar registration"),
     ("answers", "report result"),
     ("parts of the calls", "contacts inputs meshing samples"),
     (

@@ -24,6 +24,7 @@ from tissuereg.markers import Markers
 from tissuereg.material import Fibre, Material
 from tissuereg.mesh import Mesh
 from tissuereg.meshing import FilledMesh, tetrahedralize
+from tissuereg.registrar import Registrar
 from tissuereg.registration import RegisterSettings, register
 from tissuereg.registrations import register_many
 from tissuereg.result import Registration
@@ -42,6 +43,7 @@ __all__ = [
     "Material",
     "Mesh",
     "RegisterSettings",
+    "Registrar",
     "Registration",
     "Simulation",
     "Simulator",

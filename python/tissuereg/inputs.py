@@ -93,6 +93,38 @@ class RegisterInput:
     suspicions: tuple[str, ...]
     surface: SurfacePoints | None = None
 
+
+@dataclass(frozen=True, eq=False)
+class Attachment:
+    """What a registration's input is before anything was measured, checked; made once for a body and its points.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    places : Markers
+        Reference places, noise and names of the markers.
+    observed : MarkerObservation
+        Their attachment to the mesh.
+    targets : TargetObservation
+        Inner points.
+    settings : RegisterSettings
+        Settings of the registration.
+    seed, threads : int
+        Seed of all random numbers; threads to use.
+    held : str
+        How the node set ``fixed`` is taken.
+    """
+
+    mesh: Mesh
+    places: Markers
+    observed: MarkerObservation
+    targets: TargetObservation
+    settings: RegisterSettings
+    seed: int
+    threads: int
+    held: str
+
     @classmethod
     def of(
         cls,
@@ -103,44 +135,59 @@ class RegisterInput:
         seed: int,
         threads: int,
         held: str = "sure",
-        surface: SurfacePoints | None = None,
-    ) -> "RegisterInput":
-        """Check what was given.
+    ) -> "Attachment":
+        """Check what was given, and attach markers and targets to the mesh.
 
         Raises
         ------
-        ShapeError, MarkerError, SurfaceError
-            If something does not fit, or nothing was seen.
+        ShapeError, MarkerError
+            If something does not fit.
         """
-        body, marks = as_mesh(mesh), as_markers(markers)
-        if markers is None and surface is None:
-            message = "markers or points of the surface must be given; there are neither"
-            raise MarkerError(message, where="markers")
-        observed, suspicions = _attached(body, marks, held)
-        if surface is None and not np.isfinite(marks.measured).any():
-            message = f"at least one marker must have been seen; all {len(marks)} are missing"
-            raise MarkerError(message, where="markers")
-        if surface is not None:
-            suspicions = (*suspicions, *_points_suspected(body, surface, held))
+        body, places = as_mesh(mesh), as_markers(markers)
+        try:
+            observed = MarkerObservation.of(body, places)
+        except MarkerError as error:
+            # Refused; state which other reading would fit.
+            found = suspect(body, places)
+            if found:
+                error.args = (f"{error}; {found[0].sentence}",)
+            raise
         inner = TargetObservation(body, named("targets", targets, error=MarkerError))
         how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
-        return cls(body, marks, observed, inner, how, seed, threads, suspicions, surface)
+        return cls(body, places, observed, inner, how, seed, threads, held)
 
+    def holds(self, markers: Markers) -> bool:
+        """Whether markers have the reference places and names of these, so that the attachment is theirs as well."""
+        return self.places.names == markers.names and np.array_equal(self.places.reference, markers.reference)
 
-def _attached(mesh: Mesh, markers: Markers, held: str) -> tuple[MarkerObservation, tuple[str, ...]]:
-    """Return the attachment of markers to the mesh, and reasons why they may be misread."""
-    if not len(markers):
-        return MarkerObservation.of(mesh, markers), ()
-    try:
-        observed = MarkerObservation.of(mesh, markers)
-    except MarkerError as error:
-        # Refused; state which other reading would fit.
-        found = suspect(mesh, markers)
-        if found:
-            error.args = (f"{error}; {found[0].sentence}",)
-        raise
-    found = suspect(mesh, markers, observed)
-    return observed, tuple(one.sentence for one in found if held == "sure" or one.kind != "held")
+    def measured(self, markers: Markers, surface: SurfacePoints | None = None) -> RegisterInput:
+        """Return the input of one moment.
+
+        Raises
+        ------
+        MarkerError, SurfaceError
+            If nothing was seen, or points of the surface lie far from the body.
+        """
+        suspicions: tuple[str, ...] = ()
+        if len(markers):
+            found = suspect(self.mesh, markers, self.observed)
+            suspicions = tuple(one.sentence for one in found if self.held == "sure" or one.kind != "held")
+        if surface is None and not np.isfinite(markers.measured).any():
+            message = f"at least one marker must have been seen; all {len(markers)} are missing"
+            raise MarkerError(message, where="markers")
+        if surface is not None:
+            suspicions = (*suspicions, *_points_suspected(self.mesh, surface, self.held))
+        return RegisterInput(
+            self.mesh,
+            markers,
+            self.observed,
+            self.targets,
+            self.settings,
+            self.seed,
+            self.threads,
+            suspicions,
+            surface,
+        )
 
 
 def _points_suspected(mesh: Mesh, surface: SurfacePoints, held: str) -> tuple[str, ...]:

@@ -5,7 +5,6 @@ decoded fields agree with the markers; or Gauss-Newton finds the most probable c
 """
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,18 +14,18 @@ from tissuereg import _core
 from tissuereg._arguments import found, place
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._clock import Clock
-from tissuereg.assimilate import Assimilation, assimilate, gauss_newton
+from tissuereg.assimilate import Assimilation, FirstEnsemble, assimilate, gauss_newton
 from tissuereg.errors import ModelError
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.latent.model import Gaussian, LatentModel, error_covariance
-from tissuereg.latent.network import NetworkModel
+from tissuereg.latent.network import kept_network
+from tissuereg.latent.points import PointModel, PointsAround
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh, det_f
-from tissuereg.observe import MarkerObservation
 from tissuereg.posterior import Posterior
 from tissuereg.result import MarkerFit, Registration, Target
 from tissuereg.trust import judge
-from tissuereg.widen import widened
+from tissuereg.widen import Linearised, widened
 from tissuereg.wrong_markers import drop_wrong, score_markers
 
 #: Distance of neighbours for derivatives of the decoder, in standard deviations of the prior: wide enough for float32.
@@ -35,48 +34,82 @@ _DIFFERENCE = 1e-2
 #: The search ends at a step of so many standard deviations, less than any region shows.
 _TOLERANCE = 1e-2
 
+#: Draws from which predictions about the prior's mean are found where the ensemble is no search or has fewer than twice
+#: as many members as there are latents.
+_N_DRAWS = 100
+
 
 def register_by_model(
-    given: RegisterInput, model: "str | os.PathLike[str] | LatentModel", simulation: FloatArray | None, clock: Clock
+    given: RegisterInput, points: PointModel, simulation: FloatArray | None, clock: Clock
 ) -> Registration:
-    """Register with a trained model.
+    """Register one moment with a trained model.
 
     Parameters
     ----------
     given : RegisterInput
         Checked input.
-    model : path-like or LatentModel
-        Folder of a trained model, or the model.
+    points : PointModel
+        The model at the markers and targets of that input.
     simulation : ndarray of float64, shape (n_nodes, 3), or None
         Displacement of the moment by a simulation, mm.
     clock : Clock
-        Records the times of the stages.
+        Records the times of the stages: ``encode``, ``assimilate``, ``decode``, ``judge``.
 
     Returns
     -------
     Registration
-        The result.
+        The result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once a step and once at
+        the end, and once more where the prior had to be widened; three whole fields are decoded.
 
     Raises
     ------
-    ModelError
-        If the model was trained for another mesh, or a file of it is corrupt.
     EnsembleError
         If too few ensemble members survive, or the decoder fails where the search for the most probable code begins.
     ConvergenceError
         If that search finds no minimum.
     """
-    with clock.stage("prior"):
-        latent = as_model(model, given.mesh, given.threads)
-        if simulation is not None and isinstance(latent, NetworkModel):
-            latent = latent.around(simulation)
+    with clock.stage("encode"):
+        model = points.around(simulation)
     seen = np.flatnonzero(given.markers.seen)
     with clock.stage("assimilate"):
-        fit, wrong = _without_wrong(latent, simulation, given, seen)
+        drawn = _Drawn.of(model, given)
+        fit, wrong = _without_wrong(model, drawn, given, seen)
     used = np.setdiff1d(seen, list(wrong))
     with clock.stage("decode"):
-        posterior = Posterior.of(latent, fit.ensemble, given.observed, given.targets)
-    return _result(given, used, wrong, simulation, latent, fit, posterior, clock)
+        posterior = Posterior.of(model, fit.ensemble)
+    with clock.stage("judge"):
+        return _result(given, used, wrong, simulation, points.model, fit, posterior, clock)
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """Draws from the prior; predictions (n_members, n_markers, 3) of all markers, and those at the prior's mean, mm."""
+
+    prior: Gaussian
+    first: FirstEnsemble
+    markers: FloatArray
+    centre: FloatArray
+
+    @classmethod
+    def of(cls, model: PointsAround, given: RegisterInput) -> "_Drawn":
+        n_members = given.settings.n_members
+        if given.settings.update == "gauss-newton" or n_members < 2 * len(model.prior.mean):
+            n_members = _N_DRAWS
+        first = FirstEnsemble.of(model.prior, np.random.default_rng([given.seed, 2]), n_members)
+        centre, moved = model.first(first.latents)
+        return cls(model.prior, first, model.markers(moved), model.markers(centre))
+
+    def predicted(self, seen: IntArray) -> FloatArray:
+        """Return predictions (n_obs, n_members) of some markers."""
+        return _rows(self.markers[:, seen])
+
+    def start(self, prior: Gaussian, widening: float, seen: IntArray) -> FirstEnsemble:
+        """Return the members as draws from the prior after its widening."""
+        if widening == 1.0:
+            return FirstEnsemble(self.first.latents, self.first.exact, self.predicted(seen))
+        here, there = (np.linalg.cholesky(one.covariance) for one in (self.prior, prior))
+        normals = np.linalg.solve(here, self.first.latents - self.prior.mean[:, None])
+        return FirstEnsemble(prior.mean[:, None] + there @ normals, self.first.exact)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,17 +125,17 @@ class _Fit:
 
 
 def _without_wrong(
-    latent: LatentModel, simulation: FloatArray | None, given: RegisterInput, seen: Any
+    model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray
 ) -> tuple[_Fit, dict[int, float]]:
     """Return the fit, and the markers that were dropped because they do not fit the others, with their p-values.
 
     Only where the fit is a minimum with its derivatives: the covariance of an ensemble is no exact share of the noise.
     """
     if given.settings.update != "gauss-newton":
-        return _fit(latent, simulation, given, seen), {}
+        return _fit(model, drawn, given, seen), {}
 
     def scored(kept: IntArray) -> tuple[_Fit, _core.GroupScores]:
-        fit = _fit(latent, simulation, given, seen[kept])
+        fit = _fit(model, drawn, given, seen[kept])
         residual = given.markers.displacement[seen[kept]] - fit.predicted.reshape(-1, 3)
         return fit, score_markers(residual, fit.noise, fit.absorbed)
 
@@ -110,39 +143,46 @@ def _without_wrong(
     return fit, {int(seen[index]): chance for index, chance in dropped}
 
 
-def _fit(latent: LatentModel, simulation: FloatArray | None, given: RegisterInput, seen: Any) -> _Fit:
-    """Return the posterior ensemble: fitted once to locate the state, and again with the model's error there."""
-    observed, markers, settings = given.observed, given.markers, given.settings
+def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray) -> _Fit:
+    """Return the posterior ensemble, with the noise at the state that a linear model finds."""
+    markers, settings = given.markers, given.settings
     measured = markers.displacement[seen].ravel()
-    predict = _predictor(latent, observed, seen)
-    encoded = latent.prior(simulation)
-    place: FloatArray | None = None
-    predicted = absorbed = np.empty(0)
-    for _ in range(2):
-        noise = _noise(latent.errors(place), observed, markers, seen)
-        rng = np.random.default_rng([given.seed, 2])
-        prior, widening = widened(encoded, latent.prior(None), predict, measured, noise, rng)
-        if settings.update == "gauss-newton":
-            # The first pass has already come near.
-            posterior = gauss_newton(
-                predict, measured, noise, prior, start=place, tolerance=_TOLERANCE, difference=_DIFFERENCE
-            )
-            ensemble = posterior.ensemble(rng, settings.n_members)
-            predicted, absorbed = posterior.predicted, posterior.absorbed
-        else:
-            ensemble = assimilate(
-                predict,
-                measured,
-                noise,
-                prior,
-                rng=rng,
-                n_members=settings.n_members,
-                n_steps=settings.n_steps,
-                decrease=settings.decrease,
-                threads=given.threads,
-            )
-        place = ensemble.mean
-    return _Fit(prior, widening, noise, ensemble, predicted, absorbed)
+    latents, predicted = drawn.first.latents, drawn.predicted(seen)
+    linear = Linearised.of(model.prior, latents, predicted, drawn.centre[seen].ravel())
+
+    def prior_for(noise: FloatArray) -> tuple[Gaussian, float]:
+        return (model.prior, 1.0) if linear is None else widened(model.prior, model.family, linear, measured, noise)
+
+    def predict(latents: FloatArray) -> FloatArray:
+        return _rows(model.markers(model.decode(latents))[:, seen])
+
+    noise = _noise(model.errors().markers[:, seen], markers, seen)
+    near = model.prior.mean if linear is None else linear.most_probable(prior_for(noise)[0], measured, noise)
+    noise = _noise(model.errors(near).markers[:, seen], markers, seen)
+    prior, widening = prior_for(noise)
+    rng = np.random.default_rng([given.seed, 3])
+    if settings.update == "gauss-newton":
+        found = gauss_newton(predict, measured, noise, prior, start=near, tolerance=_TOLERANCE, difference=_DIFFERENCE)
+        ensemble = found.ensemble(rng, settings.n_members)
+        return _Fit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
+    ensemble = assimilate(
+        predict,
+        measured,
+        noise,
+        prior,
+        rng=rng,
+        n_members=settings.n_members,
+        n_steps=settings.n_steps,
+        decrease=settings.decrease,
+        first=drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None,
+        threads=1,
+    )
+    return _Fit(prior, widening, noise, ensemble, np.empty(0), np.empty(0))
+
+
+def _rows(moved: FloatArray) -> FloatArray:
+    """Return displacements (n_members, n_markers, 3) as predictions (n_obs, n_members)."""
+    return np.ascontiguousarray(moved.reshape(len(moved), -1).T)
 
 
 def _result(
@@ -158,7 +198,7 @@ def _result(
     """Assemble the result of the markers `seen` that were used; `wrong` has the chances of those that were dropped."""
     mesh, markers, inner = given.mesh, given.markers, given.targets
     before = np.zeros((mesh.n_nodes, 3)) if simulation is None else simulation
-    observed = posterior.markers
+    observed = given.observed
     start = observed.predict(before[observed.nodes])
     residual = markers.displacement[seen] - posterior.marker_mean[seen]
     ratios = det_f(mesh, posterior.displacement)
@@ -184,7 +224,7 @@ def _result(
     return Registration(
         mesh=mesh,
         displacement=posterior.displacement,
-        nodes=lambda: posterior.std,
+        nodes=posterior.std,
         targets={
             name: Target(
                 inner.reference[i],
@@ -231,8 +271,8 @@ def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
         if str(model) == "phantom":
             from tissuereg.phantom import shipped_model_folder
 
-            return NetworkModel(shipped_model_folder(), mesh, threads=threads, source="shipped")
-        return NetworkModel(place("model", model, error=ModelError), mesh, threads=threads)
+            return kept_network(shipped_model_folder(), mesh, threads, "shipped")
+        return kept_network(place("model", model, error=ModelError), mesh, threads)
     if not isinstance(getattr(model, "n_nodes", None), int):
         message = f"`model` must be a folder, 'phantom' or a model that knows a mesh, got {found(model)}"
         raise ModelError(message, where="model")
@@ -242,16 +282,7 @@ def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
     return model  # type: ignore[no-any-return]
 
 
-def _predictor(latent: LatentModel, observed: MarkerObservation, seen: Any) -> Callable[[FloatArray], FloatArray]:
-    def predict(latents: FloatArray) -> FloatArray:
-        moved = observed.predict(latent.decode(latents, observed.nodes))[:, seen]
-        return np.ascontiguousarray(moved.reshape(len(moved), -1).T)
-
-    return predict
-
-
-def _noise(own: FloatArray, observed: MarkerObservation, markers: Markers, seen: Any) -> FloatArray:
-    """Return C_d: the tracker's noise and the model's own errors (fields) at the markers."""
-    errors = observed.predict(own[:, observed.nodes])[:, seen]
+def _noise(errors: FloatArray, markers: Markers, seen: IntArray) -> FloatArray:
+    """Return C_d: the tracker's noise and the model's own errors (n_fields, n_seen, 3) at the markers."""
     tracker = (markers.axis_std[seen] ** 2).ravel()
     return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), -1)))

@@ -250,9 +250,16 @@ def det_f(mesh: Mesh, displacement: FloatArray) -> FloatArray:
     ndarray of float64, shape (..., n_tets)
         det F, dimensionless; not positive where a tet is inverted.
     """
-    corners = (mesh.nodes + displacement)[..., mesh.tets, :]
-    a, b, c, d = (corners[..., i, :] for i in range(4))
-    return np.asarray(np.sum(np.cross(b - a, c - a) * (d - a), axis=-1) / (6.0 * mesh.volumes))
+    # Components first: every product below runs over whole rows.
+    places = np.moveaxis(mesh.nodes + displacement, -1, 0)
+    corner = places[..., mesh.tets[:, 0]]
+    ab, ac, ad = (places[..., mesh.tets[:, i]] - corner for i in (1, 2, 3))
+    triple = (
+        (ab[1] * ac[2] - ab[2] * ac[1]) * ad[0]
+        + (ab[2] * ac[0] - ab[0] * ac[2]) * ad[1]
+        + (ab[0] * ac[1] - ab[1] * ac[0]) * ad[2]
+    )
+    return np.asarray(triple / (6.0 * mesh.volumes))
 
 
 def _node_set(name: str, indices: Any, n_nodes: int) -> IntArray:

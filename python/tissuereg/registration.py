@@ -2,30 +2,24 @@
 
 Without a trained model the load is unknown: the prior is a few contacts on the free surface, and the answer is an
 equilibrium under the contacts that explain the markers (`tissuereg.contact_registration`). With a model it is the
-paper's Algorithm 1 (`tissuereg.latent_registration`).
+paper's Algorithm 1 (`tissuereg.latent_registration`). Either is one registration of a `Registrar`.
 """
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
-from tissuereg._arguments import MOST_COUNTED, called, check_running, flag, maybe, whole
-from tissuereg._choice import check_choice
+from tissuereg._arguments import called
 from tissuereg._clock import Clock
-from tissuereg.contact_registration import ContactInput, fitting_element, register_by_contacts
-from tissuereg.errors import ArgumentError, ModelError
-from tissuereg.inputs import RegisterInput, RegisterSettings, finite_field
+from tissuereg.errors import MarkerError, ModelError
+from tissuereg.inputs import RegisterSettings, as_markers
 from tissuereg.latent.model import LatentModel
-from tissuereg.latent_registration import register_by_model
 from tissuereg.load import Load
 from tissuereg.markers import Markers
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
+from tissuereg.registrar import Registrar
 from tissuereg.result import Registration
-from tissuereg.simulate.solve import ELEMENTS, Simulator
 from tissuereg.surface import SurfacePoints
 
 __all__ = ["RegisterSettings", "register"]
@@ -163,38 +157,35 @@ def register(
     >>> len(result.contacts)
     2
     """
-    check_running(seed=seed, threads=threads)
-    maybe("load", load, Load)
-    maybe("material", material, Material)
-    check_choice("element", element, ("auto", *ELEMENTS), ArgumentError)
-    flag("polish", polish)
-    whole("ensemble", ensemble, most=MOST_COUNTED)
     called("progress", progress)
     called("tell", tell)
+    if markers is None and surface is None:
+        message = "markers or points of the surface must be given; there are neither"
+        raise MarkerError(message, where="markers")
     clock = Clock(tell)
-    with threadpool_limits(limits=1, user_api="blas"), clock.stage("total"):
+    with clock.stage("total"):
         with clock.stage("attach"):
             if surface is not None and model is not None:
                 message = "points of a surface are registered without a trained model; leave out `model` or `surface`"
                 raise ModelError(message, where="surface")
             points = None if surface is None else SurfacePoints(surface, surface_std)
-            given = RegisterInput.of(mesh, markers, targets, settings, seed, threads, held, points)
-        field = None if simulation is None else finite_field(simulation, given.mesh)
-        stuff = Material() if material is None else material
-        own = fitting_element(given.mesh, stuff) if element == "auto" else element
-        if model is None:
-            believed = ContactInput(load, field, stuff, own, held, held_nodes, frame, stiffness, progress, ensemble)
-            return register_by_contacts(given, believed, clock)
-        if field is None and load is not None:
-            with clock.stage("simulate"):
-                plain = "tet4" if element == "auto" else element
-                simulator = Simulator(given.mesh, element=plain, held_nodes=held_nodes)
-                field = simulator.solve(load, stuff, threads=threads).displacement
-        result = register_by_model(given, model, field, clock)
-        if not polish:
-            return result
-        believed = ContactInput(
-            None, result.displacement, stuff, own, held, held_nodes, frame, stiffness, progress, ensemble
-        )
-        polished = register_by_contacts(given, believed, clock)
-        return replace(polished, model={**result.model, "polished": True})
+            measured = as_markers(markers)
+            registrar = Registrar(
+                mesh,
+                measured,
+                model,
+                targets,
+                load=load,
+                material=material,
+                element=element,
+                held=held,
+                held_nodes=held_nodes,
+                frame=frame,
+                stiffness=stiffness,
+                seed=seed,
+                threads=threads,
+                settings=settings,
+                polish=polish,
+                ensemble=ensemble,
+            )
+        return registrar.moment(measured, simulation, points, clock, progress)

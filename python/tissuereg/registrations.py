@@ -1,6 +1,6 @@
 """Many registrations of one body: moments of a recording, each on its own, in this process or in many.
 
-What depends on the body alone is made once in every process and kept for its next moments (`contacts.body`).
+What depends on the body and the places of its markers is made once in every process: a `Registrar`.
 """
 
 import hashlib
@@ -20,6 +20,7 @@ from tissuereg.latent_registration import as_model
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.parallel import Executor, Failed, Finished, InProcess, in_order
+from tissuereg.registrar import Registrar
 from tissuereg.registration import register
 from tissuereg.result import Registration
 
@@ -27,8 +28,8 @@ from tissuereg.result import Registration
 _OF_ONE = {"mesh", "markers", "surface", "surface_std", "progress", "tell"}
 _OPTIONS = tuple(name for name in inspect.signature(register).parameters if name not in _OF_ONE)
 
-#: The last registrar of this process, by its fingerprint.
-_KEPT: dict[str, "_Registrar"] = {}
+#: What registers the last body of this process, by its fingerprint.
+_KEPT: dict[str, "_Moments"] = {}
 _KEEPING = threading.Lock()
 
 
@@ -97,8 +98,8 @@ def register_many(
     if executor is not None:
         of_kind("executor", executor, Executor)
         options.setdefault("threads", 1)
-    registrar = _Registrar(as_mesh(mesh), options)
-    return _registered(registrar, _moments(markers, measured), executor, progress)
+    run = _Moments(as_mesh(mesh), options)
+    return _registered(run, _moments(markers, measured), executor, progress)
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ class _Task:
     markers: Markers
 
 
-class _Registrar:
+class _Moments:
     """Registers moments of one body; what it gives can be sent to another process.
 
     Parameters
@@ -123,25 +124,34 @@ class _Registrar:
 
     def __init__(self, mesh: Mesh, options: dict[str, Any]) -> None:
         self.mesh, self.options = mesh, options
+        self._registrar: Registrar | None = None
 
     def packed(self) -> bytes:
         """Return it as bytes."""
         try:
-            return pickle.dumps(self, protocol=pickle.HIGHEST_PROTOCOL)
+            return pickle.dumps((self.mesh, self.options), protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
             message = f"options must be values that other processes can be sent, a model by its folder; {error}"
             raise ArgumentError(message, where="options") from error
 
-    def with_model(self) -> "_Registrar":
-        """Return a registrar that has read its model's files, if it has a model."""
+    def with_model(self) -> "_Moments":
+        """Return the same with the model's files read, if there is a model."""
         if self.options.get("model") is None:
             return self
         model = as_model(self.options["model"], self.mesh, self.options.get("threads", 0))
-        return _Registrar(self.mesh, {**self.options, "model": model})
+        return _Moments(self.mesh, {**self.options, "model": model})
+
+    def register(self, markers: Markers) -> Registration:
+        """Return the registration of one moment, by a registrar that is kept while the markers' places are the same."""
+        if self._registrar is None:
+            options = {name: value for name, value in self.options.items() if name != "simulation"}
+            self._registrar = Registrar(self.mesh, markers, **options)
+        self._registrar = self._registrar.made_for(markers)
+        return self._registrar.register(markers, self.options.get("simulation"))
 
     def __call__(self, markers: Markers) -> Registration:
         """Return a registration without its mesh, and without what only this process can hold."""
-        result = register(self.mesh, markers, **self.options)
+        result = self.register(markers)
         return replace(result, mesh=cast("Mesh", None), nodes=_Computed(result.nodes()), draw=None)
 
     def completed(self, result: Registration, markers: Markers) -> Registration:
@@ -164,11 +174,11 @@ class _Computed:
 class _Again:
     """Posterior fields of a moment, which is registered again for them."""
 
-    registrar: _Registrar
+    moments: _Moments
     markers: Markers
 
     def __call__(self, count: int) -> FloatArray:
-        return register(self.registrar.mesh, self.markers, **self.registrar.options).draws(count)
+        return self.moments.register(self.markers).draws(count)
 
 
 def _moments(markers: Any, measured: Any) -> Iterator[Markers]:
@@ -184,7 +194,7 @@ def _moments(markers: Any, measured: Any) -> Iterator[Markers]:
 
 
 def _registered(
-    registrar: _Registrar, moments: Iterator[Markers], executor: Executor | None, progress: Callable[[int], None] | None
+    run: _Moments, moments: Iterator[Markers], executor: Executor | None, progress: Callable[[int], None] | None
 ) -> Iterator[Registration | Failed]:
     taken: dict[int, Markers] = {}
     here = InProcess() if executor is None else executor
@@ -195,14 +205,14 @@ def _registered(
             yield markers
 
     if executor is None:
-        outcomes = here.run(registrar.with_model(), noted())
+        outcomes = here.run(run.with_model(), noted())
     else:
-        packed = registrar.packed()
+        packed = run.packed()
         mark = hashlib.sha256(packed).hexdigest()
         outcomes = here.run(_register_moment, (_Task(mark, packed, markers) for markers in noted()))
     for outcome in in_order(_without_slips(outcomes), progress):
         markers = taken.pop(outcome.index)
-        yield outcome if isinstance(outcome, Failed) else registrar.completed(outcome.result, markers)
+        yield outcome if isinstance(outcome, Failed) else run.completed(outcome.result, markers)
 
 
 def _without_slips(outcomes: Iterator[Finished | Failed]) -> Iterator[Finished | Failed]:
@@ -216,9 +226,8 @@ def _without_slips(outcomes: Iterator[Finished | Failed]) -> Iterator[Finished |
 def _register_moment(task: _Task) -> Registration:
     """Register one moment in a worker, with the registrar that this process has kept."""
     with _KEEPING:
-        registrar = _KEPT.get(task.mark)
-        if registrar is None:
-            registrar = cast("_Registrar", pickle.loads(task.packed)).with_model()
+        kept = _KEPT.get(task.mark)
+        if kept is None:
             _KEPT.clear()  # a worker is busy with one body
-            _KEPT[task.mark] = registrar
-    return registrar(task.markers)
+            kept = _KEPT[task.mark] = _Moments(*pickle.loads(task.packed))
+    return kept(task.markers)

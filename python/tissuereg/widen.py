@@ -1,14 +1,12 @@
 """Empirical-Bayes guard: a prior that cannot explain the markers is widened, and the result reports it."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.latent.model import Gaussian
-
-#: Number of members that estimate the prior's prediction.
-_N_MEMBERS = 100
 
 #: No prior is widened beyond this factor on its covariance.
 MOST = 400.0
@@ -17,13 +15,58 @@ MOST = 400.0
 _LEVEL = 0.05
 
 
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Predictions as a linear function of latents, about the mean of their prior.
+
+    Attributes
+    ----------
+    centre : ndarray of float64, shape (n_obs,)
+        Predictions at the mean, mm.
+    slope : ndarray of float64, shape (n_obs, n_latent)
+        mm.
+    """
+
+    centre: FloatArray
+    slope: FloatArray
+
+    @classmethod
+    def of(cls, prior: Gaussian, latents: FloatArray, predicted: FloatArray, centre: FloatArray) -> "Linearised | None":
+        """Return the regression of predictions on latents drawn from the prior.
+
+        Parameters
+        ----------
+        prior : Gaussian
+            Prior of the latents.
+        latents : ndarray of float64, shape (n_latent, n_members)
+            Draws.
+        predicted : ndarray of float64, shape (n_obs, n_members)
+            Their predictions, mm; members that are not finite are left out.
+        centre : ndarray of float64, shape (n_obs,)
+            Predictions at the prior's mean, mm.
+
+        Returns
+        -------
+        Linearised or None
+            None if too few predictions are finite.
+        """
+        whole = np.isfinite(predicted).all(axis=0)
+        if whole.sum() <= len(prior.mean) or not np.isfinite(centre).all():
+            return None
+        root = np.linalg.cholesky(prior.covariance)
+        draws = np.linalg.solve(root, latents[:, whole] - prior.mean[:, None])
+        moments = np.linalg.solve(draws @ draws.T, draws @ (predicted[:, whole] - centre[:, None]).T)
+        return cls(centre, np.linalg.solve(root.T, moments).T)
+
+    def most_probable(self, prior: Gaussian, observed: FloatArray, noise: FloatArray) -> FloatArray:
+        """Return the posterior mean (n_latent,) of the linear model."""
+        gain = prior.covariance @ self.slope.T
+        off = np.linalg.solve(self.slope @ gain + noise, observed - self.centre)
+        return np.asarray(prior.mean + gain @ off)
+
+
 def widened(
-    prior: Gaussian,
-    family: Gaussian,
-    predict: Callable[[FloatArray], FloatArray],
-    observed: FloatArray,
-    noise: FloatArray,
-    rng: np.random.Generator,
+    prior: Gaussian, family: Gaussian, linear: Linearised, observed: FloatArray, noise: FloatArray
 ) -> tuple[Gaussian, float]:
     """Return the prior, widened if the innovation is too large for it, and the factor.
 
@@ -33,14 +76,12 @@ def widened(
         Prior of the latents.
     family : Gaussian
         Distribution of the latents of all training fields; no direction is widened beyond its spread.
-    predict : callable
-        Latents (n_latent, n_members) to predictions (n_obs, n_members) in mm.
+    linear : Linearised
+        Predictions about the prior's mean.
     observed : ndarray of float64, shape (n_obs,)
         Measured marker displacements in mm.
     noise : ndarray of float64, shape (n_obs, n_obs)
         Covariance C_d, mm^2.
-    rng : numpy.random.Generator
-        Source of random numbers.
 
     Returns
     -------
@@ -59,32 +100,30 @@ def widened(
     and those bodies ended with larger errors than they began with.
     """
     from scipy.optimize import brentq
-    from scipy.stats import chi2
 
-    root = np.linalg.cholesky(prior.covariance)
-    draws = rng.standard_normal((len(prior.mean), _N_MEMBERS))
-    predicted = predict(np.concatenate([prior.mean[:, None], prior.mean[:, None] + root @ draws], axis=1))
-    centre, spread = predicted[:, 0], predicted[:, 1:]
-    whole = np.isfinite(spread).all(axis=0)
-    if whole.sum() <= len(prior.mean) or not np.isfinite(centre).all():
-        return prior, 1.0
-    # Predictions as a linear function of latents, by regression on the draws.
-    slope = np.linalg.lstsq(draws[:, whole].T, (spread[:, whole] - centre[:, None]).T, rcond=None)[0].T
-    slope = np.linalg.solve(root.T, slope.T).T
-    precision, bound = np.linalg.inv(prior.covariance), np.linalg.inv(family.covariance)
-    innovation = observed - centre
-
-    def covariance(factor: float) -> FloatArray:
-        inverse = np.linalg.inv(precision / factor + bound)
-        return np.asarray(0.5 * (inverse + inverse.T))
+    slope, innovation = linear.slope, observed - linear.centre
 
     def misfit(spread_of_latents: FloatArray) -> float:
         return float(innovation @ np.linalg.solve(slope @ spread_of_latents @ slope.T + noise, innovation))
 
     n_obs = len(observed)
-    if misfit(prior.covariance) <= chi2.isf(_LEVEL, n_obs):
+    if misfit(prior.covariance) <= _quantile(n_obs):
         return prior, 1.0
+    precision, bound = np.linalg.inv(prior.covariance), np.linalg.inv(family.covariance)
+
+    def covariance(factor: float) -> FloatArray:
+        inverse = np.linalg.inv(precision / factor + bound)
+        return np.asarray(0.5 * (inverse + inverse.T))
+
     # The bound can only raise the misfit, so it is above n_obs at s = 1.
     enough = misfit(covariance(MOST)) <= n_obs
     factor = float(brentq(lambda s: misfit(covariance(s)) - n_obs, 1.0, MOST)) if enough else MOST
     return Gaussian(prior.mean, covariance(factor)), factor
+
+
+@lru_cache
+def _quantile(n_obs: int) -> float:
+    """Return the size beyond which an innovation of so many coordinates is too large."""
+    from scipy.stats import chi2
+
+    return float(chi2.isf(_LEVEL, n_obs))

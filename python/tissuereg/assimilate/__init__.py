@@ -3,7 +3,23 @@
 `tissuereg-esmda` computes; the model is a Python function of many columns of parameters.
 """
 
-from tissuereg.assimilate.ensemble import ABSURD_MM, Assimilation, StepOptions, assimilate, balanced_draws
+from tissuereg.assimilate.ensemble import (
+    ABSURD_MM,
+    Assimilation,
+    FirstEnsemble,
+    StepOptions,
+    assimilate,
+    balanced_draws,
+)
 from tissuereg.assimilate.laplace import Laplace, gauss_newton
 
-__all__ = ["ABSURD_MM", "Assimilation", "Laplace", "StepOptions", "assimilate", "balanced_draws", "gauss_newton"]
+__all__ = [
+    "ABSURD_MM",
+    "Assimilation",
+    "FirstEnsemble",
+    "Laplace",
+    "StepOptions",
+    "assimilate",
+    "balanced_draws",
+    "gauss_newton",
+]

@@ -205,6 +205,32 @@ class Assimilation:
         return 1.0 if self.exact_draws else (1.0 + 1.0 / n) * (n - 1.0) / max(n - 3.0, 1.0)
 
 
+@dataclass(frozen=True, eq=False)
+class FirstEnsemble:
+    """An ensemble drawn from a prior, with its predictions where they are known.
+
+    Attributes
+    ----------
+    latents : ndarray of float64, shape (n_latent, n_members)
+        Draws.
+    exact : bool
+        Whether their moments are those of the prior, see `balanced_draws`.
+    predicted : ndarray of float64, shape (n_obs, n_members), or None
+        mm.
+    """
+
+    latents: FloatArray
+    exact: bool
+    predicted: FloatArray | None = None
+
+    @classmethod
+    def of(cls, prior: Gaussian, rng: np.random.Generator, n_members: int) -> "FirstEnsemble":
+        """Return draws from a prior; raise ArgumentError if its covariance is not positive definite."""
+        root = _root_of(prior)
+        draws, exact = balanced_draws(rng, (len(prior.mean), n_members), np.empty((0, n_members)))
+        return cls(np.asarray(prior.mean[:, None] + root @ draws), exact)
+
+
 def assimilate(
     predict: Callable[[FloatArray], FloatArray],
     observed: FloatArray,
@@ -219,6 +245,7 @@ def assimilate(
     max_steps: int = 20,
     options: StepOptions | None = None,
     perturbations: Callable[[int, tuple[int, int]], FloatArray] | None = None,
+    first: FirstEnsemble | None = None,
     min_members: int = 20,
     threads: int = 0,
 ) -> Assimilation:
@@ -251,6 +278,8 @@ def assimilate(
     perturbations : callable, optional
         Step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place of
         `balanced_draws`; stochastic form only.
+    first : FirstEnsemble, optional
+        Draws from the prior, in place of `n_members` made here; with their predictions the first step decodes nothing.
     min_members : int
         Fewer surviving members than this, or than two, raise.
     threads : int
@@ -298,15 +327,19 @@ def assimilate(
         message = "`perturbations` must be None in the square-root form, which draws none"
         raise ArgumentError(message, where="perturbations")
     coefficients = _Coefficients(schedule, n_steps, decrease, max_steps)
-    root = _root_of(prior)
     prior_std = np.sqrt(np.diag(prior.covariance))[:, None]
-    shape = (len(prior.mean), n_members)
-    draws, balanced = balanced_draws(rng, shape, np.empty((0, n_members)))
-    latents = prior.mean[:, None] + root @ draws
+    first = maybe("first", first, FirstEnsemble) or FirstEnsemble.of(prior, rng, n_members)
+    latents, balanced, known = (
+        float_array("first.latents", first.latents, (len(prior.mean), None)),
+        first.exact,
+        first.predicted,
+    )
+    n_members = latents.shape[1]
     members = np.arange(n_members)
     dropped: list[tuple[int, str]] = []
     while not coefficients.complete:
-        predicted = float_array("predict(latents)", predict(latents), (len(observed), latents.shape[1]))
+        given, known = predict(latents) if known is None else known, None
+        predicted = float_array("predict(latents)", given, (len(observed), latents.shape[1]))
         kept, lost = _core.screen_members(predicted, ABSURD_MM)
         dropped += [(int(members[index]), reason) for index, reason in lost]
         if len(kept) < fewest:

@@ -194,10 +194,10 @@ class GraphDecoder:
         bases = self.scale * self.levels[-1].bases
         table = _dense(at_points, columns)
         groups = _groups(table.any(axis=2))
-        by_groups: int = len(columns) * bases.size + sum(
+        by_groups = len(columns) * int(bases.size) + sum(
             len(group) * int(table[group].any(axis=(0, 2)).sum()) * len(bases) * 3 for group in groups
         )
-        whole = len(offset) * len(columns) * bases.shape[1]
+        whole = len(offset) * len(columns) * int(bases.shape[1])
         if whole <= by_groups:
             graph.node("Gemm", [x, *_linear(graph, self._expanded(at_points, columns), offset)], output="moved")
             return whole
@@ -216,7 +216,7 @@ class GraphDecoder:
     def decode(self, latents: FloatArray) -> FloatArray:
         """Return whole displacement fields (n_members, n_nodes, 3) of latents (n_latent, n_members), mm.
 
-        In single precision. Cost: sums over neighbours take their non-zero coefficients alone, one core; milliseconds a member.
+        In single precision, on one core. Cost: milliseconds a member, since sums take non-zero coefficients alone.
         """
         n_members = latents.shape[1]
         x = (self.weight @ latents + self.bias[:, None]).astype(np.float32)

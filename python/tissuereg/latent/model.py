@@ -1,7 +1,7 @@
 """The interface of a latent model for registration."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -109,13 +109,41 @@ class ScaledErrors:
         self.fields: FloatArray = np.asarray(fields, dtype=np.float64)
         self.sizes: FloatArray = np.asarray(sizes, dtype=np.float64)
 
+        self._squares: FloatArray | None = None
+
+    def scale(self, field: FloatArray | None) -> FloatArray:
+        """Return the factor (n_fields,) of every error for a field (n_nodes, 3) in mm; one if it is None."""
+        if field is None or len(self.fields) == 0:
+            return np.ones(len(self.fields))
+        size = rms_displacement(field[None])[0]
+        return np.asarray(np.minimum(size / np.maximum(self.sizes, 1e-12), _MOST_SCALING))
+
     def at(self, field: FloatArray | None) -> FloatArray:
         """Return the errors expected for a field (n_nodes, 3) in mm; unscaled if it is None."""
-        if field is None or len(self.fields) == 0:
-            return self.fields
-        size = rms_displacement(field[None])[0]
-        scale = np.minimum(size / np.maximum(self.sizes, 1e-12), _MOST_SCALING)
-        return np.asarray(self.fields * scale[:, None, None])
+        return np.asarray(self.fields * self.scale(field)[:, None, None])
+
+    def mean_square(self, scale: FloatArray) -> FloatArray:
+        """Return the mean square length (n_nodes,) of errors with these factors (n_fields,), mm^2."""
+        if self._squares is None:
+            self._squares = np.einsum("eni,eni->en", self.fields, self.fields)
+        return np.asarray(scale**2 @ self._squares / max(1, len(scale)))
+
+
+@runtime_checkable
+class ScalesErrors(Protocol):
+    """A model whose errors are those of given fields, scaled to the size of the event."""
+
+    def error_law(self, field: FloatArray | None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors, and the factor (n_fields,) of each where the model decodes to a field (n_nodes, 3) in mm.
+
+        None stands for a typical field; see `LatentModel.errors`.
+        """
+        ...
+
+
+def mean_square(errors: FloatArray) -> FloatArray:
+    """Return the mean square length (n_nodes,) of errors (n_fields, n_nodes, 3), mm^2."""
+    return np.asarray(np.einsum("eni,eni->n", errors, errors) / max(1, len(errors)))
 
 
 def rms_displacement(fields: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import threading
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import ModelError
 from tissuereg.io.npz import Archive, open_npz
 from tissuereg.latent.batches import in_batches
-from tissuereg.latent.card import check_files, read_card
+from tissuereg.latent.card import MODEL_FILES, check_files, read_card
 from tissuereg.latent.cut import CutDecoder, session
 from tissuereg.latent.decoders import ClosureDecoder, GraphDecoder, read_decoder
 from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement
@@ -23,6 +24,13 @@ _LEAST_SIZE_MM = 0.3
 
 #: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
 _BATCH = 25
+
+#: Up to so many whole fields of a graph network come from its tables, without the zeros that the file multiplies.
+_FEW = 4
+
+#: The last models that were read, with their files' times and sizes.
+_NETWORKS: "dict[tuple[Any, ...], NetworkModel]" = {}
+_KEEPING = threading.Lock()
 
 #: Sets of points whose cut decoders a model keeps.
 _KEPT = 8
@@ -67,8 +75,6 @@ class NetworkModel:
         self._card = card
         self._threads = threads or os.cpu_count() or 1
         self._encoder = _session(self.folder / "encoder.onnx")
-        self._decoder = _session(self.folder / "decoder.onnx")
-        self._has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
         self._cut: dict[str, CutDecoder] = {}
         with open_npz(self.folder / "decoder_weights.npz") as weights:
             self._errors = _errors_in(weights, "error_fields_mm", "error_sizes_mm", self.n_nodes)
@@ -94,7 +100,12 @@ class NetworkModel:
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
         """Return the expected reconstruction errors; see `LatentModel.errors`. They grow with the displacement."""
-        return self._errors.at(None if latents is None else self.decode(latents[:, None])[0])
+        law, scale = self.error_law(None if latents is None else self.decode(latents[:, None])[0])
+        return np.asarray(law.fields * scale[:, None, None])
+
+    def error_law(self, field: FloatArray | None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors and their factors; see `ScalesErrors`."""
+        return self._errors, self._errors.scale(field)
 
     def around(self, simulation: FloatArray) -> "AnchoredModel":
         """Return a latent model of changes from a simulation.
@@ -132,15 +143,27 @@ class NetworkModel:
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
-        extra = {} if nodes is None or not self._has_nodes else {"nodes": np.asarray(nodes, np.int64)}
+        if nodes is None and latents.shape[1] <= _FEW and isinstance(self.tables, GraphDecoder):
+            return self.tables.decode(latents)
+        return self._by_file(latents, nodes)
 
-        def run(batch: FloatArray) -> Any:
+    def _by_file(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields by ``decoder.onnx``."""
+        has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
+        extra = {} if nodes is None or not has_nodes else {"nodes": np.asarray(nodes, np.int64)}
+
+        def run(batch: Any) -> Any:
             return self._decoder.run(["displacement"], {"z": batch, **extra})[0]
 
         fields = in_batches(run, latents, _BATCH, self._threads)
         if nodes is not None and not extra:
             fields = fields[:, nodes]
         return np.asarray(fields, dtype=np.float64)
+
+    @cached_property
+    def _decoder(self) -> Any:
+        """``decoder.onnx``, read when it is first needed: a graph network's holds large tables."""
+        return _session(self.folder / "decoder.onnx")
 
     @cached_property
     def tables(self) -> ClosureDecoder | GraphDecoder | None:
@@ -171,7 +194,7 @@ class NetworkModel:
             codes = self.prior(None)
             spread = np.linalg.cholesky(codes.covariance + 1e-12 * np.trace(codes.covariance) * np.eye(self.n_latent))
             draws = np.random.default_rng(0).standard_normal((self.n_latent, 3))
-            made.check(rows, self.decode, codes.mean[:, None] + spread @ draws, str(self.folder))
+            made.check(rows, self._by_file, codes.mean[:, None] + spread @ draws, str(self.folder))
             while len(self._cut) >= _KEPT:
                 self._cut.pop(next(iter(self._cut)))
             self._cut[digest] = made
@@ -224,8 +247,8 @@ class AnchoredModel:
         self._network = network
         self._errors = change_errors
         self._simulation = simulation
-        code, _ = network.encode(simulation)
-        self._remainder: FloatArray = simulation - network.decode(code[:, None])[0]
+        self._prior = network.prior(simulation)
+        self._coded: FloatArray | None = None
         self.card = network.card
 
     @property
@@ -240,18 +263,48 @@ class AnchoredModel:
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
-        remainder = self._remainder if nodes is None else self._remainder[nodes]
-        return np.asarray(self._network.decode(latents, nodes) + remainder)
+        moved, coded = self._with_code(latents, nodes)
+        simulation = self._simulation if nodes is None else self._simulation[nodes]
+        return np.asarray(moved + (simulation - coded))
+
+    def _with_code(self, latents: FloatArray, nodes: IntArray | None) -> tuple[FloatArray, FloatArray]:
+        """Return decoded fields, and the one of the simulation's code, which is decoded once and beside others."""
+        if self._coded is not None:
+            return self._network.decode(latents, nodes), self._coded if nodes is None else self._coded[nodes]
+        both = self._network.decode(np.concatenate([self._prior.mean[:, None], latents], axis=1), nodes)
+        if nodes is None:
+            self._coded = both[0]
+        return both[1:], both[0]
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
         """Return the expected errors of the change; see `LatentModel.errors`. They grow with the change."""
+        law, scale = self.error_law(None if latents is None else self.decode(latents[:, None])[0])
+        return np.asarray(law.fields * scale[:, None, None])
+
+    def error_law(self, field: FloatArray | None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors and their factors; see `ScalesErrors`."""
         if not len(self._errors.fields):
-            return self._network.errors(latents)
-        return self._errors.at(None if latents is None else self.decode(latents[:, None])[0] - self._simulation)
+            return self._network.error_law(field)
+        return self._errors, self._errors.scale(None if field is None else field - self._simulation)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
         """Return the prior of the truth; see `NetworkModel.prior`."""
-        return self._network.prior(simulation)
+        return self._prior if simulation is self._simulation else self._network.prior(simulation)
+
+
+def kept_network(folder: Path, mesh: Mesh, threads: int, source: str | None = None) -> NetworkModel:
+    """Return the model of a folder; the last two are kept with their cut decoders while their files do not change."""
+    try:
+        stats = [(folder / name).stat() for name in ("model.json", *MODEL_FILES)]
+    except OSError:
+        return NetworkModel(folder, mesh, threads=threads, source=source)  # says what is missing
+    key = (str(folder.resolve()), mesh.digest(), threads, source, *((one.st_mtime_ns, one.st_size) for one in stats))
+    with _KEEPING:
+        made = _NETWORKS.pop(key, None) or NetworkModel(folder, mesh, threads=threads, source=source)
+        while len(_NETWORKS) > 1:
+            _NETWORKS.pop(next(iter(_NETWORKS)))
+        _NETWORKS[key] = made
+    return made
 
 
 def _errors_in(weights: Archive, fields: str, sizes: str, n_nodes: int) -> ScaledErrors:

@@ -1,5 +1,6 @@
 """Principal components as a latent model: the baseline for the network, and a model that is fitted in place."""
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -141,8 +142,16 @@ class PcaModel:
         Errors grow in proportion to the distance from the centre, so each held-out error is scaled to the size of the
         field that `latents` represent.
         """
-        away = None if latents is None else self.decode(latents[:, None])[0] - self.centre
-        return ScaledErrors(self.error_fields, self.error_sizes).at(away)
+        law, scale = self.error_law(None if latents is None else self.decode(latents[:, None])[0])
+        return np.asarray(law.fields * scale[:, None, None])
+
+    def error_law(self, field: FloatArray | None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors and their factors; see `ScalesErrors`."""
+        return self._law, self._law.scale(None if field is None else field - self.centre)
+
+    @cached_property
+    def _law(self) -> ScaledErrors:
+        return ScaledErrors(self.error_fields, self.error_sizes)
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
         """Return the unit Gaussian about the centre, which is the simulation the model was fitted around."""

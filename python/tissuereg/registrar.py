@@ -1,0 +1,253 @@
+"""One body, its markers and its targets, registered moment after moment: what does not change is made once."""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+from threadpoolctl import ThreadpoolController
+
+from tissuereg._arguments import MOST_COUNTED, called, check_running, flag, maybe, whole
+from tissuereg._arrays import FloatArray, float_array
+from tissuereg._choice import check_choice
+from tissuereg._clock import Clock
+from tissuereg.contact_registration import ContactInput, fitting_element, register_by_contacts
+from tissuereg.errors import ArgumentError, MarkerError
+from tissuereg.inputs import Attachment, RegisterSettings, finite_field
+from tissuereg.latent.model import LatentModel
+from tissuereg.latent.points import PointModel
+from tissuereg.latent_registration import as_model, register_by_model
+from tissuereg.load import Load
+from tissuereg.markers import Markers
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.result import Registration
+from tissuereg.simulate.solve import ELEMENTS, Simulator
+from tissuereg.surface import SurfacePoints
+
+
+class Registrar:
+    """Registers one body to the same markers again and again; `register` is one such registration.
+
+    Everything that depends on the body, the model and the places of markers and targets is made here: their attachment
+    to the mesh, the model, its decoder cut down to these places, its errors there. `register` is the loop.
+
+    Parameters
+    ----------
+    mesh : Mesh or (nodes, tets, fixed_nodes)
+        Undeformed body in mm.
+    reference_mm : array_like of float, shape (n_markers, 3), or Markers
+        Places of the markers on or near the undeformed body; of `Markers` their noise and names are taken as well.
+    model : path-like or LatentModel, optional
+        Folder of a trained model for this mesh, or ``"phantom"`` for the one that is shipped. Without it the load is
+        unknown and the answer an equilibrium.
+    targets : mapping of str to array_like of float, shape (3,), optional
+        Inner points of the undeformed body, mm.
+    std : float or array_like of float, shape (n_markers,) or (n_markers, 3)
+        Standard deviation of a measured coordinate in mm, as in `Markers`.
+    names : sequence of str, optional
+        Of the markers; by default ``M1``, ``M2``, ...
+    load, material, element, held, held_nodes, frame, stiffness, seed, threads, settings, polish, ensemble
+        As in `register`.
+
+    Raises
+    ------
+    MarkerError
+        If a marker or target lies far from the body.
+    ModelError
+        If the model was trained for another mesh, a file of it is corrupt, or its weights are not those of its decoder.
+    ShapeError, ArgumentError, MeshError
+        As in `register`.
+
+    Notes
+    -----
+    Cost: less than two seconds with a model; without one the body is analysed by the first registration.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> from tissuereg.phantom.event import LESION_MM, make_event
+    >>> event = make_event(seed=0)
+    >>> registrar = tr.Registrar(event.mesh, event.markers.reference, "phantom", {"lesion": LESION_MM})
+    >>> simulation = tr.simulate(event.mesh, event.load, event.material).displacement
+    >>> moments = [event.markers.measured, event.markers.measured + 0.05]
+    >>> [registrar.register(moment, simulation).trust.ok for moment in moments]
+    [True, True]
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh | tuple[Any, Any, Any],
+        reference_mm: Any,
+        model: "str | os.PathLike[str] | LatentModel | None" = None,
+        targets: Mapping[str, Any] | None = None,
+        *,
+        std: Any = 0.1,
+        names: Any = None,
+        load: Load | None = None,
+        material: Material | None = None,
+        element: str = "auto",
+        held: str = "sure",
+        held_nodes: Any = None,
+        frame: str = "known",
+        stiffness: str = "believed",
+        seed: int = 0,
+        threads: int = 0,
+        settings: RegisterSettings | None = None,
+        polish: bool = False,
+        ensemble: int = 0,
+    ) -> None:
+        check_running(seed=seed, threads=threads)
+        self._load = maybe("load", load, Load)
+        self._material = maybe("material", material, Material) or Material()
+        check_choice("element", element, ("auto", *ELEMENTS), ArgumentError)
+        self._element: str = element
+        self._polish = flag("polish", polish)
+        self._ensemble = whole("ensemble", ensemble, most=MOST_COUNTED)
+        self._held_nodes, self._frame, self._stiffness = held_nodes, frame, stiffness
+        self._blas = ThreadpoolController().select(user_api="blas")
+        if not isinstance(reference_mm, Markers):
+            places = float_array("reference_mm", reference_mm, (None, 3))
+            reference_mm = Markers(places, places * float("nan"), std, names)
+        with self._blas.limit(limits=1):
+            self._attached = Attachment.of(mesh, reference_mm, targets, settings, seed, threads, held)
+            self._model = None if model is None else as_model(model, self._attached.mesh, threads)
+            self._points = self._points_of(self._attached)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The undeformed body."""
+        return self._attached.mesh
+
+    @property
+    def markers(self) -> Markers:
+        """The markers: reference places, noise, names."""
+        return self._attached.places
+
+    def register(
+        self,
+        measured_mm: Any,
+        simulation: Any = None,
+        *,
+        progress: Callable[[int, int], None] | None = None,
+        tell: Callable[[str, str], None] | None = None,
+    ) -> Registration:
+        """Register one moment.
+
+        Parameters
+        ----------
+        measured_mm : array_like of float, shape (n_markers, 3), or Markers
+            Measured places, in the order of the reference places; NaN = not seen. Of `Markers` the noise is taken as
+            well; they must have the same names and reference places.
+        simulation : array_like of float, shape (n_nodes, 3), optional
+            Displacement of this moment by any simulator, mm.
+        progress, tell : callable, optional
+            As in `register`.
+
+        Returns
+        -------
+        Registration
+            The one that `register` gives.
+
+        Raises
+        ------
+        MarkerError
+            If no marker was seen, or markers with other names or reference places are given.
+        ShapeError
+            If an array has another shape, or `simulation` is not finite.
+        ConvergenceError, EnsembleError
+            If no equilibrium is found, or too few ensemble members survive.
+        """
+        places = self.markers
+        if not isinstance(measured_mm, Markers):
+            measured = float_array("measured_mm", measured_mm, (len(places), 3))
+            measured_mm = Markers(places.reference, measured, places.axis_std, places.names)
+        elif not self._attached.holds(measured_mm):
+            message = "`measured_mm` must be of the markers that the registrar was made for, got other names or places"
+            raise MarkerError(message, where="measured_mm")
+        called("progress", progress)
+        called("tell", tell)
+        clock = Clock(tell)
+        with clock.stage("total"):
+            return self.moment(measured_mm, simulation, None, clock, progress)
+
+    def made_for(self, markers: Markers) -> "Registrar":
+        """Return a registrar for other markers of the same body; this one if they are its own."""
+        if self._attached.holds(markers):
+            return self
+        other = object.__new__(Registrar)
+        other.__dict__.update(self.__dict__)
+        own = self._attached
+        targets = dict(zip(own.targets.names, own.targets.reference, strict=True))
+        other._attached = Attachment.of(own.mesh, markers, targets, own.settings, own.seed, own.threads, own.held)
+        other._points = self._points_of(other._attached)
+        return other
+
+    def _points_of(self, attached: Attachment) -> PointModel | None:
+        return None if self._model is None else PointModel(self._model, attached.observed, attached.targets)
+
+    def moment(
+        self,
+        markers: Markers,
+        simulation: Any,
+        surface: SurfacePoints | None,
+        clock: Clock,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Registration:
+        """Register one moment whose markers are those of this registrar; see `register`.
+
+        Parameters
+        ----------
+        markers : Markers
+            Measured.
+        simulation : array_like of float, shape (n_nodes, 3), or None
+            Displacement of the moment, mm.
+        surface : SurfacePoints or None
+            Points of the surface; without a model only.
+        clock : Clock
+            Records the times of the stages.
+        progress : callable of (int, int), optional
+            Called with passes finished and passes at most.
+
+        Returns
+        -------
+        Registration
+            The result.
+        """
+        with self._blas.limit(limits=1):
+            with clock.stage("attach"):
+                given = self._attached.measured(markers, surface)
+                field = None if simulation is None else finite_field(simulation, given.mesh)
+            if self._points is None:
+                return register_by_contacts(given, self._contacts(self._load, field, progress), clock)
+            if field is None and self._load is not None:
+                with clock.stage("simulate"):
+                    field = self._simulator.solve(self._load, self._material, threads=given.threads).displacement
+            result = register_by_model(given, self._points, field, clock)
+            if not self._polish:
+                return result
+            polished = register_by_contacts(given, self._contacts(None, result.displacement, progress), clock)
+            return replace(polished, model={**result.model, "polished": True})
+
+    def _contacts(
+        self, load: Load | None, field: FloatArray | None, progress: Callable[[int, int], None] | None
+    ) -> ContactInput:
+        element, held = self._element, self._attached.held
+        return ContactInput(
+            load,
+            field,
+            self._material,
+            fitting_element(self.mesh, self._material) if element == "auto" else element,
+            held,
+            self._held_nodes,
+            self._frame,
+            self._stiffness,
+            progress,
+            self._ensemble,
+        )
+
+    @cached_property
+    def _simulator(self) -> Simulator:
+        element = "tet4" if self._element == "auto" else self._element
+        return Simulator(self.mesh, element=element, held_nodes=self._held_nodes)

@@ -1,0 +1,174 @@
+"""A registrar: what does not change is made once, and every registration is that of `register`."""
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from tissuereg.errors import ArgumentError, MarkerError, ModelError, ShapeError
+from tissuereg.latent.network import NetworkModel
+from tissuereg.latent.points import PointModel
+from tissuereg.phantom import shipped_model_folder
+from tissuereg.phantom.event import LESION_MM, make_event
+
+TARGETS = {"lesion": LESION_MM}
+
+
+@pytest.fixture(scope="module")
+def event():
+    return make_event(seed=0)
+
+
+@pytest.fixture(scope="module")
+def simulation(event):
+    return tr.simulate(event.mesh, event.load, event.material).displacement
+
+
+def settings(**changed):
+    return tr.RegisterSettings(**{"n_members": 100, **changed})
+
+
+def said(result):
+    """What a registration says, without its times."""
+    return {key: value for key, value in result.to_json().items() if key not in ("seconds", "work")}
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Counts of ensembles decoded at points, by their members; and of whole fields."""
+    counts = {"points": [], "fields": 0}
+    at_points, fields = PointModel.decode, NetworkModel.decode
+
+    def decode_points(self, latents):
+        counts["points"].append(latents.shape[1])
+        return at_points(self, latents)
+
+    def decode_fields(self, latents, nodes=None):
+        counts["fields"] += latents.shape[1]
+        return fields(self, latents, nodes)
+
+    monkeypatch.setattr(PointModel, "decode", decode_points)
+    monkeypatch.setattr(NetworkModel, "decode", decode_fields)
+    return counts
+
+
+@pytest.mark.parametrize("update", ["esmda", "gauss-newton"])
+def test_every_registration_is_that_of_register_bit_for_bit(event, simulation, update):
+    how = {"targets": TARGETS, "settings": settings(update=update), "seed": 4}
+    registrar = tr.Registrar(event.mesh, event.markers, "phantom", **how)
+    gone = event.markers.measured.copy()
+    gone[2] = np.nan
+    for measured, known in ((event.markers.measured, simulation), (gone, None), (event.markers.measured, simulation)):
+        markers = tr.Markers(event.markers.reference, measured, event.markers.axis_std, event.markers.names)
+        alone = tr.register(event.mesh, markers, model="phantom", simulation=known, **how)
+        again = registrar.register(measured, known)
+        assert said(again) == said(alone)
+        assert np.array_equal(again.displacement, alone.displacement)
+        assert np.array_equal(again.std, alone.std)
+
+
+def test_threads_change_no_bit(event, simulation):
+    found = [
+        tr.Registrar(event.mesh, event.markers, "phantom", TARGETS, settings=settings(), threads=threads).register(
+            event.markers.measured, simulation
+        )
+        for threads in (1, 3)
+    ]
+    assert said(found[0]) == said(found[1])
+
+
+def test_a_registration_decodes_the_ensemble_once_a_step_and_once_at_the_end(event, simulation, counted):
+    registrar = tr.Registrar(event.mesh, event.markers, "phantom", TARGETS, settings=settings())
+    counted["points"].clear()
+    counted["fields"] = 0
+    result = registrar.register(event.markers.measured, simulation)
+    assert not any(reason.startswith("simulation") for reason in result.trust.reasons)
+    # Draws from the prior with its mean, four later steps, the posterior.
+    assert counted["points"] == [101, 100, 100, 100, 100, 100]
+    # The simulation's code, where the markers lie at first, the answer.
+    assert counted["fields"] == 3
+    # The spread of nodes decodes every member, and is asked for.
+    assert result.std.shape == (event.mesh.n_nodes,)
+    assert counted["fields"] == 103
+
+
+def test_a_prior_that_is_widened_costs_one_decode_more(event, simulation, counted):
+    registrar = tr.Registrar(event.mesh, event.markers, "phantom", TARGETS, settings=settings())
+    counted["points"].clear()
+    registrar.register(event.markers.measured, 0.3 * simulation)
+    assert counted["points"] == [101, 100, 100, 100, 100, 100, 100]
+
+
+def test_an_ensemble_smaller_than_the_search_for_the_prior_is_drawn_by_itself(event, simulation, counted):
+    registrar = tr.Registrar(event.mesh, event.markers, "phantom", settings=settings(n_members=30, n_steps=2))
+    counted["points"].clear()
+    registrar.register(event.markers.measured, simulation)
+    assert counted["points"] == [101, 30, 30, 30]
+
+
+def test_the_model_is_read_and_cut_once_for_the_same_places(event, monkeypatch):
+    read, cut = [], []
+    plain_read, plain_cut = NetworkModel.__init__, PointModel.__init__
+    monkeypatch.setattr(NetworkModel, "__init__", lambda self, *a, **k: read.append(1) or plain_read(self, *a, **k))
+    monkeypatch.setattr(PointModel, "__init__", lambda self, *a, **k: cut.append(1) or plain_cut(self, *a, **k))
+    # A number of threads that no other test uses: a model that is kept is not read again.
+    registrar = tr.Registrar(event.mesh, event.markers, "phantom", settings=settings(), threads=5)
+    for _ in range(3):
+        registrar.register(event.markers.measured)
+    assert (read, cut) == ([1], [1])
+    tr.register(event.mesh, event.markers, model="phantom", settings=settings(), threads=5)
+    assert read == [1]
+
+
+def test_a_model_without_weights_to_cut_gives_the_same_answer(event, simulation):
+    class Plain:
+        """The shipped model behind the bare protocol."""
+
+        def __init__(self):
+            self._network = NetworkModel(shipped_model_folder(), event.mesh)
+            self.n_latent, self.n_nodes, self.card = self._network.n_latent, self._network.n_nodes, self._network.card
+            self.errors, self.decode, self.prior = self._network.errors, self._network.decode, self._network.prior
+
+    found = [
+        tr.Registrar(event.mesh, event.markers, model, TARGETS, settings=settings()).register(event.markers.measured)
+        for model in (NetworkModel(shipped_model_folder(), event.mesh), Plain())
+    ]
+    # Single precision in another order of sums.
+    np.testing.assert_allclose(found[0].displacement, found[1].displacement, atol=2e-3)
+    np.testing.assert_allclose(found[0].target("lesion").covariance, found[1].target("lesion").covariance, rtol=1e-2)
+
+
+def test_without_a_model_a_registrar_gives_the_registrations_by_contacts(block_mesh):
+    from tissuereg.contacts.settings import ContactSettings
+
+    few = ContactSettings(n_chains=2, n_chains_first=2, max_passes=1, n_kept=1, powers=(1.0,), n_draws=2)
+    places = block_mesh.nodes[block_mesh.surface_nodes][::7]
+    places = places[places[:, 2] > 20.0][:4]
+    measured = places + np.array([0.4, 0.1, 0.0])
+    how = {"settings": tr.RegisterSettings(contacts=few), "seed": 2}
+    registrar = tr.Registrar(block_mesh, places, std=0.2, **how)
+    alone = tr.register(block_mesh, tr.Markers(places, measured, 0.2), **how)
+    for _ in range(2):
+        assert said(registrar.register(measured)) == said(alone)
+
+
+def test_what_does_not_fit_is_refused_by_name(event):
+    with pytest.raises(ShapeError, match="reference_mm"):
+        tr.Registrar(event.mesh, [1.0, 2.0, 3.0])
+    with pytest.raises(MarkerError, match="near the undeformed surface"):
+        tr.Registrar(event.mesh, event.markers.reference + 900.0)
+    with pytest.raises(MarkerError, match="target 'far'"):
+        tr.Registrar(event.mesh, event.markers.reference, targets={"far": (900.0, 0.0, 0.0)})
+    with pytest.raises(ModelError, match="no-model"):
+        tr.Registrar(event.mesh, event.markers.reference, "no-model")
+    with pytest.raises(ArgumentError, match="element"):
+        tr.Registrar(event.mesh, event.markers.reference, element="tet5")
+    registrar = tr.Registrar(event.mesh, event.markers.reference, "phantom")
+    with pytest.raises(ShapeError, match="measured_mm"):
+        registrar.register(event.markers.measured[:3])
+    with pytest.raises(ShapeError, match="simulation"):
+        registrar.register(event.markers.measured, np.zeros((3, 3)))
+    with pytest.raises(MarkerError, match="at least one marker must have been seen"):
+        registrar.register(np.full((len(event.markers), 3), np.nan))
+    other = tr.Markers(event.markers.reference + 0.1, event.markers.measured)
+    with pytest.raises(MarkerError, match="other names or places"):
+        registrar.register(other)
