@@ -31,6 +31,7 @@ from tissuereg.result import Registration
 from tissuereg.simulate import Simulation, Simulator, simulate
 from tissuereg.simulate.believed import simulate_experiment
 from tissuereg.simulate.fine import FineModel
+from tissuereg.studies import reproduce
 from tissuereg.triangles import Triangles
 
 __all__ = [
@@ -65,6 +66,7 @@ __all__ = [
     "register",
     "register_frame",
     "register_many",
+    "reproduce",
     "simulate",
     "simulate_experiment",
     "tetrahedralize",

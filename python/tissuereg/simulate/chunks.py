@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import FloatArray, IntArray
 from tissuereg._version import __version__
 from tissuereg.errors import EnsembleError, ExperimentError
 from tissuereg.io.chunks import CHUNK_SCHEMA, Chunk, Fields, chunk_name, pack_chunk, read_chunk
@@ -129,8 +129,14 @@ class ChunkMaker:
         settings = EventSettings(data.n_patches, radius, data.body_force_share, data.plate_share, data.gravity_share)
         self._sampler = EventSampler(mesh, settings)
 
-    def make(self, number: int, threads: int = 0, progress: Callable[[int], None] | None = None) -> Chunk:
-        """Return a chunk.
+    def make(
+        self,
+        number: int,
+        threads: int = 0,
+        progress: Callable[[int], None] | None = None,
+        rows: IntArray | None = None,
+    ) -> Chunk:
+        """Return a chunk, or some of its members.
 
         Parameters
         ----------
@@ -140,6 +146,9 @@ class ChunkMaker:
             Threads to use; 0 takes all cores. The chunk does not depend on it.
         progress : callable of int, optional
             Called with the members of this chunk that are done.
+        rows : ndarray of int64, shape (k,), optional
+            Members of the chunk that are wanted, ascending; all by default. They are the same, bit for bit, with others
+            or without: all events are drawn, and only these are solved.
 
         Returns
         -------
@@ -155,9 +164,10 @@ class ChunkMaker:
         rng = np.random.default_rng([self.seed, 3, number])
         first = number * recipe.data.chunk
         n = min(recipe.data.chunk, recipe.data.members - first)
-        young = rng.uniform(*recipe.material.young_kpa, n)
+        wanted_rows = np.arange(n) if rows is None else rows
+        young = rng.uniform(*recipe.material.young_kpa, n)[wanted_rows]
         softest = Material(recipe.material.young_kpa[0], recipe.material.poisson)
-        events, size, wanted = self.events(softest, n, rng, threads)
+        events, size, wanted = self.events(softest, n, rng, threads, wanted_rows)
         size = size * young / recipe.material.young_kpa[0]  # the wanted motion holds at the member's own modulus
         materials = [Material(y, recipe.material.poisson) for y in young]
         displacement, lost = self._solved(events, size, materials, threads, progress)
@@ -175,22 +185,24 @@ class ChunkMaker:
             largest = np.linalg.norm(displacement, axis=2).max(axis=1)
             far = np.flatnonzero(largest > recipe.data.most_mm)
             lost |= {int(i): f"moves {largest[i]:.1f} mm, farther than [data] most_mm" for i in far}
-        solved = np.array([i for i in range(n) if i not in lost], dtype=np.int64)
-        failed = [(first + i, lost[i]) for i in sorted(lost)]
-        if n >= _FEW and len(solved) < n / 2:
+        index = first + wanted_rows
+        solved = np.array([i for i in range(len(index)) if i not in lost], dtype=np.int64)
+        failed = [(int(index[i]), lost[i]) for i in sorted(lost)]
+        if len(index) >= _FEW and len(solved) < len(index) / 2:
             message = (
-                f"at least half of a chunk must find equilibrium, {len(solved)} of {n} did; lower [data] largest_mm"
+                f"at least half of a chunk must find equilibrium, {len(solved)} of {len(index)} did; "
+                "lower [data] largest_mm"
             )
             raise EnsembleError(message, dropped=failed)
         columns: dict[str, npt.NDArray[Any]] = {
             "young_kpa": young,
-            "poisson": np.full(n, recipe.material.poisson),
+            "poisson": np.full(len(index), recipe.material.poisson),
             "linear_largest_mm": wanted,
             **self._sampler.columns(events, size),
         }
         fields: Fields = displacement[solved].astype(np.float32)
         kept = {name: column[solved] for name, column in columns.items()}
-        return Chunk(number, first + solved, fields, kept, failed)
+        return Chunk(number, index[solved], fields, kept, failed)
 
     def _solved(
         self,
@@ -209,12 +221,17 @@ class ChunkMaker:
         return displacement, lost
 
     def events(
-        self, material: Material, n: int, rng: np.random.Generator, threads: int
+        self, material: Material, n: int, rng: np.random.Generator, threads: int, rows: IntArray | None = None
     ) -> tuple[list[Event], FloatArray, FloatArray]:
-        """Return random events, their sizes in mN under `material`, and their largest linear displacements in mm."""
-        events = [self._sampler.draw(rng) for _ in range(n)]
+        """Return random events, their sizes in mN under `material`, and their largest linear displacements in mm.
+
+        Of `n` that are drawn, those of some rows alone; all by default.
+        """
+        chosen = np.arange(n) if rows is None else rows
+        drawn = [self._sampler.draw(rng) for _ in range(n)]
+        wanted = rng.uniform(*self.recipe.data.largest_mm, n)[chosen]
+        events = [drawn[row] for row in chosen]
         _, unit = linear_answers(self.simulator, events, material, threads=threads)
-        wanted = rng.uniform(*self.recipe.data.largest_mm, n)
         return events, unit * wanted, wanted
 
 

@@ -1,0 +1,78 @@
+"""``tissuereg reproduce``: the paper's simulation studies."""
+
+import argparse
+from typing import Any
+
+from tissuereg.cli.common import Outcome, progress_bar, seconds_line
+from tissuereg.cli.options import UsageError, add_common, command_parser
+
+_DETAILS = (
+    "Runs the simulation studies of the seed paper (section III) with a trained model: ten random test shapes as start "
+    "meshes, ten targets each, 15 markers on the surface, Algorithm 1, and the same with our own prior beside it. STUDY, "
+    "one or more: table2 (the network), fig6 (C_d and N_e), fig7 (N_a and N_e), fig8 (the error after each assimilation). "
+    "Test shapes are solved anew from the model's recipe, so no data set is needed. DIR gets a table (.md, .csv), a "
+    "picture and a JSON of each study, with what the paper states and whether it holds here."
+)
+
+_STUDIES = ("table2", "fig6", "fig7", "fig8")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command's parser.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers action
+        Where to.
+    """
+    purpose = "run the paper's simulation studies"
+    parser = command_parser(commands, "reproduce", purpose, _DETAILS, "tissuereg reproduce fig6 --out paper")
+    parser.add_argument("studies", metavar="STUDY", nargs="+", help=f"one or more of {', '.join(_STUDIES)}")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder for tables, pictures and JSON")
+    text = "folder of a trained model (default: the one that ships with the package)"
+    parser.add_argument("--model", metavar="FOLDER", help=text)
+    add_common(parser, seed="seed of shapes, markers and ensembles (default: 0)")
+    parser.set_defaults(run=run, late="studies", room=len(_STUDIES))
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Run the requested studies.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    Outcome
+        Schema ``tissuereg.reproduce/1``.
+
+    Raises
+    ------
+    UsageError
+        If a study is unknown.
+    """
+    unknown = [name for name in args.studies if name not in _STUDIES]
+    if unknown:
+        message = f"STUDY must be one or more of {', '.join(_STUDIES)}, got {', '.join(unknown)}"
+        raise UsageError(message, where="STUDY")
+    from tissuereg.studies import reproduce
+
+    with progress_bar("registrations", quiet=args.quiet) as report:
+        progress = None if report is None else lambda _, done, in_all: report(done, in_all)
+        content = reproduce(
+            args.studies, args.out, model=args.model, seed=args.seed or 0, threads=args.threads, progress=progress
+        )
+    return Outcome(content, _summary(content, args.out), args.threads)
+
+
+def _summary(content: dict[str, Any], out: str) -> str:
+    model = content["model"]
+    lines = [f"{model['kind']} ({model['source']}), {model['n_nodes']} nodes, {model['n_latent']} latents"]
+    for study, verdict in content["agree"].items():
+        rows = [row for row in content["rows"] if row["study"] == study and row["end_mean_mm"] is not None]
+        lines.append(f"{study}: {len(rows)} rows; agrees with the paper: {verdict['agree']}")
+        for claims in verdict["claims"].values():
+            lines += [f"  {'holds' if one['holds'] else 'fails'}: {one['claim']} ({one['found']})" for one in claims]
+    return "\n".join([*lines, seconds_line(content["seconds"]), f"written: {out}"])

@@ -1,0 +1,83 @@
+"""The layers of a model, and those of Table II of the paper."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from tissuereg.io.npz import Archive
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer: its name, and the shape of what it puts out."""
+
+    name: str
+    output: tuple[int, ...]
+
+    @property
+    def size(self) -> str:
+        """Output as text, ``811 x 32``."""
+        return " x ".join(map(str, self.output))
+
+
+#: Nodes of the levels, channels and latents of the paper.
+PAPER_LEVELS, PAPER_CHANNELS, PAPER_LATENTS = (4223, 811, 82, 6), (32, 64, 128), 26
+
+
+def graph_layers(levels: tuple[int, ...], channels: tuple[int, ...], n_latent: int) -> tuple[Layer, ...]:
+    """Return the layers of Table II for other sizes.
+
+    Parameters
+    ----------
+    levels : tuple of int
+        Nodes of each level, finest first.
+    channels : tuple of int
+        Of each convolution of the encoder; one fewer than the levels.
+    n_latent : int
+        Number of latents.
+
+    Returns
+    -------
+    tuple of Layer
+        Encoder, then decoder.
+    """
+    found: list[Layer] = []
+    for k, width in enumerate(channels):
+        found += [Layer("Convolution", (levels[k], width)), Layer("Pooling", (levels[k + 1], width))]
+    flat = levels[-1] * channels[-1]
+    found += [Layer("Reshape", (1, flat)), Layer("Fully connected", (1, n_latent))]
+    found += [Layer("Fully connected", (1, flat)), Layer("Reshape", (levels[-1], channels[-1]))]
+    for k in reversed(range(len(channels))):
+        found.append(Layer("Un-pooling", (levels[k], channels[k])))
+        found.append(Layer("Trans-convolution", (levels[k], channels[k - 1] if k else 3)))
+    return tuple(found)
+
+
+#: Table II.
+PAPER = graph_layers(PAPER_LEVELS, PAPER_CHANNELS, PAPER_LATENTS)
+
+
+def layers_of(weights: Archive, card: dict[str, Any]) -> tuple[Layer, ...]:
+    """Return the layers of a model.
+
+    Parameters
+    ----------
+    weights : Archive
+        Its ``decoder_weights.npz``.
+    card : dict
+        Its card.
+
+    Returns
+    -------
+    tuple of Layer
+        As in Table II where the card states ``levels`` and ``channels``; the fully connected layers of the decoder
+        where its weights hold ``layer0/weight`` and so on; otherwise none.
+    """
+    levels, channels = card.get("levels"), card.get("channels")
+    if isinstance(levels, list) and isinstance(channels, list) and len(levels) == len(channels) + 1:
+        return graph_layers(tuple(levels), tuple(channels), card["n_latent"])
+    found: list[Layer] = []
+    while (name := f"layer{len(found)}/weight") in weights:
+        found.append(Layer("Fully connected", (1, len(weights.floats(name, None, None)))))
+    if found:
+        found.append(Layer("Principal components", (card["n_nodes"], 3)))
+    return tuple(found)

@@ -1,0 +1,112 @@
+"""The tables of a study, as Markdown and as CSV, from its JSON."""
+
+from typing import Any
+
+#: Columns of a sweep: key of a row, title, format.
+_SWEEP = (
+    ("method", "method", "{}"),
+    ("cd", "C_d", "{:g}"),
+    ("reading", "read as", "{}"),
+    ("cd_mm2", "in mm²", "{:g}"),
+    ("n_e", "N_e", "{}"),
+    ("n_a", "N_a", "{}"),
+    ("n_pairs", "pairs", "{}"),
+    ("start_mean_mm", "start", "{:.2f}"),
+    ("end_mean_mm", "end", "{:.3f}"),
+    ("end_mean_interval95_mm", "95 % interval", "{0[0]:.3f} to {0[1]:.3f}"),
+    ("end_rms_mm", "rms", "{:.3f}"),
+    ("end_max_mm", "largest", "{:.2f}"),
+    ("coverage90", "inside 90 % regions", "{:.0%}"),
+    ("worse", "ended worse", "{}"),
+    ("paper_mm", "paper", "{:.2f}"),
+)
+
+#: Columns of Table II's errors.
+_ERRORS = (
+    ("what", "what", "{}"),
+    ("n_pairs", "shapes", "{}"),
+    ("start_mean_mm", "constant mean shape", "{:.2f}"),
+    ("end_mean_mm", "error", "{:.3f}"),
+    ("end_rms_mm", "rms", "{:.3f}"),
+    ("end_max_mm", "largest", "{:.2f}"),
+    ("paper_mm", "paper", "{:.3f}"),
+)
+
+#: Columns of Table II's samples.
+_SAMPLES = (
+    ("latents", "latents from", "{}"),
+    ("samples", "samples", "{}"),
+    ("min_det_f", "smallest det F", "{:.3f}"),
+    ("share_inverted_tets", "share of inverted tets", "{:.1e}"),
+    ("samples_with_inverted", "samples with any", "{}"),
+)
+
+
+def markdown(content: dict[str, Any]) -> str:
+    """Return the tables of a study and its agreement as Markdown.
+
+    Parameters
+    ----------
+    content : dict
+        JSON of one study.
+
+    Returns
+    -------
+    str
+        Without a heading.
+    """
+    study = content["rows"][0]["study"]
+    verdict = content["agree"][study]
+    lines = [f"Agrees with the paper: **{verdict['agree']}**.", ""]
+    for reading, claims in verdict["claims"].items():
+        lines += [f"| {reading}: the paper's statement | holds | found |", "| --- | --- | --- |"]
+        lines += [f"| {one['claim']} | {'yes' if one['holds'] else 'no'} | {one['found']} |" for one in claims]
+        lines.append("")
+    if study == "table2":
+        layers = [{"number": k, **one} for k, one in enumerate(content["layers"], start=1)]
+        columns = (("number", "", "{}"), ("layer", "layer", "{}"), ("paper", "paper", "{}"), ("here", "here", "{}"))
+        lines += [*_table(columns, layers), "", *_table(_ERRORS, content["rows"]), ""]
+        samples = [{"latents": name, **one} for name, one in content["samples"].items()]
+        return "\n".join([*lines, *_table(_SAMPLES, samples), ""])
+    if study == "fig8":
+        goal = content["goal"]
+        met = "met" if goal["met"] else "not met"
+        lines += [
+            f"Our goal, below {goal['goal_mm']} mm: **{met}** ({goal['method']}: {goal['end_mean_mm']:.3f} mm).",
+            "",
+        ]
+        lines += [*_steps(content["rows"]), ""]
+    return "\n".join([*lines, *_table(_SWEEP, content["rows"]), ""])
+
+
+def csv(content: dict[str, Any]) -> str:
+    """Return the rows of a study as CSV, one column a key; intervals take two."""
+    keys = [key for key in content["rows"][0] if key not in ("steps_mm", "end_mean_interval95_mm")]
+    has_interval = "end_mean_interval95_mm" in content["rows"][0]
+    lines = [",".join([*keys, *(["end_mean_low_mm", "end_mean_high_mm"] if has_interval else [])])]
+    for row in content["rows"]:
+        values = [*(row[key] for key in keys), *row.get("end_mean_interval95_mm", ())]
+        lines.append(",".join(_cell(value) for value in values))
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value: Any) -> str:
+    text = "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f'"{text}"' if "," in text else text
+
+
+def _steps(rows: list[dict[str, Any]]) -> list[str]:
+    n = len(rows[0]["steps_mm"])
+    heads = ["start", *(f"after {k}" for k in range(1, n))]
+    columns = [("method", "method", "{}"), ("reading", "C_d read as", "{}")]
+    table = [{**row, **dict(zip(heads, row["steps_mm"], strict=True))} for row in rows]
+    return _table((*columns, *((head, head, "{:.3f}") for head in heads)), table)
+
+
+def _table(columns: Any, rows: list[dict[str, Any]]) -> list[str]:
+    heads = [title for _, title, _ in columns]
+    lines = ["| " + " | ".join(heads) + " |", "| " + " | ".join(["---"] * len(heads)) + " |"]
+    for row in rows:
+        cells = ["-" if row.get(key) is None else form.format(row[key]) for key, _, form in columns]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
