@@ -169,6 +169,14 @@ def diagnosed(**given):
             raise outcome.error
 
 
+def reproduced(**given):
+    """Check the arguments of the paper's studies, of which none is run."""
+    running = importlib.import_module("tissuereg.studies.run")
+    with pytest.MonkeyPatch.context() as changed, tempfile.TemporaryDirectory() as folder:
+        changed.setattr(running, "run_studies", lambda *_, **__: None)
+        return tr.reproduce(**{"out": folder, **given})
+
+
 #: Every public function and class: a call that works, and other names of its arguments in messages.
 CALLS = {
     "Mesh": (tr.Mesh, {"nodes": mesh().nodes, "tets": mesh().tets, "node_sets": {"fixed": [0, 1, 2]}, "frame": "LPS"}),
@@ -422,6 +430,10 @@ CALLS = {
     "score_markers": (
         score_markers,
         {"residual": np.ones((1, 3)), "noise": np.eye(3), "absorbed": 0.1 * np.eye(3)},
+    ),
+    "reproduce": (
+        reproduced,
+        {"studies": ["table2", "fig8"], "out": "out", "model": None, "seed": 0, "threads": 1, "progress": None},
     ),
     "phantom.breast_mesh": (tr.phantom.breast_mesh, {"n_nodes": 300}),
     "FineMeshing": (FineMeshing, {"rim_edge": 0.5, "growth": 1.0, "edge_share": 0.5, "cut": True}),

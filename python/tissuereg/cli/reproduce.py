@@ -7,11 +7,11 @@ from tissuereg.cli.common import Outcome, progress_bar, seconds_line
 from tissuereg.cli.options import UsageError, add_common, command_parser
 
 _DETAILS = (
-    "Runs the simulation studies of the seed paper (section III) with a trained model: ten random test shapes as start "
-    "meshes, ten targets each, 15 markers on the surface, Algorithm 1, and the same with our own prior beside it. STUDY, "
-    "one or more: table2 (the network), fig6 (C_d and N_e), fig7 (N_a and N_e), fig8 (the error after each assimilation). "
-    "Test shapes are solved anew from the model's recipe, so no data set is needed. DIR gets a table (.md, .csv), a "
-    "picture and a JSON of each study, with what the paper states and whether it holds here."
+    "Runs the simulation studies of the seed paper (section III) with a trained model: ten random test shapes as "
+    "start meshes, ten targets each, 15 markers on the surface, Algorithm 1, and the same with our own prior. "
+    "STUDY, one or more: table2 (the network), fig6 (C_d and N_e), fig7 (N_a and N_e), fig8 (the error after each "
+    "assimilation). Test shapes are solved anew from the model's recipe, so no data set is needed. DIR gets a table "
+    "(.md, .csv), a picture and a JSON of each study, with what the paper states and whether it holds here."
 )
 
 _STUDIES = ("table2", "fig6", "fig7", "fig8")

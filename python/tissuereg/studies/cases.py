@@ -16,7 +16,7 @@ from tissuereg.mesh import Mesh
 from tissuereg.studies.shapes import HeldOut
 
 #: Start meshes, targets of each, markers, and inner points at which regions are tried.
-N_STARTS, N_TARGETS, N_MARKERS, N_INNER = 10, 10, 15, 50
+N_STARTS, N_TARGETS, N_MARKERS, N_INNER = 10, 10, 15, 25
 
 #: Random nodes of the skin out of which the markers are spread.
 _CANDIDATES = 400

@@ -43,11 +43,11 @@ def far_cases(cases: Cases, seed: int) -> Cases:
     return cases.far(PAPER_START_MM, WITHIN_MM, _MOST_FAR, np.random.default_rng([seed, 23]))
 
 
-def fig6_agreement(sweep: Sweep) -> Agreement:
+def fig6_agreement(sweep: Sweep, method: Method = METHODS[0]) -> Agreement:
     """Return what holds of the paper's statements on Fig. 6."""
 
     def claims(reading: str) -> tuple[Claim, ...]:
-        errors = _errors(sweep, METHODS[0], reading)
+        errors = _errors(sweep, method, reading)
         compared = Compared(sweep.clusters)
         return (
             compared.worse("C_d = 0.1 is worse than 0.001", errors(0.1, N_E, N_A), errors(CD, N_E, N_A)),
@@ -60,11 +60,11 @@ def fig6_agreement(sweep: Sweep) -> Agreement:
     return _by_reading(claims)
 
 
-def fig7_agreement(sweep: Sweep) -> Agreement:
+def fig7_agreement(sweep: Sweep, method: Method = METHODS[0]) -> Agreement:
     """Return what holds of the paper's statements on Fig. 7."""
 
     def claims(reading: str) -> tuple[Claim, ...]:
-        errors = _errors(sweep, METHODS[0], reading)
+        errors = _errors(sweep, method, reading)
         compared = Compared(sweep.clusters)
         five = errors(CD, N_E, N_A)
         fewer = [n for n in ASSIMILATIONS if n < N_A]
@@ -77,11 +77,11 @@ def fig7_agreement(sweep: Sweep) -> Agreement:
     return _by_reading(claims)
 
 
-def fig8_agreement(sweep: Sweep) -> Agreement:
-    """Return what holds of the paper's figures in Fig. 8, by its own method."""
+def fig8_agreement(sweep: Sweep, method: Method = METHODS[0]) -> Agreement:
+    """Return what holds of the paper's figures in Fig. 8."""
 
     def claims(reading: str) -> tuple[Claim, ...]:
-        end = sweep.outcome(Setting(METHODS[0], CD, reading, N_E, N_A)).end.mean
+        end = sweep.outcome(Setting(method, CD, reading, N_E, N_A)).end.mean
         start = sweep.start
         low, high = sweep.clusters.interval(end)
         return (
@@ -130,11 +130,11 @@ class Figure:
     settings : callable
         Its settings.
     agreement : callable
-        What holds of the paper's statements, after the sweep has run them.
+        What holds of the paper's statements by a method, after the sweep has run its settings.
     """
 
     settings: Callable[[], Sequence[Setting]]
-    agreement: Callable[[Sweep], Agreement]
+    agreement: Callable[[Sweep, Method], Agreement]
 
 
 FIGURES = {

@@ -7,13 +7,13 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from tissuereg._arguments import check_running, each
+from tissuereg._arguments import called, check_running, each, place
 from tissuereg._choice import check_choice
 from tissuereg._clock import Clock
 from tissuereg.errors import ArgumentError
-from tissuereg.io.atomic import atomic_folder, check_folder_target
+from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
 from tissuereg.io.json import dumps
-from tissuereg.studies.cases import Cases, draw_cases
+from tissuereg.studies.cases import N_STARTS, N_TARGETS, Cases, draw_cases
 from tissuereg.studies.figures import FIGURES, PAPER_END_MM, far_cases, fig8_goal, fig8_steps
 from tissuereg.studies.pictures import picture
 from tissuereg.studies.settings import METHODS
@@ -86,29 +86,33 @@ def reproduce(
         message = f"`studies` must name at least one of {', '.join(STUDIES)}, got none"
         raise ArgumentError(message, where="studies")
     check_running(seed=seed, threads=threads)
-    check_folder_target(out)
+    called("progress", progress)
+    folder = place("out", out, error=OutputError)
+    check_folder_target(folder)
     clock = Clock()
     with clock.stage("model"):
         subject = subject_of(model)
     return run_studies(
-        list(dict.fromkeys(names)), subject, out, seed=seed, threads=threads, clock=clock, progress=progress
+        list(dict.fromkeys(names)), subject, folder, seed=seed, threads=threads, clock=clock, progress=progress
     )
 
 
 def run_studies(
     names: Sequence[str],
     subject: Subject,
-    out: str | os.PathLike[str],
+    out: Path,
     *,
     seed: int = 0,
     threads: int = 0,
     clock: Clock | None = None,
     progress: Progress | None = None,
+    n_starts: int = N_STARTS,
+    n_targets: int = N_TARGETS,
 ) -> dict[str, Any]:
-    """Run studies of any subject; `reproduce` has the arguments and the answer."""
+    """Run studies of any subject, of any number of pairs; `reproduce` has the other arguments and the answer."""
     clock = clock or Clock()
     with clock.stage("shapes"):
-        cases = draw_cases(subject.held_out, seed, threads)
+        cases = draw_cases(subject.held_out, seed, threads, n_starts=n_starts, n_targets=n_targets)
     contents = {}
     # One pool of threads at a time: lots of pairs run side by side.
     with threadpool_limits(limits=1, user_api="blas"):
@@ -117,7 +121,7 @@ def run_studies(
                 tell = None if progress is None else _told(progress, name)
                 contents[name] = _content(name, subject, cases, seed, threads, tell)
     with clock.stage("files"):
-        _write(Path(out), contents)
+        _write(out, contents)
     answer: dict[str, Any] = {"rows": [], "agree": {}}
     for content in contents.values():
         rows, agree = answer["rows"] + content["rows"], answer["agree"] | content["agree"]
@@ -147,7 +151,9 @@ def _content(
             for row, setting in zip(rows, settings, strict=True)
         ]
     methods = {method.name: method.words for method in METHODS}
-    agree = {name: figure.agreement(sweep).to_json()}
+    # The paper's own method decides; the same statements with another prior stand beside it.
+    paper, family = (figure.agreement(sweep, method).to_json() for method in METHODS[:2])
+    agree = {name: {**paper, METHODS[1].name: family}}
     return {**head, "methods": methods, "rows": rows, "agree": agree, **extra}
 
 

@@ -25,6 +25,11 @@ class StudyModel(Protocol):
         """Number of latents."""
         ...
 
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        ...
+
     def encode(self, field: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (n_latent,) of q(z | field), of a field (n_nodes, 3) in mm."""
         ...

@@ -13,6 +13,7 @@ from tissuereg.latent.model import Gaussian, error_covariance
 from tissuereg.studies.algorithm import assimilate_many
 from tissuereg.studies.cases import Cases
 from tissuereg.studies.measures import Clusters, Errors, inside90
+from tissuereg.studies.points import decoder_at
 from tissuereg.studies.settings import Setting
 from tissuereg.studies.subject import Subject
 
@@ -68,6 +69,7 @@ class Sweep:
         shapes, which = np.unique(cases.starts, return_inverse=True)
         self._codes = [self._encoded(cases.fields[shape]) for shape in shapes]
         self._which = which
+        self._markers, self._inner = (decoder_at(self._model, nodes) for nodes in (cases.markers, cases.inner))
         own = self._model.errors()
         self._at_markers = error_covariance(own[:, cases.markers].reshape(len(own), -1))
         self._at_inner = np.array([error_covariance(own[:, node]) for node in cases.inner]).reshape(-1, 3, 3)
@@ -154,7 +156,7 @@ class Sweep:
         if method.own_errors:
             noise = noise + self._at_markers
         found = assimilate_many(
-            lambda latents: model.decode(latents, cases.markers).reshape(latents.shape[1], -1),
+            lambda latents: self._markers(latents).reshape(latents.shape[1], -1),
             targets[:, cases.markers].reshape(len(targets), -1),
             noise,
             coded if method.prior == "encoder" else [self._family] * len(coded),
@@ -165,7 +167,7 @@ class Sweep:
         )
         means = found.means if self._all_steps else found.means[-1:]
         steps = [Errors.of(model.decode(np.ascontiguousarray(mean.T)), targets) for mean in means]
-        points = model.decode(np.concatenate(list(found.latents), axis=1), cases.inner)
+        points = self._inner(np.concatenate(list(found.latents), axis=1))
         points = points.reshape(len(targets), setting.n_e, len(cases.inner), 3)
         own = self._at_inner if method.own_errors else None
         return Outcome(steps, inside90(points, targets[:, cases.inner], found.spread_factor, own))

@@ -1,25 +1,8 @@
-"""The tables of a study, as Markdown and as CSV, from its JSON."""
+"""The tables of a study from its JSON: Markdown for reading, CSV with every row and key."""
 
 from typing import Any
 
-#: Columns of a sweep: key of a row, title, format.
-_SWEEP = (
-    ("method", "method", "{}"),
-    ("cd", "C_d", "{:g}"),
-    ("reading", "read as", "{}"),
-    ("cd_mm2", "in mm²", "{:g}"),
-    ("n_e", "N_e", "{}"),
-    ("n_a", "N_a", "{}"),
-    ("n_pairs", "pairs", "{}"),
-    ("start_mean_mm", "start", "{:.2f}"),
-    ("end_mean_mm", "end", "{:.3f}"),
-    ("end_mean_interval95_mm", "95 % interval", "{0[0]:.3f} to {0[1]:.3f}"),
-    ("end_rms_mm", "rms", "{:.3f}"),
-    ("end_max_mm", "largest", "{:.2f}"),
-    ("coverage90", "inside 90 % regions", "{:.0%}"),
-    ("worse", "ended worse", "{}"),
-    ("paper_mm", "paper", "{:.2f}"),
-)
+from tissuereg.studies.settings import READING_WORDS
 
 #: Columns of Table II's errors.
 _ERRORS = (
@@ -57,11 +40,11 @@ def markdown(content: dict[str, Any]) -> str:
     """
     study = content["rows"][0]["study"]
     verdict = content["agree"][study]
-    lines = [f"Agrees with the paper: **{verdict['agree']}**.", ""]
-    for reading, claims in verdict["claims"].items():
-        lines += [f"| {reading}: the paper's statement | holds | found |", "| --- | --- | --- |"]
-        lines += [f"| {one['claim']} | {'yes' if one['holds'] else 'no'} | {one['found']} |" for one in claims]
-        lines.append("")
+    lines = [f"Agrees with the paper: **{verdict['agree']}**.", "", *_claims(verdict)]
+    if "family" in verdict:
+        found = verdict["family"]["agree"]
+        lines += [f"The same statements with the prior of all training codes: **{found}**.", ""]
+        lines += _claims(verdict["family"])
     if study == "table2":
         layers = [{"number": k, **one} for k, one in enumerate(content["layers"], start=1)]
         columns = (("number", "", "{}"), ("layer", "layer", "{}"), ("paper", "paper", "{}"), ("here", "here", "{}"))
@@ -76,7 +59,36 @@ def markdown(content: dict[str, Any]) -> str:
             "",
         ]
         lines += [*_steps(content["rows"]), ""]
-    return "\n".join([*lines, *_table(_SWEEP, content["rows"]), ""])
+    return "\n".join([*lines, *_sweep(content["rows"], "n_a" if study == "fig7" else "n_e"), ""])
+
+
+#: How the columns of a sweep are headed.
+_HEADS = {"n_e": "N_e", "n_a": "N_a"}
+
+
+def _sweep(rows: list[dict[str, Any]], across: str) -> list[str]:
+    """Return a sweep with one quantity across; a cell holds the end errors, and the share inside regions."""
+    down = "n_a" if across == "n_e" else "n_e"
+    first = rows[0]
+    lines = [
+        f"{first['n_pairs']} pairs, start error {first['start_mean_mm']:.2f} mm in the mean. Cells: end error in mm, "
+        "mean / root mean square / largest over nodes and pairs, and the share of inner points inside their 90 % "
+        "regions.",
+        "",
+    ]
+    columns = sorted({row[across] for row in rows})
+    lines += [
+        f"| method | C_d | {_HEADS[down]} | " + " | ".join(f"{_HEADS[across]} = {one}" for one in columns) + " |",
+        "| --- | --- | --- | " + " | ".join(["---"] * len(columns)) + " |",
+    ]
+    by_line: dict[tuple[Any, ...], dict[int, str]] = {}
+    for row in rows:
+        unit = f"{row['cd']:g} {READING_WORDS[row['reading']]}"
+        shown = f"{row['end_mean_mm']:.3f} / {row['end_rms_mm']:.2f} / {row['end_max_mm']:.0f}, {row['coverage90']:.0%}"
+        by_line.setdefault((row["method"], unit, row[down]), {})[row[across]] = shown
+    for key, cells in by_line.items():
+        lines.append("| " + " | ".join([*map(str, key), *(cells[one] for one in columns)]) + " |")
+    return lines
 
 
 def csv(content: dict[str, Any]) -> str:
@@ -88,6 +100,15 @@ def csv(content: dict[str, Any]) -> str:
         values = [*(row[key] for key in keys), *row.get("end_mean_interval95_mm", ())]
         lines.append(",".join(_cell(value) for value in values))
     return "\n".join(lines) + "\n"
+
+
+def _claims(verdict: dict[str, Any]) -> list[str]:
+    lines = []
+    for reading, claims in verdict["claims"].items():
+        lines += [f"| {reading}: the paper's statement | holds | found |", "| --- | --- | --- |"]
+        lines += [f"| {one['claim']} | {'yes' if one['holds'] else 'no'} | {one['found']} |" for one in claims]
+        lines.append("")
+    return lines
 
 
 def _cell(value: Any) -> str:
