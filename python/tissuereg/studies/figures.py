@@ -10,6 +10,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg.studies.cases import Cases
 from tissuereg.studies.claims import Agreement, Claim, Compared
 from tissuereg.studies.settings import METHODS, READING_WORDS, READINGS, Method, Setting
+from tissuereg.studies.study import Given, Study
 from tissuereg.studies.sweep import Sweep
 
 #: The paper's values.
@@ -142,3 +143,40 @@ FIGURES = {
     "fig7": Figure(fig7_settings, fig7_agreement),
     "fig8": Figure(fig8_settings, fig8_agreement),
 }
+
+
+def figure_study(name: str) -> Study:
+    """Return the study of a figure.
+
+    Parameters
+    ----------
+    name : str
+        Among `FIGURES`.
+
+    Returns
+    -------
+    Study
+        Its entries: ``methods``, ``rows``, ``agree``, and for Fig. 8 ``goal``.
+    """
+    figure, is_fig8 = FIGURES[name], name == "fig8"
+
+    def study(given: Given) -> dict[str, Any]:
+        cases = far_cases(given.cases, given.seed) if is_fig8 else given.cases
+        sweep = Sweep(given.subject, cases, given.seed, all_steps=is_fig8)
+        settings = figure.settings()
+        sweep.run(settings, given.threads, given.progress)
+        rows = [sweep.row(name, setting) for setting in settings]
+        # The paper's own method decides; the same statements with another prior stand beside it.
+        paper, family = (figure.agreement(sweep, method).to_json() for method in METHODS[:2])
+        found = {
+            "methods": {method.name: method.words for method in METHODS},
+            "rows": rows,
+            "agree": {name: {**paper, METHODS[1].name: family}},
+        }
+        if not is_fig8:
+            return found
+        for row, setting in zip(rows, settings, strict=True):
+            row |= {"paper_mm": PAPER_END_MM, "steps_mm": fig8_steps(sweep, setting)}
+        return {**found, "goal": fig8_goal(sweep)}
+
+    return study

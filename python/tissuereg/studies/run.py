@@ -13,17 +13,19 @@ from tissuereg._clock import Clock
 from tissuereg.errors import ArgumentError
 from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
 from tissuereg.io.json import dumps
-from tissuereg.studies.cases import N_STARTS, N_TARGETS, Cases, draw_cases
-from tissuereg.studies.figures import FIGURES, PAPER_END_MM, far_cases, fig8_goal, fig8_steps
+from tissuereg.studies.cases import N_STARTS, N_TARGETS, draw_cases
+from tissuereg.studies.figures import FIGURES, figure_study
 from tissuereg.studies.pictures import picture
-from tissuereg.studies.settings import METHODS
+from tissuereg.studies.study import Given, Study
 from tissuereg.studies.subject import Subject, subject_of
-from tissuereg.studies.sweep import Sweep
-from tissuereg.studies.table2 import layer_rows, run_table2
+from tissuereg.studies.table2 import table2_study
 from tissuereg.studies.tables import csv, markdown
 
-#: Names of the studies, in the paper's order.
-STUDIES = ("table2", *FIGURES)
+#: The studies, in the paper's order.
+_STUDIES: dict[str, Study] = {"table2": table2_study, **{name: figure_study(name) for name in FIGURES}}
+
+#: Their names.
+STUDIES = tuple(_STUDIES)
 
 SCHEMA = "tissuereg.reproduce/1"
 
@@ -119,7 +121,8 @@ def run_studies(
         for name in names:
             with clock.stage(name):
                 tell = None if progress is None else _told(progress, name)
-                contents[name] = _content(name, subject, cases, seed, threads, tell)
+                found = _STUDIES[name](Given(subject, cases, seed, threads, tell))
+                contents[name] = {"schema": SCHEMA, "seed": seed, "model": subject.facts, **found}
     with clock.stage("files"):
         _write(out, contents)
     answer: dict[str, Any] = {"rows": [], "agree": {}}
@@ -127,34 +130,6 @@ def run_studies(
         rows, agree = answer["rows"] + content["rows"], answer["agree"] | content["agree"]
         answer = {**answer, **content, "rows": rows, "agree": agree}
     return {**answer, "seconds": {**clock.seconds, "total": sum(clock.seconds.values())}}
-
-
-def _content(
-    name: str, subject: Subject, cases: Cases, seed: int, threads: int, progress: Callable[[int, int], None] | None
-) -> dict[str, Any]:
-    head = {"schema": SCHEMA, "seed": seed, "model": subject.facts}
-    if name == "table2":
-        found = run_table2(subject, cases, seed)
-        agree, layers = {name: found.agreement.to_json()}, layer_rows(subject.layers)
-        return {**head, "rows": found.rows, "agree": agree, "layers": layers, "samples": found.samples}
-    figure = FIGURES[name]
-    is_fig8 = name == "fig8"
-    sweep = Sweep(subject, far_cases(cases, seed) if is_fig8 else cases, seed, all_steps=is_fig8)
-    settings = figure.settings()
-    sweep.run(settings, threads, progress)
-    rows = [sweep.row(name, setting) for setting in settings]
-    extra: dict[str, Any] = {}
-    if is_fig8:
-        extra = {"goal": fig8_goal(sweep)}
-        rows = [
-            {**row, "paper_mm": PAPER_END_MM, "steps_mm": fig8_steps(sweep, setting)}
-            for row, setting in zip(rows, settings, strict=True)
-        ]
-    methods = {method.name: method.words for method in METHODS}
-    # The paper's own method decides; the same statements with another prior stand beside it.
-    paper, family = (figure.agreement(sweep, method).to_json() for method in METHODS[:2])
-    agree = {name: {**paper, METHODS[1].name: family}}
-    return {**head, "methods": methods, "rows": rows, "agree": agree, **extra}
 
 
 def _write(out: Path, contents: dict[str, dict[str, Any]]) -> None:

@@ -1,7 +1,7 @@
 """Registrations of all pairs of some cases under many settings, and a row of the answer for each."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -15,13 +15,11 @@ from tissuereg.studies.cases import Cases
 from tissuereg.studies.measures import Clusters, Errors, inside90
 from tissuereg.studies.points import decoder_at
 from tissuereg.studies.settings import Setting
+from tissuereg.studies.study import Progress
 from tissuereg.studies.subject import Subject
 
 #: Pairs that share the calls of the decoder; the bits of a result depend on it, in the last digits.
 _BLOCK = 10
-
-#: Called with the number of lots that are done, and of all.
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from tissuereg.studies.cases import Cases
 from tissuereg.studies.claims import Agreement, Claim
 from tissuereg.studies.layers import PAPER, PAPER_LATENTS, Layer
 from tissuereg.studies.measures import Errors
+from tissuereg.studies.study import Given
 from tissuereg.studies.subject import Subject
 
 #: Reconstruction errors of the paper's network, mm.
@@ -41,6 +42,13 @@ class Table2:
     rows: list[dict[str, Any]]
     samples: dict[str, dict[str, Any]]
     agreement: Agreement
+
+
+def table2_study(given: Given) -> dict[str, Any]:
+    """Return the entries of the study's JSON."""
+    found = run_table2(given.subject, given.cases, given.seed)
+    agree = {"table2": found.agreement.to_json()}
+    return {"rows": found.rows, "agree": agree, "layers": layer_rows(given.subject.layers), "samples": found.samples}
 
 
 def run_table2(subject: Subject, cases: Cases, seed: int, n_samples: int = N_SAMPLES) -> Table2:
