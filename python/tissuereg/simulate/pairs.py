@@ -56,7 +56,7 @@ def make_pairs(task: ChunkTask) -> PairsReport:
         content = store.read(PAIRS_NAME)
         _check(task, content)
     else:
-        simulations, truths = _pairs(chunk_maker(task), task.threads)
+        simulations, truths = simulated_pairs(chunk_maker(task), task.threads)
         arrays = {
             "simulation_mm": simulations.astype(np.float32),
             "truth_mm": truths.astype(np.float32),
@@ -79,10 +79,30 @@ def _check(task: ChunkTask, content: bytes) -> None:
         array_of(file, where, "truth_mm", "f", (n_pairs, n_nodes, 3))
 
 
-def _pairs(maker: ChunkMaker, threads: int) -> tuple[FloatArray, FloatArray]:
-    """Return displacements (n_pairs, n_nodes, 3) of the believed model and of the other one, mm."""
+def simulated_pairs(maker: ChunkMaker, threads: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Return the pairs of a data set.
+
+    Parameters
+    ----------
+    maker : ChunkMaker
+        Recipe, mesh and seed.
+    threads : int
+        Threads to use; 0 takes all cores. The pairs do not depend on it.
+
+    Returns
+    -------
+    simulations, truths : ndarray of float64, shape (n_pairs, n_nodes, 3)
+        Displacements of the believed model and of the other one, mm; pairs of which one found no equilibrium are left
+        out.
+
+    Raises
+    ------
+    EnsembleError
+        If more than half of the pairs fail.
+    """
     recipe, simulator = maker.recipe, maker.simulator
-    rng = np.random.default_rng([maker.seed, 4])
+    # A stream of its own: what else is drawn does not depend on Poisson's ratio.
+    rng, of_poisson = np.random.default_rng([maker.seed, 4]), np.random.default_rng([maker.seed, 5])
     pairs = recipe.pairs
     believed = Material(recipe.material.young_kpa[0], recipe.material.poisson)
     events, size, _ = maker.events(believed, pairs.members, rng, threads)
@@ -92,7 +112,8 @@ def _pairs(maker: ChunkMaker, threads: int) -> tuple[FloatArray, FloatArray]:
         loads.append(event.load(simulator, s))
         load, material = pairs.variation.draw(event.load(true_simulator, s), believed, rng)
         true_loads.append(load)
-        truths.append(Material(material.young_array * _inclusion(maker, rng), believed.poisson))
+        poisson = believed.poisson + of_poisson.uniform(*pairs.poisson_change)
+        truths.append(Material(material.young_array * _inclusion(maker, rng), poisson))
     simulated = simulator.solve_many(loads, [believed] * len(loads), threads=threads, **SOLVE)
     true = true_simulator.solve_many(true_loads, truths, threads=threads, **SOLVE)
     both = np.intersect1d(simulated.solved, true.solved)

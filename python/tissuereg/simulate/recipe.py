@@ -85,6 +85,8 @@ class PairsRecipe:
         Range of its radius.
     inclusion_contrast : tuple of float
         Range of its modulus over that around it.
+    poisson_change : tuple of float
+        Range of Poisson's ratio of the truth less that of the believed model.
     """
 
     members: int = 100
@@ -95,6 +97,7 @@ class PairsRecipe:
     inclusion_share: float = 0.7
     inclusion_radius_mm: tuple[float, float] = (6.0, 14.0)
     inclusion_contrast: tuple[float, float] = (1.5, 6.0)
+    poisson_change: tuple[float, float] = (0.0, 0.0)
 
     @property
     def variation(self) -> Variation:
@@ -305,6 +308,11 @@ def _check(path: Any, recipe: Recipe) -> None:
         (data.plate_share + data.gravity_share <= 1, "[data] plate_share and gravity_share must sum to at most 1"),
         (recipe.material.young_kpa[0] > 0, "[material] young_kpa must be positive"),
         (-1 < recipe.material.poisson < 0.5, "[material] poisson must lie in (-1, 0.5)"),
+        (
+            -1 < recipe.material.poisson + pairs.poisson_change[0]
+            and recipe.material.poisson + pairs.poisson_change[1] < 0.5,
+            "[pairs] poisson_change must keep Poisson's ratio in (-1, 0.5)",
+        ),
         (
             pairs.inclusion_contrast[0] > 0 and pairs.inclusion_radius_mm[0] > 0,
             "[pairs] inclusions must be positive",
