@@ -141,6 +141,12 @@ class NetworkModel:
         )
         return np.asarray(mean[0], np.float64), np.exp(np.asarray(log_variance[0], np.float64))
 
+    def codes(self, fields: FloatArray) -> FloatArray:
+        """Return the means (n_fields, n_latent) of q(z | field) of fields (n_fields, n_nodes, 3) in mm."""
+        parts = [np.asarray(fields[i : i + _BATCH], np.float32) for i in range(0, len(fields), _BATCH)]
+        found = [self._encoder.run(["mean"], {"displacement": part})[0] for part in parts]
+        return np.concatenate([np.empty((0, self.n_latent)), *found])
+
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
         if nodes is None and latents.shape[1] <= _FEW and isinstance(self.tables, GraphDecoder):

@@ -127,6 +127,12 @@ class PcaModel:
         rows = self.components.reshape(self.n_latent, -1)
         return np.asarray((rows @ (field - self.centre).ravel()) / np.einsum("ij,ij->i", rows, rows))
 
+    def codes(self, fields: FloatArray) -> FloatArray:
+        """Return the latents (n_fields, n_latent) of fields (n_fields, n_nodes, 3) in mm; see `encode`."""
+        rows = self.components.reshape(self.n_latent, -1)
+        away = (np.asarray(fields, np.float64) - self.centre).reshape(len(fields), -1)
+        return np.asarray((away @ rows.T) / np.einsum("ij,ij->i", rows, rows))
+
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
         rows = self.components if nodes is None else self.components[:, nodes]

@@ -29,7 +29,8 @@ from tissuereg.simulate.sampling import Event, EventSampler, EventSettings, line
 from tissuereg.simulate.solve import Simulator
 
 #: Most iterations of a member: one that needs more is far beyond what tissue does; it fails instead of delaying others.
-SOLVE = {"tolerance": 1e-6, "max_iterations": 150}
+SOLVE_ITERATIONS = 150
+SOLVE = {"tolerance": 1e-6, "max_iterations": SOLVE_ITERATIONS}
 
 #: Why a member fails that the first, nearly linear pass could not answer.
 _NO_LINEAR_ANSWER = "no linear answer to its load, so that its size is unknown"

@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from tissuereg.errors import EnsembleError, FormatError
 from tissuereg.io.hdf5 import array_of, opened, packed
 from tissuereg.io.stores import store_of
 from tissuereg.material import Material
-from tissuereg.simulate.chunks import SOLVE, ChunkMaker, ChunkTask, chunk_maker
+from tissuereg.simulate.chunks import SOLVE, SOLVE_ITERATIONS, ChunkMaker, ChunkTask, chunk_maker
 from tissuereg.simulate.solve import Simulator
 from tissuereg.simulate.variation import random_inclusion
 
@@ -79,7 +80,9 @@ def _check(task: ChunkTask, content: bytes) -> None:
         array_of(file, where, "truth_mm", "f", (n_pairs, n_nodes, 3))
 
 
-def simulated_pairs(maker: ChunkMaker, threads: int = 0) -> tuple[FloatArray, FloatArray]:
+def simulated_pairs(
+    maker: ChunkMaker, threads: int = 0, *, max_iterations: int = SOLVE_ITERATIONS
+) -> tuple[FloatArray, FloatArray]:
     """Return the pairs of a data set.
 
     Parameters
@@ -88,6 +91,8 @@ def simulated_pairs(maker: ChunkMaker, threads: int = 0) -> tuple[FloatArray, Fl
         Recipe, mesh and seed.
     threads : int
         Threads to use; 0 takes all cores. The pairs do not depend on it.
+    max_iterations : int
+        A simulation that needs more fails, and its pair with it.
 
     Returns
     -------
@@ -114,8 +119,9 @@ def simulated_pairs(maker: ChunkMaker, threads: int = 0) -> tuple[FloatArray, Fl
         true_loads.append(load)
         poisson = believed.poisson + of_poisson.uniform(*pairs.poisson_change)
         truths.append(Material(material.young_array * _inclusion(maker, rng), poisson))
-    simulated = simulator.solve_many(loads, [believed] * len(loads), threads=threads, **SOLVE)
-    true = true_simulator.solve_many(true_loads, truths, threads=threads, **SOLVE)
+    how: dict[str, Any] = {**SOLVE, "threads": threads, "max_iterations": max_iterations}
+    simulated = simulator.solve_many(loads, [believed] * len(loads), **how)
+    true = true_simulator.solve_many(true_loads, truths, **how)
     both = np.intersect1d(simulated.solved, true.solved)
     if len(both) < pairs.members / 2:
         message = f"at least half of the pairs must find equilibrium, {len(both)} of {pairs.members} did"

@@ -1,0 +1,281 @@
+"""What a trained model's answers are worth, measured on fields it never saw: the file ``calibration.npz`` of its folder.
+
+`tissuereg.latent.calibrate` makes it, a registration reads it: kinds of events with the errors of each kind, how the truth differs from a
+simulation, and how improbable honest measurements look.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.io.npz import Archive, open_npz
+from tissuereg.latent.kinds import Kinds
+from tissuereg.latent.mixture import Component
+
+CALIBRATION_NAME = "calibration.npz"
+
+#: Fields (n_fields, n_nodes, 3) to their rows at markers and targets, (n_fields, n_rows).
+RowsOf = Callable[[FloatArray], FloatArray]
+
+#: Least size of a simulated event, mm: a tiny one does not make the truth certain.
+LEAST_SIZE_MM = 0.3
+
+#: Probability that a simulation is not of this event at all.
+UNRELATED = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class FieldErrors:
+    """Covariances of fields of errors, by few patterns.
+
+    Attributes
+    ----------
+    basis : ndarray of float64, shape (n_patterns, n_nodes, 3)
+        Orthogonal patterns.
+    covariances : ndarray of float64, shape (n_kinds, n_patterns, n_patterns)
+        Second moments of the coefficients for each kind, mm^2.
+    rest : ndarray of float64, shape (n_nodes, 3)
+        Standard deviation of what the patterns leave, mm.
+    """
+
+    basis: FloatArray
+    covariances: FloatArray
+    rest: FloatArray
+
+    def at(self, rows_of: RowsOf) -> FloatArray:
+        """Return covariances (n_kinds, n_rows, n_rows) at points, mm^2."""
+        patterns = rows_of(self.basis)
+        rest = rows_of(self.rest[None])[0] ** 2
+        return np.asarray(patterns.T @ self.covariances @ patterns + np.diag(rest))
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """How truths differ from simulations of the same event, relative to the size of the simulated event.
+
+    Attributes
+    ----------
+    stretch : float
+        Variance of the truth's code along the simulation's, as a share of its square.
+    covariance : ndarray of float64, shape (n_latent, n_latent)
+        Of the rest of the difference of codes, 1/mm^2.
+    errors : FieldErrors
+        What the decoder misses of the change, of one kind; per mm of the event's size.
+    """
+
+    stretch: float
+    covariance: FloatArray
+    errors: FieldErrors
+
+
+@dataclass(frozen=True, eq=False)
+class Rehearsal:
+    """Outcome of registrations of events that the model never saw, with random markers and targets.
+
+    Attributes
+    ----------
+    scales, scale_weights : ndarray of float64, shape (n_scales,)
+        Factors on the standard deviations of a kind, and their probabilities.
+    p_values : ndarray of float64, shape (n_events,)
+        Chances of the innovations by the mixture, ascending: those of honest events.
+    distances : ndarray of float64, shape (n_events,)
+        Distances of the fitted codes from the training set (`Calibration.distance`), ascending.
+    widening : float
+        Factor on covariances with which 90 % regions hold 90 % of the targets.
+    """
+
+    scales: FloatArray
+    scale_weights: FloatArray
+    p_values: FloatArray = field(default_factory=lambda: np.empty(0))
+    distances: FloatArray = field(default_factory=lambda: np.empty(0))
+    widening: float = 1.0
+
+    def p_value(self, raw: float) -> float:
+        """Return the share of honest events that look at least as improbable as a chance `raw` by the mixture."""
+        n = len(self.p_values)
+        if n == 0:
+            return raw
+        rank = float(np.interp(raw, self.p_values, np.arange(1, n + 1))) if raw >= self.p_values[0] else 0.0
+        if rank >= 1.0:
+            return min(1.0, rank / (n + 1))
+        # Below all of them: in proportion to the chance itself.
+        return float(raw / self.p_values[0] / (n + 1))
+
+    def is_far(self, distance: float, level: float) -> bool:
+        """Whether fewer than a share `level` of the honest events lie so far from the training set."""
+        return bool(len(self.distances) and distance > np.quantile(self.distances, 1.0 - level))
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Kinds of events, errors and rehearsals of a model.
+
+    Attributes
+    ----------
+    kinds : Kinds
+        Of the codes of the training set.
+    errors : FieldErrors
+        Truth minus decoder(encoder(truth)), by kind.
+    alone : Rehearsal
+        Without a simulation.
+    change : Change or None
+        Differences from simulations; None if the model has seen no pairs.
+    anchored : Rehearsal or None
+        With a simulation.
+    """
+
+    kinds: Kinds
+    errors: FieldErrors
+    alone: Rehearsal
+    change: Change | None = None
+    anchored: Rehearsal | None = None
+
+    def at(self, rows_of: RowsOf) -> "PointCalibration":
+        """Return the same at markers and targets. Cost: a product of n_patterns^2 n_rows for every kind."""
+        change = None if self.change is None else self.change.errors.at(rows_of)[0]
+        return PointCalibration(self, self.errors.at(rows_of), change)
+
+    def distance(self, code: FloatArray) -> float:
+        """Return how far a code (n_latent,) lies from the training set: least distance from a kind, in its spread."""
+        off = code - self.kinds.means
+        white = np.linalg.solve(np.linalg.cholesky(self.kinds.covariances), off[:, :, None])
+        return float(np.sqrt((white**2).sum(axis=(1, 2)).min()))
+
+    def save(self) -> dict[str, FloatArray]:
+        """Return the arrays of ``calibration.npz``."""
+        arrays = {
+            "kind_weights": self.kinds.weights,
+            "kind_means": self.kinds.means,
+            "kind_covariances": self.kinds.covariances,
+            **_error_arrays("error", self.errors),
+            **_rehearsal_arrays("alone", self.alone),
+        }
+        if self.change is not None and self.anchored is not None:
+            arrays["change_stretch"] = np.array(self.change.stretch)
+            arrays["change_covariance"] = self.change.covariance
+            arrays |= _error_arrays("change_error", self.change.errors)
+            arrays |= _rehearsal_arrays("anchored", self.anchored)
+        return arrays
+
+    @classmethod
+    def read(cls, path: object, n_latent: int, n_nodes: int) -> "Calibration":
+        """Return the content of ``calibration.npz``.
+
+        Raises
+        ------
+        FormatError
+            If an array is missing or of another shape.
+        """
+        with open_npz(str(path)) as file:
+            weights = file.floats("kind_weights", None)
+            n_kinds = len(weights)
+            kinds = Kinds(
+                weights,
+                file.floats("kind_means", n_kinds, n_latent),
+                file.floats("kind_covariances", n_kinds, n_latent, n_latent),
+            )
+            errors, alone = _errors_in(file, "error", n_kinds, n_nodes), _rehearsal_in(file, "alone")
+            if "change_stretch" not in file:
+                return cls(kinds, errors, alone)
+            change = Change(
+                float(file.floats("change_stretch")),
+                file.floats("change_covariance", n_latent, n_latent),
+                _errors_in(file, "change_error", 1, n_nodes),
+            )
+            return cls(kinds, errors, alone, change, _rehearsal_in(file, "anchored"))
+
+
+@dataclass(frozen=True, eq=False)
+class PointCalibration:
+    """A calibration at the markers and targets of one registration.
+
+    Attributes
+    ----------
+    whole : Calibration
+        Of the model.
+    errors : ndarray of float64, shape (n_kinds, n_rows, n_rows)
+        Covariance of the errors of each kind, mm^2.
+    change_errors : ndarray of float64, shape (n_rows, n_rows), or None
+        Of the change from a simulation, per mm of the event's size squared.
+    """
+
+    whole: Calibration
+    errors: FloatArray
+    change_errors: FloatArray | None
+
+    def rehearsal(self, anchored: bool) -> Rehearsal:
+        """Return the rehearsal that a registration with or without a simulation is compared with."""
+        known = self.whole.anchored if anchored else None
+        return self.whole.alone if known is None else known
+
+    def prior(self, share: float = 1.0) -> list[Component]:
+        """Return the components of an event that is not simulated, one a kind, all `share` probable."""
+        kinds, law = self.whole.kinds, self.whole.alone
+        return [
+            Component(share * weight * law.scale_weights, law.scales, mean, covariance, errors)
+            for weight, mean, covariance, errors in zip(
+                kinds.weights, kinds.means, kinds.covariances, self.errors, strict=True
+            )
+        ]
+
+    def prior_about(self, code: FloatArray, rest_code: FloatArray, size: float) -> list[Component]:
+        """Return the components of the truth of an event that is simulated.
+
+        Parameters
+        ----------
+        code, rest_code : ndarray of float64, shape (n_latent,)
+            Of the simulation and of the undeformed body.
+        size : float
+            Root mean square displacement of the simulation, mm.
+
+        Returns
+        -------
+        list of Component
+            The simulation's first; then those of an unrelated event.
+        """
+        change, law = self.whole.change, self.whole.anchored
+        if change is None or law is None or self.change_errors is None:
+            return self.prior()
+        along, square = code - rest_code, max(size, LEAST_SIZE_MM) ** 2
+        covariance = change.stretch * np.outer(along, along) + square * change.covariance
+        about = Component(
+            (1.0 - UNRELATED) * law.scale_weights, law.scales, code, covariance, square * self.change_errors
+        )
+        return [about, *self.prior(UNRELATED)]
+
+
+def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
+    return {
+        f"{name}_patterns": errors.basis.astype(np.float16),
+        f"{name}_covariances": errors.covariances.astype(np.float32),
+        f"{name}_rest_mm": errors.rest.astype(np.float16),
+    }
+
+
+def _errors_in(file: Archive, name: str, n_kinds: int, n_nodes: int) -> FieldErrors:
+    basis = file.floats(f"{name}_patterns", None, n_nodes, 3)
+    covariances = file.floats(f"{name}_covariances", n_kinds, len(basis), len(basis))
+    return FieldErrors(basis, covariances, file.floats(f"{name}_rest_mm", n_nodes, 3))
+
+
+def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
+    return {
+        f"{name}_scales": rehearsal.scales,
+        f"{name}_scale_weights": rehearsal.scale_weights,
+        f"{name}_p_values": rehearsal.p_values,
+        f"{name}_distances": rehearsal.distances,
+        f"{name}_widening": np.array(rehearsal.widening),
+    }
+
+
+def _rehearsal_in(file: Archive, name: str) -> Rehearsal:
+    scales = file.floats(f"{name}_scales", None)
+    return Rehearsal(
+        scales,
+        file.floats(f"{name}_scale_weights", len(scales)),
+        file.floats(f"{name}_p_values", None),
+        file.floats(f"{name}_distances", None),
+        float(file.floats(f"{name}_widening")),
+    )
