@@ -22,13 +22,12 @@ import torch
 
 from tissuereg_training import layers
 from tissuereg_training.export import decoder_onnx, encoder_onnx, padded_neighbours
-from tissuereg_training.fit import new_model
 from tissuereg_training.graph import hierarchy
 from tissuereg_training.host import machine, prepare, versions
 from tissuereg_training.losses import kl_divergence, reconstruction
-from tissuereg_training.model import GraphVae, sampled_latents
+from tissuereg_training.model import GraphVae
+from tissuereg_training.network import sampled_latents
 from tissuereg_training.parity import onnx_session
-from tissuereg_training.recipe import TrainSettings
 from tissuereg_training.sparse import EdgePattern
 
 BATCH = 16
@@ -156,7 +155,8 @@ def main() -> None:
         with np.load(args.mesh, allow_pickle=False) as mesh:
             n_nodes, tets = len(mesh["nodes_mm"]), mesh["tets"].astype(np.int64)
     levels = hierarchy(n_nodes, tets)
-    model = new_model(levels, TrainSettings(), 0)
+    torch.manual_seed(0)
+    model = GraphVae(levels, (32, 64, 128), 9, 26)
     result = {
         "mesh": args.mesh.name if args.mesh else "block of 11 x 11 x 11 nodes",
         "levels": levels.sizes,

@@ -76,9 +76,11 @@ def write_hdf5(path: Path, **arrays: np.ndarray) -> None:
             file.create_dataset(name, data=array)
 
 
-def write_dataset(folder: Path, block: Block, n_members: int, n_pairs: int = 12, chunks: int = 2) -> Path:
+def write_dataset(
+    folder: Path, block: Block, n_members: int, n_pairs: int = 12, chunks: int = 2, seed: int = 1
+) -> Path:
     folder.mkdir(parents=True)
-    fields = smooth_fields(block, n_members, 1)
+    fields = smooth_fields(block, n_members, seed)
     np.savez(folder / "mesh.npz", nodes_mm=block.nodes.astype(float), tets=block.tets, fixed_nodes=block.held)
     entries = []
     for k, rows in enumerate(np.array_split(np.arange(n_members), chunks)):

@@ -9,7 +9,8 @@ import pytest
 from conftest import RECIPE, make_workplace
 
 from tissuereg_training.errors import ExperimentError
-from tissuereg_training.recipe import TrainSettings, read_recipe
+from tissuereg_training.recipe import read_recipe
+from tissuereg_training.settings import SETTINGS, GraphSettings
 
 
 def spoil(path, **arrays):
@@ -164,6 +165,14 @@ def test_too_few_members(tmp_path):
         ("[train]\nchannels = [8, 'x']", r"kind of \[32, 64, 128\]"),
         ("[train]\nloss = 'l3'", r"one of distance, squared"),
         ("[train]\ncoarse_edges = 'x'", r"one of wide, reduced"),
+        ("[train]\npatience = -1", r"patience must be at least 0"),
+        ("[train]\nkind = 'mlp'", r"kind must be one of graph, closure, got 'mlp'"),
+        ("[train]\nkind = []", r"kind must be one of graph, closure, got \[\]"),
+        ("[train]\nkind = 'closure'\nchannels = [8]", r"and nothing else, got: channels"),
+        ("[train]\nkind = 'closure'\nn_components = 25", r"n_components must be at least n_latent, 26, got 25"),
+        ("[train]\nkind = 'closure'\nhidden = [0]", r"hidden must be positive whole numbers"),
+        ("[train]\nkind = 'closure'\nactivation = 'cos'", r"one of elu, silu"),
+        ("[train]\nkind = 'closure'\nloss = 'distance'", r"one of rms, squared"),
         ("seed = -1", r"seed must be a whole number"),
         ("seed = [", r"readable TOML"),
     ],
@@ -178,7 +187,7 @@ def test_a_recipe_that_says_something_wrong_is_refused(tmp_path, text, words):
 def test_a_silent_recipe_has_the_defaults_and_a_missing_one_is_refused(tmp_path):
     (tmp_path / "r.toml").write_text("")
     recipe = read_recipe(tmp_path / "r.toml")
-    assert (recipe.seed, recipe.settings) == (0, TrainSettings())
+    assert (recipe.seed, recipe.settings) == (0, GraphSettings())
     with pytest.raises(ExperimentError, match="readable TOML"):
         read_recipe(tmp_path / "none.toml")
     with pytest.raises(ExperimentError, match="readable TOML"):
@@ -195,5 +204,6 @@ def test_words_that_make_no_command_are_refused(workplace, words):
 
 def test_every_documented_recipe_key_exists():
     readme = (Path(__file__).parents[1] / "README.md").read_text()
-    for key in TrainSettings().as_dict():
-        assert f"| `{key}` |" in readme
+    for settings in SETTINGS.values():
+        for key in settings().as_dict():
+            assert f"| `{key}` |" in readme

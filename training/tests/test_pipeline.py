@@ -1,3 +1,4 @@
+import dataclasses
 import hashlib
 import json
 import os
@@ -10,13 +11,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from conftest import RECIPE, smooth_fields
+from conftest import RECIPE, make_workplace, smooth_fields, write_dataset
 
 import tissuereg_training
 from tissuereg_training import pipeline
 from tissuereg_training.cli import main
 from tissuereg_training.data import mesh_digest
 from tissuereg_training.errors import CheckpointError
+from tissuereg_training.kinds import KINDS
 from tissuereg_training.parity import onnx_session
 
 FILES = ["decoder.onnx", "decoder_weights.npz", "encoder.onnx", "model.json"]
@@ -112,11 +114,11 @@ def session(path):
 def test_the_json_says_what_was_done(trained):
     summary = trained.answer()
     assert summary["schema"] == "tissuereg.train/1"
-    assert set(summary["errors_mm"]) == {"train", "valid", "test", "pca"}
+    assert set(summary["errors_mm"]) == {"train", "valid", "test", "pca", "mean_shape"}
     assert (summary["epochs"], summary["seed"], summary["threads"]) == (60, 3, 1)
     assert set(summary["parity"]) == {"encoder", "decoder"}
     assert max(summary["parity"].values()) < 1e-4
-    assert set(summary["seconds"]) == {"read", "coarsen", "train", "evaluate", "export", "total"}
+    assert set(summary["seconds"]) == {"read", "start", "train", "evaluate", "export", "total"}
     assert {"torch", "onnxruntime", "numpy"} <= set(summary["versions"])
     assert set(summary["machine"]) == {"system", "processor", "cores"}
     assert finite(summary)
@@ -135,15 +137,15 @@ def test_the_function_returns_the_json_and_replaces_an_older_model(workplace):
 
 
 def test_an_export_that_disagrees_is_refused_and_leaves_nothing(workplace, monkeypatch, capsys):
-    whole = pipeline.decoder_onnx
+    graph = KINDS["graph"]
 
     def spoilt(model, facts):
-        with_error = whole(model, facts)
+        with_error = graph.decoder_onnx(model, facts)
         table = next(t for t in with_error.graph.initializer if t.name == "decoder/scale_mm")
         table.raw_data = (np.frombuffer(table.raw_data, np.float32) * 1.001).tobytes()
         return with_error
 
-    monkeypatch.setattr(pipeline, "decoder_onnx", spoilt)
+    monkeypatch.setitem(KINDS, "graph", dataclasses.replace(graph, decoder_onnx=spoilt))
     assert workplace.train() == 3
     assert not (workplace.folder / "model").exists()
     assert workplace.answer()["error"] == "ParityError"
@@ -206,9 +208,49 @@ def test_a_killed_command_goes_on_and_gives_the_same_model(workplace):
         assert one.read_bytes() == other.read_bytes(), name
 
 
-def test_without_pairs_the_test_split_tells_the_errors(tmp_path):
-    from conftest import make_workplace
+CLOSURE = """
+seed = 3
+[train]
+kind = "closure"
+epochs = 150
+batch = 32
+n_latent = 6
+n_components = 20
+hidden = [32, 32]
+encoder_hidden = [32]
+"""
 
+
+@pytest.fixture(scope="module")
+def closure(tmp_path_factory):
+    place = make_workplace(tmp_path_factory.mktemp("closure"), n_members=200, recipe=CLOSURE)
+    more = write_dataset(place.folder / "more", place.block, 100, seed=8)
+    assert place.train("--data", str(more)) == 0
+    return place
+
+
+def test_a_closure_is_a_model_folder_of_the_same_form(closure):
+    card = model_card(closure)
+    assert sorted(p.name for p in (closure.folder / "model").iterdir()) == FILES
+    assert (card["kind"], card["n_components"], card["hidden"]) == ("closure", 20, [32, 32])
+    assert (card["members"], card["trained_on"]) == (200, 260)
+    assert finite(card)
+    assert np.array(card["prior"]["mismatch_covariance"]).shape == (6, 6)
+    # The fields hang nonlinearly on six numbers: six linear components must leave more.
+    assert card["errors_mm"]["test"] < 0.8 * card["errors_mm"]["pca"] < card["errors_mm"]["mean_shape"]
+
+
+def test_errors_of_a_closure_can_be_measured_again_from_the_files(closure):
+    folder = closure.folder / "model"
+    fields = smooth_fields(closure.block, 200, 1)
+    mean = session(folder / "encoder.onnx").run(["mean"], {"displacement": fields})[0]
+    found = session(folder / "decoder.onnx").run(None, {"z": mean})[0]
+    errors = model_card(closure)["errors_mm"]
+    wanted = 0.8 * errors["train"] + 0.1 * errors["valid"] + 0.1 * errors["test"]
+    assert np.linalg.norm(fields - found, axis=2).mean() == pytest.approx(wanted, rel=1e-4)
+
+
+def test_without_pairs_the_test_split_tells_the_errors(tmp_path):
     place = make_workplace(tmp_path, recipe=RECIPE.replace("epochs = 60", "epochs = 2"), n_pairs=0)
     assert place.train() == 0
     with np.load(place.folder / "model" / "decoder_weights.npz") as weights:

@@ -12,7 +12,7 @@ from tissuereg_training.folder import remove_unfinished
 
 if TYPE_CHECKING:
     from tissuereg_training.fit import FitState
-    from tissuereg_training.model import GraphVae
+    from tissuereg_training.network import Network
 
 _STATE = ("epoch", "best_epoch", "best_error", "best_weights", "history")
 
@@ -46,12 +46,12 @@ class Checkpoint:
         with contextlib.suppress(OSError):
             self.folder.rmdir()
 
-    def save(self, model: "GraphVae", optimiser: torch.optim.Optimizer, state: "FitState") -> None:
+    def save(self, model: "Network", optimiser: torch.optim.Optimizer, state: "FitState") -> None:
         """Write everything; the file before it stays until the new one is whole.
 
         Parameters
         ----------
-        model : GraphVae
+        model : Network
             Network.
         optimiser : torch.optim.Optimizer
             Its moments.
@@ -79,7 +79,7 @@ class Checkpoint:
             message = f"the checkpoint {self.path} must be writable: {str(error).splitlines()[0]}"
             raise OutputError(message, where=str(self.path)) from error
 
-    def load_into(self, model: "GraphVae", optimiser: torch.optim.Optimizer, state: "FitState") -> None:
+    def load_into(self, model: "Network", optimiser: torch.optim.Optimizer, state: "FitState") -> None:
         """Take everything from the file; do nothing where there is none.
 
         Parameters

@@ -33,7 +33,13 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("recipe", metavar="RECIPE.toml", help="table [train]; the recipe that made the data")
-    parser.add_argument("--data", required=True, metavar="DATA", help="folder made by 'tissuereg simulate'")
+    parser.add_argument(
+        "--data",
+        required=True,
+        action="append",
+        metavar="DATA",
+        help="folder made by 'tissuereg simulate'; given again: more members to train on, made with another seed",
+    )
     parser.add_argument("--out", required=True, metavar="MODEL", help="model folder, written whole or not at all")
     start = parser.add_mutually_exclusive_group()
     resume = "continue from the last epoch in MODEL.training, and fail where there is none (default: if there is one)"

@@ -109,7 +109,7 @@ def read_dataset(folder: str | os.PathLike[str]) -> Dataset:
             f"mesh.npz is {digest[:12]}"
         )
         raise MeshError(message, where=str(folder / "mesh.npz"))
-    chunks = [_read_chunk(folder / entry["file"], len(nodes)) for entry in card["chunks"]]
+    chunks = [read_chunk(folder / entry["file"], len(nodes)) for entry in card["chunks"]]
     index = np.concatenate([np.empty(0, np.int64), *(c[0] for c in chunks)])
     fields = np.concatenate([np.empty((0, len(nodes), 3), np.float32), *(c[1] for c in chunks)])
     if (np.diff(index) <= 0).any():
@@ -176,6 +176,31 @@ def _mesh_name(table: dict[str, Any]) -> str:
     if "source" in table:
         return f"{table['source']} of {table.get('n_nodes', 'default')} nodes"
     return Path(str(table.get("file", ""))).name
+
+
+def read_chunk_files(folder: str | os.PathLike[str]) -> tuple[str, list[Path]]:
+    """Return the mesh's fingerprint that a data set states, and its chunk files.
+
+    Parameters
+    ----------
+    folder : path-like
+        Made by `tissuereg simulate`.
+
+    Returns
+    -------
+    digest : str
+        SHA-256, hexadecimal.
+    files : list of Path
+        Chunks in order.
+
+    Raises
+    ------
+    FormatError
+        If `dataset.json` is missing or spoilt.
+    """
+    folder = Path(folder)
+    card = _read_card(folder)
+    return card["mesh"]["digest"], [folder / entry["file"] for entry in card["chunks"]]
 
 
 def read_dataset_recipe(folder: str | os.PathLike[str]) -> Any:
@@ -282,7 +307,30 @@ def _check_mesh(path: Path, nodes: Any, tets: Any) -> None:
         raise FormatError(message, where=f"{path}: tets")
 
 
-def _read_chunk(path: Path, n_nodes: int) -> tuple[IntArray, FieldArray]:
+def read_chunk(path: Path, n_nodes: int) -> tuple[IntArray, FieldArray]:
+    """Return numbers and fields of the members in a chunk file.
+
+    Parameters
+    ----------
+    path : Path
+        Of the chunk.
+    n_nodes : int
+        Of the mesh.
+
+    Returns
+    -------
+    index : ndarray of int64, shape (n_members,)
+        Which members of the recipe.
+    fields : ndarray of float32, shape (n_members, n_nodes, 3)
+        Finite, mm.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing or spoilt, or holds numbers that are not finite.
+    MeshError
+        If the fields have another number of nodes.
+    """
     arrays = _read_hdf5(path, ("index", "displacement_mm"))
     index, fields = arrays["index"], _fields(path, "displacement_mm", arrays["displacement_mm"], n_nodes)
     if index.dtype.kind not in "iu" or index.shape != (len(fields),):

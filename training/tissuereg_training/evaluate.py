@@ -17,7 +17,7 @@ import torch
 
 from tissuereg_training.data import FieldArray
 from tissuereg_training.losses import kl_divergence
-from tissuereg_training.model import GraphVae, sampled_latents
+from tissuereg_training.network import Network, sampled_latents
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -28,32 +28,34 @@ _ACTIVE_NATS = 0.1
 
 
 @torch.no_grad()
-def codes(model: GraphVae, fields: FieldArray) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return mean and log-variance of q for fields in mm, each (n_fields, n_latent)."""
-    found = [model.encode(model.normalised(torch.from_numpy(part))) for part in _parts(fields)]
+def codes(model: Network, fields: FieldArray) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return mean and log-variance of q for fields in mm, each (n_fields, n_latent), in the processor's memory."""
+    given = (torch.from_numpy(part).to(model.device) for part in _parts(fields))
+    found = [tuple(answer.cpu() for answer in model.encode(model.normalised(part))) for part in given]
     if not found:
         return torch.empty(0, model.n_latent), torch.empty(0, model.n_latent)
     return torch.cat([mean for mean, _ in found]), torch.cat([log_variance for _, log_variance in found])
 
 
 @torch.no_grad()
-def decoded(model: GraphVae, z: torch.Tensor) -> FieldArray:
+def decoded(model: Network, z: torch.Tensor) -> FieldArray:
     """Return fields in mm, (n_fields, n_nodes, 3), of latents (n_fields, n_latent)."""
-    return np.concatenate([model.in_mm(model.decode(part)).numpy() for part in torch.split(z, _BATCH)])
+    parts = torch.split(z.to(model.device), _BATCH)
+    return np.concatenate([model.in_mm(model.decode(part)).cpu().numpy() for part in parts])
 
 
-def error_fields(model: GraphVae, fields: FieldArray) -> FieldArray:
+def error_fields(model: Network, fields: FieldArray) -> FieldArray:
     """Return truth minus decode(encoder mean), mm, same shape as `fields`."""
     missed = [part - decoded(model, codes(model, part)[0]) for part in _parts(fields)]
     return np.concatenate([np.empty((0, *fields.shape[1:]), np.float32), *missed])
 
 
-def change_error_fields(model: GraphVae, simulations: FieldArray, truths: FieldArray) -> FieldArray:
+def change_error_fields(model: Network, simulations: FieldArray, truths: FieldArray) -> FieldArray:
     """Return what the network misses of the change from a simulation to the truth.
 
     Parameters
     ----------
-    model : GraphVae
+    model : Network
         Trained.
     simulations, truths : ndarray of float32, shape (n_pairs, n_nodes, 3)
         Pairs in mm.
@@ -73,17 +75,17 @@ def root_mean_square(fields: FieldArray) -> FieldArray:
     return sizes
 
 
-def mean_error(model: GraphVae, fields: FieldArray) -> float:
+def mean_error(model: Network, fields: FieldArray) -> float:
     """Return the mean Euclidean node error of reconstructed fields, mm."""
     return float(np.linalg.norm(error_fields(model, fields), axis=2).mean(dtype=np.float64))
 
 
-def code_spread(model: GraphVae, test: FieldArray, seed: int) -> dict[str, Any]:
+def code_spread(model: Network, test: FieldArray, seed: int) -> dict[str, Any]:
     """Compare the spread that the model claims with the spread of unseen fields' codes.
 
     Parameters
     ----------
-    model : GraphVae
+    model : Network
         Trained.
     test : ndarray of float32, shape (n_test, n_nodes, 3)
         Fields in mm that it never saw.
@@ -116,12 +118,12 @@ def code_spread(model: GraphVae, test: FieldArray, seed: int) -> dict[str, Any]:
     }
 
 
-def measured_prior(model: GraphVae, train: FieldArray, simulations: FieldArray, truths: FieldArray) -> dict[str, Any]:
+def measured_prior(model: Network, train: FieldArray, simulations: FieldArray, truths: FieldArray) -> dict[str, Any]:
     """Return what a registration needs to know of the codes.
 
     Parameters
     ----------
-    model : GraphVae
+    model : Network
         Trained.
     train : ndarray of float32, shape (n_train, n_nodes, 3)
         Training fields in mm.

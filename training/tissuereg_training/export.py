@@ -291,5 +291,5 @@ def _pool_fact(kind: str, name: str, pool: DensityPool) -> dict[str, Any]:
 
 
 def _numpy(tensor: Any) -> FloatArray:
-    array: FloatArray = tensor.detach().numpy()
+    array: FloatArray = tensor.detach().cpu().numpy()
     return array

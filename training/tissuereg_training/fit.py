@@ -7,7 +7,7 @@ needs no generator state and repeats an uninterrupted one.
 import copy
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,13 +15,12 @@ import numpy as np
 import torch
 
 from tissuereg_training.checkpoint import Checkpoint
-from tissuereg_training.data import FieldArray, Split
+from tissuereg_training.data import FieldArray
 from tissuereg_training.errors import DivergenceError
 from tissuereg_training.evaluate import mean_error
-from tissuereg_training.graph import Hierarchy
 from tissuereg_training.losses import kl_divergence, kl_share, one_cycle, reconstruction
-from tissuereg_training.model import GraphVae, sampled_latents
-from tissuereg_training.recipe import TrainSettings
+from tissuereg_training.network import Network, sampled_latents
+from tissuereg_training.settings import TrainSettings
 
 Report = Callable[[str], None]
 
@@ -51,41 +50,10 @@ class FitState:
     history: list[dict[str, float]] = field(default_factory=list)
 
 
-def new_model(levels: Hierarchy, settings: TrainSettings, seed: int) -> GraphVae:
-    """Return an untrained network; its start depends on the seed alone."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return GraphVae(levels, settings.channels, settings.n_bases, settings.n_latent)
-
-
-def set_normalisation(model: GraphVae, train: FieldArray) -> None:
-    """Take mean field and scale (rms of a component about it) from the training split.
-
-    Parameters
-    ----------
-    model : GraphVae
-        Gets the two buffers.
-    train : ndarray of float32, shape (n_train, n_nodes, 3)
-        mm.
-
-    Raises
-    ------
-    DivergenceError
-        If all fields are the same, so that there is nothing to learn.
-    """
-    mean = train.mean(axis=0, dtype=np.float64)
-    scale = float(np.sqrt(np.mean((train - mean) ** 2)))
-    if not scale > 0:
-        message = "the training fields must differ from each other; they are all the same"
-        raise DivergenceError(message, where="displacement_mm")
-    model.mean_mm.copy_(torch.from_numpy(mean))
-    model.scale_mm.fill_(scale)
-
-
 def fit(
-    model: GraphVae,
-    fields: FieldArray,
-    split: Split,
+    model: Network,
+    train: Iterable[FieldArray],
+    valid: FieldArray,
     settings: TrainSettings,
     *,
     seed: int,
@@ -96,12 +64,12 @@ def fit(
 
     Parameters
     ----------
-    model : GraphVae
-        Normalised; trained in place.
-    fields : ndarray of float32, shape (n_members, n_nodes, 3)
-        All fields in mm.
-    split : Split
-        Which are for what.
+    model : Network
+        Normalised; trained in place, where it lies.
+    train : iterable of ndarray of float32, shape (n_part, n_nodes, 3)
+        Training split in mm, in parts; what the network makes of it is kept in memory, not the fields.
+    valid : ndarray of float32, shape (n_valid, n_nodes, 3)
+        Validation split in mm.
     settings : TrainSettings
         How.
     seed : int
@@ -125,21 +93,21 @@ def fit(
 
     Notes
     -----
-    Cost a step: M n_edges batch min(I, O) multiply-adds a convolution and direction, three directions; the README
-    holds times.
+    Cost a step of the graph network: M n_edges batch min(I, O) multiply-adds a convolution and direction, three
+    directions; the README holds times.
     """
     optimiser = torch.optim.Adam(model.parameters(), lr=settings.learning_rate, fused=True)
     state = FitState()
     if checkpoint is not None:
         checkpoint.load_into(model, optimiser, state)
-    train = model.normalised(torch.from_numpy(fields[split.train]))
-    n_batches = max(1, round(len(train) / settings.batch))
+    x = _normalised(model, train)
+    n_batches = max(1, round(len(x) / settings.batch))
     reported = time.perf_counter()
     while state.epoch < settings.epochs:
         start = time.perf_counter()
-        row = _epoch(model, optimiser, train, n_batches, settings, seed, state.epoch)
+        row = _epoch(model, optimiser, x, n_batches, settings, seed, state.epoch)
         state.epoch += 1
-        row["valid_mm"] = mean_error(model, fields[split.valid])
+        row["valid_mm"] = mean_error(model, valid)
         row["seconds"] = time.perf_counter() - start
         state.history.append({"epoch": state.epoch, **row})
         may_choose = kl_share(state.epoch - 1, settings.epochs, settings.kl_warmup) == 1.0
@@ -152,11 +120,17 @@ def fit(
             reported = time.perf_counter()
             report(_line(state, settings))
     model.load_state_dict(state.best_weights)
+    model.finish()
     return state
 
 
+@torch.no_grad()
+def _normalised(model: Network, parts: Iterable[FieldArray]) -> torch.Tensor:
+    return torch.cat([model.normalised(torch.from_numpy(part).to(model.device)) for part in parts])
+
+
 def _epoch(
-    model: GraphVae,
+    model: Network,
     optimiser: torch.optim.Adam,
     train: torch.Tensor,
     n_batches: int,
@@ -174,7 +148,7 @@ def _epoch(
             group["lr"] = one_cycle(step, settings.epochs * n_batches, settings.learning_rate, settings.rise)
         x = _blended(train, rows, settings.mixing, rng)
         mean, log_variance = model.encode(x)
-        noise = torch.from_numpy(rng.standard_normal(mean.shape, dtype=np.float32))
+        noise = torch.from_numpy(rng.standard_normal(mean.shape, dtype=np.float32)).to(mean.device)
         found = model.decode(sampled_latents(mean, log_variance, noise))
         missed = reconstruction(found, x, settings.loss)
         kl = kl_divergence(mean, log_variance).sum()
@@ -195,15 +169,15 @@ def _epoch(
 
 def _blended(train: torch.Tensor, rows: Any, share: float, rng: np.random.Generator) -> torch.Tensor:
     """Return the rows, a share of them replaced by weighted sums with others of the training split."""
-    x = train[rows]
+    x = train[torch.from_numpy(rows).to(train.device)]
     if share == 0.0:
         return x
     partners = rng.integers(len(train), size=len(rows))
     own, other = rng.uniform(-1.0, 1.0, (2, len(rows)))
     chosen = rng.random(len(rows)) < share
     weights = np.where(chosen, (own, other), ((1.0,), (0.0,))).astype(np.float32)
-    w = torch.from_numpy(weights)[:, :, None, None]
-    return w[0] * x + w[1] * train[partners]
+    w = torch.from_numpy(weights).to(train.device).view(2, -1, *[1] * (x.dim() - 1))
+    return w[0] * x + w[1] * train[torch.from_numpy(partners).to(train.device)]
 
 
 def _line(state: FitState, settings: TrainSettings) -> str:

@@ -77,7 +77,7 @@ class VertexConv(nn.Module):
         """Return edges (node, neighbour), sorted, and their coefficients (n_edges, M), whatever the order inside."""
         edges = self.pattern.edges if self.mixes_first else self.pattern.edges[:, ::-1]
         order = np.lexsort((edges[:, 1], edges[:, 0]))
-        return edges[order].copy(), self.coefficients.detach().numpy().T[order].copy()
+        return edges[order].copy(), self.coefficients.detach().cpu().numpy().T[order].copy()
 
 
 class DensityPool(nn.Module):
@@ -101,7 +101,7 @@ class DensityPool(nn.Module):
     def weights(self) -> torch.Tensor:
         """Return rho', shape (n_edges,): not negative, summing to one over a target's edges."""
         size = self.densities.abs()
-        total = torch.zeros(self.pattern.n_owners).index_add(0, self._target, size) + 1e-8
+        total = size.new_zeros(self.pattern.n_owners).index_add(0, self._target, size) + 1e-8
         return size / total[self._target]
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:

@@ -13,14 +13,15 @@ import torch
 
 
 def reconstruction(found: torch.Tensor, wanted: torch.Tensor, kind: str) -> torch.Tensor:
-    """Return the reconstruction term of normalised fields.
+    """Return the reconstruction term of normalised fields, or of coefficients that stand for them.
 
     Parameters
     ----------
-    found, wanted : Tensor of float, shape (batch, n_nodes, 3)
-        Normalised fields.
-    kind : {"distance", "squared"}
-        Mean Euclidean node error (smooth below 1e-3), or mean squared component.
+    found, wanted : Tensor of float, shape (batch, n_nodes, 3) or (batch, n_components)
+        Normalised fields, or coefficients of orthogonal components whose mean square is that of the fields.
+    kind : {"distance", "rms", "squared"}
+        Mean Euclidean node error (of fields alone), mean over fields of the root mean square node error, or mean
+        squared component; the first two are smooth below 1e-3.
 
     Returns
     -------
@@ -30,6 +31,8 @@ def reconstruction(found: torch.Tensor, wanted: torch.Tensor, kind: str) -> torc
     squared = (found - wanted).square()
     if kind == "squared":
         return squared.mean()
+    if kind == "rms":
+        return (3.0 * squared.flatten(1).mean(dim=1) + 1e-6).sqrt().mean()
     return (squared.sum(dim=2) + 1e-6).sqrt().mean()
 
 

@@ -4,12 +4,11 @@ r"""Table II's graph variational autoencoder.
     decoder   z (q) - linear (n3 * 128) - unpool - conv 64 - unpool - conv 32 - unpool - conv 3 - x (n0, 3)
 
 ELU after every convolution but the last; none after pooling or the linear layers. Inside, fields are normalised,
-`(displacement - mean field) / scale`, both of the training split: one fixed frame for all, no shape is ever centred
-on itself. The normalisation belongs to the model (buffers) and travels into the ONNX files.
+`(displacement - mean field) / scale`.
 """
 
 from collections.abc import Sequence
-from typing import cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -18,9 +17,10 @@ from torch.nn import functional as F
 
 from tissuereg_training.graph import Hierarchy, IntArray
 from tissuereg_training.layers import DensityPool, VertexConv
+from tissuereg_training.network import Network
 
 
-class GraphVae(nn.Module):
+class GraphVae(Network):
     """The network, encoder and decoder.
 
     Parameters
@@ -35,9 +35,12 @@ class GraphVae(nn.Module):
         Latents.
     """
 
+    kind: ClassVar[str] = "gnn-vae"
+
     def __init__(self, levels: Hierarchy, channels: Sequence[int], n_bases: int, n_latent: int) -> None:
         super().__init__()
         self.levels, self.channels, self.n_bases, self.n_latent = levels, tuple(channels), n_bases, n_latent
+        self.n_nodes = levels.sizes[0]
         sizes, depth = levels.sizes, len(channels)
         widths = [3, *channels]
         self.encoder_convs = nn.ModuleList(
@@ -57,15 +60,12 @@ class GraphVae(nn.Module):
         self.decoder_convs = nn.ModuleList(
             VertexConv(levels.edges[k], sizes[k], widths[k + 1], widths[k], n_bases) for k in coarse_first
         )
-        self.mean_mm: torch.Tensor
-        self.scale_mm: torch.Tensor
         self.register_buffer("mean_mm", torch.zeros(sizes[0], 3))
         self.register_buffer("scale_mm", torch.ones(()))
 
-    @property
-    def n_nodes(self) -> int:
-        """Nodes of the mesh."""
-        return self.levels.sizes[0]
+    def facts(self) -> dict[str, Any]:
+        """Return the sizes of levels and layers."""
+        return {"levels": list(self.levels.sizes), "channels": list(self.channels), "n_bases": self.n_bases}
 
     def encoder_layers(self) -> list[tuple[VertexConv, DensityPool]]:
         """Return convolution and pooling of every level, finest first."""
@@ -126,11 +126,6 @@ class GraphVae(nn.Module):
             if step < len(self.channels) - 1:
                 h = F.elu(h)
         return h.view(self.n_nodes, batch, 3).transpose(0, 1)
-
-
-def sampled_latents(mean: torch.Tensor, log_variance: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-    """Return draws of q: mean + standard deviation * noise, all of shape (batch, n_latent)."""
-    return mean + torch.exp(0.5 * log_variance) * noise
 
 
 def _swapped(edges: IntArray) -> IntArray:

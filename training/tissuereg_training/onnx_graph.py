@@ -74,6 +74,11 @@ class GraphBuilder:
             self._tables[full] = numpy_helper.from_array(np.ascontiguousarray(array), full)
         return full
 
+    def halved(self, name: str, array: npt.NDArray[Any]) -> str:
+        """Add a constant that is stored in half precision and widened to single when the network is loaded."""
+        stored = self.table(f"{name}/half", array.astype(np.float16))
+        return self.node("Cast", [stored], name, to=TensorProto.FLOAT)
+
     def shape(self, *sizes: int) -> str:
         """Add a shape, for Reshape: 0 keeps an axis, -1 takes the rest."""
         return self.table("shape/" + "x".join(map(str, sizes)), np.array(sizes, np.int64))

@@ -10,7 +10,7 @@ import torch
 from tissuereg_training.data import FieldArray
 from tissuereg_training.errors import ParityError
 from tissuereg_training.evaluate import codes, decoded
-from tissuereg_training.model import GraphVae
+from tissuereg_training.network import Network
 
 #: Largest difference allowed, as a share of the output's root mean square.
 LIMIT = 1e-4
@@ -40,13 +40,13 @@ def onnx_session(model: onnx.ModelProto, threads: int = 1) -> Any:
 
 
 def checked_parity(
-    model: GraphVae, encoder: onnx.ModelProto, decoder: onnx.ModelProto, fields: FieldArray, seed: int
+    model: Network, encoder: onnx.ModelProto, decoder: onnx.ModelProto, fields: FieldArray, seed: int
 ) -> dict[str, float]:
     """Return how far torch and onnxruntime lie apart.
 
     Parameters
     ----------
-    model : GraphVae
+    model : Network
         The source.
     encoder, decoder : onnx.ModelProto
         What would be shipped.
@@ -68,8 +68,8 @@ def checked_parity(
     rng = np.random.default_rng([seed, 13])
     mean, log_variance = codes(model, fields)
     answers = onnx_session(encoder).run(["mean", "log_variance"], {"displacement": fields})
-    apart = {"encoder": max(_apart(a, b.numpy()) for a, b in zip(answers, (mean, log_variance), strict=True))}
-    z = torch.cat([mean, torch.from_numpy(rng.standard_normal(mean.shape, dtype=np.float32))])
+    apart = {"encoder": max(_apart(a, b.cpu().numpy()) for a, b in zip(answers, (mean, log_variance), strict=True))}
+    z = torch.cat([mean.cpu(), torch.from_numpy(rng.standard_normal(mean.shape, dtype=np.float32))])
     session = onnx_session(decoder)
     full = session.run(["displacement"], {"z": z.numpy()})[0]
     wanted = decoded(model, z)

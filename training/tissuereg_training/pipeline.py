@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +27,16 @@ from tissuereg_training.evaluate import (
     measured_prior,
     root_mean_square,
 )
-from tissuereg_training.export import decoder_onnx, decoder_weights, encoder_onnx
-from tissuereg_training.fit import FitState, fit, new_model, set_normalisation
+from tissuereg_training.fit import FitState, fit
 from tissuereg_training.folder import check_out, put_back, write_model
-from tissuereg_training.graph import hierarchy
 from tissuereg_training.host import Clock, machine, prepare, versions
-from tissuereg_training.model import GraphVae
+from tissuereg_training.kinds import KINDS, Material, new_network
+from tissuereg_training.network import Network
 from tissuereg_training.parity import checked_parity
-from tissuereg_training.pca import pca_error
-from tissuereg_training.recipe import Recipe, TrainSettings, read_recipe
+from tissuereg_training.pca import moments, pca_error, principal_components
+from tissuereg_training.recipe import Recipe, read_recipe
+from tissuereg_training.settings import TrainSettings
+from tissuereg_training.training_split import TrainingSplit
 
 SCHEMA = "tissuereg.train/1"
 MODEL_SCHEMA = "tissuereg.model/1"
@@ -45,7 +46,7 @@ N_ERROR_FIELDS = 64
 
 def train(
     recipe_path: str | os.PathLike[str],
-    data: str | os.PathLike[str],
+    data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     out: str | os.PathLike[str],
     *,
     seed: int | None = None,
@@ -59,8 +60,9 @@ def train(
     ----------
     recipe_path : path-like
         A TOML file with a table `[train]`.
-    data : path-like
-        Folder made by `tissuereg simulate`.
+    data : path-like, or several
+        Folders made by `tissuereg simulate`. The members of all but the first join the training split; validation and
+        test stay the first one's.
     out : path-like
         Model folder, written whole or not at all; an existing model is replaced. Checkpoints lie next to it in
         `OUT.training` until it is written.
@@ -97,38 +99,41 @@ def train(
             recipe = read_recipe(recipe_path)
             check_out(out)
             put_back(out, _scratch(out))
-            check_recipe_fits(recipe, read_dataset_recipe(data))
-            dataset = read_dataset(data)
+            first, *further = _folders(data)
+            check_recipe_fits(recipe, read_dataset_recipe(first))
+            dataset = read_dataset(first)
             seed = recipe.seed if seed is None else seed
             settings = recipe.settings
             split = dataset.split
             check_split(split, settings.n_latent)
-            checkpoint = _checkpoint(out, dataset, settings, seed, start)
-        with clock.stage("coarsen"):
-            levels = hierarchy(dataset.n_nodes, dataset.tets, len(settings.channels), settings.coarse_edges)
-            notify(levels.summary())
-        model = new_model(levels, settings, seed)
-        set_normalisation(model, dataset.fields[split.train])
+            train_split = TrainingSplit(dataset, further)
+            checkpoint = _checkpoint(out, dataset, train_split, settings, seed, start)
+        with clock.stage("start"):
+            material = Material(dataset.tets, train_split, moments(train_split))
+            model, sizes = new_network(material, settings, seed)
+            notify(sizes)
         if checkpoint.exists():
             notify(f"continuing from {checkpoint.path}")
         with clock.stage("train"):
-            state = fit(model, dataset.fields, split, settings, seed=seed, checkpoint=checkpoint, report=report)
+            valid = dataset.fields[split.valid]
+            state = fit(model, train_split, valid, settings, seed=seed, checkpoint=checkpoint, report=report)
         with clock.stage("evaluate"):
-            card = _card(model, dataset, split, recipe, seed, state)
+            card = _card(model, dataset, material, recipe, seed, state)
             errors = _error_fields(model, dataset, split)
             notify("mean error in mm: " + ", ".join(f"{k} {v:.4f}" for k, v in card["errors_mm"].items()))
         with clock.stage("export"):
-            facts = _facts(card)
-            encoder, decoder = encoder_onnx(model, facts), decoder_onnx(model, facts)
+            facts, kind = _facts(card, model), KINDS[settings.kind]
+            encoder, decoder = kind.encoder_onnx(model, facts), kind.decoder_onnx(model, facts)
             fields = dataset.fields[split.test][:32]
             card["parity"] = checked_parity(model, encoder, decoder, fields, seed)
-            weights = {**decoder_weights(model), **errors}
+            weights = {**kind.decoder_weights(model), **errors}
             write_model(out, checkpoint.folder, encoder, decoder, weights, card)
             checkpoint.discard()
-    record = {k: card[k] for k in ("errors_mm", "epochs", "best_epoch", "parity", "kl_weight", "levels", "members")}
+    record = {k: card[k] for k in ("errors_mm", "epochs", "best_epoch", "parity", "kl_weight", "members")}
     return {
         "schema": SCHEMA,
         **record,
+        **model.facts(),
         "seconds": clock.seconds,
         "threads": threads,
         "machine": machine(),
@@ -141,8 +146,14 @@ def _scratch(out: Path) -> Path:
     return out.with_name(f"{out.name}.training")
 
 
-def _checkpoint(out: Path, dataset: Dataset, settings: TrainSettings, seed: int, start: str) -> Checkpoint:
-    identity = [settings.as_dict(), seed, dataset.fingerprint()]
+def _folders(data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> list[Path]:
+    return [Path(data)] if isinstance(data, str | os.PathLike) else [Path(folder) for folder in data]
+
+
+def _checkpoint(
+    out: Path, dataset: Dataset, train_split: TrainingSplit, settings: TrainSettings, seed: int, start: str
+) -> Checkpoint:
+    identity = [settings.identity(), seed, dataset.fingerprint(), *train_split.fingerprints]
     fingerprint = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
     checkpoint = Checkpoint(_scratch(out), fingerprint)
     if start == "fresh":
@@ -154,25 +165,27 @@ def _checkpoint(out: Path, dataset: Dataset, settings: TrainSettings, seed: int,
 
 
 def _card(
-    model: GraphVae, dataset: Dataset, split: Split, recipe: Recipe, seed: int, state: FitState
+    model: Network, dataset: Dataset, material: Material, recipe: Recipe, seed: int, state: FitState
 ) -> dict[str, Any]:
-    fields, settings = dataset.fields, recipe.settings
+    fields, settings, split = dataset.fields, recipe.settings, dataset.split
     rows = {"train": split.train, "valid": split.valid, "test": split.test}
     errors = {name: mean_error(model, fields[part]) for name, part in rows.items()}
-    errors["pca"] = pca_error(fields[split.train], fields[split.test], settings.n_latent)
+    about, test = material.moments, fields[split.test]
+    components, _ = principal_components(material.parts, about, settings.n_latent)
+    errors["pca"] = pca_error(components, about.mean, test)
+    errors["mean_shape"] = pca_error(components[:0], about.mean, test)
     return {
         "schema": MODEL_SCHEMA,
-        "kind": "gnn-vae",
+        "kind": model.kind,
         "mesh_digest": dataset.mesh_digest,
         "n_nodes": dataset.n_nodes,
         "n_latent": settings.n_latent,
-        "levels": list(model.levels.sizes),
-        "channels": list(settings.channels),
-        "n_bases": settings.n_bases,
+        **model.facts(),
         "seed": seed,
         "recipe": recipe.raw,
         "settings": settings.as_dict(),
         "members": len(fields),
+        "trained_on": about.n_fields,
         "split": {name: len(part) for name, part in rows.items()},
         "epochs": state.epoch,
         "best_epoch": state.best_epoch,
@@ -185,7 +198,7 @@ def _card(
     }
 
 
-def _error_fields(model: GraphVae, dataset: Dataset, split: Split) -> dict[str, np.ndarray[Any, np.dtype[Any]]]:
+def _error_fields(model: Network, dataset: Dataset, split: Split) -> dict[str, np.ndarray[Any, np.dtype[Any]]]:
     """Return what the network misses of fields it never saw: the pairs' truths, or the test split without pairs.
 
     ``error_fields_mm`` of whole fields, ``change_error_fields_mm`` of the change from simulation to truth, both
@@ -201,6 +214,6 @@ def _error_fields(model: GraphVae, dataset: Dataset, split: Split) -> dict[str, 
     }
 
 
-def _facts(card: dict[str, Any]) -> dict[str, Any]:
-    named = ("kind", "mesh_digest", "levels", "channels", "n_bases", "n_latent", "kl_weight", "seed")
-    return {key: card[key] for key in named}
+def _facts(card: dict[str, Any], model: Network) -> dict[str, Any]:
+    named = ("kind", "mesh_digest", "n_latent", "kl_weight", "seed")
+    return {**{key: card[key] for key in named}, **model.facts()}
