@@ -35,6 +35,8 @@ NEEDED = {
     "tissuereg/__init__.py",
     "tissuereg/_core.pyi",
     "tissuereg/py.typed",
+    "tissuereg/phantom/data/breast.toml",
+    "tissuereg/phantom/data/full-truth.npz",
     "tissuereg/phantom/model/decoder.onnx",
 }
 LICENCES = ("LICENSE-MIT", "LICENSE-APACHE")
