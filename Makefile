@@ -14,7 +14,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model table2-model small-model demo-figures clean paper
+.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model table2-model small-model demo-figures clean paper spread spread-data
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -41,6 +41,8 @@ help:
 	@echo "make bench-cluster   what Dask costs: overhead, task rate, bytes -> benchmarks/results/, docs/cluster.md"
 	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
 	@echo "make bench-esmda     one ES-MDA update, and other programs on the same arrays"
+	@echo "make spread          is the spread of the trained model honest? -> docs/spread.md (MODEL=, SPREAD_DATA=, FOREIGN=); make"
+	@echo "                     spread-data: shapes with physics that the model never saw (an hour; resumable)"
 	@echo "make paper           the paper's simulation studies -> docs/paper.md (TABLE2=folder: also with a network of Table II)"
 	@echo "make phantom-model   data set and shipped model of the phantom, anew (hours; resumable); make table2-model: the paper's"
 	@echo "                     network on the same data; make small-model: that of tests, on the small phantom (half an hour)"
@@ -213,6 +215,17 @@ bench-solver: $(VENV)/.installed
 bench-esmda: $(VENV)/.installed-dev
 	$(BIN)/python -m pip install --quiet pyesmda dageo iterative_ensemble_smoother
 	$(BIN)/python benchmarks/esmda.py
+
+# DATA of the model is made by `tissuereg simulate training/recipes/breast.toml --out $(SPREAD_DATA)`.
+SPREAD_DATA ?= build/breast
+FOREIGN ?= build/foreign
+MODEL ?= build/breast-model
+
+spread: $(VENV)/.installed-dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --model $(MODEL) --data $(SPREAD_DATA) --foreign $(FOREIGN)
+
+spread-data: $(VENV)/.installed-dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --make-foreign $(FOREIGN)
 
 # The studies of the seed paper; with TABLE2=FOLDER, a trained network of Table II, also with that one.
 paper: $(VENV)/.installed

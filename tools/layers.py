@@ -20,7 +20,7 @@ LAYERS: tuple[tuple[str, str], ...] = (
     ("parts of the calls", "contacts inputs meshing samples"),
     (
         "simulation, observation, networks",
-        "assimilate baselines latent observe phantom posterior readings simulate widen",
+        "assimilate baselines latent mixture_posterior observe phantom posterior readings simulate widen",
     ),
     ("files, the only place of other units", "io"),
     ("many tasks, the only place of processes and Dask", "parallel"),

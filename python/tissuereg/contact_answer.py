@@ -16,14 +16,11 @@ from tissuereg.contacts.surface_fit import SurfaceFit
 from tissuereg.contacts.surface_points import SeenPoints
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.mesh import det_f
-from tissuereg.result import MarkerFit, Registration, Target
+from tissuereg.result import NO_MARKER, MarkerFit, Registration, Target
 from tissuereg.trust import LEVEL, Trust, judge
 
 #: A target is flagged if the markers remove less than this share of its variance under unseen contacts.
 LEAST_CONSTRAINED = 0.8
-
-#: Flag of such a target.
-NO_MARKER = "no marker tells"
 
 #: A marker that is wrong with at least this probability is dropped.
 _WRONG = 0.5

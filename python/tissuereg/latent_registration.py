@@ -22,9 +22,10 @@ from tissuereg.latent.network import kept_network
 from tissuereg.latent.points import PointModel, PointsAround
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh, det_f
+from tissuereg.mixture_posterior import UNRELATED_LIKELY, CalibratedPosterior
 from tissuereg.posterior import Posterior
-from tissuereg.result import MarkerFit, Registration, Target
-from tissuereg.trust import judge
+from tissuereg.result import NO_MARKER, MarkerFit, Registration, Target
+from tissuereg.trust import Trust, judge, judge_by_rehearsal
 from tissuereg.widen import Linearised, widened
 from tissuereg.wrong_markers import drop_wrong, score_markers
 
@@ -75,8 +76,15 @@ def register_by_model(
         drawn = _Drawn.of(model, given)
         fit, wrong = _without_wrong(model, drawn, given, seen)
     used = np.setdiff1d(seen, list(wrong))
+    calibration = points.calibration
+    posterior: Posterior | CalibratedPosterior
     with clock.stage("decode"):
-        posterior = Posterior.of(model, fit.ensemble)
+        if calibration is None:
+            posterior = Posterior.of(model, fit.ensemble)
+        else:
+            posterior = CalibratedPosterior.of(
+                given.mesh, model, calibration, used, given.markers, fit.ensemble.mean, simulation, given.seed
+            )
     with clock.stage("judge"):
         return _result(given, used, wrong, simulation, points.model, fit, posterior, clock)
 
@@ -192,7 +200,7 @@ def _result(
     simulation: FloatArray | None,
     latent: LatentModel,
     fit: _Fit,
-    posterior: Posterior,
+    posterior: Posterior | CalibratedPosterior,
     clock: Clock,
 ) -> Registration:
     """Assemble the result of the markers `seen` that were used; `wrong` has the chances of those that were dropped."""
@@ -202,24 +210,18 @@ def _result(
     start = observed.predict(before[observed.nodes])
     residual = markers.displacement[seen] - posterior.marker_mean[seen]
     ratios = det_f(mesh, posterior.displacement)
-    off = fit.ensemble.mean - fit.prior.mean
-    rows = (3 * seen[:, None] + np.arange(3)).ravel()
     notes = list(given.suspicions)
     for i, chance in wrong.items():
         notes.append(f"wrong marker: {markers.names[i]} does not fit the others (p = {chance:.1g}) and was left out")
-    if fit.widening > 9.0:
-        times = np.sqrt(fit.widening)
-        notes.append(f"simulation: it is farther off than usual; its prior had to be widened {times:.1f}-fold")
-    trust = judge(
-        tuple(markers.names[i] for i in seen),
-        residual,
-        fit.noise,
-        posterior.marker_covariance[np.ix_(rows, rows)],
-        float(off @ np.linalg.solve(fit.prior.covariance, off)),
-        float(ratios.min()),
-        notes,
-    )
+    names = tuple(markers.names[i] for i in seen)
+    if isinstance(posterior, CalibratedPosterior):
+        trust = _calibrated_trust(names, residual, posterior, float(ratios.min()), notes)
+    else:
+        trust = _trust(names, residual, seen, fit, posterior, float(ratios.min()), notes)
     target_start = inner.predict(before[inner.nodes])
+    gains: list[tuple[float | None, bool]] = [(None, False)] * len(inner.names)
+    if isinstance(posterior, CalibratedPosterior):
+        gains = list(posterior.gains(target_start))
     unseen = np.setdiff1d(np.arange(len(markers)), seen)
     return Registration(
         mesh=mesh,
@@ -231,6 +233,8 @@ def _result(
                 inner.reference[i] + posterior.target_mean[i],
                 posterior.target_covariance[i],
                 None if simulation is None else inner.reference[i] + target_start[i],
+                gains[i][0],
+                NO_MARKER if gains[i][1] else None,
             )
             for i, name in enumerate(inner.names)
         },
@@ -265,6 +269,55 @@ def _result(
     )
 
 
+def _trust(
+    names: tuple[str, ...],
+    residual: FloatArray,
+    seen: IntArray,
+    fit: _Fit,
+    posterior: Posterior,
+    min_det_f: float,
+    notes: list[str],
+) -> Trust:
+    """Judge by the noise and the prior as they are stated."""
+    if fit.widening > 9.0:
+        times = np.sqrt(fit.widening)
+        notes.append(f"simulation: it is farther off than usual; its prior had to be widened {times:.1f}-fold")
+    off = fit.ensemble.mean - fit.prior.mean
+    rows = (3 * seen[:, None] + np.arange(3)).ravel()
+    return judge(
+        names,
+        residual,
+        fit.noise,
+        posterior.marker_covariance[np.ix_(rows, rows)],
+        float(off @ np.linalg.solve(fit.prior.covariance, off)),
+        min_det_f,
+        notes,
+    )
+
+
+def _calibrated_trust(
+    names: tuple[str, ...],
+    residual: FloatArray,
+    posterior: CalibratedPosterior,
+    min_det_f: float,
+    notes: list[str],
+) -> Trust:
+    """Judge by comparison with honest events that the model never saw."""
+    if posterior.unrelated > UNRELATED_LIKELY:
+        notes.append("simulation: another event than the simulated one explains the markers better")
+    return judge_by_rehearsal(
+        names,
+        residual,
+        posterior.noise,
+        posterior.marker_noiseless,
+        posterior.rehearsal,
+        posterior.found.p_value,
+        posterior.at.whole.distance(posterior.found.mean_latents),
+        min_det_f,
+        notes,
+    )
+
+
 def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
     """Return a model, read from its folder if necessary; raise ModelError if it is none, or knows another mesh."""
     if isinstance(model, (str, os.PathLike)):
@@ -285,4 +338,4 @@ def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
 def _noise(errors: FloatArray, markers: Markers, seen: IntArray) -> FloatArray:
     """Return C_d: the tracker's noise and the model's own errors (n_fields, n_seen, 3) at the markers."""
     tracker = (markers.axis_std[seen] ** 2).ravel()
-    return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), -1)))
+    return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), 3 * len(seen))))

@@ -18,6 +18,9 @@ from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.trust import Trust
 
+#: Flag of a target of which the markers say too little.
+NO_MARKER = "no marker tells"
+
 
 @dataclass(frozen=True, eq=False)
 class Region:
@@ -61,9 +64,11 @@ class Target:
     simulation : ndarray of float64, shape (3,), or None
         Place by the simulation alone, mm.
     constrained : float or None
-        Share of its variance under unseen contacts that the markers remove, 0 to 1; None with a trained model.
+        Share of its variance under unseen contacts that the markers remove, 0 to 1. With a calibrated model the share
+        of the expected squared error of the simulation (or of the undeformed body) that is gone; None with another
+        one.
     flag : str or None
-        ``"no marker tells"`` if that share is too small to rely on the region.
+        ``"no marker tells"`` if that share is too small to rely on the region, or on the answer being the better one.
     """
 
     reference: FloatArray

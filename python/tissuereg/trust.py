@@ -10,6 +10,7 @@ Each marker is tested separately by its fitted residual (`tissuereg.wrong_marker
 """
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -111,6 +112,92 @@ def judge(
     if min_det_f <= 0:
         reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
     return Trust(not reasons, p_value, total, data_misfit, n_obs, reasons)
+
+
+class Honest(Protocol):
+    """What honest events look like; see `tissuereg.latent.calibration.Rehearsal`."""
+
+    def p_value(self, raw: float) -> float:
+        """Return the share of honest events that look at least as improbable."""
+        ...
+
+    def marker_p_value(self, chance: float) -> float:
+        """Return the share of them of which a marker is as improbable given the others, times their number."""
+        ...
+
+    def is_far(self, distance: float, level: float) -> bool:
+        """Whether fewer than a share `level` of them lie so far from the training set."""
+        ...
+
+
+def judge_by_rehearsal(
+    names: tuple[str, ...],
+    residual: FloatArray,
+    noise: FloatArray,
+    absorbed: FloatArray,
+    honest: Honest,
+    raw_p_value: float,
+    distance: float,
+    min_det_f: float,
+    notes: list[str],
+) -> Trust:
+    """Return whether a registration with a calibrated model can be trusted, and why not.
+
+    Its three tests share the level of one percent, so that an honest event raises an alarm at that rate at most.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Markers that were used.
+    residual : ndarray of float64, shape (n_markers, 3)
+        Measured minus fitted, mm; NaN = not seen, ignored.
+    noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
+        Covariance of the tracker's noise, mm^2.
+    absorbed : ndarray of float64, shape (3 n_markers, 3 n_markers)
+        Posterior covariance of the markers' predictions, mm^2.
+    honest : Honest
+        Honest events.
+    raw_p_value : float
+        Chance of the innovation by the mixture.
+    distance : float
+        Distance of the fitted code from the training set.
+    min_det_f : float
+        Smallest volume ratio of the registered body.
+    notes : list of str
+        Reasons found earlier in the registration.
+
+    Returns
+    -------
+    Trust
+        With one reason per failed test.
+    """
+    flat = residual.ravel()
+    seen = np.flatnonzero(np.isfinite(flat))
+    data = float(flat[seen] @ np.linalg.solve(noise[np.ix_(seen, seen)], flat[seen]))
+    p_value, reasons = honest.p_value(raw_p_value), list(notes)
+    if p_value < LEVEL / 3:
+        reasons.append(
+            f"misfit: fewer than one in {_in_words(p_value)} honest events fit the model so badly (p = {p_value:.2g}); "
+            "the noise is larger than stated, or the body does what the model has never seen"
+        )
+    if honest.is_far(distance, LEVEL / 3):
+        reasons.append(f"unfamiliar: the shape lies {distance:.1f} standard deviations from all that the model knows")
+    if len(names) == 1:
+        reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
+    scores = score_markers(residual, noise, absorbed)
+    n_markers = int((scores.n_obs > 0).sum())
+    for index in np.flatnonzero(scores.n_obs > 0):
+        if honest.marker_p_value(n_markers * float(scores.p_value[index])) >= LEVEL / 3:
+            continue
+        off = np.sqrt(scores.chi_square[index])
+        reasons.append(f"wrong marker: {names[index]} does not fit the others, {off:.1f} standard deviations off")
+    if min_det_f <= 0:
+        reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
+    return Trust(not reasons, p_value, data, data, len(seen), reasons)
+
+
+def _in_words(p_value: float) -> str:
+    return f"{int(1.0 / max(p_value, 1e-9)):,}"
 
 
 def _data(n_markers: int, n_points: int) -> str:

@@ -1,11 +1,11 @@
 """Makes the calibration of a trained model: from fields of its training set, fields it never saw, and pairs.
 
-The scales of events and the chances of honest measurements come from rehearsals: events that the model never saw are registered from random
-markers, as a user's will be.
+The scales of events and the chances of honest measurements come from rehearsals: events that the model never saw are
+registered from random markers, as a user's will be.
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,10 +20,11 @@ from tissuereg.latent.calibration import (
     RowsOf,
 )
 from tissuereg.latent.kinds import Kinds, probabilities
-from tissuereg.latent.mixture import Component, condition, log_evidence
+from tissuereg.latent.mixture import Component, Linear, condition, log_evidence
 from tissuereg.latent.model import LatentModel, rms_displacement
-from tissuereg.latent.relinearise import conditioned, linearised, spread_of
+from tissuereg.latent.relinearise import conditioned, spread_of
 from tissuereg.mesh import Mesh
+from tissuereg.wrong_markers import score_markers, worst_chance
 
 #: Scales of events of one kind: their standard deviations over those of the kind.
 _SCALES = np.array([0.2, 0.4, 0.7, 1.2, 2.0, 3.5])
@@ -32,7 +33,10 @@ _SCALES = np.array([0.2, 0.4, 0.7, 1.2, 2.0, 3.5])
 _CHANGE_SCALES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 
 #: Patterns of errors kept, and of errors of changes.
-_PATTERNS, _CHANGE_PATTERNS = 80, 40
+_PATTERNS, _CHANGE_PATTERNS = 80, 80
+
+#: Parts of the pairs, each rehearsed with what the others tell: a covariance of few pairs knows those pairs too well.
+_FOLDS = 5
 
 #: Errors by which those of a kind are mixed with those of all.
 _BORROWED = 20.0
@@ -71,7 +75,7 @@ class RehearsalSettings:
     n_markers: int = 15
     n_targets: int = 20
     std: float = 0.1
-    n_events: int = 400
+    n_events: int = 1000
     seed: int = 0
 
 
@@ -82,7 +86,7 @@ def calibrate(
     unseen: FloatArray,
     pairs: tuple[FloatArray, FloatArray] | None = None,
     *,
-    n_kinds: int = 10,
+    n_kinds: int = 12,
     settings: RehearsalSettings | None = None,
 ) -> Calibration:
     """Return the calibration of a model.
@@ -116,14 +120,28 @@ def calibrate(
     errors = field_errors(missed, kinds.shares(coded), _PATTERNS)
     scales = Rehearsal(_SCALES, np.full(len(_SCALES), 1.0 / len(_SCALES)))
     made = Calibration(kinds, errors, scales)
-    made = replace(made, alone=_rehearse(model, mesh, made, None, unseen[: how.n_events], how))
+    rehearsed = _Rehearsed(how, scales)
+    for truth in unseen[: how.n_events]:
+        rehearsed.add(model, mesh, made, None, truth)
+    made = replace(made, alone=rehearsed.outcome())
     if pairs is None or not len(pairs[0]):
         return made
-    rest_code = model.codes(np.zeros((1, mesh.n_nodes, 3)))[0]
-    change = _change(model, rest_code, *pairs)
+    differences = _Differences.of(model, *pairs, missed)
+    made = replace(made, change=differences.change(np.arange(len(pairs[0]))))
     scales = Rehearsal(_CHANGE_SCALES, np.full(len(_CHANGE_SCALES), 1.0 / len(_CHANGE_SCALES)))
-    made = replace(made, change=change, anchored=scales)
-    return replace(made, anchored=_rehearse(model, mesh, made, pairs[0], pairs[1], how))
+    rehearsed = _Rehearsed(how, scales)
+    for part in range(_FOLDS):
+        rows = np.arange(len(pairs[0]))
+        without = replace(made, anchored=scales, change=differences.change(rows[rows % _FOLDS != part]))
+        for row in rows[rows % _FOLDS == part]:
+            rehearsed.add(model, mesh, without, pairs[0][row], pairs[1][row])
+    return replace(made, anchored=rehearsed.outcome())
+
+
+def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
+    """Return the encoder's means (n_rows, n_latent) of some fields of a data set, read in parts."""
+    parts = [model.codes(np.asarray(fields[rows[i : i + _BATCH]])) for i in range(0, len(rows), _BATCH)]
+    return np.concatenate(parts)
 
 
 def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> FieldErrors:
@@ -164,19 +182,41 @@ def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> Fie
     return FieldErrors(basis.reshape(-1, *errors.shape[1:]), covariances, rest)
 
 
-def _change(model: Codes, rest_code: FloatArray, simulations: FloatArray, truths: FloatArray) -> Change:
-    """Return how truths differ from simulations."""
-    before, after = model.codes(simulations), model.codes(truths)
-    sizes = np.maximum(rms_displacement(simulations), LEAST_SIZE_MM)
-    off, along = after - before, before - rest_code
-    stretch = (off * along).sum(axis=1) / (along**2).sum(axis=1)
-    left = (off - stretch[:, None] * along) / sizes[:, None]
-    covariance = left.T @ left / len(left)
-    keep = 1.0 / (1.0 + 0.3 * left.shape[1] / len(left))
-    covariance = keep * covariance + np.diag((1.0 - keep) * np.diag(covariance) + 1e-9)
-    missed = truths - simulations - model.decode(after.T) + model.decode(before.T)
-    errors = field_errors(missed / sizes[:, None, None], np.ones((len(missed), 1)), _CHANGE_PATTERNS)
-    return Change(float((stretch**2).mean()), covariance, errors)
+@dataclass(frozen=True, eq=False)
+class _Differences:
+    """Differences of truths from simulations, each relative to the size of the simulated event, and other errors."""
+
+    stretches: FloatArray
+    codes: FloatArray
+    missed: FloatArray
+    others: FloatArray
+
+    @classmethod
+    def of(cls, model: Codes, simulations: FloatArray, truths: FloatArray, others: FloatArray) -> "_Differences":
+        """Return the differences of pairs; `others` are errors of whole fields, in mm."""
+        rest_code = model.codes(np.zeros((1, *simulations.shape[1:])))[0]
+        before, after = model.codes(simulations), model.codes(truths)
+        sizes = np.maximum(rms_displacement(simulations), LEAST_SIZE_MM)
+        off, along = after - before, before - rest_code
+        stretch = (off * along).sum(axis=1) / (along**2).sum(axis=1)
+        left = (off - stretch[:, None] * along) / sizes[:, None]
+        missed = (truths - simulations - model.decode(after.T) + model.decode(before.T)) / sizes[:, None, None]
+        scale = np.sqrt(np.mean(missed**2) / np.maximum(np.mean(others**2), 1e-300))
+        return cls(stretch, left, missed, scale * others)
+
+    def change(self, rows: IntArray) -> Change:
+        """Return what some pairs tell."""
+        left, n_latent = self.codes[rows], self.codes.shape[1]
+        covariance = left.T @ left / len(left)
+        keep = len(left) / (len(left) + n_latent)
+        covariance = keep * covariance + np.diag((1.0 - keep) * np.diag(covariance) + 1e-9)
+        # Errors of whole fields lend what errors look like; their size is that of the changes.
+        both = np.concatenate([self.missed[rows], self.others])
+        shares = np.repeat(np.eye(2), [len(rows), len(self.others)], axis=0)
+        errors = field_errors(both, shares, _CHANGE_PATTERNS)
+        rest = both[: len(rows)] - errors.project(both[: len(rows)])
+        own = FieldErrors(errors.basis, errors.covariances[:1], np.sqrt((rest**2).mean(axis=0)))
+        return Change(float((self.stretches[rows] ** 2).mean()), covariance, own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,71 +252,72 @@ class _Places:
         return lambda fields: self.rows(fields[:, self.nodes])
 
 
-def _rehearse(
-    model: Codes,
-    mesh: Mesh,
-    made: Calibration,
-    simulations: FloatArray | None,
-    truths: FloatArray,
-    how: RehearsalSettings,
-) -> Rehearsal:
-    """Register truths from random markers; return fitted scales, chances, distances and widening."""
-    rng = np.random.default_rng([how.seed, 22])
-    law = made.alone if simulations is None else made.anchored
-    assert law is not None  # noqa: S101
-    spread, centre = spread_of(made.kinds), made.kinds.weights @ made.kinds.means
-    noise = how.std**2 * np.eye(3 * how.n_markers)
-    events, logs = [], []
-    for i, truth in enumerate(truths):
-        places = _Places.drawn(mesh, how, rng)
-        rows = places.rows(truth[None, places.nodes].astype(np.float64))[0]
-        observed = rows[: len(noise)] + how.std * rng.standard_normal(len(noise))
-        at = made.at(places.rows_of())
-        anchor = np.zeros(len(rows))
-        start = centre
-        if simulations is None:
-            prior = at.prior()
-        else:
-            simulation = simulations[i].astype(np.float64)
-            start = model.codes(simulation[None])[0]
-            prior = prior_about(model, at, simulation, start)
-            anchor = places.rows(
-                simulation[None, places.nodes] - model.decode(start[:, None], places.nodes),
-            )[0]
+class _Rehearsed:
+    """Registrations of truths from random markers, with scales equally probable at first; see `Rehearsal`."""
 
-        def decode(latents: FloatArray, places: _Places = places, anchor: FloatArray = anchor) -> FloatArray:
+    def __init__(self, how: RehearsalSettings, law: Rehearsal) -> None:
+        self._how, self._law = how, law
+        self._rng = np.random.default_rng([how.seed, 22])
+        self._noise = how.std**2 * np.eye(3 * how.n_markers)
+        self._events: list[tuple[Calibration, list[Component], int, Linear, FloatArray, FloatArray]] = []
+        self._logs: list[FloatArray] = []
+
+    def add(
+        self, model: Codes, mesh: Mesh, made: Calibration, simulation: FloatArray | None, truth: FloatArray
+    ) -> None:
+        """Register one truth, and keep the evidence of every scale."""
+        how, n_obs = self._how, len(self._noise)
+        places = _Places.drawn(mesh, how, self._rng)
+        rows = places.rows(truth[None, places.nodes].astype(np.float64))[0]
+        observed = rows[:n_obs] + how.std * self._rng.standard_normal(n_obs)
+        at = made.at(places.rows_of())
+        anchor, start, n_own = np.zeros(len(rows)), made.kinds.weights @ made.kinds.means, len(made.kinds.weights)
+        prior = at.prior()
+        if simulation is not None:
+            simulation = simulation.astype(np.float64)
+            start, n_own = model.codes(simulation[None])[0], 1
+            prior = prior_about(model, at, simulation, start)
+            decoded = model.decode(start[:, None], places.nodes)
+            anchor = places.rows(simulation[None, places.nodes] - decoded)[0]
+
+        def decode(latents: FloatArray) -> FloatArray:
             return places.rows(model.decode(latents, places.nodes)) + anchor
 
-        found, linear = conditioned(decode, prior, observed, noise, start, spread, _PASSES)
-        events.append((prior, linear, observed, rows))
-        first = log_evidence(prior[:1] if simulations is not None else prior, linear, observed, noise)
-        weight = made.kinds.weights[:, None] if simulations is None else 1.0
-        logs.append(np.log((np.exp(first - first.max()) * weight).sum(axis=0)))
-    scale_weights = _mixing(np.array(logs))
-    law = replace(law, scale_weights=scale_weights)
-    misfits, chances, distances = [], [], []
-    for prior, linear, observed, rows in events:
-        found = condition(_reweighted(prior, law, simulations is not None), linear, observed, noise)
-        chances.append(found.p_value)
-        distances.append(made.distance(found.mean_latents))
-        misfits.append(_misfits(rows - found.mean, found.covariance, len(noise)))
-    widening = float(np.quantile(np.concatenate(misfits), 0.9) / 6.2514)
-    return replace(law, p_values=np.sort(chances), distances=np.sort(distances), widening=widening)
+        _, linear = conditioned(decode, prior, observed, self._noise, start, spread_of(made.kinds), _PASSES)
+        self._events.append((made, prior, n_own, linear, observed, rows))
+        weights = np.array([one.weights.sum() for one in prior[:n_own]])
+        logs = log_evidence(prior[:n_own], linear, observed, self._noise) + np.log(weights)[:, None]
+        self._logs.append(np.logaddexp.reduce(logs, axis=0))
+
+    def outcome(self) -> Rehearsal:
+        """Return the likeliest scales, and what registrations with these give."""
+        from scipy.stats import chi2
+
+        scale_weights = _mixing(np.array(self._logs))
+        seen = slice(0, len(self._noise))
+        misfits, chances, distances, of_markers = [], [], [], []
+        for made, prior, n_own, linear, observed, rows in self._events:
+            weighted = [replace(one, weights=one.weights.sum() * scale_weights) for one in prior[:n_own]]
+            found = condition([*weighted, *prior[n_own:]], linear, observed, self._noise)
+            off = (observed - found.mean[seen]).reshape(-1, 3)
+            chances.append(found.p_value)
+            of_markers.append(worst_chance(score_markers(off, self._noise, found.covariance[seen, seen])))
+            distances.append(made.distance(found.mean_latents))
+            misfits.append(_misfits(rows - found.mean, found.covariance, seen.stop))
+        return replace(
+            self._law,
+            scale_weights=scale_weights,
+            p_values=np.sort(chances),
+            marker_chances=np.sort(of_markers),
+            distances=np.sort(distances),
+            widening=float(np.quantile(np.concatenate(misfits), 0.9) / chi2.ppf(0.9, 3)),
+        )
 
 
 def prior_about(model: Codes, at: PointCalibration, simulation: FloatArray, code: FloatArray) -> list[Component]:
     """Return the prior of the truth of a simulated event; see `PointCalibration.prior_about`."""
     rest_code = model.codes(np.zeros((1, *simulation.shape)))[0]
     return at.prior_about(code, rest_code, float(rms_displacement(simulation[None])[0]))
-
-
-def _reweighted(prior: list[Component], law: Rehearsal, anchored: bool) -> list[Component]:
-    """Return the components with the scales' fitted probabilities; with a simulation those of the first alone."""
-    changed = prior[:1] if anchored else prior
-    return [
-        *(replace(one, weights=one.weights.sum() * law.scale_weights) for one in changed),
-        *prior[len(changed) :],
-    ]
 
 
 def _mixing(logs: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
-"""What a trained model's answers are worth, measured on fields it never saw: the file ``calibration.npz`` of its folder.
+"""What a trained model's answers are worth, measured on fields it never saw: ``calibration.npz`` of its folder.
 
-`tissuereg.latent.calibrate` makes it, a registration reads it: kinds of events with the errors of each kind, how the truth differs from a
-simulation, and how improbable honest measurements look.
+`tissuereg.latent.calibrate` makes it, a registration reads it: kinds of events with the errors of each kind, how the
+truth differs from a simulation, and how improbable honest measurements look.
 """
 
 from collections.abc import Callable
@@ -9,12 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.io.npz import Archive, open_npz
 from tissuereg.latent.kinds import Kinds
 from tissuereg.latent.mixture import Component
-
-CALIBRATION_NAME = "calibration.npz"
 
 #: Fields (n_fields, n_nodes, 3) to their rows at markers and targets, (n_fields, n_rows).
 RowsOf = Callable[[FloatArray], FloatArray]
@@ -44,11 +42,41 @@ class FieldErrors:
     covariances: FloatArray
     rest: FloatArray
 
-    def at(self, rows_of: RowsOf) -> FloatArray:
-        """Return covariances (n_kinds, n_rows, n_rows) at points, mm^2."""
+    def project(self, fields: FloatArray) -> FloatArray:
+        """Return what the patterns represent of fields (n_fields, n_nodes, 3)."""
+        patterns = self.basis.reshape(len(self.basis), -1)
+        squares = np.einsum("pi,pi->p", patterns, patterns)
+        rows = fields.reshape(len(fields), -1)
+        return np.asarray((((rows @ patterns.T) / squares) @ patterns).reshape(fields.shape))
+
+    def at(self, rows_of: RowsOf) -> "RowErrors":
+        """Return the errors at points."""
         patterns = rows_of(self.basis)
         rest = rows_of(self.rest[None])[0] ** 2
-        return np.asarray(patterns.T @ self.covariances @ patterns + np.diag(rest))
+        return RowErrors(self, patterns, np.asarray(patterns.T @ self.covariances @ patterns + np.diag(rest)))
+
+
+@dataclass(frozen=True, eq=False)
+class RowErrors:
+    """Errors at the markers and targets of one registration.
+
+    Attributes
+    ----------
+    whole : FieldErrors
+        At all nodes.
+    patterns : ndarray of float64, shape (n_patterns, n_rows)
+        Its patterns at the points.
+    covariances : ndarray of float64, shape (n_kinds, n_rows, n_rows)
+        Of the errors of each kind, mm^2.
+    """
+
+    whole: FieldErrors
+    patterns: FloatArray
+    covariances: FloatArray
+
+    def of(self, rows: IntArray) -> "RowErrors":
+        """Return those of some rows, in their order."""
+        return RowErrors(self.whole, self.patterns[:, rows], self.covariances[:, rows[:, None], rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +108,8 @@ class Rehearsal:
         Factors on the standard deviations of a kind, and their probabilities.
     p_values : ndarray of float64, shape (n_events,)
         Chances of the innovations by the mixture, ascending: those of honest events.
+    marker_chances : ndarray of float64, shape (n_events,)
+        Chance of the marker that fits the others worst, times the number of markers (`worst_chance`), ascending.
     distances : ndarray of float64, shape (n_events,)
         Distances of the fitted codes from the training set (`Calibration.distance`), ascending.
     widening : float
@@ -89,23 +119,32 @@ class Rehearsal:
     scales: FloatArray
     scale_weights: FloatArray
     p_values: FloatArray = field(default_factory=lambda: np.empty(0))
+    marker_chances: FloatArray = field(default_factory=lambda: np.empty(0))
     distances: FloatArray = field(default_factory=lambda: np.empty(0))
     widening: float = 1.0
 
     def p_value(self, raw: float) -> float:
         """Return the share of honest events that look at least as improbable as a chance `raw` by the mixture."""
-        n = len(self.p_values)
-        if n == 0:
-            return raw
-        rank = float(np.interp(raw, self.p_values, np.arange(1, n + 1))) if raw >= self.p_values[0] else 0.0
-        if rank >= 1.0:
-            return min(1.0, rank / (n + 1))
-        # Below all of them: in proportion to the chance itself.
-        return float(raw / self.p_values[0] / (n + 1))
+        return _share(self.p_values, raw)
+
+    def marker_p_value(self, chance: float) -> float:
+        """Return the share of honest events of which a marker is as improbable given the others, times their number."""
+        return _share(self.marker_chances, chance)
 
     def is_far(self, distance: float, level: float) -> bool:
         """Whether fewer than a share `level` of the honest events lie so far from the training set."""
         return bool(len(self.distances) and distance > np.quantile(self.distances, 1.0 - level))
+
+
+def _share(honest: FloatArray, chance: float) -> float:
+    """Return the share of ascending chances that are no larger than a given one; that itself if none are known."""
+    n = len(honest)
+    if n == 0:
+        return chance
+    if chance < honest[0]:
+        # Below all of them: in proportion to the chance itself.
+        return float(chance / honest[0] / (n + 1))
+    return float(np.interp(chance, honest, np.arange(1, n + 1)) / (n + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +173,7 @@ class Calibration:
 
     def at(self, rows_of: RowsOf) -> "PointCalibration":
         """Return the same at markers and targets. Cost: a product of n_patterns^2 n_rows for every kind."""
-        change = None if self.change is None else self.change.errors.at(rows_of)[0]
+        change = None if self.change is None else self.change.errors.at(rows_of)
         return PointCalibration(self, self.errors.at(rows_of), change)
 
     def distance(self, code: FloatArray) -> float:
@@ -195,15 +234,20 @@ class PointCalibration:
     ----------
     whole : Calibration
         Of the model.
-    errors : ndarray of float64, shape (n_kinds, n_rows, n_rows)
-        Covariance of the errors of each kind, mm^2.
-    change_errors : ndarray of float64, shape (n_rows, n_rows), or None
-        Of the change from a simulation, per mm of the event's size squared.
+    errors : RowErrors
+        Of each kind.
+    change_errors : RowErrors or None
+        Of the change from a simulation, of one kind; per mm of the event's size.
     """
 
     whole: Calibration
-    errors: FloatArray
-    change_errors: FloatArray | None
+    errors: RowErrors
+    change_errors: RowErrors | None
+
+    def of(self, rows: IntArray) -> "PointCalibration":
+        """Return that of some rows, in their order."""
+        change = None if self.change_errors is None else self.change_errors.of(rows)
+        return PointCalibration(self.whole, self.errors.of(rows), change)
 
     def rehearsal(self, anchored: bool) -> Rehearsal:
         """Return the rehearsal that a registration with or without a simulation is compared with."""
@@ -216,7 +260,7 @@ class PointCalibration:
         return [
             Component(share * weight * law.scale_weights, law.scales, mean, covariance, errors)
             for weight, mean, covariance, errors in zip(
-                kinds.weights, kinds.means, kinds.covariances, self.errors, strict=True
+                kinds.weights, kinds.means, kinds.covariances, self.errors.covariances, strict=True
             )
         ]
 
@@ -241,7 +285,11 @@ class PointCalibration:
         along, square = code - rest_code, max(size, LEAST_SIZE_MM) ** 2
         covariance = change.stretch * np.outer(along, along) + square * change.covariance
         about = Component(
-            (1.0 - UNRELATED) * law.scale_weights, law.scales, code, covariance, square * self.change_errors
+            (1.0 - UNRELATED) * law.scale_weights,
+            law.scales,
+            code,
+            covariance,
+            square * self.change_errors.covariances[0],
         )
         return [about, *self.prior(UNRELATED)]
 
@@ -265,6 +313,7 @@ def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
         f"{name}_scales": rehearsal.scales,
         f"{name}_scale_weights": rehearsal.scale_weights,
         f"{name}_p_values": rehearsal.p_values,
+        f"{name}_marker_chances": rehearsal.marker_chances,
         f"{name}_distances": rehearsal.distances,
         f"{name}_widening": np.array(rehearsal.widening),
     }
@@ -276,6 +325,7 @@ def _rehearsal_in(file: Archive, name: str) -> Rehearsal:
         scales,
         file.floats(f"{name}_scale_weights", len(scales)),
         file.floats(f"{name}_p_values", None),
+        file.floats(f"{name}_marker_chances", None),
         file.floats(f"{name}_distances", None),
         float(file.floats(f"{name}_widening")),
     )

@@ -1,12 +1,13 @@
 r"""Kinds of events: the codes of a training set as a mixture of Gaussians.
 
-A data set holds events of many kinds and sizes: a body that hangs, one that is pushed at a few places. Their codes differ in size by
-orders of magnitude, so that one Gaussian is too wide for most of them and too narrow for a few. The mixture
+A data set holds events of many kinds and sizes: a body that hangs, one that is pushed at a few places. Their codes
+differ in size by orders of magnitude, so that one Gaussian is too wide for most of them and too narrow for a few. The
+mixture
 
     p(z) = sum_k w_k N(z; m_k, C_k)
 
-is fitted by expectation and maximisation (A. P. Dempster, N. M. Laird and D. B. Rubin, Journal of the Royal Statistical Society B
-39, 1-38, 1977).
+is fitted by expectation and maximisation (A. P. Dempster, N. M. Laird and D. B. Rubin, Journal of the Royal
+Statistical Society B 39, 1-38, 1977).
 """
 
 from dataclasses import dataclass

@@ -1,20 +1,20 @@
 r"""Bayes' rule for a decoder that is linear about a point, under a mixture of Gaussians.
 
-Component c says that the latents are N(m_c, s P_c) and the model's own error at markers and targets is N(0, s E_c), with s one of a
-few squared scales: events of a kind differ in size. With G and T the derivatives of markers and targets by latents, and C_d the tracker's noise,
+Component c says that the latents are N(m_c, s P_c) and the model's own error at markers and targets is N(0, s E_c),
+with s one of a few squared scales: events of a kind differ in size. With G and T the derivatives of markers and
+targets by latents, and C_d the tracker's noise,
 
     S = s (G P_c G' + E_c[markers, markers]) + C_d,      v = y - g(m_c),
     targets | y, c, s  ~  N( t(m_c) + K v, ... ),        K = s (T P_c G' + E_c[targets, markers]) S^-1.
 
-The error at the targets is learnt from the residual at the markers as far as the two are correlated. A component's probability is its own
-times N(v; 0, S). Over scales and components the posterior is a mixture; its first two moments are reported.
+The error at the targets is learnt from the residual at the markers as far as the two are correlated. A component's
+probability is its own times N(v; 0, S). Over scales and components the posterior is a mixture; its first two moments
+are reported.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
-from scipy.stats import chi2
 
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import NoiseError
@@ -130,6 +130,9 @@ def condition(prior: list[Component], model: Linear, observed: FloatArray, noise
     NoiseError
         If the covariance of an innovation is not positive definite.
     """
+    from scipy.linalg import lapack
+    from scipy.stats import chi2
+
     n_obs = len(observed)
     slopes = model.slopes
     found = []
@@ -173,6 +176,8 @@ def condition(prior: list[Component], model: Linear, observed: FloatArray, noise
 
 def log_evidence(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> FloatArray:
     """Return log N(v; 0, S), (n_components, n_scales), without weights and constant; arguments as for `condition`."""
+    from scipy.linalg import lapack
+
     n_obs = len(observed)
     seen = model.slopes[:n_obs]
     logs = np.empty((len(prior), len(prior[0].scales)))

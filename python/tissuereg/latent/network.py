@@ -13,6 +13,8 @@ from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import ModelError
 from tissuereg.io.npz import Archive, open_npz
 from tissuereg.latent.batches import in_batches
+from tissuereg.latent.calibration import Calibration
+from tissuereg.latent.calibration_file import read_calibration
 from tissuereg.latent.card import MODEL_FILES, check_files, read_card
 from tissuereg.latent.cut import CutDecoder, session
 from tissuereg.latent.decoders import ClosureDecoder, GraphDecoder, read_decoder
@@ -79,6 +81,7 @@ class NetworkModel:
         with open_npz(self.folder / "decoder_weights.npz") as weights:
             self._errors = _errors_in(weights, "error_fields_mm", "error_sizes_mm", self.n_nodes)
             self._change_errors = _errors_in(weights, "change_error_fields_mm", "change_sizes_mm", self.n_nodes)
+        self.calibration: Calibration | None = read_calibration(self.folder, card)
         errors = card["errors_mm"]
         self.card = {
             "kind": card["kind"],
@@ -140,6 +143,11 @@ class NetworkModel:
             ["mean", "log_variance"], {"displacement": given[None].astype(np.float32)}
         )
         return np.asarray(mean[0], np.float64), np.exp(np.asarray(log_variance[0], np.float64))
+
+    @cached_property
+    def rest_code(self) -> FloatArray:
+        """Code of the undeformed body, (n_latent,)."""
+        return np.asarray(self.codes(np.zeros((1, self.n_nodes, 3)))[0])
 
     def codes(self, fields: FloatArray) -> FloatArray:
         """Return the means (n_fields, n_latent) of q(z | field) of fields (n_fields, n_nodes, 3) in mm."""
@@ -255,6 +263,8 @@ class AnchoredModel:
         self._simulation = simulation
         self._prior = network.prior(simulation)
         self._coded: FloatArray | None = None
+        self.code: FloatArray = self._prior.mean
+        self.calibration = network.calibration
         self.card = network.card
 
     @property
@@ -266,6 +276,11 @@ class AnchoredModel:
     def n_nodes(self) -> int:
         """Number of mesh nodes."""
         return self._network.n_nodes
+
+    @property
+    def rest_code(self) -> FloatArray:
+        """Code of the undeformed body, (n_latent,)."""
+        return self._network.rest_code
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""

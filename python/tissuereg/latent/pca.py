@@ -7,6 +7,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import EnsembleError
+from tissuereg.latent.calibration import Calibration
 from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement
 
 
@@ -40,6 +41,7 @@ class PcaModel:
         self.error_fields = error_fields
         self.error_sizes = error_sizes
         self.card = card
+        self.calibration: Calibration | None = None
 
     @classmethod
     def fit(

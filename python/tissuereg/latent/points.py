@@ -4,12 +4,15 @@ Everything between the first draw and the last covariance needs markers and targ
 the size of the event, on which the model's error depends, and for the answer.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg.latent.calibration import PointCalibration
 from tissuereg.latent.model import Gaussian, LatentModel, ScaledErrors, ScalesErrors, mean_square
 from tissuereg.latent.network import AnchoredModel, NetworkModel
 from tissuereg.observe import MarkerObservation, TargetObservation
@@ -86,8 +89,8 @@ class PointModel:
     def at(self, fields: FloatArray) -> FloatArray:
         """Return displacements (..., n_points, 3) of the points of fields at the nodes around them (..., k, 3)."""
         columns = np.moveaxis(fields, -2, 0)
-        moved = self._near @ columns.reshape(len(columns), -1)
-        return np.moveaxis(np.asarray(moved).reshape(-1, *columns.shape[1:]), 0, -2)
+        moved = self._near @ columns.reshape(len(columns), math.prod(columns.shape[1:]))
+        return np.moveaxis(np.asarray(moved).reshape(self._near.shape[0], *columns.shape[1:]), 0, -2)
 
     def at_points(self, fields: FloatArray) -> FloatArray:
         """Return the same of whole fields (..., n_nodes, 3)."""
@@ -100,6 +103,17 @@ class PointModel:
     def targets(self, moved: FloatArray) -> FloatArray:
         """Return displacements (..., n_targets, 3) of targets from those of points."""
         return moved[..., self._split :, :]
+
+    def components(self, moved: FloatArray) -> FloatArray:
+        """Return components (n_fields, 3 (n_markers + n_targets)) of displacements (n_fields, n_points, 3), mm."""
+        both = np.concatenate([self.markers(moved), self.targets(moved)], axis=1)
+        return both.reshape(len(both), -1)
+
+    @cached_property
+    def calibration(self) -> PointCalibration | None:
+        """What the model's answers are worth at the markers and targets; None if that was not measured."""
+        whole = getattr(self.model, "calibration", None)
+        return None if whole is None else whole.at(lambda fields: self.components(self.at_points(fields)))
 
     def errors(self, law: ScaledErrors, scale: FloatArray) -> ErrorsAt:
         """Return errors that are scaled by a factor a field; at the points they are found once."""
@@ -154,6 +168,15 @@ class PointsAround:
             self.first(latents[:, :0])
         moved = self._at.decode(latents)
         return moved if self._shift is None else moved + self._shift
+
+    @property
+    def calibration(self) -> PointCalibration | None:
+        """What the model's answers are worth at the markers and targets; None if that was not measured."""
+        return self._at.calibration
+
+    def components(self, moved: FloatArray) -> FloatArray:
+        """Return components of displacements of points; see `PointModel.components`."""
+        return self._at.components(moved)
 
     def markers(self, moved: FloatArray) -> FloatArray:
         """Return displacements (..., n_markers, 3) of markers from those of points."""

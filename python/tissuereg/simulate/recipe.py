@@ -309,7 +309,7 @@ def _check(path: Any, recipe: Recipe) -> None:
         (recipe.material.young_kpa[0] > 0, "[material] young_kpa must be positive"),
         (-1 < recipe.material.poisson < 0.5, "[material] poisson must lie in (-1, 0.5)"),
         (
-            -1 < recipe.material.poisson + pairs.poisson_change[0]
+            recipe.material.poisson + pairs.poisson_change[0] > -1
             and recipe.material.poisson + pairs.poisson_change[1] < 0.5,
             "[pairs] poisson_change must keep Poisson's ratio in (-1, 0.5)",
         ),

@@ -1,0 +1,120 @@
+"""The page ``docs/spread.md`` and its picture, from the archive of `spread.py`."""
+
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+PICTURE = "spread.png"
+
+_HEAD = """# Is the spread honest?
+
+Registrations with the trained model, of shapes that it never saw: 15 random markers on the free surface with 0.1 mm of
+noise, 20 random inner points each. Made by `make spread`; the method is described in
+[Spread with a trained model](theory/kinds-of-events.md).
+
+* **Known physics**: {known} shapes of the test split, without a simulation. *Before* is the undeformed body.
+* **Foreign physics**: {foreign} shapes of ten-node elements with a stiff inclusion, another Poisson's ratio (0.40 to
+  0.48), another modulus and loads that are off, each with the believed model's simulation of the same event. *Before*
+  is that simulation. {development} other pairs were used to calibrate.
+
+*ours*: the model with its calibration. *one Gaussian*: the same model without it (its prior and its errors one Gaussian
+each). *paper*: Algorithm 1 as the paper has it: prior $q(z \\mid M_t)$, $C_d$ = 0.1 mm², 100 members, 5 assimilations;
+$M_t$ is the simulation, or the undeformed body. *pca26*: 26 principal components in place of the network. The last
+column: events whose mean error at the targets is larger than before.
+
+![Coverage, ranks and p-values](spread.png)
+"""
+
+_COLUMNS = (
+    "method (events)",
+    "50 % region holds",
+    "90 % region holds",
+    "95 % region holds",
+    "CRPS, mm",
+    "radius of the 90 % region, mean (median), mm",
+    "error before, mm",
+    "error after, mean (median), mm",
+    "events that end worse",
+)
+
+
+def page(found: dict[str, Any]) -> str:
+    """Return the page of the figures."""
+    sets = found["sets"]
+    text = _HEAD.format(
+        known=sets["known"]["ours"]["events"],
+        foreign=sets["foreign"]["ours"]["events"],
+        development=found["n_development_pairs"],
+    )
+    for name, title in (("known", "Known physics"), ("foreign", "Foreign physics")):
+        text += f"\n## {title}\n\n{_table(sets[name])}"
+    text += "\n" + _trust(found)
+    model = found["model"]
+    return text + (
+        f"\nModel: {model['kind']}, {model['test_error_mm']:.3f} mm mean error on the test split (26 principal "
+        f"components {model['pca26_test_error_mm']:.3f} mm). Ranges in brackets: 95 %, events drawn again.\n"
+    )
+
+
+def _table(methods: dict[str, Any]) -> str:
+    lines = [f"| {' | '.join(_COLUMNS)} |", "|---" * len(_COLUMNS) + "|"]
+    for name, row in methods.items():
+        cover = [f"{100 * a:.0f} % ({100 * b:.0f}-{100 * c:.0f})" for a, b, c in row["coverage"].values()]
+        radius, after = row["radius90_mm"], row["after_mm"]
+        worse = f"{row['worse']}"
+        if "worse_on_average" in row:
+            silent = row["worse_on_average_without_a_word"]
+            worse += f", {row['worse_on_average']} on average over noise, {silent} of them without a word"
+        lines.append(
+            f"| {name} ({row['events']}) | {' | '.join(cover)} | {row['crps_mm']:.3f} "
+            f"| {radius['mean']:.2f} ({radius['median']:.2f}) | {row['before_mm']['mean']:.2f} "
+            f"| {after['mean']:.2f} ({after['median']:.2f}) | {worse} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _trust(found: dict[str, Any]) -> str:
+    known, foreign = (found["sets"][name]["ours"] for name in ("known", "foreign"))
+    lines = [
+        "## Trust\n",
+        "`result.trust` compares with honest events of the validation split; its tests share a level of 1 %.\n",
+        "| input | cases | warned or refused |",
+        "|---|---|---|",
+        f"| honest, known physics | {known['events']} | {100 * known['alarms']:.1f} % |",
+        f"| honest, foreign physics | {foreign['events']} | {100 * foreign['alarms']:.1f} % |",
+    ]
+    for name, row in found["alarms"].items():
+        lines.append(f"| {name} ({row['events']}) | {row['cases']} | {100 * row['fired'] / row['cases']:.0f} % |")
+    return "\n".join(lines) + "\n"
+
+
+def write_page(found: dict[str, Any]) -> None:
+    """Write page and picture."""
+    (DOCS / "spread.md").write_text(page(found), encoding="utf-8")
+    picture(found)
+
+
+def picture(found: dict[str, Any]) -> None:
+    """Draw coverage of all methods, and ranks and p-values of ours."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(2, 3, figsize=(11.0, 6.0), constrained_layout=True)
+    for row, (name, title) in zip(axes, (("known", "known physics"), ("foreign", "foreign physics")), strict=True):
+        for method, one in found["sets"][name].items():
+            levels = [float(level) for level in one["coverage"]]
+            row[0].plot(levels, [value[0] for value in one["coverage"].values()], "o-", label=method, markersize=4)
+        row[0].plot([0, 1], [0, 1], color="0.7", zorder=0)
+        row[0].set(xlabel="region", ylabel="share of targets inside", title=title, xlim=(0.4, 1.0), ylim=(0, 1))
+        row[0].legend(fontsize=7)
+        ours = found["sets"][name]["ours"]
+        for axis, key, label in ((row[1], "ranks", "rank of the truth"), (row[2], "p_values", "p-value")):
+            counts = ours[key]
+            share = [len(counts) * count / max(1, sum(counts)) for count in counts]
+            axis.bar([(i + 0.5) / len(counts) for i in range(len(counts))], share, 0.9 / len(counts), color="#4477aa")
+            axis.axhline(1.0, color="0.4")
+            axis.set(xlabel=label, ylabel="over uniform", title=f"ours, {title}")
+    figure.savefig(DOCS / PICTURE, dpi=90)
+    plt.close(figure)

@@ -1,0 +1,85 @@
+"""``tissuereg calibrate``: measure what a trained model's answers are worth."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
+from tissuereg.cli.options import add_common, command_parser
+
+_DETAILS = (
+    "MODEL is a folder that 'tissuereg train' made, DATA the data set it was trained on. Codes of the training split "
+    "give the kinds of events, the validation split the model's errors and how honest measurements look: its events "
+    "are registered from random markers. PAIRS holds files pairs_*.npz with simulation_mm and truth_mm "
+    "(n, n_nodes, 3): what is believed, and what happens. "
+    "The folder gets calibration.npz; 'tissuereg register --model' uses it."
+)
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command's parser.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers action
+        Where to.
+    """
+    example = "tissuereg calibrate model --data data --pairs pairs --json -"
+    parser = command_parser(
+        commands, "calibrate", "measure what a trained model's answers are worth", _DETAILS, example
+    )
+    parser.add_argument("model", metavar="MODEL", help="folder of a trained model")
+    parser.add_argument("--data", required=True, metavar="DATA", help="data set that it was trained on")
+    parser.add_argument("--pairs", metavar="PAIRS", help="folder of pairs of simulation and truth")
+    add_common(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Calibrate and write.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    Outcome
+        Schema ``tissuereg.calibrate/1``.
+    """
+    import numpy as np
+
+    from tissuereg.io.datasets import open_dataset
+    from tissuereg.io.pairs import read_pairs
+    from tissuereg.latent.calibrate import RehearsalSettings, calibrate, codes_of
+    from tissuereg.latent.calibration_file import write_calibration
+    from tissuereg.latent.network import NetworkModel
+
+    clock = Stopwatch()
+    data = open_dataset(args.data)
+    model = NetworkModel(args.model, data.mesh, threads=1)
+    unseen = np.asarray(data.displacement[data.split["valid"]], np.float64)
+    pairs = None if args.pairs is None else read_pairs(args.pairs, data.mesh.n_nodes)
+    clock.lap("read")
+    codes = codes_of(model, data.displacement, data.split["train"])
+    clock.lap("encode")
+    settings = RehearsalSettings(seed=args.seed)
+    made = calibrate(model, data.mesh, codes, unseen, pairs, settings=settings)
+    clock.lap("rehearse")
+    write_calibration(Path(args.model), made)
+    clock.lap("write")
+    content = {
+        "schema": "tissuereg.calibrate/1",
+        "kinds": len(made.kinds.weights),
+        "events": len(unseen),
+        "pairs": 0 if pairs is None else len(pairs[0]),
+        "widening": {
+            "alone": made.alone.widening,
+            "simulated": None if made.anchored is None else made.anchored.widening,
+        },
+        "seed": args.seed,
+        "seconds": clock.seconds,
+    }
+    lines = [f"{content['kinds']} kinds of events, {content['events']} rehearsals, {content['pairs']} pairs"]
+    return Outcome(content, "\n".join([*lines, seconds_line(clock.seconds)]), args.threads)

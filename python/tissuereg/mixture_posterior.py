@@ -1,0 +1,295 @@
+"""The answer of a calibrated model: kinds of events, their scales, and the model's own errors, given the markers.
+
+An ensemble has found where the latents are; the decoder is linearised there, and the mixture of
+`tissuereg.latent.mixture` is conditioned on the markers. The moments are those at markers and targets; whole fields
+are made for the answer alone.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.latent.calibration import LEAST_SIZE_MM, FieldErrors, PointCalibration, Rehearsal, RowErrors
+from tissuereg.latent.mixture import Component, Linear, MixturePosterior
+from tissuereg.latent.model import rms_displacement
+from tissuereg.latent.network import AnchoredModel
+from tissuereg.latent.points import PointsAround
+from tissuereg.latent.relinearise import conditioned, spread_of
+from tissuereg.markers import Markers
+from tissuereg.mesh import Mesh, det_f
+
+#: Linearisations about the ensemble's mean and then about the mixture's.
+_PASSES = 3
+
+#: Posterior fields that the spread of nodes is taken from, and how many are decoded at once.
+_DRAWS, _BATCH = 64, 32
+
+#: Parts of the correction that are tried.
+_SHARES = (1.0, 0.7, 0.5, 0.35, 0.2)
+
+#: Beyond this chance that the simulation is not of this event, the result says so.
+UNRELATED_LIKELY = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedPosterior:
+    """Moments of the posterior mixture; lengths in mm. What it shares with `tissuereg.posterior.Posterior` is as there.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    model : PointsAround
+        The model of this moment at markers and targets.
+    at : PointCalibration
+        What its answers are worth there; the rows of the used markers come first.
+    order : ndarray of int64, shape (n_markers,)
+        Markers in the order of the rows.
+    prior : list of Component
+        Of the mixture.
+    linear : Linear
+        The decoder as it was linearised last.
+    found : MixturePosterior
+        The mixture at markers and targets.
+    observed, noise : ndarray of float64, shape (3 n_used,) and (3 n_used, 3 n_used)
+        Measured displacements, and the covariance of the tracker's noise.
+    seed : int
+        Of draws.
+    size : float
+        Root mean square displacement of the simulation; 0 without one.
+    rehearsal : Rehearsal
+        What it is compared with.
+    """
+
+    mesh: Mesh
+    model: PointsAround
+    at: PointCalibration
+    order: IntArray
+    prior: list[Component]
+    linear: Linear
+    found: MixturePosterior
+    observed: FloatArray
+    noise: FloatArray
+    seed: int
+    size: float
+    rehearsal: Rehearsal
+
+    @classmethod
+    def of(
+        cls,
+        mesh: Mesh,
+        model: PointsAround,
+        calibration: PointCalibration,
+        used: IntArray,
+        markers: Markers,
+        start: FloatArray,
+        simulation: FloatArray | None,
+        seed: int,
+    ) -> "CalibratedPosterior":
+        """Return the posterior.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Undeformed body.
+        model : PointsAround
+            The model of this moment at markers and targets.
+        calibration : PointCalibration
+            What its answers are worth there.
+        used : ndarray of int64, shape (n_used,)
+            Markers that are used.
+        markers : Markers
+            Measured.
+        start : ndarray of float64, shape (n_latent,)
+            Where the decoder is linearised first.
+        simulation : ndarray of float64, shape (n_nodes, 3), or None
+            Simulated displacement, mm.
+        seed : int
+            Of the draws for the spread of nodes.
+
+        Returns
+        -------
+        CalibratedPosterior
+            Cost: two or three decodes of 2 n_latent + 1 columns at markers and targets.
+        """
+        order = np.concatenate([used, np.setdiff1d(np.arange(len(markers)), used)])
+        rows = np.arange(calibration.errors.patterns.shape[1])
+        rows[: 3 * len(order)] = (3 * order[:, None] + np.arange(3)).ravel()
+        at = calibration if np.array_equal(order, np.arange(len(order))) else calibration.of(rows)
+        size = 0.0 if simulation is None else float(rms_displacement(simulation[None])[0])
+        latent = model.latent
+        prior = at.prior_about(latent.code, latent.rest_code, size) if isinstance(latent, AnchoredModel) else at.prior()
+        observed = markers.displacement[used].ravel()
+        noise = np.diag((markers.axis_std[used] ** 2).ravel())
+        found, linear = conditioned(
+            lambda latents: model.components(model.decode(latents))[:, rows],
+            prior,
+            observed,
+            noise,
+            start,
+            spread_of(at.whole.kinds),
+            _PASSES,
+        )
+        anchored = len(prior) > len(at.whole.kinds.weights)
+        rehearsal = at.rehearsal(anchored)
+        return cls(mesh, model, at, order, prior, linear, found, observed, noise, seed, size, rehearsal)
+
+    @cached_property
+    def _covariance(self) -> FloatArray:
+        return self.found.covariance
+
+    @cached_property
+    def _decoded(self) -> FloatArray:
+        field: FloatArray = self.model.latent.decode(self.found.mean_latents[:, None])[0]
+        return field
+
+    @cached_property
+    def _correction(self) -> FloatArray:
+        """What the markers tell of the model's error at every node (n_nodes, 3)."""
+        told: dict[int, tuple[FieldErrors, FloatArray]] = {}
+        for weight, number, scale, pull in zip(
+            self.found.weights, self.found.component, self.found.scale, self.found.pulls, strict=True
+        ):
+            errors, covariance = self._errors(int(number))
+            coefficients = weight * scale**2 * covariance @ (errors.patterns[:, : len(pull)] @ pull)
+            _, before = told.get(id(errors), (errors.whole, 0.0))
+            told[id(errors)] = errors.whole, before + coefficients
+        fields = (np.tensordot(coefficients, whole.basis, 1) for whole, coefficients in told.values())
+        return np.asarray(sum(fields, np.zeros_like(self._decoded)))
+
+    @cached_property
+    def displacement(self) -> FloatArray:
+        """Displacement of every node (n_nodes, 3): decoded, and corrected by what the markers tell of the error.
+
+        The correction knows no mechanics: of one that would turn tets inside out as large a part is taken as does not.
+        """
+        for share in _SHARES:
+            field = self._decoded + share * self._correction
+            if float(det_f(self.mesh, field).min()) > 0.0:
+                return field
+        return self._decoded
+
+    def std(self) -> FloatArray:
+        """Return the root of the trace of every node's covariance, (n_nodes,), from 64 posterior fields."""
+        total, square = np.zeros_like(self.displacement), np.zeros(len(self.displacement))
+        for fields in self._drawn():
+            away = fields - self.displacement
+            total += away.sum(axis=0)
+            square += np.einsum("eni,eni->n", away, away)
+        variance = (square - np.einsum("ni,ni->n", total, total) / _DRAWS) / (_DRAWS - 1)
+        return np.asarray(np.sqrt(self.rehearsal.widening * np.maximum(variance, 0.0)))
+
+    @property
+    def _n_used(self) -> int:
+        return len(self.observed) // 3
+
+    @property
+    def _n_markers(self) -> int:
+        return len(self.order)
+
+    @cached_property
+    def marker_mean(self) -> FloatArray:
+        """Displacement (n_markers, 3) of every marker, seen or not."""
+        mean = np.empty((self._n_markers, 3))
+        mean[self.order] = self.found.mean[: 3 * self._n_markers].reshape(-1, 3)
+        return mean
+
+    @cached_property
+    def marker_covariance(self) -> FloatArray:
+        """Covariance (3 n_markers, 3 n_markers) of the markers, the model's own error included."""
+        rows = (3 * self.order[:, None] + np.arange(3)).ravel()
+        covariance = np.empty((len(rows), len(rows)))
+        covariance[np.ix_(rows, rows)] = self._covariance[: len(rows), : len(rows)]
+        return self.rehearsal.widening * covariance
+
+    @property
+    def marker_error(self) -> FloatArray:
+        """The model's own error at the markers beyond `marker_covariance`: none."""
+        return np.zeros((self._n_markers, 3, 3))
+
+    @property
+    def marker_noiseless(self) -> FloatArray:
+        """Posterior covariance of the used markers as the mixture has it."""
+        return self._covariance[: len(self.observed), : len(self.observed)]
+
+    @property
+    def target_mean(self) -> FloatArray:
+        """Displacement (n_targets, 3) of every target."""
+        return self.found.mean[3 * self._n_markers :].reshape(-1, 3)
+
+    @property
+    def target_covariance(self) -> FloatArray:
+        """Covariance (n_targets, 3, 3), the model's own error included."""
+        first = range(3 * self._n_markers, len(self._covariance), 3)
+        blocks = [self._covariance[i : i + 3, i : i + 3] for i in first]
+        return self.rehearsal.widening * np.array(blocks).reshape(-1, 3, 3)
+
+    def gains(self, start: FloatArray) -> list[tuple[float, bool]]:
+        """Return for every target how much surer the answer is than a start, and whether that is too little.
+
+        Parameters
+        ----------
+        start : ndarray of float64, shape (n_targets, 3)
+            Displacement of the simulation, or zero, mm.
+
+        Returns
+        -------
+        list of (float, bool)
+            Share of the start's expected squared error that is gone, ``|mean - start|^2 / (|mean - start|^2 + trace
+            C)``. Too little: less than half, where what is left is more than the tracker's noise.
+        """
+        removed = ((self.target_mean - start) ** 2).sum(axis=1)
+        left = np.trace(self.target_covariance, axis1=1, axis2=2)
+        noise = 3.0 * float(np.diag(self.noise).mean())
+        return [(float(a / max(a + b, 1e-300)), bool(a < b and b > noise)) for a, b in zip(removed, left, strict=True)]
+
+    @property
+    def p_value(self) -> float:
+        """Share of honest events whose markers look at least as improbable."""
+        return self.rehearsal.p_value(self.found.p_value)
+
+    @property
+    def unrelated(self) -> float:
+        """Chance that the simulation is not of this event; 0 without one."""
+        if len(self.prior) == len(self.at.whole.kinds.weights):
+            return 0.0
+        return float(self.found.weights[self.found.component > 0].sum())
+
+    def _errors(self, number: int) -> tuple[RowErrors, FloatArray]:
+        """Return the errors of a component, and the covariance of their coefficients at scale one."""
+        anchored = len(self.prior) - len(self.at.whole.kinds.weights)
+        change = self.at.change_errors
+        if anchored and number == 0 and change is not None:
+            square = max(self.size, LEAST_SIZE_MM) ** 2
+            return change, square * change.whole.covariances[0]
+        return self.at.errors, self.at.errors.whole.covariances[number - anchored]
+
+    def _drawn(self) -> list[FloatArray]:
+        """Return posterior fields, by conditioning draws of the prior (A. G. Journel, C. J. Huijbregts, 1978)."""
+        rng, found, n_obs = np.random.default_rng([self.seed, 5]), self.found, len(self.observed)
+        chosen = np.searchsorted(np.cumsum(found.weights), (np.arange(_DRAWS) + rng.random()) / _DRAWS * 0.999999)
+        tracker = np.linalg.cholesky(self.noise)
+        codes, corrections = [], []
+        for pair in chosen:
+            number, scale = int(found.component[pair]), float(found.scale[pair])
+            one, (errors, covariance) = self.prior[number], self._errors(number)
+            seen, slopes = errors.patterns[:, :n_obs], self.linear.slopes[:n_obs]
+            code = one.mean + scale * np.linalg.cholesky(one.covariance) @ rng.standard_normal(len(one.mean))
+            values, vectors = np.linalg.eigh(covariance)
+            roots = vectors * np.sqrt(np.maximum(values, 0.0))
+            coefficients = scale * roots @ rng.standard_normal(len(roots))
+            total = scale**2 * (slopes @ one.covariance @ slopes.T + one.errors[:n_obs, :n_obs]) + self.noise
+            rest = scale**2 * np.maximum(np.diag(one.errors[:n_obs, :n_obs] - seen.T @ covariance @ seen), 0.0)
+            drawn = self.linear.at[:n_obs] + slopes @ (code - self.linear.point) + coefficients @ seen
+            drawn += np.sqrt(rest) * rng.standard_normal(n_obs) + tracker @ rng.standard_normal(n_obs)
+            pull = np.linalg.solve(total, self.observed - drawn)
+            codes.append(code + scale**2 * one.covariance @ (slopes.T @ pull))
+            corrections.append(
+                np.tensordot(coefficients + scale**2 * covariance @ (seen @ pull), errors.whole.basis, 1)
+            )
+        return [
+            self.model.latent.decode(np.array(codes[i : i + _BATCH]).T) + np.array(corrections[i : i + _BATCH])
+            for i in range(0, _DRAWS, _BATCH)
+        ]

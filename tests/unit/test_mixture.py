@@ -1,0 +1,231 @@
+"""Kinds of events, and Bayes' rule under a mixture of them, against closed forms and heavy-tailed events."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from support.meshes import block
+from tissuereg.errors import FormatError, ModelError, NoiseError
+from tissuereg.latent.calibrate import RehearsalSettings, calibrate, field_errors
+from tissuereg.latent.calibration import Calibration, FieldErrors, Rehearsal
+from tissuereg.latent.calibration_file import write_calibration
+from tissuereg.latent.kinds import Kinds
+from tissuereg.latent.mixture import Component, Linear, condition
+from tissuereg.latent.network import NetworkModel
+from tissuereg.latent.pca import PcaModel
+from tissuereg.latent.relinearise import conditioned
+from tissuereg.phantom import phantom_mesh, shipped_model_folder
+
+
+def spread_matrix(size, rng):
+    root = rng.standard_normal((size, size + 3))
+    return root @ root.T / size
+
+
+def one_component(rng, n_latent=4, n_rows=9, scales=(1.0,)):
+    scales = np.array(scales)
+    return Component(
+        np.full(len(scales), 1.0 / len(scales)),
+        scales,
+        rng.standard_normal(n_latent),
+        spread_matrix(n_latent, rng),
+        0.3 * spread_matrix(n_rows, rng),
+    )
+
+
+def test_kinds_of_very_different_size_are_told_apart():
+    rng = np.random.default_rng(0)
+    small, large = 0.05 * rng.standard_normal((600, 5)), 3.0 * rng.standard_normal((300, 5))
+    kinds = Kinds.fit(np.concatenate([small, large]), 2, seed=0)
+    order = np.argsort(np.trace(kinds.covariances, axis1=1, axis2=2))
+    # A share of 900 codes is exact to 1.6 %, a variance of 300 x 5 numbers to 3.7 %; three standard errors.
+    np.testing.assert_allclose(kinds.weights[order], [2 / 3, 1 / 3], atol=0.05)
+    np.testing.assert_allclose(np.trace(kinds.covariances[order[1]]) / 5, 9.0, rtol=0.12)
+    assert kinds.shares(small[:50])[:, order[0]].min() > 0.9
+
+
+def test_one_component_gives_the_conditional_of_its_joint_gaussian():
+    rng = np.random.default_rng(1)
+    one, slopes, at = one_component(rng), rng.standard_normal((9, 4)), rng.standard_normal(9)
+    point, observed, noise = rng.standard_normal(4), rng.standard_normal(5), 0.2 * spread_matrix(5, rng)
+    found = condition([one], Linear(point, at, slopes), observed, noise)
+    joint = slopes @ one.covariance @ slopes.T + one.errors
+    total = joint[:5, :5] + noise
+    prior = at + slopes @ (one.mean - point)
+    gain = np.linalg.solve(total, joint[:5]).T
+    np.testing.assert_allclose(found.mean, prior + gain @ (observed - prior[:5]), atol=1e-11)
+    np.testing.assert_allclose(found.covariance, joint - gain @ total @ gain.T, atol=1e-11)
+
+
+def test_a_mixture_is_that_of_brute_force_on_a_grid():
+    # One latent, one marker, one target, no error: p(z | y) on a fine grid.
+    parts = [
+        Component(np.array([0.7, 0.1]), np.array([0.5, 2.0]), np.array([-1.0]), np.array([[0.5]]), np.zeros((2, 2))),
+        Component(np.array([0.1, 0.1]), np.array([0.5, 2.0]), np.array([2.0]), np.array([[1.5]]), np.zeros((2, 2))),
+    ]
+    observed, noise = np.array([1.2]), np.array([[0.09]])
+    found = condition(parts, Linear(np.zeros(1), np.zeros(2), np.array([[1.0], [2.0]])), observed, noise)
+    z = np.linspace(-15.0, 15.0, 60_001)
+    density = np.zeros_like(z)
+    for one in parts:
+        for weight, scale in zip(one.weights, one.scales, strict=True):
+            variance = scale**2 * one.covariance[0, 0]
+            density += weight * np.exp(-0.5 * (z - one.mean[0]) ** 2 / variance) / np.sqrt(variance)
+    density *= np.exp(-0.5 * (z - observed[0]) ** 2 / noise[0, 0])
+    density /= density.sum()
+    mean = 2.0 * density @ z
+    # Pairs of less than 1e-4 of the most probable one are left out.
+    assert found.mean[1] == pytest.approx(mean, abs=2e-3)
+    assert found.covariance[1, 1] == pytest.approx(4.0 * density @ (z - mean / 2.0) ** 2, rel=2e-3)
+
+
+def test_an_error_that_markers_see_is_taken_out_of_the_target():
+    # The decoder knows nothing; marker and target share their error.
+    one = Component(np.ones(1), np.ones(1), np.zeros(1), np.full((1, 1), 1e-12), np.array([[1.0, 0.9], [0.9, 1.0]]))
+    found = condition([one], Linear(np.zeros(1), np.zeros(2), np.zeros((2, 1))), np.array([2.0]), np.array([[1e-8]]))
+    assert found.mean[1] == pytest.approx(1.8, abs=1e-6)
+    assert found.covariance[1, 1] == pytest.approx(1.0 - 0.81, abs=1e-6)
+
+
+def test_a_quiet_event_gets_small_regions_and_a_large_one_large_regions():
+    rng = np.random.default_rng(2)
+    one, slopes = one_component(rng, 4, 15, (0.1, 0.3, 1.0, 3.0)), rng.standard_normal((15, 4))
+    linear = Linear(one.mean, np.zeros(15), slopes)
+    noise = 1e-4 * np.eye(12)
+    root = np.linalg.cholesky(slopes @ one.covariance @ slopes.T + one.errors)[:12]
+    drawn = root @ rng.standard_normal(15)
+    sizes = [np.trace(condition([one], linear, scale * drawn, noise).covariance[12:, 12:]) for scale in (0.1, 1.0, 3.0)]
+    assert sizes[0] < 0.1 * sizes[1] < 0.5 * sizes[2]
+
+
+def test_chances_of_draws_from_the_prior_are_uniform():
+    rng = np.random.default_rng(3)
+    one, slopes = one_component(rng), rng.standard_normal((9, 4))
+    linear, noise = Linear(one.mean, np.zeros(9), slopes), 0.1 * np.eye(6)
+    root = np.linalg.cholesky((slopes @ one.covariance @ slopes.T + one.errors)[:6, :6] + noise)
+    p = np.sort([condition([one], linear, root @ rng.standard_normal(6), noise).p_value for _ in range(400)])
+    # Largest distance from uniform: the 1 % point of Kolmogorov's law is 1.63 / sqrt(n).
+    assert np.abs(p - (np.arange(400) + 0.5) / 400).max() < 1.63 / np.sqrt(400)
+
+
+def test_a_noise_that_is_no_covariance_is_refused():
+    rng = np.random.default_rng(4)
+    one = one_component(rng)
+    with pytest.raises(NoiseError, match="positive definite"):
+        condition([one], Linear(one.mean, np.zeros(9), np.zeros((9, 4))), np.zeros(6), -100.0 * np.eye(6))
+
+
+def test_relinearising_finds_the_latent_of_a_curved_decoder():
+    def decode(latents):
+        return np.stack([np.sinh(latents[0]), latents[0] ** 3], axis=1)
+
+    one = Component(np.ones(1), np.ones(1), np.zeros(1), np.eye(1), np.zeros((2, 2)))
+    exact = decode(np.array([[0.8]]))[0]
+    found, linear = conditioned(decode, [one], exact[:1], np.array([[1e-8]]), np.zeros(1), np.ones(1), 12)
+    # Secants over 0.2 standard deviations differ from tangents by 0.04 / 6 of the third derivative.
+    assert found.mean_latents[0] == pytest.approx(0.8, abs=5e-3)
+    assert linear.point[0] == pytest.approx(0.8, abs=0.03)
+
+
+def heavy_tailed(mesh, n_fields, seed):
+    """Return fields of six smooth shapes, their sizes over a factor of ten hundred, with errors of other shapes."""
+    rng = np.random.default_rng(9)
+    waves = rng.uniform(0.02, 0.09, (16, 3))
+    phases = rng.uniform(0.0, 6.3, (16, 3))
+    shapes = np.sin((mesh.nodes @ waves.T)[:, :, None] + phases).transpose(1, 0, 2) * (mesh.nodes[:, 2:] / 40.0)
+    shapes[6:] *= 0.15
+    rng = np.random.default_rng(seed)
+    size = np.exp(1.5 * rng.standard_normal((n_fields, 1)))
+    return np.einsum("er,rnx->enx", size * rng.standard_normal((n_fields, 16)), shapes)
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    mesh = block(cells=(5, 4, 6))
+    fields = heavy_tailed(mesh, 1200, 0)
+    model = PcaModel.fit(fields[:700], fields[:0], centre=np.zeros((mesh.n_nodes, 3)), n_latent=6, card={})
+    settings = RehearsalSettings(n_markers=8, n_targets=6, std=0.05, n_events=150)
+    return mesh, model, calibrate(model, mesh, model.codes(fields[:700]), fields[700:], n_kinds=3, settings=settings)
+
+
+def test_regions_of_heavy_tailed_events_hold_their_share_of_targets(calibrated):
+    mesh, model, calibration = calibrated
+    import tissuereg as tr
+
+    model.calibration = calibration
+    rng = np.random.default_rng(5)
+    surface = mesh.nodes[np.setdiff1d(np.unique(mesh.surface), mesh.fixed_nodes)]
+    inside, n_events = [], 150
+    for field in heavy_tailed(mesh, n_events, 6):
+        chosen = rng.choice(len(surface), 8, replace=False)
+        reference = surface[chosen]
+        near = [int(np.argmin(np.linalg.norm(mesh.nodes - place, axis=1))) for place in reference]
+        target = int(rng.choice(np.setdiff1d(np.arange(mesh.n_nodes), np.unique(mesh.surface))))
+        result = tr.register(
+            mesh,
+            tr.Markers(reference, reference + field[near] + 0.05 * rng.standard_normal((8, 3)), std=0.05),
+            model=model,
+            targets={"t": mesh.nodes[target]},
+            settings=tr.RegisterSettings(n_members=40, n_steps=2),
+            threads=1,
+        )
+        found = result.target("t")
+        off = found.mean - mesh.nodes[target] - field[target]
+        inside.append(off @ np.linalg.solve(found.covariance, off) <= 6.2514)
+    # Binomial: standard error 2.4 %, three of them, and one for the widening, itself from 150 rehearsals.
+    assert abs(np.mean(inside) - 0.9) < 0.10
+
+
+def test_a_calibration_is_the_same_after_it_was_written_and_read(calibrated, tmp_path):
+    mesh, _, calibration = calibrated
+    np.savez(tmp_path / "calibration.npz", **calibration.save())
+    again = Calibration.read(tmp_path / "calibration.npz", 6, mesh.n_nodes)
+    np.testing.assert_array_equal(again.kinds.covariances, calibration.kinds.covariances)
+    np.testing.assert_array_equal(again.alone.p_values, calibration.alone.p_values)
+    # Patterns are kept in float16.
+    np.testing.assert_allclose(
+        again.errors.basis, calibration.errors.basis, atol=2e-3 * np.abs(again.errors.basis).max()
+    )
+    assert again.anchored is None
+    with pytest.raises(FormatError, match="kind_means"):
+        Calibration.read(tmp_path / "calibration.npz", 7, mesh.n_nodes)
+
+
+def test_a_calibration_in_a_models_folder_is_used_and_one_that_was_altered_is_refused(tmp_path):
+    folder = tmp_path / "model"
+    shutil.copytree(shipped_model_folder(), folder)
+    assert NetworkModel(folder, phantom_mesh()).calibration is None
+    n = phantom_mesh().n_nodes
+    kinds = Kinds(np.ones(1), np.zeros((1, 26)), np.eye(26)[None])
+    errors = FieldErrors(np.ones((2, n, 3)), np.eye(2)[None], np.zeros((n, 3)))
+    write_calibration(folder, Calibration(kinds, errors, Rehearsal(np.ones(1), np.ones(1))))
+    assert NetworkModel(folder, phantom_mesh()).calibration is not None
+    content = bytearray((folder / "calibration.npz").read_bytes())
+    content[len(content) // 2] ^= 1
+    (folder / "calibration.npz").write_bytes(content)
+    with pytest.raises(ModelError, match="must be the file its card describes"):
+        NetworkModel(folder, phantom_mesh())
+
+
+def test_covariances_of_errors_are_those_of_the_fields_of_a_kind():
+    rng = np.random.default_rng(7)
+    small, large = 0.1 * rng.standard_normal((400, 4, 3)), rng.standard_normal((400, 4, 3))
+    shares = np.repeat(np.eye(2), 400, axis=0)
+    found = (
+        field_errors(np.concatenate([small, large]), shares, 12)
+        .at(lambda fields: fields.reshape(len(fields), -1))
+        .covariances
+    )
+    # 400 x 12 numbers of variance 0.01 and 1: exact to 2 %; a twentieth is borrowed from both, in the size of each.
+    assert np.trace(found[0]) / 12 == pytest.approx(0.01, rel=0.15)
+    assert np.trace(found[1]) / 12 == pytest.approx(1.0, rel=0.10)
+
+
+def test_a_share_of_honest_events_goes_on_below_the_least_of_them():
+    honest = Rehearsal(np.ones(1), np.ones(1), p_values=np.linspace(0.1, 1.0, 99), distances=np.arange(1.0, 101.0))
+    assert honest.p_value(0.1) == pytest.approx(0.01)
+    assert honest.p_value(1.0) == pytest.approx(0.99)
+    assert honest.p_value(0.001) == pytest.approx(0.0001)
+    assert not honest.is_far(98.0, 0.01)
+    assert honest.is_far(100.0, 0.01)
