@@ -248,14 +248,14 @@ def rows(mesh: tr.Mesh, methods: dict[str, Method], events: list[Event], n_rival
 
 
 def other_organ(seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return markers (reference, measured) of twelve events on a body of another shape."""
+    """Return markers (reference, measured) of events on a body of another shape."""
     from tissuereg.phantom.breast import breast_mesh
     from tissuereg.simulate.recipe import recipe_of
 
     small = breast_mesh(700)
     turned = np.stack([-small.nodes[:, 1], small.nodes[:, 0], small.nodes[:, 2]], axis=1) * np.array([0.85, 1.15, 0.9])
     body = tr.Mesh(turned, small.tets, {"fixed": small.fixed_nodes})
-    raw = {**read_recipe(RECIPE).raw, "data": {**read_recipe(RECIPE).raw["data"], "members": 12, "chunk": 12}}
+    raw = {**read_recipe(RECIPE).raw, "data": {**read_recipe(RECIPE).raw["data"], "members": 60, "chunk": 60}}
     chunk = ChunkMaker(recipe_of(raw, "recipe"), body, seed).make(0, threads=1)
     found = []
     for i, field in enumerate(chunk.displacement):

@@ -22,10 +22,10 @@ from tissuereg.latent.network import kept_network
 from tissuereg.latent.points import PointModel, PointsAround
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh, det_f
-from tissuereg.mixture_posterior import UNRELATED_LIKELY, CalibratedPosterior
+from tissuereg.mixture_posterior import CalibratedPosterior
 from tissuereg.posterior import Posterior
 from tissuereg.result import NO_MARKER, MarkerFit, Registration, Target
-from tissuereg.trust import Trust, judge, judge_by_rehearsal
+from tissuereg.trust import LEVEL, Trust, judge, judge_by_rehearsal
 from tissuereg.widen import Linearised, widened
 from tissuereg.wrong_markers import drop_wrong, score_markers
 
@@ -303,7 +303,7 @@ def _calibrated_trust(
     notes: list[str],
 ) -> Trust:
     """Judge by comparison with honest events that the model never saw."""
-    if posterior.unrelated > UNRELATED_LIKELY:
+    if posterior.rehearsal.is_unrelated(posterior.unrelated, LEVEL / 3):
         notes.append("simulation: another event than the simulated one explains the markers better")
     return judge_by_rehearsal(
         names,

@@ -29,9 +29,6 @@ _DRAWS, _BATCH = 64, 32
 #: Parts of the correction that are tried.
 _SHARES = (1.0, 0.7, 0.5, 0.35, 0.2)
 
-#: Beyond this chance that the simulation is not of this event, the result says so.
-UNRELATED_LIKELY = 0.5
-
 
 @dataclass(frozen=True, eq=False)
 class CalibratedPosterior:

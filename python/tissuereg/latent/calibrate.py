@@ -135,7 +135,16 @@ def calibrate(
         without = replace(made, anchored=scales, change=differences.change(rows[rows % _FOLDS != part]))
         for row in rows[rows % _FOLDS == part]:
             rehearsed.add(model, mesh, without, pairs[0][row], pairs[1][row])
-    return replace(made, anchored=rehearsed.outcome())
+    anchored = rehearsed.outcome()
+    # Pairs are few; how far codes lie from the training set, and markers from the others, is seen without them too.
+    return replace(
+        made,
+        anchored=replace(
+            anchored,
+            marker_chances=np.sort(np.concatenate([anchored.marker_chances, made.alone.marker_chances])),
+            distances=np.sort(np.concatenate([anchored.distances, made.alone.distances])),
+        ),
+    )
 
 
 def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
@@ -295,7 +304,7 @@ class _Rehearsed:
 
         scale_weights = _mixing(np.array(self._logs))
         seen = slice(0, len(self._noise))
-        misfits, chances, distances, of_markers = [], [], [], []
+        misfits, chances, distances, of_markers, unrelated = [], [], [], [], []
         for made, prior, n_own, linear, observed, rows in self._events:
             weighted = [replace(one, weights=one.weights.sum() * scale_weights) for one in prior[:n_own]]
             found = condition([*weighted, *prior[n_own:]], linear, observed, self._noise)
@@ -303,6 +312,8 @@ class _Rehearsed:
             chances.append(found.p_value)
             of_markers.append(worst_chance(score_markers(off, self._noise, found.covariance[seen, seen])))
             distances.append(made.distance(found.mean_latents))
+            if n_own < len(prior):
+                unrelated.append(float(found.weights[found.component >= n_own].sum()))
             misfits.append(_misfits(rows - found.mean, found.covariance, seen.stop))
         return replace(
             self._law,
@@ -310,6 +321,7 @@ class _Rehearsed:
             p_values=np.sort(chances),
             marker_chances=np.sort(of_markers),
             distances=np.sort(distances),
+            unrelated=np.sort(unrelated),
             widening=float(np.quantile(np.concatenate(misfits), 0.9) / chi2.ppf(0.9, 3)),
         )
 

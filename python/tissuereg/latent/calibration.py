@@ -112,6 +112,8 @@ class Rehearsal:
         Chance of the marker that fits the others worst, times the number of markers (`worst_chance`), ascending.
     distances : ndarray of float64, shape (n_events,)
         Distances of the fitted codes from the training set (`Calibration.distance`), ascending.
+    unrelated : ndarray of float64, shape (n_events,)
+        Chances that the simulation is not of the event, ascending; of honest pairs. Empty without simulations.
     widening : float
         Factor on covariances with which 90 % regions hold 90 % of the targets.
     """
@@ -121,6 +123,7 @@ class Rehearsal:
     p_values: FloatArray = field(default_factory=lambda: np.empty(0))
     marker_chances: FloatArray = field(default_factory=lambda: np.empty(0))
     distances: FloatArray = field(default_factory=lambda: np.empty(0))
+    unrelated: FloatArray = field(default_factory=lambda: np.empty(0))
     widening: float = 1.0
 
     def p_value(self, raw: float) -> float:
@@ -134,6 +137,11 @@ class Rehearsal:
     def is_far(self, distance: float, level: float) -> bool:
         """Whether fewer than a share `level` of the honest events lie so far from the training set."""
         return bool(len(self.distances) and distance > np.quantile(self.distances, 1.0 - level))
+
+    def is_unrelated(self, chance: float, level: float) -> bool:
+        """Whether a simulation is likelier not of the event, and so in fewer than a share `level` of honest pairs."""
+        usual = np.quantile(self.unrelated, 1.0 - level) if len(self.unrelated) else 0.0
+        return bool(chance > max(0.5, float(usual)))
 
 
 def _share(honest: FloatArray, chance: float) -> float:
@@ -315,6 +323,7 @@ def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
         f"{name}_p_values": rehearsal.p_values,
         f"{name}_marker_chances": rehearsal.marker_chances,
         f"{name}_distances": rehearsal.distances,
+        f"{name}_unrelated": rehearsal.unrelated,
         f"{name}_widening": np.array(rehearsal.widening),
     }
 
@@ -327,5 +336,6 @@ def _rehearsal_in(file: Archive, name: str) -> Rehearsal:
         file.floats(f"{name}_p_values", None),
         file.floats(f"{name}_marker_chances", None),
         file.floats(f"{name}_distances", None),
+        file.floats(f"{name}_unrelated", None),
         float(file.floats(f"{name}_widening")),
     )
