@@ -21,7 +21,7 @@ from tissuereg.io.experiment_keys import FORCES_CSV
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_problem, read_simulation
 
-COMMANDS = ("mesh", "solve", "simulate", "train", "register", "demo", "bench")
+COMMANDS = ("mesh", "solve", "simulate", "train", "calibrate", "register", "demo", "bench")
 ENVELOPE = {"schema", "seconds", "threads", "machine", "versions"}
 
 

@@ -112,3 +112,17 @@ def test_the_page_of_large_bodies_is_that_of_its_archive_and_estimates_hold():
             assert 0.95 * found < told < 2.0 * found, (row["size"]["n_nodes"], command)
     archive["rows"][0]["measured"]["register"]["peak_bytes"] += 10**8
     assert script.page(archive) != script.page(json.loads((BENCHMARKS / "results" / "large-bodies.json").read_text()))
+
+
+def test_the_page_of_the_spread_is_that_of_its_archive():
+    script = loaded("spread_page")
+    archive = json.loads((BENCHMARKS / "results" / "spread.json").read_text(encoding="utf-8"))
+    kept = (BENCHMARKS.parent / "docs" / "spread.md").read_text(encoding="utf-8")
+    assert script.page(archive) == kept
+    assert (BENCHMARKS.parent / "docs" / script.PICTURE).is_file()
+    ours = archive["sets"]["known"]["ours"]
+    # What the page claims is what was wanted of regions.
+    assert 0.86 <= ours["coverage"]["0.90"][0] <= 0.94
+    assert archive["sets"]["foreign"]["ours"]["coverage"]["0.90"][0] >= 0.80
+    ours["coverage"]["0.90"][0] = 0.123
+    assert script.page(archive) != kept

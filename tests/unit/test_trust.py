@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tissuereg.trust import judge
+from tissuereg.trust import judge, judge_by_rehearsal
 
 NAMES = tuple(f"P{i}" for i in range(8))
 
@@ -93,3 +93,51 @@ def test_one_marker_alone_is_not_trusted_unless_points_are_there():
     assert not alone.ok
     assert alone.reasons[0].startswith("few markers: P0 ")
     assert judge(("P0",), np.zeros((1, 3)), noise, 0.2 * noise, 0.0, 0.8, [], (40.0, 40)).ok
+
+
+class Events:
+    """Honest events of which one in a hundred has a chance of at most 0.2, a marker's of 0.1, or a distance above 6."""
+
+    def p_value(self, raw):
+        return raw / 20.0
+
+    def marker_p_value(self, chance):
+        return chance / 10.0
+
+    def is_far(self, distance, level):
+        return distance > 6.0
+
+
+def compared(residual=None, raw=0.5, distance=3.0, min_det_f=0.8, notes=()):
+    residual = np.zeros((8, 3)) if residual is None else residual
+    noise = 0.01 * np.eye(24)
+    return judge_by_rehearsal(NAMES, residual, noise, 0.2 * noise, Events(), raw, distance, min_det_f, list(notes))
+
+
+def test_what_honest_events_show_as_well_is_trusted():
+    trust = compared(raw=0.1)
+    assert trust.ok
+    assert trust.p_value == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize(
+    ("given", "kind"),
+    [
+        ({"raw": 0.05}, "misfit"),
+        ({"distance": 7.0}, "unfamiliar"),
+        ({"min_det_f": -0.1}, "inverted tets"),
+        ({"notes": ["simulation: another"]}, "simulation"),
+    ],
+)
+def test_what_honest_events_do_not_show_is_a_reason(given, kind):
+    assert [reason.split(":")[0] for reason in compared(**given).reasons] == [kind]
+
+
+def test_a_marker_is_wrong_only_if_honest_events_have_none_like_it():
+    residual = np.zeros((8, 3))
+    # Less than 0.01 / 3 of honest events: a chance below a thirtieth, shared out among eight markers.
+    for share, trusted in ((1.2, True), (0.8, False)):
+        residual[5, 0] = 0.1 * np.sqrt(0.8 * chi2.isf(share / 30.0 / 8, 3))
+        trust = compared(residual)
+        assert trust.ok == trusted
+        assert all(reason.startswith("wrong marker: P5 ") for reason in trust.reasons)

@@ -71,9 +71,11 @@ class Kinds:
     @classmethod
     def _of(cls, codes: FloatArray, shares: FloatArray) -> "Kinds":
         """Return the mixture in which code i belongs to kind k by `shares` (n_codes, n_kinds)."""
-        n_codes, n_latent = codes.shape
-        shares = shares[:, shares.sum(axis=0) >= min(_FEWEST, n_codes)]
+        n_latent = codes.shape[1]
         counts = shares.sum(axis=0)
+        # The largest stays, however few the codes.
+        kept = counts >= min(_FEWEST, counts.max())
+        shares, counts = shares[:, kept], counts[kept]
         means = (shares.T @ codes) / counts[:, None]
         covariances = np.empty((len(counts), n_latent, n_latent))
         for k, count in enumerate(counts):
