@@ -84,11 +84,11 @@ def test_a_registration_decodes_the_ensemble_once_a_step_and_once_at_the_end(eve
     assert not any(reason.startswith("simulation") for reason in result.trust.reasons)
     # Draws from the prior with its mean, four later steps, the posterior.
     assert counted["points"] == [101, 100, 100, 100, 100, 100]
-    # The simulation's code, where the markers lie at first, the answer.
-    assert counted["fields"] == 3
+    # Where a linear model finds the state, and the answer; each beside the simulation's code.
+    assert counted["fields"] == 4
     # The spread of nodes decodes every member, and is asked for.
     assert result.std.shape == (event.mesh.n_nodes,)
-    assert counted["fields"] == 103
+    assert counted["fields"] == 4 + 100 + 2
 
 
 def test_a_prior_that_is_widened_costs_one_decode_more(event, simulation, counted):

@@ -88,6 +88,11 @@ def registered():
 
 
 @cache
+def registrar():
+    return tr.Registrar(mesh(), markers(), settings=quick(), threads=1)
+
+
+@cache
 def load():
     return tr.Load(forces=np.where(mesh().nodes[:, 2:] == 40.0, [5.0, 0.0, 0.0], 0.0))
 
@@ -315,6 +320,33 @@ CALLS = {
             "settings": quick(),
             "held": "sure",
         },
+    ),
+    "Registrar": (
+        lambda **given: tr.Registrar(**{"mesh": mesh(), "reference_mm": markers().reference, "threads": 1, **given}),
+        {
+            "mesh": mesh(),
+            "reference_mm": markers().reference,
+            "model": None,
+            "targets": {},
+            "std": 0.1,
+            "names": None,
+            "load": None,
+            "material": tr.Material(),
+            "element": "auto",
+            "held": "sure",
+            "held_nodes": None,
+            "frame": "known",
+            "stiffness": "believed",
+            "seed": 0,
+            "threads": 1,
+            "settings": quick(),
+            "polish": False,
+            "ensemble": 0,
+        },
+    ),
+    "Registrar.register": (
+        lambda **given: registrar().register(**{"measured_mm": markers().measured, **given}),
+        {"measured_mm": markers().measured, "simulation": None, "progress": None, "tell": None},
     ),
     "open_executor": (opened, {"address": "local:2", "task_limit": 900.0, "patience": 60.0}),
     "Processes": (processes, {"n": 2}),

@@ -262,7 +262,6 @@ class AnchoredModel:
         self._errors = change_errors
         self._simulation = simulation
         self._prior = network.prior(simulation)
-        self._coded: FloatArray | None = None
         self.code: FloatArray = self._prior.mean
         self.calibration = network.calibration
         self.card = network.card
@@ -284,18 +283,10 @@ class AnchoredModel:
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
-        moved, coded = self._with_code(latents, nodes)
-        simulation = self._simulation if nodes is None else self._simulation[nodes]
-        return np.asarray(moved + (simulation - coded))
-
-    def _with_code(self, latents: FloatArray, nodes: IntArray | None) -> tuple[FloatArray, FloatArray]:
-        """Return decoded fields, and the one of the simulation's code, which is decoded once and beside others."""
-        if self._coded is not None:
-            return self._network.decode(latents, nodes), self._coded if nodes is None else self._coded[nodes]
+        # Beside the simulation's code in one call: the bits depend on nothing that was decoded before.
         both = self._network.decode(np.concatenate([self._prior.mean[:, None], latents], axis=1), nodes)
-        if nodes is None:
-            self._coded = both[0]
-        return both[1:], both[0]
+        simulation = self._simulation if nodes is None else self._simulation[nodes]
+        return np.asarray(both[1:] + (simulation - both[0]))
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
         """Return the expected errors of the change; see `LatentModel.errors`. They grow with the change."""
