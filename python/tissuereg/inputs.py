@@ -156,22 +156,26 @@ class Attachment:
         how = maybe("settings", settings, RegisterSettings) or RegisterSettings()
         return cls(body, places, observed, inner, how, seed, threads, held)
 
+    def suspicions(self, markers: Markers) -> tuple[str, ...]:
+        """Return reasons why markers may be misread; see `tissuereg.readings.suspect` for the cost."""
+        if not len(markers):
+            return ()
+        found = suspect(self.mesh, markers, self.observed)
+        return tuple(one.sentence for one in found if self.held == "sure" or one.kind != "held")
+
     def holds(self, markers: Markers) -> bool:
         """Whether markers have the reference places and names of these, so that the attachment is theirs as well."""
         return self.places.names == markers.names and np.array_equal(self.places.reference, markers.reference)
 
-    def measured(self, markers: Markers, surface: SurfacePoints | None = None) -> RegisterInput:
-        """Return the input of one moment.
+    def measured(self, markers: Markers, surface: SurfacePoints | None = None, suspects: bool = True) -> RegisterInput:
+        """Return the input of one moment; where it is asked for, with suspicions that the markers are misread.
 
         Raises
         ------
         MarkerError, SurfaceError
             If nothing was seen, or points of the surface lie far from the body.
         """
-        suspicions: tuple[str, ...] = ()
-        if len(markers):
-            found = suspect(self.mesh, markers, self.observed)
-            suspicions = tuple(one.sentence for one in found if self.held == "sure" or one.kind != "held")
+        suspicions = self.suspicions(markers) if suspects else ()
         if surface is None and not np.isfinite(markers.measured).any():
             message = f"at least one marker must have been seen; all {len(markers)} are missing"
             raise MarkerError(message, where="markers")

@@ -60,7 +60,7 @@ def register_by_model(
     -------
     Registration
         The result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once a step and once at
-        the end, and once more where the prior had to be widened; four whole fields are decoded.
+        the end, and once more where the prior had to be widened; two whole fields are decoded.
 
     Raises
     ------

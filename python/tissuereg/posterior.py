@@ -64,7 +64,7 @@ class Posterior:
         moved = model.decode(ensemble.latents)
         at_markers, at_targets = model.markers(moved), model.targets(moved)
         displacement = model.latent.decode(mean[:, None])[0]
-        own = model.errors(mean, displacement)
+        own = model.errors(mean)
         n = len(moved)
         return cls(
             displacement,

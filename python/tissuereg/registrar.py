@@ -26,6 +26,9 @@ from tissuereg.result import Registration
 from tissuereg.simulate.solve import ELEMENTS, Simulator
 from tissuereg.surface import SurfacePoints
 
+#: When a registrar with a model examines how markers are read.
+READINGS = ("doubtful", "always")
+
 
 class Registrar:
     """Registers one body to the same markers again and again; `register` is one such registration.
@@ -50,6 +53,10 @@ class Registrar:
         Of the markers; by default ``M1``, ``M2``, ...
     load, material, element, held, held_nodes, frame, stiffness, seed, threads, settings, polish, ensemble
         As in `register`.
+    readings : {"doubtful", "always"}
+        With a model: when markers are examined for other units, axes, motions and orders (`tissuereg.readings`), which
+        takes as long as several registrations. "doubtful": until a first moment is free of suspicion, and where the
+        answer cannot be trusted for another reason. Without a model, always.
 
     Raises
     ------
@@ -97,12 +104,16 @@ class Registrar:
         settings: RegisterSettings | None = None,
         polish: bool = False,
         ensemble: int = 0,
+        readings: str = "doubtful",
     ) -> None:
         check_running(seed=seed, threads=threads)
         self._load = maybe("load", load, Load)
         self._material = maybe("material", material, Material) or Material()
         check_choice("element", element, ("auto", *ELEMENTS), ArgumentError)
+        check_choice("readings", readings, READINGS, ArgumentError)
         self._element: str = element
+        self._examines = model is None or readings == "always"
+        self._plausible = False
         self._polish = flag("polish", polish)
         self._ensemble = whole("ensemble", ensemble, most=MOST_COUNTED)
         self._held_nodes, self._frame, self._stiffness = held_nodes, frame, stiffness
@@ -148,7 +159,7 @@ class Registrar:
         Returns
         -------
         Registration
-            The one that `register` gives.
+            The one that `register` gives; see `readings` for the reasons in its trust.
 
         Raises
         ------
@@ -217,7 +228,9 @@ class Registrar:
         """
         with self._blas.limit(limits=1):
             with clock.stage("attach"):
-                given = self._attached.measured(markers, surface)
+                examined = self._examines or not self._plausible
+                given = self._attached.measured(markers, surface, examined)
+                self._plausible = self._plausible or not given.suspicions
                 field = None if simulation is None else finite_field(simulation, given.mesh)
             if self._points is None:
                 return register_by_contacts(given, self._contacts(self._load, field, progress), clock)
@@ -225,6 +238,10 @@ class Registrar:
                 with clock.stage("simulate"):
                     field = self._simulator.solve(self._load, self._material, threads=given.threads).displacement
             result = register_by_model(given, self._points, field, clock)
+            if not examined and not result.trust.ok:
+                with clock.stage("judge"):
+                    reasons = [*self._attached.suspicions(markers), *result.trust.reasons]
+                    result = replace(result, trust=replace(result.trust, reasons=reasons))
             if not self._polish:
                 return result
             polished = register_by_contacts(given, self._contacts(None, result.displacement, progress), clock)

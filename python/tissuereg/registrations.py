@@ -145,7 +145,7 @@ class _Moments:
         """Return the registration of one moment, by a registrar that is kept while the markers' places are the same."""
         if self._registrar is None:
             options = {name: value for name, value in self.options.items() if name != "simulation"}
-            self._registrar = Registrar(self.mesh, markers, **options)
+            self._registrar = Registrar(self.mesh, markers, readings="always", **options)
         self._registrar = self._registrar.made_for(markers)
         return self._registrar.register(markers, self.options.get("simulation"))
 

@@ -5,13 +5,15 @@ from itertools import pairwise
 import numpy as np
 
 
-def closure_tables(rng, *, activation="elu", widths=(4, 7, 9, 5), n_nodes=12):
+def closure_tables(rng, *, activation="elu", widths=(4, 7, 9, 5), n_nodes=12, skip=False):
     """Tables of ``mean + components @ MLP(z)``; `widths` from the latents to the components."""
     tables = {
         "mean_mm": rng.standard_normal((n_nodes, 3)),
         "components_mm": rng.standard_normal((widths[-1], n_nodes, 3)),
         "activation": np.array(activation),
     }
+    if skip:
+        tables["skip/weight"] = rng.standard_normal((widths[-1], widths[0]))
     for k, (n_in, n_out) in enumerate(pairwise(widths)):
         tables[f"layer{k}/weight"] = rng.standard_normal((n_out, n_in)) / np.sqrt(n_in)
         tables[f"layer{k}/bias"] = rng.standard_normal(n_out)
@@ -62,12 +64,13 @@ def activated(name, x):
 
 def closure_field(tables, z):
     """The field (n_nodes, 3) of one code."""
-    n_layers = sum(name.endswith("/weight") for name in tables)
+    n_layers = sum(name.startswith("layer") and name.endswith("/weight") for name in tables)
+    straight = tables["skip/weight"] @ z if "skip/weight" in tables else 0.0
     for k in range(n_layers):
         z = tables[f"layer{k}/weight"] @ z + tables[f"layer{k}/bias"]
         if k < n_layers - 1:
             z = activated(str(tables["activation"]), z)
-    return tables["mean_mm"] + np.tensordot(z, tables["components_mm"], 1)
+    return tables["mean_mm"] + np.tensordot(z + straight, tables["components_mm"], 1)
 
 
 def graph_field(tables, z):

@@ -84,11 +84,11 @@ def test_a_registration_decodes_the_ensemble_once_a_step_and_once_at_the_end(eve
     assert not any(reason.startswith("simulation") for reason in result.trust.reasons)
     # Draws from the prior with its mean, four later steps, the posterior.
     assert counted["points"] == [101, 100, 100, 100, 100, 100]
-    # Where a linear model finds the state, and the answer; each beside the simulation's code.
-    assert counted["fields"] == 4
+    # The answer, beside the simulation's code.
+    assert counted["fields"] == 2
     # The spread of nodes decodes every member, and is asked for.
     assert result.std.shape == (event.mesh.n_nodes,)
-    assert counted["fields"] == 4 + 100 + 2
+    assert counted["fields"] == 2 + 100 + 2
 
 
 def test_a_prior_that_is_widened_costs_one_decode_more(event, simulation, counted):
@@ -117,6 +117,30 @@ def test_the_model_is_read_and_cut_once_for_the_same_places(event, monkeypatch):
     assert (read, cut) == ([1], [1])
     tr.register(event.mesh, event.markers, model="phantom", settings=settings(), threads=5)
     assert read == [1]
+
+
+def test_markers_are_examined_at_first_and_where_the_answer_is_in_doubt(event, simulation, monkeypatch):
+    from tissuereg import inputs
+
+    examined = []
+    plain = inputs.suspect
+    monkeypatch.setattr(inputs, "suspect", lambda *given: examined.append(1) or plain(*given))
+    swapped = event.markers.measured.copy()
+    swapped[[2, 9]] = swapped[[9, 2]]
+    moments = [swapped, event.markers.measured, event.markers.measured, swapped]
+    registrar = tr.Registrar(event.mesh, event.markers, "phantom", settings=settings())
+    found, counts = [], []
+    for measured in moments:
+        found.append(registrar.register(measured, simulation).trust)
+        counts.append(len(examined))
+    assert [trust.ok for trust in found] == [False, True, True, False]
+    # The first is not plausible, so the second is examined as well; the third is not; the last is in doubt.
+    assert counts == [1, 2, 2, 3]
+    assert found[3].reasons == found[0].reasons
+    always = tr.Registrar(event.mesh, event.markers, "phantom", settings=settings(), readings="always")
+    for measured in moments[1:3]:
+        always.register(measured, simulation)
+    assert len(examined) == 5
 
 
 def test_a_model_without_weights_to_cut_gives_the_same_answer(event, simulation):

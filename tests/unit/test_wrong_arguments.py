@@ -330,6 +330,7 @@ CALLS = {
             "targets": {},
             "std": 0.1,
             "names": None,
+            "readings": "doubtful",
             "load": None,
             "material": tr.Material(),
             "element": "auto",

@@ -471,8 +471,12 @@ def balanced_draws(rng: np.random.Generator, shape: tuple[int, int], anomalies: 
     if n_members <= rows + len(anomalies) + 1:
         return draws, False
     taken = np.vstack([np.ones((1, n_members)), anomalies])
-    basis, singular, _ = np.linalg.svd(taken.T, full_matrices=False)
-    basis = basis[:, singular > 1e-12 * singular.max()]
+    basis, triangle = np.linalg.qr(taken.T)
+    lengths = np.abs(np.diag(triangle))
+    if not lengths.min() > 1e-9 * lengths.max():
+        # Rows that depend on others have no direction of their own.
+        basis, singular, _ = np.linalg.svd(taken.T, full_matrices=False)
+        basis = basis[:, singular > 1e-12 * singular.max()]
     draws -= (draws @ basis) @ basis.T
     root = np.linalg.cholesky(draws @ draws.T / (n_members - 1))
     return np.ascontiguousarray(np.linalg.solve(root, draws)), True

@@ -90,6 +90,15 @@ class LatentModel(Protocol):
         ...
 
 
+#: Nodes from which the size of a field is estimated, to a few hundredths of it.
+_SAMPLE = 400
+
+
+def sampled_nodes(n_nodes: int) -> IntArray:
+    """Return nodes that stand for all of a mesh where the size of a field is needed, ascending."""
+    return np.sort(np.random.default_rng(0).permutation(n_nodes)[:_SAMPLE])
+
+
 #: Largest ratio of sizes by which errors are scaled: those of a small field do not determine those of much larger ones.
 _MOST_SCALING = 3.0
 
@@ -111,16 +120,15 @@ class ScaledErrors:
 
         self._squares: FloatArray | None = None
 
-    def scale(self, field: FloatArray | None) -> FloatArray:
-        """Return the factor (n_fields,) of every error for a field (n_nodes, 3) in mm; one if it is None."""
-        if field is None or len(self.fields) == 0:
+    def scale(self, size: float | None) -> FloatArray:
+        """Return the factor (n_fields,) of every error for a field of this size in mm; one if it is None."""
+        if size is None:
             return np.ones(len(self.fields))
-        size = rms_displacement(field[None])[0]
         return np.asarray(np.minimum(size / np.maximum(self.sizes, 1e-12), _MOST_SCALING))
 
-    def at(self, field: FloatArray | None) -> FloatArray:
-        """Return the errors expected for a field (n_nodes, 3) in mm; unscaled if it is None."""
-        return np.asarray(self.fields * self.scale(field)[:, None, None])
+    def at(self, size: float | None) -> FloatArray:
+        """Return the errors expected for a field of this size in mm; unscaled if it is None."""
+        return np.asarray(self.fields * self.scale(size)[:, None, None])
 
     def mean_square(self, scale: FloatArray) -> FloatArray:
         """Return the mean square length (n_nodes,) of errors with these factors (n_fields,), mm^2."""
@@ -133,11 +141,8 @@ class ScaledErrors:
 class ScalesErrors(Protocol):
     """A model whose errors are those of given fields, scaled to the size of the event."""
 
-    def error_law(self, field: FloatArray | None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors, and the factor (n_fields,) of each where the model decodes to a field (n_nodes, 3) in mm.
-
-        None stands for a typical field; see `LatentModel.errors`.
-        """
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors, and the factor (n_fields,) of each at `latents`; see `LatentModel.errors`."""
         ...
 
 

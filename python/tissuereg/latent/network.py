@@ -18,7 +18,7 @@ from tissuereg.latent.calibration_file import read_calibration
 from tissuereg.latent.card import MODEL_FILES, check_files, read_card
 from tissuereg.latent.cut import CutDecoder, session
 from tissuereg.latent.decoders import ClosureDecoder, GraphDecoder, read_decoder
-from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement
+from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement, sampled_nodes
 from tissuereg.mesh import Mesh
 
 #: Least size of an event for the mismatch covariance, mm: a tiny simulated event does not make the truth certain.
@@ -27,7 +27,7 @@ _LEAST_SIZE_MM = 0.3
 #: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
 _BATCH = 25
 
-#: Up to so many whole fields of a graph network come from its tables, without the zeros that the file multiplies.
+#: Up to so many whole fields come from the tables: faster than the file, whose products are laid out for many.
 _FEW = 4
 
 #: The last models that were read, with their files' times and sizes.
@@ -78,6 +78,8 @@ class NetworkModel:
         self._threads = threads or os.cpu_count() or 1
         self._encoder = _session(self.folder / "encoder.onnx")
         self._cut: dict[str, CutDecoder] = {}
+        known = card["prior"]
+        self._family = Gaussian(np.asarray(known["mean"], np.float64), np.asarray(known["covariance"], np.float64))
         with open_npz(self.folder / "decoder_weights.npz") as weights:
             self._errors = _errors_in(weights, "error_fields_mm", "error_sizes_mm", self.n_nodes)
             self._change_errors = _errors_in(weights, "change_error_fields_mm", "change_sizes_mm", self.n_nodes)
@@ -103,12 +105,19 @@ class NetworkModel:
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
         """Return the expected reconstruction errors; see `LatentModel.errors`. They grow with the displacement."""
-        law, scale = self.error_law(None if latents is None else self.decode(latents[:, None])[0])
+        law, scale = self.error_law(latents)
         return np.asarray(law.fields * scale[:, None, None])
 
-    def error_law(self, field: FloatArray | None) -> tuple[ScaledErrors, FloatArray]:
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
         """Return the errors and their factors; see `ScalesErrors`."""
-        return self._errors, self._errors.scale(field)
+        if latents is None:
+            return self._errors, self._errors.scale(None)
+        return self._errors, self._errors.scale(float(rms_displacement(self.sampled(latents[:, None]))[0]))
+
+    def sampled(self, latents: FloatArray) -> FloatArray:
+        """Return displacement fields (n_members, k, 3) at nodes that stand for all, mm."""
+        nodes = sampled_nodes(self.n_nodes)
+        return self.decode(latents, nodes) if self.tables is None else self.tables.decode(latents, nodes)
 
     def around(self, simulation: FloatArray) -> "AnchoredModel":
         """Return a latent model of changes from a simulation.
@@ -157,7 +166,7 @@ class NetworkModel:
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
-        if nodes is None and latents.shape[1] <= _FEW and isinstance(self.tables, GraphDecoder):
+        if nodes is None and latents.shape[1] <= _FEW and self.tables is not None:
             return self.tables.decode(latents)
         return self._by_file(latents, nodes)
 
@@ -208,7 +217,7 @@ class NetworkModel:
             codes = self.prior(None)
             spread = np.linalg.cholesky(codes.covariance + 1e-12 * np.trace(codes.covariance) * np.eye(self.n_latent))
             draws = np.random.default_rng(0).standard_normal((self.n_latent, 3))
-            made.check(rows, self._by_file, codes.mean[:, None] + spread @ draws, str(self.folder))
+            made.check(rows, self.tables, self._by_file, codes.mean[:, None] + spread @ draws, str(self.folder))
             while len(self._cut) >= _KEPT:
                 self._cut.pop(next(iter(self._cut)))
             self._cut[digest] = made
@@ -230,7 +239,7 @@ class NetworkModel:
         """
         known = self._card["prior"]
         if simulation is None:
-            return Gaussian(np.asarray(known["mean"], np.float64), np.asarray(known["covariance"], np.float64))
+            return self._family
         mean, variance = self.encode(simulation)
         relative = known.get("relative_mismatch_covariance")
         if relative is None:
@@ -290,14 +299,17 @@ class AnchoredModel:
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
         """Return the expected errors of the change; see `LatentModel.errors`. They grow with the change."""
-        law, scale = self.error_law(None if latents is None else self.decode(latents[:, None])[0])
+        law, scale = self.error_law(latents)
         return np.asarray(law.fields * scale[:, None, None])
 
-    def error_law(self, field: FloatArray | None) -> tuple[ScaledErrors, FloatArray]:
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
         """Return the errors and their factors; see `ScalesErrors`."""
         if not len(self._errors.fields):
-            return self._network.error_law(field)
-        return self._errors, self._errors.scale(None if field is None else field - self._simulation)
+            return self._network.error_law(latents)
+        if latents is None:
+            return self._errors, self._errors.scale(None)
+        both = self._network.sampled(np.stack([latents, self._prior.mean], axis=1))
+        return self._errors, self._errors.scale(float(rms_displacement(both[:1] - both[1:])[0]))
 
     def prior(self, simulation: FloatArray | None) -> Gaussian:
         """Return the prior of the truth; see `NetworkModel.prior`."""

@@ -67,13 +67,13 @@ class OnnxGraph:
         """Reshape; 0 keeps an axis, -1 takes what is left. Return the name of the result."""
         return self.node("Reshape", [name, self.table(np.array(shape, np.int64))])
 
-    def to_bytes(self, given: tuple[str, int], found: tuple[str, int]) -> bytes:
+    def to_bytes(self, given: tuple[str | int, ...], *found: tuple[str | int, ...]) -> bytes:
         """Return the file.
 
         Parameters
         ----------
-        given, found : (str, int)
-            Name and number of columns of the input and the output, both float32 with one row per member.
+        given, *found : (str, int, ...)
+            Name and lengths of the input and of every output, all float32, after a first axis of members.
 
         Returns
         -------
@@ -82,15 +82,15 @@ class OnnxGraph:
         """
         graph = b"".join(_bytes(1, node) for node in self._nodes) + _bytes(2, self._name.encode())
         graph += b"".join(_bytes(5, table) for table in self._tables)
-        graph += _bytes(11, _value(*given)) + _bytes(12, _value(*found))
+        graph += _bytes(11, _value(*given)) + b"".join(_bytes(12, _value(*one)) for one in found)
         opset = _bytes(1, b"") + _number(2, _OPSET)
         return _number(1, _IR_VERSION) + _bytes(2, b"tissuereg") + _bytes(7, graph) + _bytes(8, opset)
 
 
-def _value(name: str, columns: int) -> bytes:
-    """Return the description of an input or output (members, columns)."""
-    shape = _bytes(1, _bytes(2, b"members")) + _bytes(1, _number(1, columns))
-    return _bytes(1, name.encode()) + _bytes(2, _bytes(1, _number(1, _FLOAT) + _bytes(2, shape)))
+def _value(name: str | int, *lengths: str | int) -> bytes:
+    """Return the description of an input or output (members, ...)."""
+    shape = _bytes(1, _bytes(2, b"members")) + b"".join(_bytes(1, _number(1, int(one))) for one in lengths)
+    return _bytes(1, str(name).encode()) + _bytes(2, _bytes(1, _number(1, _FLOAT) + _bytes(2, shape)))
 
 
 def _attribute(name: str, value: int | Sequence[int]) -> bytes:

@@ -150,12 +150,14 @@ class PcaModel:
         Errors grow in proportion to the distance from the centre, so each held-out error is scaled to the size of the
         field that `latents` represent.
         """
-        law, scale = self.error_law(None if latents is None else self.decode(latents[:, None])[0])
+        law, scale = self.error_law(latents)
         return np.asarray(law.fields * scale[:, None, None])
 
-    def error_law(self, field: FloatArray | None) -> tuple[ScaledErrors, FloatArray]:
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
         """Return the errors and their factors; see `ScalesErrors`."""
-        return self._law, self._law.scale(None if field is None else field - self.centre)
+        if latents is None:
+            return self._law, self._law.scale(None)
+        return self._law, self._law.scale(float(rms_displacement(self.decode(latents[:, None]) - self.centre)[0]))
 
     @cached_property
     def _law(self) -> ScaledErrors:

@@ -186,15 +186,10 @@ class PointsAround:
         """Return displacements (..., n_targets, 3) of targets from those of points."""
         return self._at.targets(moved)
 
-    def errors(self, latents: FloatArray | None = None, field: FloatArray | None = None) -> ErrorsAt:
-        """Return the errors expected where `latents` (n_latent,) are, by default typical ones.
-
-        `field` (n_nodes, 3) is what they decode to, in mm, where it is known.
-        """
+    def errors(self, latents: FloatArray | None = None) -> ErrorsAt:
+        """Return the errors expected where `latents` (n_latent,) are; by default typical ones."""
         if isinstance(self.latent, ScalesErrors):
-            if field is None and latents is not None:
-                field = self.latent.decode(latents[:, None])[0]
-            return self._at.errors(*self.latent.error_law(field))
+            return self._at.errors(*self.latent.error_law(latents))
         own = self.latent.errors(latents)
         moved = self._at.at_points(own)
         return ErrorsAt(self.markers(moved), self.targets(moved), lambda: mean_square(own))
