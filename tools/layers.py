@@ -14,7 +14,7 @@ from pathlib import Path
 #: import from its own layer (without a circle) and from lower ones.
 LAYERS: tuple[tuple[str, str], ...] = (
     ("commands", "__main__ cli"),
-    ("ready-made runs", "bench demo frames registrations skeleton studies"),
+    ("ready-made runs", "bench bench_network bench_step demo frames registrations skeleton studies"),
     ("public calls", "contact_answer contact_registration diagnose latent_registration registrar registration"),
     ("answers", "report result"),
     ("parts of the calls", "contacts inputs meshing samples"),

@@ -15,6 +15,7 @@ import numpy as np
 
 from tissuereg import _core
 from tissuereg._machine import n_cores, peak_mib
+from tissuereg.bench_step import N_SETS, StepSettings, step_rows
 from tissuereg.contacts.body import forget_bodies
 from tissuereg.io.problems import Problem, read_problem
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
@@ -47,6 +48,10 @@ class BenchSettings:
         Members of the ensemble.
     seed : int
         Seed of random events and draws.
+    model, table2 : str or None
+        Model folders of the rows ``step/shipped`` and ``step/table2``; see `StepSettings`.
+    n_sets : int
+        Random sets of markers of those rows.
     """
 
     repeats: int = 10
@@ -55,6 +60,9 @@ class BenchSettings:
     problems: tuple[str, ...] = ()
     members: int = 32
     seed: int = 0
+    model: str | None = None
+    table2: str | None = None
+    n_sets: int = N_SETS
 
 
 @dataclass
@@ -136,7 +144,7 @@ def bench_esmda(settings: BenchSettings) -> list[Row]:
 
 
 def bench_register(settings: BenchSettings) -> list[Row]:
-    """Time whole registrations of the phantom: contacts first on the mesh and again, shipped network.
+    """Time whole registrations of the phantom: contacts first on the mesh and again, shipped network; and single steps.
 
     Parameters
     ----------
@@ -146,7 +154,7 @@ def bench_register(settings: BenchSettings) -> list[Row]:
     Returns
     -------
     list of dict
-        Three rows, or two if no network is shipped.
+        Two rows by contacts, one by the shipped network where there is one, and those of `step_rows`.
     """
     event = make_event(seed=settings.seed)
     simulator = Simulator(event.mesh)
@@ -174,7 +182,10 @@ def bench_register(settings: BenchSettings) -> list[Row]:
     ]
     if shipped_model_folder().exists():
         rows.append(_row("register/phantom/shipped", event.mesh.n_nodes, settings, lambda: once("phantom")))
-    return rows
+    how = StepSettings(
+        settings.repeats, settings.threads, settings.seed, settings.model, settings.table2, settings.n_sets
+    )
+    return rows + step_rows(how)
 
 
 #: The benchmarks, by their names on the command line.

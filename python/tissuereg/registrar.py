@@ -136,6 +136,16 @@ class Registrar:
         """The markers: reference places, noise, names."""
         return self._attached.places
 
+    @property
+    def n_decodes(self) -> int:
+        """Ensembles decoded at markers and targets so far."""
+        return 0 if self._points is None else self._points.n_decodes
+
+    @property
+    def multiply_adds(self) -> int:
+        """Multiply-adds of the decoder at markers and targets, one member; 0 without one that could be cut."""
+        return 0 if self._points is None else self._points.multiply_adds
+
     def register(
         self,
         measured_mm: Any,

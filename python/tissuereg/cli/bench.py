@@ -34,6 +34,12 @@ def add_parser(commands: Any) -> None:
     how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
     text = "members of 'ensemble' (default: 32)"
     how.add_argument("--members", type=whole_number(1), default=32, metavar="N", help=text)
+    text = "model folder to time in the row step/shipped of 'register' (default: the shipped one)"
+    how.add_argument("--model", metavar="FOLDER", help=text)
+    text = "model folder of a Table II network for the row step/table2 (default: one with random weights)"
+    how.add_argument("--table2", metavar="FOLDER", help=text)
+    text = "random sets of markers of the rows step/... (default: 20)"
+    how.add_argument("--sets", type=whole_number(1), default=20, metavar="N", help=text)
     seed = "seed of random events and draws (default: 0)"
     add_common(parser, seed=seed, threads="threads to use (default: all cores)")
     parser.set_defaults(run=run, choices=choices, late="what", room=len(choices))
@@ -70,6 +76,9 @@ def run(args: argparse.Namespace) -> Outcome:
         problems=tuple(args.problem),
         members=args.members,
         seed=args.seed or 0,
+        model=args.model,
+        table2=args.table2,
+        n_sets=args.sets,
     )
     clock, rows = Stopwatch(), []
     for name in args.what or (["solve"] if args.problem else args.choices):
@@ -85,4 +94,15 @@ def _table(content: dict[str, Any]) -> str:
     for row in content["rows"]:
         stages = ", ".join(f"{name} {1e3 * spent:.3g}" for name, spent in row["stages_s"].items())
         lines.append(f"{row['name']:<{width}}  {1e3 * row['median_s']:>10.4g}  {1e3 * row['p99_s']:>10.4g}  {stages}")
+        if "floor_s" in row:
+            lines.append(_floor_line(row, width))
     return "\n".join([*lines, seconds_line(content["seconds"])])
+
+
+def _floor_line(row: dict[str, Any], width: int) -> str:
+    """Return how far a step is from the time of its multiply-adds."""
+    work, rate, floor = row["multiply_adds"], row["sgemm_multiply_adds_per_s"], row["floor_s"]
+    return (
+        f"{'':<{width}}  its decodes have {work / 1e9:.3g} G multiply-adds, {1e3 * floor:.3g} ms at the {rate / 1e9:.3g} "
+        f"G/s of large products here: {row['times_floor']:.3g} times that; weights {row['weights']}"
+    )

@@ -33,15 +33,12 @@ class CutDecoder:
     ----------
     multiply_adds : int
         Of one member.
-    calls : int
-        Ensembles decoded so far.
     """
 
     def __init__(self, decoder: ClosureDecoder | GraphDecoder, rows: Any, threads: int) -> None:
         file, self.multiply_adds = decoder.network_at(rows)
         self._session = session(file, "the cut decoder")
         self._threads = threads
-        self.calls = 0
 
     def __call__(self, latents: FloatArray) -> FloatArray:
         """Return displacements of the points.
@@ -56,7 +53,6 @@ class CutDecoder:
         ndarray of float64, shape (n_members, n_rows, 3)
             mm.
         """
-        self.calls += 1
         moved = in_batches(lambda z: self._session.run(["moved"], {"z": z})[0], latents, BATCH, self._threads)
         return np.asarray(moved, np.float64).reshape(latents.shape[1], -1, 3)
 
@@ -91,7 +87,6 @@ class CutDecoder:
         whole = decode(latents)
         at_points = np.abs(self(latents) - np.stack([rows @ field for field in whole])).max(initial=0.0)
         off = max(float(at_points), float(np.abs(decoder.decode(latents) - whole).max()))
-        self.calls = 0
         scale = max(float(np.abs(whole).max()), np.finfo(np.float32).tiny)
         if not off <= TOLERANCE * scale:
             message = (

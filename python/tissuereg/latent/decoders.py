@@ -36,6 +36,9 @@ _ACTIVATED: dict[str, Callable[[FloatArray], FloatArray]] = {
 #: A group of rows is split only if this share of its products is enough afterwards: each group copies its inputs.
 _WORTH = 0.7
 
+#: Rows of a group where whole fields are wanted.
+_TOGETHER = 128
+
 
 @dataclass(frozen=True, eq=False)
 class ClosureDecoder:
@@ -228,8 +231,14 @@ class GraphDecoder:
         graph, x = OnnxGraph("graph_network"), "z"
         x = graph.reshape(graph.node("Gemm", ["z", *_linear(graph, self.weight, self.bias)]), 0, -1, self._n_in)
         for number, level in enumerate(self.levels):
-            every = (np.arange(n) for n in level.tables[0].shape)
-            x, _ = _summed(graph, level.at(*every), level.bases, x, [np.arange(level.tables[0].shape[0])])
+            given = _based(graph, level.bases, x, level.tables[0].shape[1])
+            n_fine = level.tables[0].shape[0]
+            parts = []
+            # Nodes with near numbers share neighbours, more or less.
+            for group in np.array_split(np.arange(n_fine), -(-n_fine // _TOGETHER)):
+                near = level.reached(group)
+                parts.append(_block(graph, level.at(group, near), near, given, level.bases))
+            x = parts[0] if len(parts) == 1 else graph.node("Concat", parts, axis=1)
             x = graph.node("Add", [x, graph.table(level.bias)])
             if number < len(self.levels) - 1:
                 x = _activated(graph, "elu", x)
@@ -396,26 +405,36 @@ def _summed(
     Bases come first. The sum over neighbours is dense within groups of rows that share their neighbours. The result is
     (members, n_rows, n_out).
     """
-    n_bases, n_in, n_out = bases.shape
     n_columns = table.shape[1]
-    x = graph.reshape(x, -1, n_in)
-    x = graph.node("MatMul", [x, graph.table(bases.transpose(1, 0, 2).reshape(n_in, -1))])
-    given = graph.reshape(x, -1, n_columns, n_bases * n_out)
-    work = n_columns * bases.size
+    given = _based(graph, bases, x, n_columns)
+    work = n_columns * int(bases.size)
     groups = _groups(table.any(axis=2)) if groups is None else groups
     parts = []
     for group in groups:
         near = np.flatnonzero(table[group].any(axis=(0, 2)))
-        block = graph.table(table[np.ix_(group, near)].reshape(len(group), -1))
-        taken = graph.node("Gather", [given, graph.table(near)], axis=1) if len(near) < n_columns else given
-        taken = graph.reshape(taken, 0, len(near) * n_bases, n_out)
-        parts.append(graph.node("MatMul", [block, taken]))
-        work += len(group) * len(near) * n_bases * n_out
+        whole = len(near) == n_columns
+        parts.append(_block(graph, table[np.ix_(group, near)], None if whole else near, given, bases))
+        work += len(group) * len(near) * bases.shape[0] * bases.shape[2]
     if len(parts) == 1:
         return parts[0], work
     # Back into the order of the rows.
     order = np.argsort(np.concatenate(groups), kind="stable")
     return graph.node("Gather", [graph.node("Concat", parts, axis=1), graph.table(order)], axis=1), work
+
+
+def _based(graph: OnnxGraph, bases: FloatArray, x: str, n_columns: int) -> str:
+    """Add the products of all coarse nodes with all bases: (members, n_columns, M n_out)."""
+    n_bases, n_in, n_out = bases.shape
+    x = graph.reshape(x, -1, n_in)
+    x = graph.node("MatMul", [x, graph.table(bases.transpose(1, 0, 2).reshape(n_in, -1))])
+    return graph.reshape(x, -1, n_columns, n_bases * n_out)
+
+
+def _block(graph: OnnxGraph, table: FloatArray, near: IntArray | None, given: str, bases: FloatArray) -> str:
+    """Add the sum over neighbours of a group of rows (n_group, n_near, M); `near` are those among all, None for all."""
+    taken = given if near is None else graph.node("Gather", [given, graph.table(near)], axis=1)
+    taken = graph.reshape(taken, 0, table.shape[1] * bases.shape[0], bases.shape[2])
+    return graph.node("MatMul", [graph.table(table.reshape(len(table), -1)), taken])
 
 
 def _groups(pattern: Any) -> list[IntArray]:

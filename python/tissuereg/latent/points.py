@@ -69,6 +69,11 @@ class PointModel:
         self._errors: dict[int, tuple[FloatArray, FloatArray]] = {}
         self.n_decodes = 0
 
+    @property
+    def multiply_adds(self) -> int:
+        """Multiply-adds of the cut decoder, one member; 0 if the model is not cut."""
+        return 0 if self._cut is None else self._cut.multiply_adds
+
     def around(self, simulation: FloatArray | None) -> "PointsAround":
         """Return the model of one moment.
 
