@@ -103,6 +103,6 @@ def _floor_line(row: dict[str, Any], width: int) -> str:
     """Return how far a step is from the time of its multiply-adds."""
     work, rate, floor = row["multiply_adds"], row["sgemm_multiply_adds_per_s"], row["floor_s"]
     return (
-        f"{'':<{width}}  its decodes have {work / 1e9:.3g} G multiply-adds, {1e3 * floor:.3g} ms at the {rate / 1e9:.3g} "
-        f"G/s of large products here: {row['times_floor']:.3g} times that; weights {row['weights']}"
+        f"{'':<{width}}  its decodes have {work / 1e9:.3g} G multiply-adds, {1e3 * floor:.3g} ms at the "
+        f"{rate / 1e9:.3g} G/s of large products here: {row['times_floor']:.3g} times that; weights {row['weights']}"
     )
