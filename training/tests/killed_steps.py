@@ -21,7 +21,8 @@ from tissuereg_training.folder import put_back, remove_unfinished, write_model
 def write(place: Path, epochs: int) -> None:
     scratch = place / "model.training"
     network = onnx.ModelProto(producer_name="none")
-    write_model(place / "model", scratch, network, network, {"weights": np.zeros(3)}, {"epochs": epochs})
+    pages = {"MODEL.md": f"{epochs} epochs".encode()}
+    write_model(place / "model", scratch, network, network, {"weights": np.zeros(3)}, {"epochs": epochs}, pages)
     scratch.rmdir()
 
 

@@ -10,7 +10,7 @@ from tissuereg_training.checkpoint import Checkpoint
 from tissuereg_training.data import check_split
 from tissuereg_training.errors import CheckpointError, DivergenceError, EnsembleError
 from tissuereg_training.evaluate import code_spread, codes, mean_error, measured_prior
-from tissuereg_training.fit import fit
+from tissuereg_training.fit import fit, stalled
 from tissuereg_training.kinds import Material, new_network
 from tissuereg_training.losses import kl_divergence, kl_share, one_cycle, reconstruction
 from tissuereg_training.pca import moments, pca_error, principal_components
@@ -106,6 +106,30 @@ def test_the_best_validation_epoch_after_the_warm_up_is_kept(start, fields, sett
     # A finished closure has weights in half precision: 11 bits.
     near = {"gnn-vae": 1e-6, "closure": 1e-3}[model.kind]
     assert mean_error(model, fields[split.valid]) == pytest.approx(allowed[state.best_epoch], rel=near)
+
+
+def test_a_training_that_gets_no_better_ends_after_its_patience_also_when_it_is_resumed(
+    start, fields, tmp_path, monkeypatch
+):
+    settings = dataclasses.replace(CLOSURE, epochs=20, kl_warmup=0.1, patience=3)
+    errors = [9.0, 5.0, 4.0, 6.0, 6.0, 6.0, 1.0]  # the first two epochs warm up; the best of the others is the third
+    monkeypatch.setattr("tissuereg_training.fit.mean_error", lambda *_: errors[len(seen)])
+    seen = []
+    save = Checkpoint.save
+
+    def count(self, model, optimiser, state):
+        seen.append(state.epoch)
+        save(self, model, optimiser, state)
+
+    monkeypatch.setattr(Checkpoint, "save", count)
+    for _ in range(2):
+        model, split = start(settings)
+        parts, valid = [fields[split.train]], fields[split.valid]
+        state = fit(model, parts, valid, settings, seed=0, checkpoint=Checkpoint(tmp_path, "mine"))
+        assert (state.epoch, state.best_epoch, state.best_error) == (6, 3, 4.0)
+    assert seen == [1, 2, 3, 4, 5, 6]
+    assert stalled(state, settings)
+    assert not stalled(state, dataclasses.replace(settings, patience=0))
 
 
 @BOTH

@@ -19,13 +19,14 @@ from tissuereg_training.errors import OutputError
 MOMENTS = 20
 
 NETWORKS = ("encoder.onnx", "decoder.onnx", "decoder_weights.npz")
+PAGES = ("MODEL.md", "training.png")
 
 
 def test_a_kill_before_any_operation_leaves_the_old_model_or_the_new_one(tmp_path):
     script = Path(__file__).with_name("killed_steps.py")
     done = subprocess.run([sys.executable, script, tmp_path], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout) >= 20  # four files, two folders moved, one removed
+    assert int(done.stdout) >= 20  # five files, two folders moved, one removed
 
 
 def start(place, out):
@@ -37,7 +38,7 @@ def start(place, out):
 def is_whole(model):
     card = json.loads((model / "model.json").read_text())
     found = {name: hashlib.sha256((model / name).read_bytes()).hexdigest() for name in card["files"]}
-    return found == card["files"] and sorted(found) == sorted(NETWORKS)
+    return found == card["files"] and sorted(found) == sorted((*NETWORKS, *PAGES))
 
 
 def networks(model):

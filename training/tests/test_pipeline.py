@@ -18,10 +18,11 @@ from tissuereg_training import pipeline
 from tissuereg_training.cli import main
 from tissuereg_training.data import mesh_digest
 from tissuereg_training.errors import CheckpointError
+from tissuereg_training.inversion import volume_ratios
 from tissuereg_training.kinds import KINDS
 from tissuereg_training.parity import onnx_session
 
-FILES = ["decoder.onnx", "decoder_weights.npz", "encoder.onnx", "model.json"]
+FILES = ["MODEL.md", "decoder.onnx", "decoder_weights.npz", "encoder.onnx", "model.json", "training.png"]
 
 
 def model_card(place):
@@ -36,7 +37,7 @@ def finite(value):
     return value is None or isinstance(value, str | bool) or bool(np.isfinite(value))
 
 
-def test_the_model_folder_holds_four_files_that_its_card_knows(trained):
+def test_the_model_folder_holds_files_that_its_card_knows(trained):
     folder = trained.folder / "model"
     assert sorted(p.name for p in folder.iterdir()) == FILES
     assert not (trained.folder / "model.training").exists()
@@ -63,6 +64,32 @@ def test_the_card_says_what_a_registration_needs(trained):
     assert card["code_spread"]["active"] == 6
     assert 0.6 < card["code_spread"]["aggregate_std_mean"] < 1.4
     assert card["kl_weight"] == 5e-3
+
+
+@pytest.mark.parametrize("kind", ["trained", "closure"])
+def test_the_card_tells_data_training_and_shapes_and_a_page_says_the_same(request, kind):
+    place = request.getfixturevalue(kind)
+    card, folder = model_card(place), place.folder / "model"
+    assert card["data"][0] == {"seed": 0, "members": 200, "recipe_sha256": ""}
+    training = card["training"]
+    assert 0 < training["hours"] < 1
+    assert (training["threads"], training["device"], training["stopped_early"]) == (1, "the processor", False)
+    # Decoded again from the files: the model's shapes and how many of them are impossible.
+    z = np.random.default_rng([3, 14]).standard_normal((1000, 6), dtype=np.float32)
+    found = session(folder / "decoder.onnx").run(None, {"z": z})[0]
+    ratios = volume_ratios(place.block.nodes, place.block.tets, found)
+    assert card["samples"]["fields"] == 1000
+    assert card["samples"]["min_det_f"] == pytest.approx(ratios.min(), abs=1e-3)
+    assert card["samples"]["inverted_tets"] == pytest.approx((ratios <= 0).mean(), abs=1e-4)
+    assert card["samples"]["fields_with_inverted_tets"] == pytest.approx((ratios <= 0).any(axis=1).mean(), abs=2e-3)
+    assert card["reconstructions"]["fields"] == 20
+    page = (folder / "MODEL.md").read_text()
+    errors = card["errors_mm"]
+    for name in ("train", "valid", "test", "pca", "mean_shape"):
+        assert f"| {errors[name]:.4f} |" in page
+    assert f"error: {errors['test'] / errors['pca']:.3f}" in page
+    assert f"KL weight {card['kl_weight']:g}" in page
+    assert (folder / "training.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_training_learns_and_its_errors_can_be_measured_again_from_the_files(trained):

@@ -108,7 +108,7 @@ class Checkpoint:
 
     def _read(self) -> dict[str, Any]:
         try:
-            whole = torch.load(self.path, weights_only=True)
+            whole = torch.load(self.path, map_location="cpu", weights_only=True)
             missing = {"fingerprint", "model", "optimiser", *_STATE} - set(whole)
         except Exception as error:  # torch raises pickle, zip, runtime and type errors for spoilt files
             message = f"{self.path} must be a whole checkpoint: {str(error).splitlines()[0]}. Start anew with --fresh"

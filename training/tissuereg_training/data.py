@@ -44,10 +44,10 @@ class Dataset:
         Where it was read.
     mesh_digest : str
         Fingerprint of nodes, tets and held nodes.
+    nodes : ndarray of float64, shape (n_nodes, 3)
+        At rest, mm.
     tets : ndarray of int64, shape (n_tets, 4)
         Node indices.
-    n_nodes : int
-        Number of nodes.
     index : ndarray of int64, shape (n_members,)
         Which member of the recipe each field is, ascending.
     fields : ndarray of float32, shape (n_members, n_nodes, 3)
@@ -60,13 +60,18 @@ class Dataset:
 
     folder: Path
     mesh_digest: str
+    nodes: npt.NDArray[np.float64]
     tets: IntArray
-    n_nodes: int
     index: IntArray
     fields: FieldArray
     simulations: FieldArray
     truths: FieldArray
     split: Split
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.nodes)
 
     def fingerprint(self) -> str:
         """Return a SHA-256 over mesh, members, fields and split, so that a checkpoint knows its data."""
@@ -120,7 +125,7 @@ def read_dataset(folder: str | os.PathLike[str]) -> Dataset:
     simulations, truths = _read_pairs(folder, pairs["file"] if pairs else None, len(nodes))
     split = _read_split(folder / "dataset.json", card, len(fields))
     tets = np.ascontiguousarray(tets, dtype=np.int64)
-    return Dataset(folder, digest, tets, len(nodes), index, fields, simulations, truths, split)
+    return Dataset(folder, digest, nodes.astype(np.float64), tets, index, fields, simulations, truths, split)
 
 
 def mesh_digest(nodes: Any, tets: Any, held_nodes: Any) -> str:
@@ -206,6 +211,23 @@ def read_chunk_files(folder: str | os.PathLike[str]) -> tuple[str, list[Path]]:
 def read_dataset_recipe(folder: str | os.PathLike[str]) -> Any:
     """Return the recipe that a data set quotes, {} where it quotes none."""
     return _read_card(Path(folder)).get("recipe", {})
+
+
+def read_origin(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return where a data set comes from, for the model card.
+
+    Parameters
+    ----------
+    folder : path-like
+        Made by `tissuereg simulate`.
+
+    Returns
+    -------
+    dict
+        ``seed``, ``members``, ``recipe_sha256``; "" where the last is not stated.
+    """
+    card = _read_card(Path(folder))
+    return {"seed": card.get("seed"), "members": card.get("members"), "recipe_sha256": card.get("recipe_sha256", "")}
 
 
 def check_split(split: Split, n_latent: int) -> None:

@@ -103,7 +103,7 @@ def fit(
     x = _normalised(model, train)
     n_batches = max(1, round(len(x) / settings.batch))
     reported = time.perf_counter()
-    while state.epoch < settings.epochs:
+    while state.epoch < settings.epochs and not stalled(state, settings):
         start = time.perf_counter()
         row = _epoch(model, optimiser, x, n_batches, settings, seed, state.epoch)
         state.epoch += 1
@@ -116,12 +116,18 @@ def fit(
             state.best_weights = copy.deepcopy(model.state_dict())
         if checkpoint is not None:
             checkpoint.save(model, optimiser, state)
-        if report is not None and (time.perf_counter() - reported > 5 or state.epoch == settings.epochs):
+        ends = state.epoch == settings.epochs or stalled(state, settings)
+        if report is not None and (time.perf_counter() - reported > 5 or ends):
             reported = time.perf_counter()
             report(_line(state, settings))
     model.load_state_dict(state.best_weights)
     model.finish()
     return state
+
+
+def stalled(state: FitState, settings: TrainSettings) -> bool:
+    """Return whether as many epochs as `patience` have passed since the best one; never where it is 0."""
+    return bool(state.best_epoch) and 0 < settings.patience <= state.epoch - state.best_epoch
 
 
 @torch.no_grad()

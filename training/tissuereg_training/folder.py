@@ -1,9 +1,10 @@
-"""The model folder: four files, there all together or not at all."""
+"""The model folder: its files are there all together or not at all."""
 
 import hashlib
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,7 @@ def write_model(
     decoder: onnx.ModelProto,
     weights: dict[str, npt.NDArray[Any]],
     card: dict[str, Any],
+    pages: Mapping[str, bytes] | None = None,
 ) -> dict[str, Any]:
     """Write the model folder.
 
@@ -64,6 +66,8 @@ def write_model(
         Content of ``decoder_weights.npz``.
     card : dict
         Content of ``model.json``; the files' SHA-256 is added.
+    pages : mapping of str to bytes, optional
+        Further files by their names, for people.
 
     Returns
     -------
@@ -86,6 +90,8 @@ def write_model(
             (new / "decoder.onnx").write_bytes(decoder.SerializeToString(deterministic=True))
             with (new / "decoder_weights.npz").open("wb") as stream:
                 np.savez_compressed(stream, **weights)  # type: ignore[arg-type]
+            for name, content in (pages or {}).items():
+                (new / name).write_bytes(content)
             files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(new.iterdir())}
             card = {**card, "files": files}
             (new / CARD).write_text(json.dumps(card, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -49,6 +49,16 @@ def prepare(threads: int) -> int:
     return threads
 
 
+def best_device() -> torch.device:
+    """Return the graphics card where torch can use one, the processor otherwise."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def device_name(device: torch.device) -> str:
+    """Return what a model card calls a device."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else "the processor"
+
+
 def machine() -> dict[str, Any]:
     """Return what this runs on: ``system``, ``processor``, ``cores``."""
     processor = platform.processor() or platform.machine()

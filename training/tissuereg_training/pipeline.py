@@ -3,34 +3,41 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissuereg_training.checkpoint import Checkpoint
+from tissuereg_training.curves import training_curves
 from tissuereg_training.data import (
     Dataset,
+    FieldArray,
     Split,
     check_recipe_fits,
     check_split,
     read_dataset,
     read_dataset_recipe,
+    read_origin,
 )
 from tissuereg_training.errors import CheckpointError
 from tissuereg_training.evaluate import (
     change_error_fields,
     code_spread,
+    codes,
+    decoded,
     error_fields,
     mean_error,
     measured_prior,
     root_mean_square,
 )
-from tissuereg_training.fit import FitState, fit
+from tissuereg_training.fit import FitState, fit, stalled
 from tissuereg_training.folder import check_out, put_back, write_model
-from tissuereg_training.host import Clock, machine, prepare, versions
+from tissuereg_training.host import Clock, best_device, device_name, machine, prepare, versions
+from tissuereg_training.inversion import inversions, sampled_inversions
 from tissuereg_training.kinds import KINDS, Material, new_network
+from tissuereg_training.model_page import model_page
 from tissuereg_training.network import Network
 from tissuereg_training.parity import checked_parity
 from tissuereg_training.pca import moments, pca_error, principal_components
@@ -78,8 +85,8 @@ def train(
     Returns
     -------
     dict
-        ``schema``, ``errors_mm``, ``epochs``, ``best_epoch``, ``parity``, ``kl_weight``, ``levels``, ``members``,
-        ``seconds``, ``threads``, ``machine``, ``versions``, ``seed``.
+        ``schema``, ``errors_mm``, ``epochs``, ``best_epoch``, ``parity``, ``kl_weight``, ``members``, the sizes of
+        the network (``levels`` and so on), ``seconds``, ``threads``, ``device``, ``machine``, ``versions``, ``seed``.
 
     Raises
     ------
@@ -112,6 +119,7 @@ def train(
             material = Material(dataset.tets, train_split, moments(train_split))
             model, sizes = new_network(material, settings, seed)
             notify(sizes)
+            model.to(best_device())
         if checkpoint.exists():
             notify(f"continuing from {checkpoint.path}")
         with clock.stage("train"):
@@ -119,15 +127,20 @@ def train(
             state = fit(model, train_split, valid, settings, seed=seed, checkpoint=checkpoint, report=report)
         with clock.stage("evaluate"):
             card = _card(model, dataset, material, recipe, seed, state)
+            card["data"] = [read_origin(folder) for folder in (first, *further)]
+            card["training"] = _training(state, settings, model, threads)
             errors = _error_fields(model, dataset, split)
             notify("mean error in mm: " + ", ".join(f"{k} {v:.4f}" for k, v in card["errors_mm"].items()))
         with clock.stage("export"):
             facts, kind = _facts(card, model), KINDS[settings.kind]
+            model.to("cpu")
             encoder, decoder = kind.encoder_onnx(model, facts), kind.decoder_onnx(model, facts)
             fields = dataset.fields[split.test][:32]
             card["parity"] = checked_parity(model, encoder, decoder, fields, seed)
             weights = {**kind.decoder_weights(model), **errors}
-            write_model(out, checkpoint.folder, encoder, decoder, weights, card)
+            curves = training_curves(state.history, card["scale_mm"], card["errors_mm"])
+            pages = {"MODEL.md": model_page(card).encode(), "training.png": curves}
+            write_model(out, checkpoint.folder, encoder, decoder, weights, card, pages)
             checkpoint.discard()
     record = {k: card[k] for k in ("errors_mm", "epochs", "best_epoch", "parity", "kl_weight", "members")}
     return {
@@ -136,6 +149,7 @@ def train(
         **model.facts(),
         "seconds": clock.seconds,
         "threads": threads,
+        "device": card["training"]["device"],
         "machine": machine(),
         "versions": versions(),
         "seed": seed,
@@ -194,7 +208,27 @@ def _card(
         "kl_weight": settings.kl_weight,
         "code_spread": code_spread(model, fields[split.test], seed),
         "prior": measured_prior(model, fields[split.train], dataset.simulations, dataset.truths),
+        "samples": sampled_inversions(model, dataset.nodes, dataset.tets, seed),
+        "reconstructions": inversions(dataset.nodes, dataset.tets, _reconstructed(model, test)),
         "versions": versions(),
+    }
+
+
+def _reconstructed(model: Network, fields: FieldArray) -> Iterator[FieldArray]:
+    for start in range(0, len(fields), 50):
+        yield decoded(model, codes(model, fields[start : start + 50])[0])
+
+
+def _training(state: FitState, settings: TrainSettings, model: Network, threads: int) -> dict[str, Any]:
+    """Return how it was trained: hours of all runs, and the machine of the last."""
+    seconds = [row["seconds"] for row in state.history]
+    return {
+        "hours": sum(seconds) / 3600,
+        "seconds_an_epoch": float(np.median(seconds)) if seconds else 0.0,
+        "stopped_early": stalled(state, settings) and state.epoch < settings.epochs,
+        "device": device_name(model.device),
+        "threads": threads,
+        "machine": machine(),
     }
 
 

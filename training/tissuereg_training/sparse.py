@@ -76,20 +76,28 @@ class EdgePattern:
     def transposed(self, values: torch.Tensor) -> torch.Tensor:
         """Return the transpose of K, shape (n_others, M * n_owners), from `values` (M, n_edges)."""
         shape = (self.n_others, self.n_values * self.n_owners)
+        self._follow(values)
         return torch.sparse_csr_tensor(
             self._rows_t, self._columns_t, values.reshape(-1)[self._order_t], shape, check_invariants=False
         )
 
     def sampled(self, spread_side: torch.Tensor, other_side: torch.Tensor) -> torch.Tensor:
         """Return the product of (M * n_owners, w) and (n_others, w) transposed, at the pattern, (M, n_edges)."""
-        zeros = self._csr(torch.zeros(self.n_values * self.n_edges, dtype=spread_side.dtype))
+        zeros = self._csr(spread_side.new_zeros(self.n_values * self.n_edges))
         product = torch.sparse.sampled_addmm(zeros, spread_side, other_side.t(), beta=0.0)
         values: torch.Tensor = product.values()
         return values.view(self.n_values, -1)
 
     def _csr(self, flat: torch.Tensor) -> torch.Tensor:
         shape = (self.n_values * self.n_owners, self.n_others)
+        self._follow(flat)
         return torch.sparse_csr_tensor(self._rows, self._columns, flat, shape, check_invariants=False)
+
+    def _follow(self, values: torch.Tensor) -> None:
+        """Move the index structure to where the values lie; once, as a network moves as a whole."""
+        if self._rows.device != values.device:
+            for name in ("_rows", "_columns", "_rows_t", "_columns_t", "_order_t"):
+                setattr(self, name, getattr(self, name).to(values.device))
 
 
 class _Spread(torch.autograd.Function):
