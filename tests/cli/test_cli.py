@@ -500,6 +500,8 @@ def test_train_hands_the_whole_line_to_the_training_package(tmp_path, capsys, mo
         tmp_path / "m",
         "--data",
         "d",
+        "--data",
+        "more",
         "--fresh",
         "--seed",
         3,
@@ -512,6 +514,7 @@ def test_train_hands_the_whole_line_to_the_training_package(tmp_path, capsys, mo
     told = [
         "r.toml",
         "--data=d",
+        "--data=more",
         f"--out={tmp_path / 'm'}",
         "--threads=0",
         "--seed=3",

@@ -5,7 +5,7 @@ import pytest
 from conftest import make_block, write_dataset
 
 from tissuereg_training.data import read_dataset
-from tissuereg_training.errors import EnsembleError, FormatError, MeshError
+from tissuereg_training.errors import ExperimentError, FormatError, MeshError
 from tissuereg_training.training_split import TrainingSplit
 
 
@@ -37,10 +37,10 @@ def test_data_without_further_folders_is_its_own_training_split(dataset):
 
 def test_members_that_the_first_set_holds_are_refused_so_that_no_test_field_is_trained_on(dataset, block, tmp_path):
     again = write_dataset(tmp_path / "again", block, 40, chunks=5)
-    with pytest.raises(EnsembleError, match=r"its member 0 is there already\. Make it with another seed"):
+    with pytest.raises(ExperimentError, match=r"its member 0 is there already\. Make it with another seed"):
         TrainingSplit(dataset, [again])
     other = write_dataset(tmp_path / "other", block, 9, seed=5)
-    with pytest.raises(EnsembleError, match="other members"):
+    with pytest.raises(ExperimentError, match="other members"):
         TrainingSplit(dataset, [other, other])
 
 

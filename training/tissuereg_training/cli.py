@@ -1,4 +1,8 @@
-"""The command: `python -m tissuereg_training RECIPE.toml --data DATA --out MODEL`, and `tissuereg train` through it."""
+"""The commands: train a network of a recipe (`tissuereg train` goes through this one), or compare trained ones.
+
+python -m tissuereg_training RECIPE.toml --data DATA --out MODEL
+python -m tissuereg_training compare MODEL... --data DATA
+"""
 
 import argparse
 import contextlib
@@ -56,6 +60,22 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def build_compare_parser() -> argparse.ArgumentParser:
+    """Return the parser of `compare`."""
+    parser = _Parser(
+        prog="tissuereg-train compare",
+        allow_abbrev=False,
+        description="Measure networks beside principal components and the constant mean shape on the same splits.",
+    )
+    parser.add_argument("models", nargs="+", metavar="MODEL", help="model folders")
+    parser.add_argument("--data", required=True, metavar="DATA", help="data set with the splits to measure on")
+    page = "also write the table into FILE, between '<!-- networks: begin -->' and '<!-- networks: end -->'"
+    parser.add_argument("--page", metavar="FILE", help=page)
+    parser.add_argument("--json", metavar="FILE", help="write one JSON object to FILE; - is standard output")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return parser
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command.
 
@@ -72,6 +92,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     target = _json_target(words)
     try:
+        if words[:1] == ["compare"]:
+            _compare(build_compare_parser().parse_args(words[1:]), target)
+            return 0
         args = build_parser().parse_args(words)
         if args.json not in (None, "-") and Path(args.json).is_dir():
             message = f"the JSON must go to a file, {args.json} is a folder"
@@ -119,6 +142,19 @@ def _json_target(words: Sequence[str]) -> str | None:
         if word.startswith("--json="):
             return word.removeprefix("--json=")
     return None
+
+
+def _compare(args: argparse.Namespace, target: str | None) -> None:
+    from tissuereg_training.compare import compare, table, write_into
+
+    content = compare(args.models, args.data)
+    text = table(content)
+    if args.page is not None:
+        write_into(args.page, text)
+    if target is not None:
+        _write_json(target, content)
+    if target != "-":
+        print(text, end="")
 
 
 def _deliver(content: dict[str, Any], target: str | None, out: str) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tissuereg_training.data import Dataset, FieldArray, read_chunk, read_chunk_files
-from tissuereg_training.errors import EnsembleError, MeshError
+from tissuereg_training.errors import ExperimentError, MeshError
 
 #: Fields of the first data set in a part.
 _PART = 500
@@ -28,7 +28,7 @@ class TrainingSplit:
         If a folder is no data set, or holds numbers that are not finite.
     MeshError
         If one was made on another mesh.
-    EnsembleError
+    ExperimentError
         If one holds a field of the first set, which would be trained on twice or, worse, also tested on.
 
     Notes
@@ -64,7 +64,7 @@ class TrainingSplit:
                         f"{folder} must hold other members than the data before it; its member {number} is there "
                         "already. Make it with another seed"
                     )
-                    raise EnsembleError(message, where=str(file))
+                    raise ExperimentError(message, where=str(file))
                 known.add(digest)
                 whole.update(digest)
                 self._n_further += 1

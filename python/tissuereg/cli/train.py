@@ -27,7 +27,8 @@ def add_parser(commands: Any) -> None:
     example = "tissuereg train phantom.toml --data data --out model"
     parser = command_parser(commands, "train", "train a network on a data set", _DETAILS, example)
     parser.add_argument("recipe", metavar="RECIPE.toml", help="table [train]; the recipe that made the data")
-    parser.add_argument("--data", required=True, metavar="DATA", help="folder of the data set")
+    text = "folder of the data set; given again: more members to train on, made with another seed"
+    parser.add_argument("--data", required=True, action="append", metavar="DATA", help=text)
     parser.add_argument("--out", required=True, metavar="MODEL", help="folder for the model and its checkpoints")
     start = parser.add_argument_group("start").add_mutually_exclusive_group()
     text = "continue from the last epoch, and fail where there is none (default: continue if there is one)"
@@ -72,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
 def _words(args: argparse.Namespace) -> list[str]:
     """Return the command line for the training package's parser."""
     flags = [f"--{name}" for name in ("resume", "fresh", "quiet", "debug") if getattr(args, name)]
-    options = {"data": args.data, "out": args.out, "threads": args.threads, "seed": args.seed, "json": args.json}
+    data = [f"--data={folder}" for folder in args.data]
+    options = {"out": args.out, "threads": args.threads, "seed": args.seed, "json": args.json}
     given = [f"--{name}={value}" for name, value in options.items() if value is not None]
-    return [args.recipe, *given, *flags]
+    return [args.recipe, *data, *given, *flags]
