@@ -46,7 +46,8 @@ approach with data assimilation for sim-to-real transfer", section III.
   alone.
 * **Methods**: *paper*, Algorithm 1 with the encoder's q(z | start mesh) as prior; *family*, the same with the
   distribution of all training codes as prior, which knows nothing of the start mesh; *ours*, that prior with draws of
-  exact sample moments, and the model's own typical errors added to C_d and to the regions.
+  exact sample moments, and the model's own typical errors added to C_d and to the regions. For Fig. 8 also *paper-std*:
+  the paper's with q's standard deviations taken for variances, a mistake of public code of the method.
 * **C_d**: the paper works in cm and states no unit; both readings are run. 0.001 cm² is 0.1 mm², a deviation of
   0.32 mm.
 * **Inflation**: each coefficient is {decrease:g} times the next; the paper states only that they decrease.

@@ -9,7 +9,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.studies.cases import Cases
 from tissuereg.studies.claims import Agreement, Claim, Compared
-from tissuereg.studies.settings import METHODS, READING_WORDS, READINGS, Method, Setting
+from tissuereg.studies.settings import METHODS, READING_WORDS, READINGS, STD_AS_VARIANCE, Method, Setting
 from tissuereg.studies.study import Given, Study
 from tissuereg.studies.sweep import Sweep
 
@@ -36,7 +36,7 @@ def fig7_settings() -> list[Setting]:
 
 def fig8_settings() -> list[Setting]:
     """Return the settings of Fig. 8: N_e = 100, N_a = 5, C_d = 0.001."""
-    return [Setting(method, CD, reading, N_E, N_A) for method in METHODS for reading in READINGS]
+    return [Setting(method, CD, reading, N_E, N_A) for method in (*METHODS, STD_AS_VARIANCE) for reading in READINGS]
 
 
 def far_cases(cases: Cases, seed: int) -> Cases:
@@ -156,7 +156,8 @@ def figure_study(name: str) -> Study:
     Returns
     -------
     Study
-        Its entries: ``methods``, ``rows``, ``agree``, and for Fig. 8 ``goal``.
+        Its entries: ``methods``, ``encoder_spread`` (standard deviation of q over that of all training codes, median),
+        ``rows``, ``agree``, and for Fig. 8 ``goal``.
     """
     figure, is_fig8 = FIGURES[name], name == "fig8"
 
@@ -169,7 +170,8 @@ def figure_study(name: str) -> Study:
         # The paper's own method decides; the same statements with another prior stand beside it.
         paper, family = (figure.agreement(sweep, method).to_json() for method in METHODS[:2])
         found = {
-            "methods": {method.name: method.words for method in METHODS},
+            "methods": {setting.method.name: setting.method.words for setting in settings},
+            "encoder_spread": sweep.encoder_spread,
             "rows": rows,
             "agree": {name: {**paper, METHODS[1].name: family}},
         }

@@ -6,7 +6,7 @@ from tissuereg.studies.figures import ASSIMILATIONS, MEMBERS, PAPER_END_MM, PAPE
 from tissuereg.studies.settings import METHODS, READING_WORDS, READINGS
 
 #: Colours by N_e, and by method.
-_COLOURS = ("tab:orange", "tab:blue", "tab:green")
+_COLOURS = ("tab:orange", "tab:blue", "tab:green", "tab:purple")
 
 
 def picture(content: dict[str, Any]) -> Any:
@@ -51,7 +51,7 @@ def _words(content: dict[str, Any]) -> str:
 def _fig6(content: dict[str, Any]) -> Any:
     figure, panels = _panels(f"Fig. 6: C_d and N_e at N_a = 5 ({_words(content)})", 1, len(METHODS), 3.8)
     for axes, method in zip(panels[0], METHODS, strict=True):
-        for colour, n_e in zip(_COLOURS, MEMBERS, strict=True):
+        for colour, n_e in zip(_COLOURS, MEMBERS, strict=False):
             rows = {r["cd_mm2"]: r for r in content["rows"] if (r["method"], r["n_e"]) == (method.name, n_e)}
             order = sorted(rows)
             _line(axes, order, [rows[cd] for cd in order], colour, f"N_e = {n_e}")
@@ -67,7 +67,7 @@ def _fig7(content: dict[str, Any]) -> Any:
     figure, panels = _panels(f"Fig. 7: N_a and N_e at C_d = 0.001 ({_words(content)})", 2, len(METHODS), 6.2)
     for line, reading in zip(panels, READINGS, strict=True):
         for axes, method in zip(line, METHODS, strict=True):
-            for colour, n_e in zip(_COLOURS, MEMBERS, strict=True):
+            for colour, n_e in zip(_COLOURS, MEMBERS, strict=False):
                 wanted = (method.name, reading, n_e)
                 rows = [r for r in content["rows"] if (r["method"], r["reading"], r["n_e"]) == wanted]
                 _line(axes, [r["n_a"] for r in rows], rows, colour, f"N_e = {n_e}")
@@ -84,11 +84,11 @@ def _fig8(content: dict[str, Any]) -> Any:
     figure, panels = _panels(f"Fig. 8: error after each assimilation ({_words(content)})", 1, len(READINGS), 4.4)
     for axes, reading in zip(panels[0], READINGS, strict=True):
         last = 0
-        for colour, method in zip(_COLOURS, METHODS, strict=True):
-            row = next(r for r in content["rows"] if (r["method"], r["reading"]) == (method.name, reading))
+        for colour, method in zip(_COLOURS, content["methods"], strict=True):
+            row = next(r for r in content["rows"] if (r["method"], r["reading"]) == (method, reading))
             steps = row["steps_mm"]
             last = len(steps) - 1
-            label = f"{method.name}, ends at {steps[-1]:.2f} mm"
+            label = f"{method}, ends at {steps[-1]:.2f} mm"
             axes.plot(range(len(steps)), steps, "o-", color=colour, markersize=4, label=label)
         paper = f"the paper, ends at {PAPER_END_MM} mm"
         axes.plot([0, last], [PAPER_START_MM, PAPER_END_MM], "kx", label=paper)

@@ -17,8 +17,9 @@ class Method:
     ----------
     name : str
         Of the method.
-    prior : {"encoder", "family"}
-        The encoder's q(z | start mesh), or the distribution of the codes of all training shapes.
+    prior : {"encoder", "family", "encoder-std"}
+        The encoder's q(z | start mesh), the distribution of the codes of all training shapes, or q with its standard
+        deviations in the place of variances.
     own_errors : bool
         Whether typical errors of the model's reconstruction are added to C_d and to the regions.
     balanced : bool
@@ -39,6 +40,11 @@ METHODS = (
     Method("paper", "encoder", False, False, "Algorithm 1, prior q(z | start mesh)"),
     Method("family", "family", False, False, "Algorithm 1, prior of all training codes"),
     Method("ours", "family", True, True, "prior of all training codes, balanced draws, C_d with the model's own error"),
+)
+
+#: A mistake of public code of the method: q's standard deviations are drawn from as if they were variances.
+STD_AS_VARIANCE = Method(
+    "paper-std", "encoder-std", False, False, "Algorithm 1, prior q with standard deviations taken for variances"
 )
 
 

@@ -63,19 +63,22 @@ class Sweep:
         self.start = cases.start_errors
         self.clusters = Clusters(cases.starts, cases.targets)
         self._model, self._seed, self._all_steps = subject.model, seed, all_steps
-        self._family = self._model.prior(None)
-        shapes, which = np.unique(cases.starts, return_inverse=True)
-        self._codes = [self._encoded(cases.fields[shape]) for shape in shapes]
-        self._which = which
+        shapes, self._which = np.unique(cases.starts, return_inverse=True)
+        codes = [self._model.encode(np.asarray(cases.fields[shape], np.float64)) for shape in shapes]
+        family = self._model.prior(None)
+        self._priors: dict[str, list[Gaussian]] = {
+            "encoder": [Gaussian(mean, np.diag(variance)) for mean, variance in codes],
+            "encoder-std": [Gaussian(mean, np.diag(np.sqrt(variance))) for mean, variance in codes],
+            "family": [family] * len(codes),
+        }
+        spread = np.sqrt(np.array([variance for _, variance in codes]))
+        #: Standard deviation of q over that of all training codes, the median over latents and start meshes.
+        self.encoder_spread = float(np.median(spread / np.sqrt(np.diag(family.covariance))))
         self._markers, self._inner = (decoder_at(self._model, nodes) for nodes in (cases.markers, cases.inner))
         own = self._model.errors()
         self._at_markers = error_covariance(own[:, cases.markers].reshape(len(own), -1))
         self._at_inner = np.array([error_covariance(own[:, node]) for node in cases.inner]).reshape(-1, 3, 3)
         self._done: dict[Any, Outcome] = {}
-
-    def _encoded(self, field: FloatArray) -> Gaussian:
-        mean, variance = self._model.encode(np.asarray(field, np.float64))
-        return Gaussian(mean, np.diag(variance))
 
     def run(self, settings: Sequence[Setting], threads: int = 0, progress: Progress | None = None) -> None:
         """Run settings that have not been run.
@@ -149,7 +152,7 @@ class Sweep:
         cases, method, model = self.cases, setting.method, self._model
         targets = cases.fields[cases.targets[lot]].astype(np.float64)
         pairs = range(*lot.indices(cases.n_pairs))
-        coded = [self._codes[self._which[pair]] for pair in pairs]
+        priors = [self._priors[method.prior][self._which[pair]] for pair in pairs]
         noise = setting.cd_mm2 * np.eye(3 * len(cases.markers))
         if method.own_errors:
             noise = noise + self._at_markers
@@ -157,7 +160,7 @@ class Sweep:
             lambda latents: self._markers(latents).reshape(latents.shape[1], -1),
             targets[:, cases.markers].reshape(len(targets), -1),
             noise,
-            coded if method.prior == "encoder" else [self._family] * len(coded),
+            priors,
             rngs=[np.random.default_rng([self._seed, 22, pair]) for pair in pairs],
             n_members=setting.n_e,
             n_steps=setting.n_a,

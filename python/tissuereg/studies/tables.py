@@ -59,6 +59,8 @@ def markdown(content: dict[str, Any]) -> str:
             "",
         ]
         lines += [*_steps(content["rows"]), ""]
+    spread = content["encoder_spread"]
+    lines += [f"The encoder's q(z | start mesh) is {spread:.2g} times as wide as all training codes (median).", ""]
     return "\n".join([*lines, *_sweep(content["rows"], "n_a" if study == "fig7" else "n_e"), ""])
 
 
