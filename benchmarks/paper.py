@@ -57,6 +57,14 @@ approach with data assimilation for sim-to-real transfer", section III.
 * **Statements**: *worse* holds if the interval of the mean difference lies above zero; *alike* if means differ by less
   than {alike:.0%} of the larger. A study agrees if all statements hold in one of the readings of C_d, by the method
   *paper*.
+
+In the JSON a row of a sweep has `study`, `method`, `prior`, `cd` and `reading` (as the paper writes it, and its unit),
+`cd_mm2`, `n_e`, `n_a`, `n_pairs`, `start_mean_mm`; at the end `end_mean_mm` with `end_mean_interval95_mm`,
+`end_rms_mm`, `end_max_mm` (the largest of all nodes and pairs), `end_max_median_mm` (the median over pairs of the
+largest), `coverage90`, `worse` (pairs that end worse than they began); `paper_mm` where the paper states a figure; in
+Fig. 8 `steps_mm` (start, and after each assimilation), `min_det_f` and `inverted_tets` of the registered meshes. A row
+of Table II has `what`, with the error of the constant mean shape in `start_mean_mm` and that of reconstruction in
+`end_mean_mm`. `agree` has, by study, `agree` (yes or no), `why`, and each statement with what was found.
 """
 
 

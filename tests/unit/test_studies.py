@@ -277,13 +277,15 @@ def test_the_sweeps_are_those_of_the_paper():
 
 
 def test_the_row_of_a_setting_holds_the_errors_of_its_meshes(subject, cases):
-    sweep = Sweep(subject, cases, 0, all_steps=True)
+    sweep = Sweep(subject, cases, 0, thorough=True)
     setting = Setting(METHODS[1], 0.001, "mm2", 100, 5)
     sweep.run([setting], threads=1)
     row, outcome = sweep.row("fig8", setting), sweep.outcome(setting)
     assert len(outcome.steps) == 5
     assert row["end_mean_mm"] == outcome.end.mean.mean()
     assert row["end_mean_mm"] <= row["end_rms_mm"] <= row["end_max_mm"]
+    assert 0.0 < row["min_det_f"] < 1.0
+    assert row["inverted_tets"] == 0
     low, high = row["end_mean_interval95_mm"]
     assert low <= row["end_mean_mm"] <= high
     # Nearly exact markers determine six components: what is left is what they cannot represent.

@@ -163,7 +163,7 @@ def figure_study(name: str) -> Study:
 
     def study(given: Given) -> dict[str, Any]:
         cases = far_cases(given.cases, given.seed) if is_fig8 else given.cases
-        sweep = Sweep(given.subject, cases, given.seed, all_steps=is_fig8)
+        sweep = Sweep(given.subject, cases, given.seed, thorough=is_fig8)
         settings = figure.settings()
         sweep.run(settings, given.threads, given.progress)
         rows = [sweep.row(name, setting) for setting in settings]

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.latent.model import Gaussian, error_covariance
+from tissuereg.mesh import det_f
 from tissuereg.studies.algorithm import assimilate_many
 from tissuereg.studies.cases import Cases
 from tissuereg.studies.measures import Clusters, Errors, inside90
@@ -32,10 +33,13 @@ class Outcome:
         Of the decoded mean after each assimilation, or of the last alone; mm.
     inside90 : ndarray of float64, shape (n_pairs,)
         Share of the inner points whose 90 % region holds the truth.
+    det_f : ndarray of float64, shape (n_pairs, 2)
+        Smallest volume ratio of a registered mesh, and its number of inverted tets; NaN where they were not asked for.
     """
 
     steps: list[Errors]
     inside90: FloatArray
+    det_f: FloatArray
 
     @property
     def end(self) -> Errors:
@@ -54,15 +58,15 @@ class Sweep:
         Pairs, markers, inner points.
     seed : int
         Of the ensembles. Each pair has its own, the same under every setting.
-    all_steps : bool
-        Whether the mean is decoded after each assimilation.
+    thorough : bool
+        Whether the mean is decoded after each assimilation, and volume ratios of the registered meshes are found.
     """
 
-    def __init__(self, subject: Subject, cases: Cases, seed: int, *, all_steps: bool = False) -> None:
+    def __init__(self, subject: Subject, cases: Cases, seed: int, *, thorough: bool = False) -> None:
         self.cases = cases
         self.start = cases.start_errors
         self.clusters = Clusters(cases.starts, cases.targets)
-        self._model, self._seed, self._all_steps = subject.model, seed, all_steps
+        self._mesh, self._model, self._seed, self._thorough = subject.held_out.mesh, subject.model, seed, thorough
         shapes, self._which = np.unique(cases.starts, return_inverse=True)
         codes = [self._model.encode(np.asarray(cases.fields[shape], np.float64)) for shape in shapes]
         family = self._model.prior(None)
@@ -104,7 +108,8 @@ class Sweep:
         for number, key in enumerate(new):
             of_setting = parts[number * len(lots) : (number + 1) * len(lots)]
             steps = [Errors.joined(list(step)) for step in zip(*(part.steps for part in of_setting), strict=True)]
-            self._done[key] = Outcome(steps, np.concatenate([part.inside90 for part in of_setting]))
+            inside, ratios = (np.concatenate([getattr(p, name) for p in of_setting]) for name in ("inside90", "det_f"))
+            self._done[key] = Outcome(steps, inside, ratios)
 
     def outcome(self, setting: Setting) -> Outcome:
         """Return what a setting gave that has been run."""
@@ -146,6 +151,11 @@ class Sweep:
             "coverage90": float(found.inside90.mean()),
             "worse": int((end.mean > self.start).sum()),
             "paper_mm": None,
+            **(
+                {"min_det_f": found.det_f[:, 0].min(), "inverted_tets": int(found.det_f[:, 1].sum())}
+                if self._thorough
+                else {}
+            ),
         }
 
     def _lot(self, setting: Setting, lot: slice) -> Outcome:
@@ -166,9 +176,14 @@ class Sweep:
             n_steps=setting.n_a,
             balanced=method.balanced,
         )
-        means = found.means if self._all_steps else found.means[-1:]
-        steps = [Errors.of(model.decode(np.ascontiguousarray(mean.T)), targets) for mean in means]
+        means = found.means if self._thorough else found.means[-1:]
+        fields = [model.decode(np.ascontiguousarray(mean.T)) for mean in means]
+        ratios = np.full((len(targets), 2), np.nan)
+        if self._thorough:
+            of_tets = det_f(self._mesh, fields[-1])
+            ratios = np.stack([of_tets.min(axis=1), (of_tets <= 0.0).sum(axis=1)], axis=1)
         points = self._inner(np.concatenate(list(found.latents), axis=1))
         points = points.reshape(len(targets), setting.n_e, len(cases.inner), 3)
         own = self._at_inner if method.own_errors else None
-        return Outcome(steps, inside90(points, targets[:, cases.inner], found.spread_factor, own))
+        inside = inside90(points, targets[:, cases.inner], found.spread_factor, own)
+        return Outcome([Errors.of(field, targets) for field in fields], inside, ratios)

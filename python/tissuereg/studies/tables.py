@@ -123,7 +123,8 @@ def _steps(rows: list[dict[str, Any]]) -> list[str]:
     heads = ["start", *(f"after {k}" for k in range(1, n))]
     columns = [("method", "method", "{}"), ("reading", "C_d read as", "{}")]
     table = [{**row, **dict(zip(heads, row["steps_mm"], strict=True))} for row in rows]
-    return _table((*columns, *((head, head, "{:.3f}") for head in heads)), table)
+    ends = (("min_det_f", "smallest det F", "{:.3f}"), ("inverted_tets", "inverted tets", "{}"))
+    return _table((*columns, *((head, head, "{:.3f}") for head in heads), *ends), table)
 
 
 def _table(columns: Any, rows: list[dict[str, Any]]) -> list[str]:
