@@ -109,7 +109,7 @@ def _table2(content: dict[str, Any]) -> Any:
     figure, panels = _panels(title, 1, 1, 3.6, width=8.5)
     axes = panels[0][0]
     rows = [row for row in content["rows"] if row["end_mean_mm"] is not None]
-    constant = next((row["start_mean_mm"] for row in rows if row["start_mean_mm"] is not None), None)
+    constant = next((row["start_mean_mm"] for row in reversed(rows) if row["start_mean_mm"] is not None), None)
     names, values = [row["what"] for row in rows], [row["end_mean_mm"] for row in rows]
     if constant is not None:
         names, values = [*names, "constant mean shape, test shapes made here"], [*values, constant]

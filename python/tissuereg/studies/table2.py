@@ -105,12 +105,18 @@ def _rows(subject: Subject, cases: Cases) -> list[dict[str, Any]]:
     here = Errors.of(reconstructed(subject, fields), fields)
     mean = subject.mean
     constant = None if mean is None else float(Errors.of(np.broadcast_to(mean, fields.shape), fields).mean.mean())
+    kind, known = subject.facts["kind"], {"test": errors.get("mean_shape")}
     rows = [
-        _row(f"{subject.facts['kind']}, {split} (its card)", end=errors.get(split), paper=PAPER_ERRORS_MM.get(split))
+        _row(
+            f"{kind}, {split} (its card)",
+            end=errors.get(split),
+            start=known.get(split),
+            paper=PAPER_ERRORS_MM.get(split),
+        )
         for split in ("train", "valid", "test")
     ]
     rows.append(_row("PCA-26, test (its card)", end=errors["pca"]))
-    whole = _row(f"{subject.facts['kind']}, test shapes made here", end=float(here.mean.mean()), start=constant)
+    whole = _row(f"{kind}, test shapes made here", end=float(here.mean.mean()), start=constant)
     rms, largest = float(np.sqrt((here.rms**2).mean())), float(here.largest.max())
     paper = PAPER_ERRORS_MM["test"]
     rows.append({**whole, "n_pairs": len(fields), "end_rms_mm": rms, "end_max_mm": largest, "paper_mm": paper})
