@@ -13,6 +13,7 @@ import numpy.typing as npt
 import onnx
 
 from tissuereg_training.errors import OutputError
+from tissuereg_training.shared import write_shared
 
 CARD = "model.json"
 
@@ -61,7 +62,7 @@ def write_model(
         Folder next to `out`, used by this run alone, made where absent. What a killed run left in it is replaced; of a
         run that ends nothing of this stays in it.
     encoder, decoder : onnx.ModelProto
-        The networks.
+        The networks; tables that they share with `weights` become references to a file of their own.
     weights : dict of str to ndarray
         Content of ``decoder_weights.npz``.
     card : dict
@@ -86,10 +87,11 @@ def write_model(
         remove_unfinished(scratch)
         new.mkdir(mode=0o700)
         try:
+            rest = write_shared(new, (encoder, decoder), weights)
             (new / "encoder.onnx").write_bytes(encoder.SerializeToString(deterministic=True))
             (new / "decoder.onnx").write_bytes(decoder.SerializeToString(deterministic=True))
             with (new / "decoder_weights.npz").open("wb") as stream:
-                np.savez_compressed(stream, **weights)  # type: ignore[arg-type]
+                np.savez_compressed(stream, **rest)  # type: ignore[arg-type]
             for name, content in (pages or {}).items():
                 (new / name).write_bytes(content)
             files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(new.iterdir())}

@@ -75,7 +75,8 @@ def check_files(folder: Path, card: dict[str, Any]) -> None:
     ModelError
         If a file is missing, or differs from its SHA-256 in the card.
     """
-    for name in MODEL_FILES:
+    shared = [name for name in card["files"] if name.endswith(".npy") and Path(name).name == name]
+    for name in (*MODEL_FILES, *shared):
         path = folder / name
         if not path.is_file():
             message = f"the model folder {folder} must hold {name}, as its card states; it is missing"

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import FormatError, ModelError
 from tissuereg.io.npz import Archive, open_npz
 from tissuereg.latent.onnx_bytes import OnnxGraph
@@ -330,7 +330,7 @@ def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
     """
     try:
         with open_npz(path) as weights:
-            if "components_mm" in weights:
+            if "activation" in weights:
                 return _closure(weights)
             return _graph_network(weights) if "fully_connected.weight" in weights else None
     except FormatError as error:
@@ -350,8 +350,16 @@ def _closure(weights: Archive) -> ClosureDecoder:
         layers.append((weight, weights.floats(f"{name}/bias", len(weight))))
     n_components, n_latent = len(layers[-1][1]), layers[0][0].shape[1]
     skip = weights.floats("skip/weight", n_components, n_latent) if "skip/weight" in weights else None
-    components = weights.floats("components_mm", n_components, len(mean), 3).astype(np.float32)
+    components = _table(weights, "components_mm", n_components, len(mean), 3).astype(np.float32)
     return ClosureDecoder(tuple(layers), skip, activation, components, mean)
+
+
+def _table(weights: Archive, name: str, *shape: int) -> FloatArray:
+    """Return a table of the weights, or of the file of its own in which the networks share it."""
+    shared = Path(weights.path).with_name(f"{name}.npy")
+    if name in weights or not shared.exists():
+        return weights.floats(name, *shape)
+    return float_array(name, np.load(shared, allow_pickle=False), shape)
 
 
 def _graph_network(weights: Archive) -> GraphDecoder:
