@@ -54,9 +54,9 @@ approach with data assimilation for sim-to-real transfer", section III.
 * **Errors**: distance of a node from its true place. The paper's "MSE error" in cm is undefined; its figures are taken
   as means. Intervals (95 %) resample start meshes and targets, which pairs share (pigeonhole bootstrap).
 * **Regions**: 90 % ellipsoids at {n_inner} inner nodes, from the posterior ensemble.
-* **Statements**: *worse* holds if the interval of the mean difference lies above zero; *alike* if means differ by less
-  than {alike:.0%} of the larger. A study agrees if all statements hold in one of the readings of C_d, by the method
-  *paper*.
+* **Statements**: *alike* holds if means differ by less than {alike:.0%} of the larger; *worse* if they differ by more,
+  and the interval of the mean difference lies above zero. A study agrees if all statements hold in one of the readings
+  of C_d, by the method *paper*.
 
 In the JSON a row of a sweep has `study`, `method`, `prior`, `cd` and `reading` (as the paper writes it, and its unit),
 `cd_mm2`, `n_e`, `n_a`, `n_pairs`, `start_mean_mm`; at the end `end_mean_mm` with `end_mean_interval95_mm`,

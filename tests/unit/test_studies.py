@@ -374,6 +374,15 @@ def test_each_statement_can_fail_alone(study, statement, end):
         assert wrong[0].startswith(statement)
 
 
+@pytest.mark.parametrize("study", ["fig6", "fig7"])
+def test_errors_that_hardly_differ_agree_with_no_statement_of_worse(study):
+    """A prior too narrow to move leaves differences of micrometres, all of one sign."""
+    hardly = FIGURES[study].agreement(stub(lambda setting: 4.3 + 1e-4 * as_in_the_paper(setting)), METHODS[0])
+    assert not hardly.agrees
+    for claims in hardly.readings.values():
+        assert not any(claim.holds for claim in claims if "worse" in claim.text)
+
+
 def test_one_reading_in_which_all_holds_is_enough():
     good, bad = Claim("a", True, "1"), Claim("b", False, "2")
     assert Agreement({"one": (good, bad), "other": (good,)}).agrees

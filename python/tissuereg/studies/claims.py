@@ -36,10 +36,14 @@ class Compared:
     clusters: Clusters
 
     def worse(self, text: str, one: FloatArray, other: FloatArray) -> Claim:
-        """Claim that `one` has larger errors (n_pairs,) than `other`: the interval of the difference is above zero."""
+        """Claim that `one` has larger errors (n_pairs,) than `other`, and not only by chance or by a trifle.
+
+        The interval of the mean difference is above zero, and the means are not alike.
+        """
         low, high = self.clusters.interval(one - other)
         found = f"{one.mean():.3f} against {other.mean():.3f} mm, difference {low:.3f} to {high:.3f}"
-        return Claim(text, low > 0.0, found)
+        tangible = float(one.mean()) * (1.0 - ALIKE) >= float(other.mean())
+        return Claim(text, low > 0.0 and tangible, found)
 
     def alike(self, text: str, one: FloatArray, other: FloatArray) -> Claim:
         """Claim that two means differ by less than a tenth of the larger one."""

@@ -78,6 +78,8 @@ def layers_of(weights: Archive, card: dict[str, Any]) -> tuple[Layer, ...]:
     found: list[Layer] = []
     while (name := f"layer{len(found)}/weight") in weights:
         found.append(Layer("Fully connected", (1, len(weights.floats(name, None, None)))))
+    if "skip/weight" in weights:
+        found.append(Layer("Linear, from the latents, added", (1, len(weights.floats("skip/weight", None, None)))))
     if found:
         found.append(Layer("Principal components", (card["n_nodes"], 3)))
     return tuple(found)

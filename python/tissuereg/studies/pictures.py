@@ -81,7 +81,7 @@ def _fig7(content: dict[str, Any]) -> Any:
 
 
 def _fig8(content: dict[str, Any]) -> Any:
-    figure, panels = _panels(f"Fig. 8: error after each assimilation ({_words(content)})", 1, len(READINGS), 4.4)
+    figure, panels = _panels(f"Fig. 8: error after each assimilation ({_words(content)})", 1, len(READINGS), 5.0)
     for axes, reading in zip(panels[0], READINGS, strict=True):
         last = 0
         for colour, method in zip(_COLOURS, content["methods"], strict=True):
@@ -99,7 +99,7 @@ def _fig8(content: dict[str, Any]) -> Any:
         axes.set_title(f"C_d = 0.001 {READING_WORDS[reading]}", fontsize=10)
         axes.set_xlabel("assimilations")
         axes.grid(alpha=0.3, which="both")
-        axes.legend(fontsize=8, loc="lower left")
+        axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     panels[0][0].set_ylabel("mean error, mm")
     return figure
 
@@ -117,8 +117,10 @@ def _table2(content: dict[str, Any]) -> Any:
     axes.barh(places, values, color="tab:blue", label="here")
     papers = [(k, row["paper_mm"]) for k, row in enumerate(rows) if row["paper_mm"] is not None]
     axes.plot([p for _, p in papers], [k for k, _ in papers], "kx", label="the paper")
+    ends = dict(papers)
     for k, value in zip(places, values, strict=True):
-        axes.annotate(f"{value:.3f}", (value, k), (4, 0), textcoords="offset points", va="center", fontsize=8)
+        beside = max(value, ends.get(k, 0.0))  # right of the bar, and of the paper's cross
+        axes.annotate(f"{value:.3f}", (beside, k), (6, 0), textcoords="offset points", va="center", fontsize=8)
     axes.set_yticks(list(places), names, fontsize=8)
     axes.set_xlim(0.0, 1.15 * max(values))
     axes.invert_yaxis()

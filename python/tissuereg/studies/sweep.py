@@ -60,6 +60,15 @@ class Sweep:
         Of the ensembles. Each pair has its own, the same under every setting.
     thorough : bool
         Whether the mean is decoded after each assimilation, and volume ratios of the registered meshes are found.
+
+    Attributes
+    ----------
+    start : ndarray of float64, shape (n_pairs,)
+        Mean distance of the nodes of start and target, mm.
+    clusters : Clusters
+        Of the pairs.
+    encoder_spread : float
+        Standard deviation of q over that of all training codes, the median over latents and start meshes.
     """
 
     def __init__(self, subject: Subject, cases: Cases, seed: int, *, thorough: bool = False) -> None:
@@ -76,7 +85,6 @@ class Sweep:
             "family": [family] * len(codes),
         }
         spread = np.sqrt(np.array([variance for _, variance in codes]))
-        #: Standard deviation of q over that of all training codes, the median over latents and start meshes.
         self.encoder_spread = float(np.median(spread / np.sqrt(np.diag(family.covariance))))
         self._markers, self._inner = (decoder_at(self._model, nodes) for nodes in (cases.markers, cases.inner))
         own = self._model.errors()
