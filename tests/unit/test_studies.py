@@ -8,11 +8,9 @@ import pytest
 
 import tissuereg as tr
 from support.files import run, run_json
-from support.scripts import REPOSITORY
 from tissuereg.assimilate import assimilate
 from tissuereg.cli.reproduce import _STUDIES
 from tissuereg.errors import ArgumentError, EnsembleError, ModelError
-from tissuereg.io.toml import read_toml
 from tissuereg.latent.model import Gaussian
 from tissuereg.latent.pca import PcaModel
 from tissuereg.simulate.dataset import make_dataset
@@ -88,15 +86,6 @@ def test_shapes_come_in_the_order_asked_for(subject):
     found = subject.held_out.fields(some, threads=1)
     assert np.array_equal(found[0], found[2])
     assert np.array_equal(found[1:2], subject.held_out.fields(some[1:2], threads=1))
-
-
-@pytest.mark.parametrize("name", shapes.KNOWN)
-def test_the_recipes_that_travel_make_the_data_that_networks_are_trained_on(name):
-    there, here = (
-        read_toml(folder / f"{name}.toml").rest()
-        for folder in (REPOSITORY / "training" / "recipes", REPOSITORY / "python" / "tissuereg" / "studies" / "recipes")
-    )
-    assert {k: v for k, v in there.items() if k != "train"} == {k: v for k, v in here.items() if k != "train"}
 
 
 def test_a_split_without_the_failed_members_is_another_one(subject):

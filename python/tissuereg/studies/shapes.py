@@ -5,7 +5,6 @@ A member of a data set depends on the recipe and its own number alone, so a stud
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -14,14 +13,12 @@ from tissuereg.errors import EnsembleError, ModelError
 from tissuereg.io.chunks import Fields
 from tissuereg.io.datasets import split_of
 from tissuereg.mesh import Mesh
+from tissuereg.phantom.shipped import shipped_recipe
 from tissuereg.simulate.chunks import ChunkMaker
-from tissuereg.simulate.recipe import Recipe, read_recipe
+from tissuereg.simulate.recipe import Recipe
 
-_RECIPES = Path(__file__).resolve().parent / "recipes"
-
-#: Data sets whose recipes travel with the package, with the numbers of their members that have no equilibrium; the
-#: others are split.
-KNOWN: dict[str, tuple[int, ...]] = {"phantom": (), "breast": (1468, 2494, 3990, 6405, 9619)}
+#: Members of the shipped model's data that have no equilibrium; the others are split.
+FAILED = (1468, 2494, 3990, 6405, 9619)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +97,14 @@ def held_out_of(mesh_digest: str) -> HeldOut:
     Raises
     ------
     ModelError
-        If it is no mesh of a recipe that travels with the package.
+        If it is not the mesh of the shipped model's data.
     """
-    for name, failed in KNOWN.items():
-        recipe = read_recipe(_RECIPES / f"{name}.toml")
-        mesh = recipe.mesh()
-        if mesh.digest() == mesh_digest:
-            return HeldOut(recipe, mesh, failed)
+    recipe = shipped_recipe()
+    mesh = recipe.mesh()
+    if mesh.digest() == mesh_digest:
+        return HeldOut(recipe, mesh, FAILED)
     message = (
-        f"the model of a study must be one of a body whose recipe travels with the package ({', '.join(KNOWN)}); "
+        "the model of a study must be one of the phantom's body, whose recipe travels with the package; "
         f"this one knows another mesh ({mesh_digest[:12]})"
     )
     raise ModelError(message, where="model")
