@@ -26,11 +26,15 @@ from tissuereg.material import SHAPE_KEYS, Material
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "experiment.md"
+TRAIN_SETTINGS = ROOT / "training" / "tissuereg_training" / "settings.py"
 RECIPES = (
     (ROOT / "python" / "tissuereg" / "simulate" / "recipe.py", "MaterialRecipe", "[material]"),
     (ROOT / "python" / "tissuereg" / "simulate" / "recipe.py", "DataRecipe", "[data]"),
     (ROOT / "python" / "tissuereg" / "simulate" / "recipe.py", "PairsRecipe", "[pairs]"),
-    (ROOT / "training" / "tissuereg_training" / "recipe.py", "TrainSettings", "[train]"),
+    (TRAIN_SETTINGS, "TrainSettings", "[train]"),
+    # The text stands between backticks, and so do its two parts.
+    (TRAIN_SETTINGS, "GraphSettings", '[train]`, `kind = "graph"'),
+    (TRAIN_SETTINGS, "ClosureSettings", '[train]`, `kind = "closure"'),
 )
 _BLOCK = re.compile(r"(<!-- made by tools/experiment_page\.py: (.+?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -146,11 +150,17 @@ def recipes() -> str:
 def recipe_keys(path: Path, name: str) -> list[tuple[str, str, str, str]]:
     """Return key, kind, default and meaning of every field of a class, read without importing it."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    found = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
-    documented = described(ast.get_docstring(found) or "")
+    classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+    found = classes[name]
+    bases = [classes[base.id] for base in found.bases if isinstance(base, ast.Name) and base.id in classes]
+    documented: dict[str, tuple[str, str]] = {}
+    for each in (*bases, found):
+        documented |= described(ast.get_docstring(each) or "")
     rows = []
     for node in found.body:
         if isinstance(node, ast.AnnAssign) and node.value is not None and isinstance(node.target, ast.Name):
+            if "ClassVar" in ast.unparse(node.annotation):
+                continue
             kind, meaning = documented[node.target.id]
             default = ast.unparse(node.value).replace("(", "[").replace(")", "]").replace("'", '"').replace(",]", "]")
             rows.append((node.target.id, kind, default, meaning))

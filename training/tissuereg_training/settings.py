@@ -27,8 +27,9 @@ class TrainSettings:
         Peak of the one-cycle schedule.
     rise : float
         Share of all steps in which the learning rate rises to its peak; it falls to zero after.
-    loss : str
-        Reconstruction term, one of the kind's `LOSSES`; in units of the scale.
+    loss : {"distance", "rms", "squared"}
+        Reconstruction term, in units of the scale: mean Euclidean node error (graph alone), mean over fields of the
+        root mean square node error (closure alone), or mean squared component.
     kl_weight : float
         Weight of the Kullback-Leibler divergence of q(z | x) from N(0, 1), summed over latents. Positive: a network
         without it has no prior.
@@ -130,7 +131,7 @@ class ClosureSettings(TrainSettings):
     Parameters
     ----------
     n_components : int
-        Principal components of the training split that the perceptron combines; more than latents.
+        Principal components of the training split that the perceptron combines; at least as many as latents.
     hidden : tuple of int
         Widths of the decoder's hidden layers.
     encoder_hidden : tuple of int
@@ -142,7 +143,6 @@ class ClosureSettings(TrainSettings):
     kind: ClassVar[str] = "closure"
     LOSSES: ClassVar[tuple[str, ...]] = ("rms", "squared")
 
-    epochs: int = 300
     batch: int = 256
     rise: float = 0.1
     loss: str = "rms"
