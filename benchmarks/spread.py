@@ -388,7 +388,7 @@ def measure(
     }
     return {
         "schema": "tissuereg.spread/1",
-        "model": model.card,
+        "model": {**model.card, "source": model_folder.name},
         "part": part,
         "n_development_pairs": len(development[0]),
         "sets": sets,

@@ -20,9 +20,15 @@ noise, 20 random inner points each. Made by `make spread`; the method is describ
 *ours*: the model with its calibration. *one Gaussian*: the same model without it (its prior and its errors one Gaussian
 each). *paper*: Algorithm 1 as the paper has it: prior $q(z \\mid M_t)$, $C_d$ = 0.1 mm², 100 members, 5 assimilations;
 $M_t$ is the simulation, or the undeformed body. *pca26*: 26 principal components in place of the network. The last
-column: events whose mean error at the targets is larger than before.
+column: events whose mean error at the targets is larger than before. A method that is not given the simulation is
+compared with it all the same.
 
 ![Coverage, ranks and p-values](spread.png)
+"""
+
+_READING = """
+One factor on all covariances makes 90 % regions hold 90 % of the targets in rehearsals. The posterior has heavier tails
+than a Gaussian: regions of 50 % are too wide, and those of 95 % hold a little less.
 """
 
 _COLUMNS = (
@@ -46,6 +52,7 @@ def page(found: dict[str, Any]) -> str:
         foreign=sets["foreign"]["ours"]["events"],
         development=found["n_development_pairs"],
     )
+    text += _READING
     for name, title in (("known", "Known physics"), ("foreign", "Foreign physics")):
         text += f"\n## {title}\n\n{_table(sets[name])}"
     text += "\n" + _trust(found)
@@ -84,7 +91,7 @@ def _trust(found: dict[str, Any]) -> str:
         f"| honest, foreign physics | {foreign['events']} | {100 * foreign['alarms']:.1f} % |",
     ]
     for name, row in found["alarms"].items():
-        lines.append(f"| {name} ({row['events']}) | {row['cases']} | {100 * row['fired'] / row['cases']:.0f} % |")
+        lines.append(f"| {name} | {row['cases']} | {100 * row['fired'] / row['cases']:.0f} % |")
     return "\n".join(lines) + "\n"
 
 
