@@ -23,11 +23,11 @@ from tissuereg.inputs import RegisterSettings
 from tissuereg.latent.card import read_card
 from tissuereg.latent.network import NetworkModel, kept_network
 from tissuereg.mesh import Mesh
-from tissuereg.phantom import breast_mesh, phantom_mesh, shipped_model_folder
+from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.registrar import Registrar
 
 #: The paper's setting.
-N_MEMBERS, N_STEPS, N_MARKERS, N_NODES = 100, 5, 15, 4223
+N_MEMBERS, N_STEPS, N_MARKERS = 100, 5, 15
 
 #: Random sets of markers, and registrations of each that do not count.
 N_SETS, N_WARM = 20, 2
@@ -108,14 +108,13 @@ def _table2(settings: StepSettings) -> Iterator[tuple[Path, str]]:
         yield Path(settings.table2), "trained"
         return
     with tempfile.TemporaryDirectory() as folder:
-        write_random_table2(breast_mesh(N_NODES), Path(folder), settings.seed)
+        write_random_table2(phantom_mesh(), Path(folder), settings.seed)
         yield Path(folder), "random: the time does not depend on the values"
 
 
 def _mesh_of(folder: Path) -> Mesh:
     digest = read_card(folder)["mesh_digest"]
-    for make in (phantom_mesh, lambda: breast_mesh(N_NODES)):
-        mesh = make()
+    for mesh in (phantom_mesh(), phantom_mesh("small")):
         if mesh.digest() == digest:
             return mesh
     message = f"the model in {folder} must know a mesh of the phantom, to be timed; it knows another one"

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tissuereg import bench_step
 from tissuereg.bench_network import write_random_table2
 from tissuereg.bench_step import StepSettings, step_rows
 from tissuereg.errors import ModelError
@@ -14,15 +13,15 @@ from tissuereg.phantom import phantom_mesh, truth_mesh
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("table2")
-    write_random_table2(phantom_mesh(), made)
+    write_random_table2(phantom_mesh("small"), made)
     return made
 
 
 def test_the_random_network_has_the_form_of_table_two_and_files_that_agree(folder):
-    network = NetworkModel(folder, phantom_mesh())
+    network = NetworkModel(folder, phantom_mesh("small"))
     assert [level.bases.shape for level in network.tables.levels] == [(9, 128, 64), (9, 64, 32), (9, 32, 3)]
     sizes = [level.tables[0].shape for level in network.tables.levels]
-    assert sizes[-1][0] == 1213
+    assert sizes[-1][0] == phantom_mesh("small").n_nodes
     assert all(fine > 4 * coarse for fine, coarse in sizes)
     latents = np.random.default_rng(0).standard_normal((26, 7))
     by_file, by_tables = network.decode(latents), network.tables.decode(latents)
@@ -45,8 +44,7 @@ def test_a_step_is_timed_at_the_papers_setting_and_its_products_are_counted(fold
         assert 600 * 1e5 < row["multiply_adds"] < 700 * 2e7
 
 
-def test_a_model_of_another_body_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(bench_step, "N_NODES", 500)
-    write_random_table2(truth_mesh(), tmp_path)
+def test_a_model_of_another_body_is_refused(tmp_path):
+    write_random_table2(truth_mesh("small"), tmp_path)
     with pytest.raises(ModelError, match="must know a mesh of the phantom"):
         step_rows(StepSettings(model=str(tmp_path)))

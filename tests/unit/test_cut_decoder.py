@@ -110,7 +110,7 @@ def test_the_shipped_network_is_cut_once_for_the_same_points():
 
 def test_weights_of_another_decoder_are_refused(monkeypatch):
     network = NetworkModel(shipped_model_folder(), phantom_mesh(), threads=1)
-    network.tables.levels[-1].bases[0] *= 1.01
+    network.tables.components[0] *= 1.01
     with pytest.raises(ModelError, match=r"must give the field of its decoder\.onnx to 0\.0001 of the largest"):
         network.cut(points(np.random.default_rng(4), 15, network.n_nodes))
     monkeypatch.setattr(cut_module, "TOLERANCE", 1.0)

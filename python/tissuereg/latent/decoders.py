@@ -28,7 +28,7 @@ from tissuereg.latent.onnx_bytes import OnnxGraph
 #: Activations, by their names in a closure's weights.
 _ACTIVATED: dict[str, Callable[[FloatArray], FloatArray]] = {
     "elu": lambda x: np.maximum(x, np.expm1(np.minimum(x, 0.0))),
-    "silu": lambda x: x / (1.0 + np.exp(-x)),
+    "silu": lambda x: x * (0.5 + 0.5 * np.tanh(0.5 * x)),
     "relu": lambda x: np.maximum(x, 0.0),
     "tanh": np.tanh,
 }
