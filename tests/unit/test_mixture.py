@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from support.meshes import block
+from support.small_model import SMALL_MODEL
 from tissuereg.errors import FormatError, ModelError, NoiseError
 from tissuereg.latent.calibrate import RehearsalSettings, calibrate, field_errors
 from tissuereg.latent.calibration import Calibration, FieldErrors, Rehearsal
@@ -15,7 +16,7 @@ from tissuereg.latent.mixture import Component, Linear, condition
 from tissuereg.latent.network import NetworkModel
 from tissuereg.latent.pca import PcaModel
 from tissuereg.latent.relinearise import conditioned
-from tissuereg.phantom import phantom_mesh, shipped_model_folder
+from tissuereg.phantom import phantom_mesh
 
 
 def spread_matrix(size, rng):
@@ -194,18 +195,19 @@ def test_a_calibration_is_the_same_after_it_was_written_and_read(calibrated, tmp
 
 def test_a_calibration_in_a_models_folder_is_used_and_one_that_was_altered_is_refused(tmp_path):
     folder = tmp_path / "model"
-    shutil.copytree(shipped_model_folder(), folder)
-    assert NetworkModel(folder, phantom_mesh()).calibration is None
-    n = phantom_mesh().n_nodes
+    shutil.copytree(SMALL_MODEL, folder)
+    mesh = phantom_mesh("small")
+    assert NetworkModel(folder, mesh).calibration is None
+    n = mesh.n_nodes
     kinds = Kinds(np.ones(1), np.zeros((1, 26)), np.eye(26)[None])
     errors = FieldErrors(np.ones((2, n, 3)), np.eye(2)[None], np.zeros((n, 3)))
     write_calibration(folder, Calibration(kinds, errors, Rehearsal(np.ones(1), np.ones(1))))
-    assert NetworkModel(folder, phantom_mesh()).calibration is not None
+    assert NetworkModel(folder, mesh).calibration is not None
     content = bytearray((folder / "calibration.npz").read_bytes())
     content[len(content) // 2] ^= 1
     (folder / "calibration.npz").write_bytes(content)
     with pytest.raises(ModelError, match="must be the file its card describes"):
-        NetworkModel(folder, phantom_mesh())
+        NetworkModel(folder, mesh)
 
 
 def test_covariances_of_errors_are_those_of_the_fields_of_a_kind():

@@ -14,7 +14,7 @@ from tissuereg.phantom import phantom_mesh, true_fields, truth_mesh
 from tissuereg.simulate.solve import Simulator
 
 #: The stiff lesion: centre and radius in mm, modulus over that of the tissue around it.
-LESION_MM, LESION_RADIUS_MM, LESION_CONTRAST = (14.0, -10.0, 26.0), 9.0, 4.0
+LESION_MM, LESION_RADIUS_MM, LESION_CONTRAST = (2.0, 16.0, 24.0), 9.0, 4.0
 
 #: The two pushers: direction of the pad from `_PAD_ORIGIN_MM`, push in mN.
 _PAD_ORIGIN_MM = (0.0, -3.0, 18.0)
