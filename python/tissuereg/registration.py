@@ -12,7 +12,7 @@ from typing import Any
 from tissuereg._arguments import called
 from tissuereg._clock import Clock
 from tissuereg.errors import MarkerError, ModelError
-from tissuereg.inputs import RegisterSettings, as_markers
+from tissuereg.inputs import RegisterSettings, as_markers, as_mesh
 from tissuereg.latent.model import LatentModel
 from tissuereg.load import Load
 from tissuereg.markers import Markers
@@ -169,9 +169,9 @@ def register(
                 message = "points of a surface are registered without a trained model; leave out `model` or `surface`"
                 raise ModelError(message, where="surface")
             points = None if surface is None else SurfacePoints(surface, surface_std)
-            measured = as_markers(markers)
+            body, measured = as_mesh(mesh), as_markers(markers)
             registrar = Registrar(
-                mesh,
+                body,
                 measured,
                 model,
                 targets,

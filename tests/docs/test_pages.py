@@ -131,5 +131,6 @@ def test_blocks_that_are_not_run_are_known():
         "docs/tutorial.md": 1,  # pip install
         "docs/cluster.md": 4,  # start processes, or take a cluster
         "docs/files.md": 1,  # reads a data set; run by tests/unit/test_datasets.py
-        "docs/howto/own-network.md": 3,  # make training; two that need torch, run by training/tests/test_page.py
+        "docs/howto/own-network.md": 4,  # make training; three that need torch, run by training/tests/test_page.py
+        "docs/realtime.md": 1,  # takes minutes
     }
