@@ -216,10 +216,10 @@ bench-esmda: $(VENV)/.installed-dev
 	$(BIN)/python -m pip install --quiet pyesmda dageo iterative_ensemble_smoother
 	$(BIN)/python benchmarks/esmda.py
 
-# DATA of the model is made by `tissuereg simulate training/recipes/breast.toml --out $(SPREAD_DATA)`.
-SPREAD_DATA ?= build/breast
+# Of the shipped model, on the data it was trained on: make phantom-data.
+SPREAD_DATA ?= build/phantom-data
 FOREIGN ?= build/foreign
-MODEL ?= build/breast-model
+MODEL ?= python/tissuereg/phantom/model
 
 spread: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --model $(MODEL) --data $(SPREAD_DATA) --foreign $(FOREIGN)
@@ -235,8 +235,10 @@ paper: $(VENV)/.installed
 phantom-data: $(VENV)/.installed
 	$(BIN)/tissuereg simulate training/recipes/breast.toml --out build/phantom-data
 
-phantom-model: phantom-data training
-	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --out build/phantom-model
+phantom-model: phantom-data spread-data training
+	$(BIN)/tissuereg simulate training/recipes/breast-more.toml --out build/phantom-more
+	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --data build/phantom-more --out build/phantom-model
+	$(BIN)/tissuereg calibrate build/phantom-model --data build/phantom-data --pairs $(FOREIGN)/development
 
 table2-model: phantom-data training
 	$(TRAINING_BIN)/tissuereg train training/recipes/table2.toml --data build/phantom-data --out build/table2-model

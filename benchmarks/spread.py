@@ -35,6 +35,9 @@ from tissuereg.simulate.recipe import read_recipe
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "results" / "spread.json"
+#: Folders of foreign pairs: those that calibrate, and those that are asked.
+FOREIGN_PARTS = ("development", "test")
+
 RECIPE = HERE / "spread-foreign.toml"
 
 N_MARKERS, N_TARGETS, STD = 15, 20, 0.1
@@ -296,11 +299,12 @@ def alarms(mesh: tr.Mesh, model: Any, events: list[Event], seed: int) -> dict[st
 
 def make_foreign(out: Path, n_files: int) -> None:
     """Make the foreign pairs, file by file; those that are there are kept. Cost: seconds a pair."""
-    out.mkdir(parents=True, exist_ok=True)
+    for part in FOREIGN_PARTS:
+        (out / part).mkdir(parents=True, exist_ok=True)
     recipe = read_recipe(RECIPE)
     maker = ChunkMaker(recipe, recipe.mesh(), recipe.seed)
     for number in range(n_files):
-        path = out / f"pairs_{number:04d}.npz"
+        path = out / FOREIGN_PARTS[number % 2] / f"pairs_{number:04d}.npz"
         if path.exists():
             continue
         maker.seed = recipe.seed + 1000 * number
@@ -315,10 +319,9 @@ def make_foreign(out: Path, n_files: int) -> None:
         print(f"{path.name}: {len(truths)} pairs in {time.perf_counter() - begun:.0f} s", flush=True)
 
 
-def read_foreign(folder: Path, remainder: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return simulations and truths of the files whose number is even (0) or odd (1)."""
-    files = [path for path in sorted(folder.glob("pairs_*.npz")) if int(path.stem[-4:]) % 2 == remainder]
-    loaded = [np.load(path) for path in files]
+def read_foreign(folder: Path, part: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return simulations and truths of one of `FOREIGN_PARTS`."""
+    loaded = [np.load(path) for path in sorted((folder / part).glob("pairs_*.npz"))]
     return tuple(np.concatenate([one[name] for one in loaded]) for name in ("simulation_mm", "truth_mm"))  # type: ignore[return-value]
 
 
@@ -340,7 +343,7 @@ def measure(
     model, plain = (NetworkModel(model_folder, mesh, threads=1) for _ in range(2))
     plain.calibration = None
     unseen = data.displacement[split["valid"]]
-    development, asked = read_foreign(foreign, 0), read_foreign(foreign, 1)
+    development, asked = (read_foreign(foreign, each) for each in FOREIGN_PARTS)
     how = RehearsalSettings()
     if part == "valid":
         # Half of the validation split and of the development pairs calibrates, the other half is asked.

@@ -108,11 +108,14 @@ def picture(found: dict[str, Any]) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
+    methods = list(dict.fromkeys(method for one in found["sets"].values() for method in one))
+    colour = {method: f"C{number}" for number, method in enumerate(methods)}
     figure, axes = plt.subplots(2, 3, figsize=(11.0, 6.0), constrained_layout=True)
     for row, (name, title) in zip(axes, (("known", "known physics"), ("foreign", "foreign physics")), strict=True):
         for method, one in found["sets"][name].items():
             levels = [float(level) for level in one["coverage"]]
-            row[0].plot(levels, [value[0] for value in one["coverage"].values()], "o-", label=method, markersize=4)
+            shares = [value[0] for value in one["coverage"].values()]
+            row[0].plot(levels, shares, "o-", label=method, markersize=4, color=colour[method])
         row[0].plot([0, 1], [0, 1], color="0.7", zorder=0)
         row[0].set(xlabel="region", ylabel="share of targets inside", title=title, xlim=(0.4, 1.0), ylim=(0, 1))
         row[0].legend(fontsize=7)

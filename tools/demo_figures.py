@@ -44,7 +44,9 @@ def demo_table(answer: dict[str, Any]) -> str:
 def model_table() -> str:
     """Return the test errors on the shipped model's card as a table."""
     card = json.loads((shipped_model_folder() / "model.json").read_text(encoding="utf-8"))
-    made = f"`{card['kind']}`, {card['n_latent']} latents, {card['members']:,} simulations of {card['n_nodes']:,} nodes"
+    made = (
+        f"`{card['kind']}`, {card['n_latent']} latents, {card['trained_on']:,} simulations of {card['n_nodes']:,} nodes"
+    )
     return (
         "| shipped model of the phantom (`make phantom-model`) | test error, mm |\n| --- | --- |\n"
         f"| {made} | {card['errors_mm']['test']:.3f} |\n"

@@ -24,7 +24,6 @@ Float64Array = npt.NDArray[np.float64]
 
 SCHEMA = "tissuereg.compare/1"
 BEGIN, END = "<!-- networks: begin -->", "<!-- networks: end -->"
-_FILES = ("encoder.onnx", "decoder.onnx", "decoder_weights.npz", CARD)
 _PART = 50
 
 
@@ -200,7 +199,7 @@ def _measured(folder: Path, card: dict[str, Any], dataset: Dataset, parts: dict[
         **missed,
         "spread": float(np.sqrt(mean.var(axis=0) + np.exp(log_variance).mean(axis=0)).mean()),
         "samples": shapes,
-        "megabytes": sum((folder / name).stat().st_size for name in _FILES) / 1e6,
+        "megabytes": sum((folder / name).stat().st_size for name in card["files"]) / 1e6,
     }
 
 
