@@ -21,7 +21,7 @@ from tissuereg.latent.model import Gaussian, LatentModel, error_covariance
 from tissuereg.latent.network import kept_network
 from tissuereg.latent.points import PointModel, PointsAround
 from tissuereg.markers import Markers
-from tissuereg.mesh import Mesh, det_f
+from tissuereg.mesh import Mesh
 from tissuereg.mixture_posterior import CalibratedPosterior
 from tissuereg.posterior import Posterior
 from tissuereg.result import NO_MARKER, MarkerFit, Registration, Target
@@ -80,7 +80,7 @@ def register_by_model(
     posterior: Posterior | CalibratedPosterior
     with clock.stage("decode"):
         if calibration is None:
-            posterior = Posterior.of(model, fit.ensemble)
+            posterior = Posterior.of(given.mesh, model, fit.ensemble)
         else:
             posterior = CalibratedPosterior.of(
                 given.mesh, model, calibration, used, given.markers, fit.ensemble.mean, simulation, given.seed
@@ -209,7 +209,7 @@ def _result(
     observed = given.observed
     start = observed.predict(before[observed.nodes])
     residual = markers.displacement[seen] - posterior.marker_mean[seen]
-    ratios = det_f(mesh, posterior.displacement)
+    ratios = posterior.ratios
     notes = list(given.suspicions)
     for i, chance in wrong.items():
         notes.append(f"wrong marker: {markers.names[i]} does not fit the others (p = {chance:.1g}) and was left out")

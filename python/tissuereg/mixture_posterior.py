@@ -17,17 +17,15 @@ from tissuereg.latent.model import rms_displacement
 from tissuereg.latent.network import AnchoredModel
 from tissuereg.latent.points import PointsAround
 from tissuereg.latent.relinearise import conditioned, spread_of
+from tissuereg.latent.untangle import untangled
 from tissuereg.markers import Markers
-from tissuereg.mesh import Mesh, det_f
+from tissuereg.mesh import Mesh
 
 #: Linearisations about the ensemble's mean and then about the mixture's.
 _PASSES = 3
 
 #: Posterior fields that the spread of nodes is taken from, and how many are decoded at once.
 _DRAWS, _BATCH = 64, 32
-
-#: Parts of the correction that are tried.
-_SHARES = (1.0, 0.7, 0.5, 0.35, 0.2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,16 +155,21 @@ class CalibratedPosterior:
         return np.asarray(sum(fields, np.zeros_like(self._decoded)))
 
     @cached_property
+    def _whole(self) -> tuple[FloatArray, FloatArray]:
+        return untangled(self.mesh, self._decoded + self._correction)
+
+    @property
     def displacement(self) -> FloatArray:
         """Displacement of every node (n_nodes, 3): decoded, and corrected by what the markers tell of the error.
 
-        The correction knows no mechanics: of one that would turn tets inside out as large a part is taken as does not.
+        Neither decoder nor correction knows mechanics: tetrahedra that are inside out are mended (`untangled`).
         """
-        for share in _SHARES:
-            field = self._decoded + share * self._correction
-            if float(det_f(self.mesh, field).min()) > 0.0:
-                return field
-        return self._decoded
+        return self._whole[0]
+
+    @property
+    def ratios(self) -> FloatArray:
+        """Volume ratio of every tetrahedron (n_tets,)."""
+        return self._whole[1]
 
     def std(self) -> FloatArray:
         """Return the root of the trace of every node's covariance, (n_nodes,), from 64 posterior fields."""

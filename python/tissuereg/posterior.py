@@ -9,6 +9,8 @@ from tissuereg._arrays import FloatArray
 from tissuereg.assimilate import Assimilation
 from tissuereg.latent.model import error_covariance
 from tissuereg.latent.points import ErrorsAt, PointsAround
+from tissuereg.latent.untangle import untangled
+from tissuereg.mesh import Mesh
 
 #: Members decoded to full fields at once.
 _BATCH = 50
@@ -21,7 +23,9 @@ class Posterior:
     Attributes
     ----------
     displacement : ndarray of float64, shape (n_nodes, 3)
-        Decoded from the mean of the latents.
+        Decoded from the mean of the latents; inverted tetrahedra are mended (`tissuereg.latent.untangle`).
+    ratios : ndarray of float64, shape (n_tets,)
+        Volume ratio of every tetrahedron.
     marker_mean : ndarray of float64, shape (n_markers, 3)
         Displacement of every marker, seen or not.
     marker_covariance : ndarray of float64, shape (3 n_markers, 3 n_markers)
@@ -37,6 +41,7 @@ class Posterior:
     """
 
     displacement: FloatArray
+    ratios: FloatArray
     marker_mean: FloatArray
     marker_covariance: FloatArray
     marker_error: FloatArray
@@ -45,11 +50,13 @@ class Posterior:
     std: Callable[[], FloatArray]
 
     @classmethod
-    def of(cls, model: PointsAround, ensemble: Assimilation) -> "Posterior":
+    def of(cls, mesh: Mesh, model: PointsAround, ensemble: Assimilation) -> "Posterior":
         """Return the moments of an ensemble.
 
         Parameters
         ----------
+        mesh : Mesh
+            Undeformed body.
         model : PointsAround
             The model of this moment at its markers and targets.
         ensemble : Assimilation
@@ -63,11 +70,12 @@ class Posterior:
         factor, mean = ensemble.spread_factor, ensemble.mean
         moved = model.decode(ensemble.latents)
         at_markers, at_targets = model.markers(moved), model.targets(moved)
-        displacement = model.latent.decode(mean[:, None])[0]
+        displacement, ratios = untangled(mesh, model.latent.decode(mean[:, None])[0])
         own = model.errors(mean)
         n = len(moved)
         return cls(
             displacement,
+            ratios,
             at_markers.mean(axis=0),
             factor * np.atleast_2d(np.cov(at_markers.reshape(n, -1), rowvar=False)),
             _own_errors(own.markers),

@@ -1,0 +1,51 @@
+"""Fields that turn tetrahedra inside out."""
+
+import numpy as np
+import pytest
+
+from support.meshes import block
+from tissuereg.latent.untangle import untangled
+from tissuereg.mesh import det_f
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return block()
+
+
+def smooth_field(mesh):
+    """Return a bending of the block, without inverted tetrahedra."""
+    x = mesh.nodes / mesh.extent
+    return 0.1 * mesh.extent * np.column_stack([x[:, 2] ** 2, 0.3 * x[:, 2] * x[:, 0], -0.2 * x[:, 2]])
+
+
+def test_a_field_without_inverted_tetrahedra_is_returned_as_it_is(mesh):
+    field = smooth_field(mesh)
+    found, ratios = untangled(mesh, field)
+    assert found is field
+    assert np.array_equal(ratios, det_f(mesh, field))
+
+
+def test_a_node_that_was_pushed_through_its_neighbours_is_mended_and_the_rest_is_left(mesh):
+    field = smooth_field(mesh)
+    node = int(np.setdiff1d(np.arange(mesh.n_nodes), mesh.fixed_nodes)[-1])
+    spoilt = field.copy()
+    spoilt[node] -= 2.0 * mesh.extent
+    assert det_f(mesh, spoilt).min() < 0
+    found, ratios = untangled(mesh, spoilt)
+    assert ratios.min() > 0
+    assert np.array_equal(ratios, det_f(mesh, found))
+    near = np.unique(mesh.tets[(mesh.tets == node).any(axis=1)])
+    moved = np.flatnonzero((found != spoilt).any(axis=1))
+    assert node in moved
+    assert np.isin(moved, near).all()
+    # The bending varies little from a node to its neighbours.
+    assert np.linalg.norm(found[node] - field[node]) < 0.05 * mesh.extent
+
+
+def test_held_nodes_stay_and_the_best_that_was_found_is_returned(mesh):
+    spoilt = smooth_field(mesh)
+    spoilt[mesh.fixed_nodes[0]] -= 3.0 * mesh.extent
+    found, ratios = untangled(mesh, spoilt)
+    assert np.array_equal(found[mesh.fixed_nodes], spoilt[mesh.fixed_nodes])
+    assert ratios.min() >= det_f(mesh, spoilt).min()
