@@ -114,6 +114,7 @@ $(TRAINING_BIN)/python:
 	$(TRAINING_BIN)/python -m pip install --quiet --upgrade pip
 
 $(TRAINING_VENV)/.installed: $(TRAINING_BIN)/python $(VENV)/.installed training/pyproject.toml
+	$(TRAINING_BIN)/python -m pip install --quiet --force-reinstall --no-deps target/wheels/tissuereg-*.whl
 	$(TRAINING_BIN)/python -m pip install --quiet target/wheels/tissuereg-*.whl
 	$(TRAINING_BIN)/python -m pip install --quiet --editable "training[dev]"
 	touch $@
