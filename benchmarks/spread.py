@@ -4,9 +4,9 @@
     python benchmarks/spread.py --model MODEL --data DATA --foreign FOREIGN
     python benchmarks/spread.py --page                     # write the page of the figures that are there
 
-Every shape is registered from 15 random markers on its free surface (noise 0.1 mm) and asked for 20 random inner
+Every shape is registered from 15 random markers on its free surface (noise 0.1 mm), with 20 random inner
 points. The shapes: the test split of DATA, and foreign ones, registered with the believed model's simulation of the
-same event. Foreign files of even number calibrate, those of odd number are asked.
+same event. FOREIGN has those that calibrate in `development`, and those that are registered in `test`.
 """
 
 import argparse
@@ -28,6 +28,7 @@ from tissuereg.latent.calibrate import RehearsalSettings, calibrate, codes_of
 from tissuereg.latent.model import Gaussian
 from tissuereg.latent.network import NetworkModel
 from tissuereg.latent.pca import PcaModel
+from tissuereg.mesh import free_surface
 from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.simulate.chunks import ChunkMaker
 from tissuereg.simulate.pairs import simulated_pairs
@@ -86,12 +87,8 @@ Method = Callable[[Event], Answer]
 
 def places(mesh: tr.Mesh, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return random places of markers on the free surface and of targets inside, mm."""
-    held = np.zeros(mesh.n_nodes, bool)
-    held[mesh.fixed_nodes] = True
-    free = mesh.surface[~held[mesh.surface].all(axis=1)]
-    corners = mesh.nodes[free]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    chosen = corners[rng.choice(len(free), N_MARKERS, p=areas / areas.sum())]
+    free, shares = free_surface(mesh)
+    chosen = mesh.nodes[free[rng.choice(len(free), N_MARKERS, p=shares)]]
     markers = np.einsum("pc,pcx->px", rng.dirichlet(np.ones(3), N_MARKERS), chosen)
     inside = mesh.nodes[mesh.tets[rng.choice(mesh.n_tets, N_TARGETS, p=mesh.volumes / mesh.volumes.sum())]]
     return markers, np.einsum("pc,pcx->px", rng.dirichlet(np.ones(4), N_TARGETS), inside)
@@ -420,7 +417,7 @@ def main() -> None:
     parser.add_argument("--make-foreign", type=Path)
     parser.add_argument("--files", type=int, default=60, help="files of foreign pairs")
     parser.add_argument("--events", type=int, default=500, help="test shapes")
-    parser.add_argument("--rivals", type=int, default=200, help="shapes that the other methods are asked for")
+    parser.add_argument("--rivals", type=int, default=200, help="shapes that the other methods register")
     parser.add_argument("--alarms", type=int, default=100, help="shapes spoilt in each way")
     parser.add_argument("--part", choices=("test", "valid"), default="test", help="valid while a method is being made")
     parser.add_argument("--out", type=Path, default=OUT)

@@ -168,7 +168,7 @@ class Attachment:
         return self.places.names == markers.names and np.array_equal(self.places.reference, markers.reference)
 
     def measured(self, markers: Markers, surface: SurfacePoints | None = None, suspects: bool = True) -> RegisterInput:
-        """Return the input of one moment; where it is asked for, with suspicions that the markers are misread.
+        """Return the input of one moment; with `suspects`, also suspicions that the markers are misread.
 
         Raises
         ------

@@ -235,6 +235,16 @@ def node_normals(mesh: Mesh, areas: FloatArray) -> FloatArray:
     return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny))
 
 
+def free_surface(mesh: Mesh) -> tuple[IntArray, FloatArray]:
+    """Return the triangles (k, 3) of the surface that are not held, and the share (k,) of each in their area."""
+    held = np.zeros(mesh.n_nodes, dtype=bool)
+    held[mesh.fixed_nodes] = True
+    free = mesh.surface[~held[mesh.surface].all(axis=1)]
+    corners = mesh.nodes[free]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return free, areas / areas.sum()
+
+
 def det_f(mesh: Mesh, displacement: FloatArray) -> FloatArray:
     """Return the volume ratio of every tet under a displacement of its corners.
 

@@ -87,7 +87,7 @@ def test_a_registration_decodes_the_ensemble_once_a_step_and_once_at_the_end(eve
     assert counted["points"][5:] in ([53, 53], [53, 53, 53])
     # The answer, beside the simulation's code.
     assert counted["fields"] == 2
-    # The spread of nodes decodes 64 draws in two parts, each beside the simulation's code, and is asked for.
+    # The spread of nodes decodes 64 draws in two parts, each with the simulation's code, when it is first read.
     assert result.std.shape == (event.mesh.n_nodes,)
     assert counted["fields"] == 2 + 64 + 2
 

@@ -23,7 +23,7 @@ from tissuereg.latent.kinds import Kinds, probabilities
 from tissuereg.latent.mixture import Component, Linear, condition, log_evidence
 from tissuereg.latent.model import LatentModel, rms_displacement
 from tissuereg.latent.relinearise import conditioned, spread_of
-from tissuereg.mesh import Mesh
+from tissuereg.mesh import Mesh, free_surface
 from tissuereg.wrong_markers import score_markers, worst_chance
 
 #: Scales of events of one kind: their standard deviations over those of the kind.
@@ -238,12 +238,8 @@ class _Places:
 
     @classmethod
     def drawn(cls, mesh: Mesh, how: RehearsalSettings, rng: np.random.Generator) -> "_Places":
-        held = np.zeros(mesh.n_nodes, dtype=bool)
-        held[mesh.fixed_nodes] = True
-        free = mesh.surface[~held[mesh.surface].all(axis=1)]
-        corners = mesh.nodes[free]
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        triangles = free[rng.choice(len(free), how.n_markers, p=areas / areas.sum())]
+        free, shares = free_surface(mesh)
+        triangles = free[rng.choice(len(free), how.n_markers, p=shares)]
         tets = mesh.tets[rng.choice(mesh.n_tets, how.n_targets, p=mesh.volumes / mesh.volumes.sum())]
         members = np.concatenate([np.column_stack([triangles, triangles[:, :1]]), tets])
         weights = np.zeros((len(members), 4))

@@ -141,14 +141,8 @@ def condition(prior: list[Component], model: Linear, observed: FloatArray, noise
         own = spread @ slopes.T + one.errors
         off = observed - model.at[:n_obs] - slopes[:n_obs] @ (one.mean - model.point)
         for weight, scale in zip(one.weights, one.scales, strict=True):
-            factor, fails = lapack.dpotrf(scale**2 * own[:n_obs, :n_obs] + noise, lower=1)
-            if fails:
-                message = "the covariance of the innovation must be positive definite"
-                raise NoiseError(message, where="noise")
-            pull = lapack.dpotrs(factor, off, lower=1)[0].ravel()
-            square = float(off @ pull)
-            log = np.log(weight) - 0.5 * square - np.log(factor.diagonal()).sum()
-            found.append((log, number, scale, pull, square, factor, spread, own))
+            factor, pull, square, log = _innovation(off, scale**2 * own[:n_obs, :n_obs] + noise)
+            found.append((np.log(weight) + log, number, scale, pull, square, factor, spread, own))
     logs = np.array([one[0] for one in found])
     kept = np.flatnonzero(logs > logs.max() + np.log(_NEGLIGIBLE))
     weights = probabilities(logs[kept])
@@ -176,8 +170,6 @@ def condition(prior: list[Component], model: Linear, observed: FloatArray, noise
 
 def log_evidence(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> FloatArray:
     """Return log N(v; 0, S), (n_components, n_scales), without weights and constant; arguments as for `condition`."""
-    from scipy.linalg import lapack
-
     n_obs = len(observed)
     seen = model.slopes[:n_obs]
     logs = np.empty((len(prior), len(prior[0].scales)))
@@ -185,6 +177,18 @@ def log_evidence(prior: list[Component], model: Linear, observed: FloatArray, no
         own = seen @ one.covariance @ seen.T + one.errors[:n_obs, :n_obs]
         off = observed - model.at[:n_obs] - seen @ (one.mean - model.point)
         for s, scale in enumerate(one.scales):
-            factor, _ = lapack.dpotrf(scale**2 * own + noise, lower=1)
-            logs[c, s] = -0.5 * off @ lapack.dpotrs(factor, off, lower=1)[0].ravel() - np.log(factor.diagonal()).sum()
+            logs[c, s] = _innovation(off, scale**2 * own + noise)[3]
     return logs
+
+
+def _innovation(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
+    """Return the Cholesky factor of S, S^-1 v, v' S^-1 v, and log N(v; 0, S) without its constant."""
+    from scipy.linalg import lapack
+
+    factor, fails = lapack.dpotrf(covariance, lower=1)
+    if fails:
+        message = "the covariance of the innovation must be positive definite"
+        raise NoiseError(message, where="noise")
+    pull = lapack.dpotrs(factor, off, lower=1)[0].ravel()
+    square = float(off @ pull)
+    return factor, pull, square, -0.5 * square - float(np.log(factor.diagonal()).sum())

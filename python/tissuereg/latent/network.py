@@ -13,16 +13,13 @@ from tissuereg._arrays import FloatArray, IntArray, float_array
 from tissuereg.errors import ModelError
 from tissuereg.io.npz import Archive, open_npz
 from tissuereg.latent.batches import in_batches
-from tissuereg.latent.calibration import Calibration
+from tissuereg.latent.calibration import LEAST_SIZE_MM, Calibration
 from tissuereg.latent.calibration_file import read_calibration
 from tissuereg.latent.card import MODEL_FILES, check_files, read_card
 from tissuereg.latent.cut import CutDecoder, session
 from tissuereg.latent.decoders import ClosureDecoder, GraphDecoder, read_decoder
 from tissuereg.latent.model import Gaussian, ScaledErrors, rms_displacement, sampled_nodes
 from tissuereg.mesh import Mesh
-
-#: Least size of an event for the mismatch covariance, mm: a tiny simulated event does not make the truth certain.
-_LEAST_SIZE_MM = 0.3
 
 #: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
 _BATCH = 25
@@ -244,7 +241,7 @@ class NetworkModel:
         relative = known.get("relative_mismatch_covariance")
         if relative is None:
             return Gaussian(mean, np.diag(variance) + np.asarray(known["mismatch_covariance"], np.float64))
-        size = max(float(rms_displacement(simulation[None])[0]), _LEAST_SIZE_MM)
+        size = max(float(rms_displacement(simulation[None])[0]), LEAST_SIZE_MM)
         return Gaussian(mean, np.diag(variance) + size**2 * np.asarray(relative, np.float64))
 
 

@@ -167,7 +167,7 @@ def figure_study(name: str) -> Study:
         settings = figure.settings()
         sweep.run(settings, given.threads, given.progress)
         rows = [sweep.row(name, setting) for setting in settings]
-        # The paper's own method decides; the same statements with another prior stand beside it.
+        # The paper's own method decides; the same statements with another prior are reported as well.
         paper, family = (figure.agreement(sweep, method).to_json() for method in METHODS[:2])
         found = {
             "methods": {setting.method.name: setting.method.words for setting in settings},

@@ -34,7 +34,7 @@ class Outcome:
     inside90 : ndarray of float64, shape (n_pairs,)
         Share of the inner points whose 90 % region holds the truth.
     det_f : ndarray of float64, shape (n_pairs, 2)
-        Smallest volume ratio of a registered mesh, and its number of inverted tets; NaN where they were not asked for.
+        Smallest volume ratio of a registered mesh, and its number of inverted tets; NaN where they were not computed.
     """
 
     steps: list[Errors]
