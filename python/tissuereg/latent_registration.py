@@ -5,16 +5,17 @@ decoded fields agree with the markers; or Gauss-Newton finds the most probable c
 """
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from tissuereg import _core
 from tissuereg._arguments import found, place
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._arrays import FloatArray, IntArray, frozen
 from tissuereg._clock import Clock
-from tissuereg.assimilate import Assimilation, FirstEnsemble, assimilate, gauss_newton
+from tissuereg.assimilate import Assimilation, Between, FirstEnsemble, assimilate, balanced_draws, gauss_newton
 from tissuereg.errors import ModelError
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.latent.model import Gaussian, LatentModel, error_covariance
@@ -60,7 +61,9 @@ def register_by_model(
     -------
     Registration
         The result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once a step and once at
-        the end, and once more where the prior had to be widened; two whole fields are decoded.
+        the end; of a calibrated model, whose answer is found about the ensemble's mean, at first and before the last
+        step alone, and then 2 n_latent + 1 members two or three times. Once more where the prior had to be widened; two
+        whole fields are decoded.
 
     Raises
     ------
@@ -103,7 +106,7 @@ class _Drawn:
         n_members = given.settings.n_members
         if given.settings.update == "gauss-newton" or n_members < 2 * len(model.prior.mean):
             n_members = _N_DRAWS
-        first = FirstEnsemble.of(model.prior, np.random.default_rng([given.seed, 2]), n_members)
+        first = FirstEnsemble.about(model.prior, *_normals(given.seed, len(model.prior.mean), n_members))
         centre, moved = model.first(first.latents)
         return cls(model.prior, first, model.markers(moved), model.markers(centre))
 
@@ -165,14 +168,24 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
         return _rows(model.markers(model.decode(latents))[:, seen])
 
     noise = _noise(model.errors().markers[:, seen], markers, seen)
-    near = model.prior.mean if linear is None else linear.most_probable(prior_for(noise)[0], measured, noise)
-    noise = _noise(model.errors(near).markers[:, seen], markers, seen)
     prior, widening = prior_for(noise)
+    searches = model.calibration is not None and settings.update == "esmda"
+    near = model.prior.mean
+    if not searches:
+        near = near if linear is None else linear.most_probable(prior, measured, noise)
+        noise = _noise(model.errors(near).markers[:, seen], markers, seen)
+        prior, widening = prior_for(noise)
     rng = np.random.default_rng([given.seed, 3])
     if settings.update == "gauss-newton":
         found = gauss_newton(predict, measured, noise, prior, start=near, tolerance=_TOLERANCE, difference=_DIFFERENCE)
         ensemble = found.ensemble(rng, settings.n_members)
         return _Fit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
+    first = drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None
+    if searches and first is not None:
+        # Only a search: the answer is found about the ensemble's mean, by true decodes.
+        known = predict(first.latents) if first.predicted is None else first.predicted
+        first = replace(first, predicted=known)
+        predict = Between(predict, {settings.n_steps - 1}, first.latents, known)
     ensemble = assimilate(
         predict,
         measured,
@@ -182,10 +195,17 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
         n_members=settings.n_members,
         n_steps=settings.n_steps,
         decrease=settings.decrease,
-        first=drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None,
+        first=first,
         threads=1,
     )
     return _Fit(prior, widening, noise, ensemble, np.empty(0), np.empty(0))
+
+
+@lru_cache(maxsize=4)
+def _normals(seed: int, n_latent: int, n_members: int) -> tuple[FloatArray, bool]:
+    """Return standard normal draws of a first ensemble, and whether their moments are exact."""
+    draws, exact = balanced_draws(np.random.default_rng([seed, 2]), (n_latent, n_members), np.empty((0, n_members)))
+    return frozen(draws), exact
 
 
 def _rows(moved: FloatArray) -> FloatArray:

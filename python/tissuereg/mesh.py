@@ -10,7 +10,7 @@ import numpy as np
 from tissuereg._arguments import named, real, text
 from tissuereg._arrays import FloatArray, IntArray, float_array, frozen, index_array
 from tissuereg._choice import check_choice
-from tissuereg._core import check_mesh, surface_triangles
+from tissuereg._core import check_mesh, surface_triangles, tet_volumes
 from tissuereg.errors import MeshError, UnitError
 
 #: Frames of a patient: x to the left, y to the back, z to the head; or x to the right, y to the front, z to the head.
@@ -196,8 +196,7 @@ class Mesh:
     @cached_property
     def volumes(self) -> FloatArray:
         """Volume of every tet in mm^3, shape (n_tets,)."""
-        a, b, c, d = (self.nodes[self.tets[:, i]] for i in range(4))
-        return frozen(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0)
+        return frozen(tet_volumes(self.nodes, self.tets))
 
     def digest(self) -> str:
         """Return a fingerprint of nodes, tets and held nodes.
@@ -260,16 +259,9 @@ def det_f(mesh: Mesh, displacement: FloatArray) -> FloatArray:
     ndarray of float64, shape (..., n_tets)
         det F, dimensionless; not positive where a tet is inverted.
     """
-    # Components first: every product below runs over whole rows.
-    places = np.moveaxis(mesh.nodes + displacement, -1, 0)
-    corner = places[..., mesh.tets[:, 0]]
-    ab, ac, ad = (places[..., mesh.tets[:, i]] - corner for i in (1, 2, 3))
-    triple = (
-        (ab[1] * ac[2] - ab[2] * ac[1]) * ad[0]
-        + (ab[2] * ac[0] - ab[0] * ac[2]) * ad[1]
-        + (ab[0] * ac[1] - ab[1] * ac[0]) * ad[2]
-    )
-    return np.asarray(triple / (6.0 * mesh.volumes))
+    places = np.ascontiguousarray(mesh.nodes + displacement)
+    volumes = [tet_volumes(one, mesh.tets) for one in places.reshape(-1, mesh.n_nodes, 3)]
+    return np.asarray(np.array(volumes).reshape(*places.shape[:-2], mesh.n_tets) / mesh.volumes)
 
 
 def _node_set(name: str, indices: Any, n_nodes: int) -> IntArray:

@@ -151,7 +151,7 @@ class CalibratedPosterior:
             coefficients = weight * scale**2 * covariance @ (errors.patterns[:, : len(pull)] @ pull)
             _, before = told.get(id(errors), (errors.whole, 0.0))
             told[id(errors)] = errors.whole, before + coefficients
-        fields = (np.tensordot(coefficients, whole.basis, 1) for whole, coefficients in told.values())
+        fields = (whole.sum(coefficients) for whole, coefficients in told.values())
         return np.asarray(sum(fields, np.zeros_like(self._decoded)))
 
     @cached_property

@@ -137,9 +137,9 @@ class Registrar:
         return self._attached.places
 
     @property
-    def n_decodes(self) -> int:
-        """Ensembles decoded at markers and targets so far."""
-        return 0 if self._points is None else self._points.n_decodes
+    def n_decoded(self) -> int:
+        """Members decoded at markers and targets so far."""
+        return 0 if self._points is None else self._points.n_decoded
 
     @property
     def multiply_adds(self) -> int:

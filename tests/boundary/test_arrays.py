@@ -65,6 +65,8 @@ def at_rest(body):
         ("nodes", lambda b, m: _core.check_mesh(m.nodes.tolist(), m.tets)),
         ("tets", lambda b, m: _core.check_mesh(m.nodes, m.tets.astype(np.int32))),
         ("tets", lambda b, m: _core.surface_triangles(m.nodes, m.tets[:, :3])),
+        ("nodes", lambda b, m: _core.tet_volumes(m.nodes[:, :2], m.tets)),
+        ("tets", lambda b, m: _core.tet_volumes(m.nodes, m.tets[:, :3])),
         ("held_nodes", lambda b, m: _core.Body(m.nodes, m.tets, m.fixed_nodes[:, None])),
         ("young", lambda b, m: b.solve(np.ones(2), one(0.4))),
         ("springs", lambda b, m: b.solve(one(9.0), one(0.4), springs=np.zeros((1, 2)))),

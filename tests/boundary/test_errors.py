@@ -46,6 +46,16 @@ def test_a_bad_mesh_raises_mesh_error(block_mesh, match, attribute, change):
         assert caught.value.where
 
 
+def test_volumes_of_tets_are_signed_and_refuse_a_node_that_is_not_there(block_mesh):
+    nodes, tets = block_mesh.nodes, block_mesh.tets
+    corners = nodes[tets]
+    by_determinant = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
+    np.testing.assert_allclose(_core.tet_volumes(nodes, tets), by_determinant, rtol=1e-12)
+    np.testing.assert_allclose(_core.tet_volumes(nodes * [1.0, 1.0, -1.0], tets), -by_determinant, rtol=1e-12)
+    with pytest.raises(errors.MeshError, match="tetrahedron 5 names node 120"):
+        _core.tet_volumes(nodes, changed(tets, (5, 2), 120))
+
+
 @pytest.mark.parametrize(
     ("match", "held"),
     [

@@ -1,9 +1,11 @@
 """Kinds of events, and Bayes' rule under a mixture of them, against closed forms and heavy-tailed events."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from support.meshes import block
 from support.small_model import SMALL_MODEL
@@ -12,7 +14,7 @@ from tissuereg.latent.calibrate import RehearsalSettings, calibrate, field_error
 from tissuereg.latent.calibration import Calibration, FieldErrors, Rehearsal
 from tissuereg.latent.calibration_file import write_calibration
 from tissuereg.latent.kinds import Kinds
-from tissuereg.latent.mixture import Component, Linear, condition
+from tissuereg.latent.mixture import Component, Linear, condition, log_evidence
 from tissuereg.latent.network import NetworkModel
 from tissuereg.latent.pca import PcaModel
 from tissuereg.latent.relinearise import conditioned
@@ -108,6 +110,39 @@ def test_chances_of_draws_from_the_prior_are_uniform():
     p = np.sort([condition([one], linear, root @ rng.standard_normal(6), noise).p_value for _ in range(400)])
     # Largest distance from uniform: the 1 % point of Kolmogorov's law is 1.63 / sqrt(n).
     assert np.abs(p - (np.arange(400) + 0.5) / 400).max() < 1.63 / np.sqrt(400)
+
+
+def test_pairs_that_are_ruled_out_change_nothing_and_the_others_keep_their_numbers():
+    rng = np.random.default_rng(6)
+    prior = [one_component(rng, scales=(0.5, 1.0, 2.0)) for _ in range(3)]
+    # The middle one lies where no measurement is.
+    prior[1] = replace(prior[1], mean=prior[1].mean + 300.0)
+    linear = Linear(np.zeros(4), np.zeros(9), rng.standard_normal((9, 4)))
+    observed, noise = rng.standard_normal(6), 0.1 * np.eye(6)
+    every = condition(prior, linear, observed, noise)
+    assert not every.hopeful[3:6].any()
+    assert every.hopeful[[0, 1, 2, 6, 7, 8]].any()
+    again = condition(prior, linear, observed, noise, every.hopeful)
+    for name in ("weights", "component", "scale", "latents", "means", "covariances", "pulls", "p_value", "hopeful"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(every, name))
+    one_pair = np.zeros(9, dtype=bool)
+    one_pair[7] = True
+    only = condition(prior, linear, observed, noise, one_pair)
+    assert (only.component.tolist(), only.scale.tolist(), only.weights.tolist()) == ([2], [1.0], [1.0])
+
+
+def test_evidence_is_that_of_the_innovations_gaussian():
+    rng = np.random.default_rng(7)
+    prior = [one_component(rng, scales=(0.5, 2.0)) for _ in range(2)]
+    linear = Linear(rng.standard_normal(4), rng.standard_normal(9), rng.standard_normal((9, 4)))
+    observed, noise = rng.standard_normal(5), 0.2 * spread_matrix(5, rng)
+    logs = log_evidence(prior, linear, observed, noise)
+    for c, one in enumerate(prior):
+        for s, scale in enumerate(one.scales):
+            mean = (linear.at + linear.slopes @ (one.mean - linear.point))[:5]
+            spread = (linear.slopes @ one.covariance @ linear.slopes.T + one.errors)[:5, :5]
+            law = multivariate_normal(mean, scale**2 * spread + noise)
+            assert logs[c, s] == pytest.approx(law.logpdf(observed) + 2.5 * np.log(2 * np.pi), abs=1e-10)
 
 
 def test_a_noise_that_is_no_covariance_is_refused():

@@ -126,7 +126,7 @@ pub use history::{
 };
 pub use load::Load;
 pub use material::{Material, Stiffness};
-pub use mesh::{DEGENERATE_LIMIT, Mesh};
+pub use mesh::{DEGENERATE_LIMIT, Mesh, tet_volumes};
 pub use rest_shape::{RestShape, rest_shape};
 pub use resultant::{Resultant, resultant};
 pub use sensitivity::{

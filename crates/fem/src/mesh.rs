@@ -253,6 +253,31 @@ fn edge(nodes: &[[f64; 3]], from: usize, to: usize) -> [f64; 3] {
     std::array::from_fn(|i| nodes[to][i] - nodes[from][i])
 }
 
+/// Return the signed volume of every tetrahedron, mm³: negative where a deformation has turned it inside out.
+///
+/// # Shapes
+///
+/// `nodes` one row per node, at any places; `tets` one row of four node indices a tetrahedron.
+///
+/// # Errors
+///
+/// [`FemError::NodeOutOfRange`], [`FemError::RepeatedNode`].
+///
+/// # Example
+///
+/// ```
+/// # fn main() -> Result<(), tissuereg_fem::FemError> {
+/// let corner = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, -10.0]];
+/// let volumes = tissuereg_fem::tet_volumes(&corner, &[[0, 1, 2, 3]])?;
+/// assert!((volumes[0] + 1000.0 / 6.0).abs() < 1e-9);
+/// # Ok(())
+/// # }
+/// ```
+pub fn tet_volumes(nodes: &[[f64; 3]], tets: &[[usize; 4]]) -> Result<Vec<f64>, FemError> {
+    check_indices(nodes, tets)?;
+    Ok(tets.iter().map(|tet| signed_volume(nodes, tet)).collect())
+}
+
 /// Signed volume of a tetrahedron, mm³.
 pub(crate) fn signed_volume(nodes: &[[f64; 3]], tet: &[usize; 4]) -> f64 {
     let [a, b, c] = [1, 2, 3].map(|k| edge(nodes, tet[0], tet[k]));

@@ -12,10 +12,12 @@ from tissuereg.assimilate.ensemble import (
     balanced_draws,
 )
 from tissuereg.assimilate.laplace import Laplace, gauss_newton
+from tissuereg.assimilate.shortcut import Between
 
 __all__ = [
     "ABSURD_MM",
     "Assimilation",
+    "Between",
     "FirstEnsemble",
     "Laplace",
     "StepOptions",

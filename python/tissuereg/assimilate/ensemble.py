@@ -226,9 +226,12 @@ class FirstEnsemble:
     @classmethod
     def of(cls, prior: Gaussian, rng: np.random.Generator, n_members: int) -> "FirstEnsemble":
         """Return draws from a prior; raise ArgumentError if its covariance is not positive definite."""
-        root = _root_of(prior)
-        draws, exact = balanced_draws(rng, (len(prior.mean), n_members), np.empty((0, n_members)))
-        return cls(np.asarray(prior.mean[:, None] + root @ draws), exact)
+        return cls.about(prior, *balanced_draws(rng, (len(prior.mean), n_members), np.empty((0, n_members))))
+
+    @classmethod
+    def about(cls, prior: Gaussian, draws: FloatArray, exact: bool) -> "FirstEnsemble":
+        """Return the same from standard normal draws (n_latent, n_members) and whether their moments are exact."""
+        return cls(np.asarray(prior.mean[:, None] + _root_of(prior) @ draws), exact)
 
 
 def assimilate(

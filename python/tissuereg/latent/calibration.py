@@ -6,6 +6,8 @@ truth differs from a simulation, and how improbable honest measurements look.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +43,14 @@ class FieldErrors:
     basis: FloatArray
     covariances: FloatArray
     rest: FloatArray
+
+    def sum(self, coefficients: FloatArray) -> FloatArray:
+        """Return the patterns times coefficients (n_patterns,), (n_nodes, 3), in single precision."""
+        return np.asarray(coefficients.astype(np.float32) @ self._single).reshape(self.basis.shape[1:])
+
+    @cached_property
+    def _single(self) -> Any:
+        return self.basis.reshape(len(self.basis), -1).astype(np.float32)
 
     def project(self, fields: FloatArray) -> FloatArray:
         """Return what the patterns represent of fields (n_fields, n_nodes, 3)."""

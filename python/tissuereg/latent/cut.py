@@ -11,7 +11,7 @@ from tissuereg.latent.batches import in_batches
 from tissuereg.latent.decoders import ClosureDecoder, GraphDecoder
 
 #: Members run in one call: intermediate values of a batch stay in the cache of a core.
-BATCH = 26
+BATCH = 27
 
 #: The cut decoder and the full one agree to this share of the largest displacement: single precision leaves 1e-6.
 TOLERANCE = 1e-4

@@ -16,12 +16,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import BoolArray, FloatArray, IntArray
 from tissuereg.errors import NoiseError
 from tissuereg.latent.kinds import probabilities
 
 #: Pairs of component and scale that are less probable than this share of the most probable one are left out.
 _NEGLIGIBLE = 1e-4
+
+#: Those less probable than this share stay so when the decoder is linearised anew close by.
+_HOPELESS = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +69,10 @@ class MixturePosterior:
     ----------
     weights : ndarray of float64, shape (n_pairs,)
         Sum to one.
-    component, scale : ndarray of shape (n_pairs,)
-        Number of the component, and its scale.
+    component : ndarray of int64, shape (n_pairs,)
+        Number of the component.
+    scale : ndarray of float64, shape (n_pairs,)
+        Its scale.
     latents : ndarray of float64, shape (n_pairs, n_latent)
         Means.
     means : ndarray of float64, shape (n_pairs, n_rows)
@@ -78,16 +83,19 @@ class MixturePosterior:
         S^-1 v, 1/mm.
     p_value : float
         Chance of an innovation as improbable as this one, averaged over the pairs.
+    hopeful : ndarray of bool, shape (n_all,)
+        Which of all pairs, those of a component after each other, are not hopeless.
     """
 
     weights: FloatArray
-    component: FloatArray
+    component: IntArray
     scale: FloatArray
     latents: FloatArray
     means: FloatArray
     covariances: FloatArray
     pulls: FloatArray
     p_value: float
+    hopeful: BoolArray
 
     @property
     def mean(self) -> FloatArray:
@@ -106,7 +114,13 @@ class MixturePosterior:
         return np.asarray(np.tensordot(self.weights, self.covariances, 1) + away.T @ away)
 
 
-def condition(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> MixturePosterior:
+def condition(
+    prior: list[Component],
+    model: Linear,
+    observed: FloatArray,
+    noise: FloatArray,
+    hopeful: BoolArray | None = None,
+) -> MixturePosterior:
     """Return the posterior of markers and targets given the markers.
 
     Parameters
@@ -119,11 +133,13 @@ def condition(prior: list[Component], model: Linear, observed: FloatArray, noise
         Measured displacements, mm; the first n_obs rows of the model.
     noise : ndarray of float64, shape (n_obs, n_obs)
         Covariance of the tracker's noise, mm^2.
+    hopeful : ndarray of bool, shape (n_all,), optional
+        Pairs that are considered, as found about a point close by; by default all.
 
     Returns
     -------
     MixturePosterior
-        Cost: a Cholesky factor of size n_obs for every pair of component and scale.
+        Cost: a Cholesky factor of size n_obs + 1 for every pair of component and scale.
 
     Raises
     ------
@@ -133,62 +149,96 @@ def condition(prior: list[Component], model: Linear, observed: FloatArray, noise
     from scipy.linalg import lapack
     from scipy.stats import chi2
 
-    n_obs = len(observed)
-    slopes = model.slopes
-    found = []
-    for number, one in enumerate(prior):
-        spread = slopes @ one.covariance
-        own = spread @ slopes.T + one.errors
-        off = observed - model.at[:n_obs] - slopes[:n_obs] @ (one.mean - model.point)
-        for weight, scale in zip(one.weights, one.scales, strict=True):
-            factor, pull, square, log = _innovation(off, scale**2 * own[:n_obs, :n_obs] + noise)
-            found.append((np.log(weight) + log, number, scale, pull, square, factor, spread, own))
-    logs = np.array([one[0] for one in found])
+    n_obs, slopes = len(observed), model.slopes
+    weights = np.concatenate([one.weights for one in prior])
+    considered = np.flatnonzero(weights > 0.0 if hopeful is None else hopeful)
+    innovations = _innovations(prior, model, observed, noise, considered)
+    logs = np.log(weights[considered]) + innovations.logs
     kept = np.flatnonzero(logs > logs.max() + np.log(_NEGLIGIBLE))
-    weights = probabilities(logs[kept])
-    latents, means, covariances = [], [], []
-    for _, number, scale, pull, _, factor, spread, own in (found[i] for i in kept):
-        one = prior[number]
+    left = np.zeros(len(weights), dtype=bool)
+    left[considered[logs > logs.max() + np.log(_HOPELESS)]] = True
+    latents, means, covariances, pulls = [], [], [], []
+    for pair in kept:
+        one, scale = prior[innovations.component[pair]], innovations.scale[pair]
+        spread, own = innovations.parts[innovations.component[pair]]
+        factor = innovations.factors[pair, :n_obs, :n_obs]
+        pull = lapack.dtrtrs(factor, innovations.factors[pair, n_obs, :n_obs], lower=1, trans=1)[0]
         latents.append(one.mean + scale**2 * spread[:n_obs].T @ pull)
-        means.append(
-            model.at + slopes @ (one.mean - model.point) + scale**2 * own[:, :n_obs] @ pull,
-        )
+        means.append(model.at + slopes @ (one.mean - model.point) + scale**2 * own[:, :n_obs] @ pull)
         half = lapack.dtrtrs(factor, scale**2 * own[:n_obs], lower=1)[0]
         covariances.append(scale**2 * own - half.T @ half)
-    squares = np.array([found[i][4] for i in kept])
+        pulls.append(pull)
+    shares = probabilities(logs[kept])
     return MixturePosterior(
-        weights,
-        np.array([found[i][1] for i in kept]),
-        np.array([found[i][2] for i in kept]),
+        shares,
+        innovations.component[kept],
+        innovations.scale[kept],
         np.array(latents),
         np.array(means),
         np.array(covariances),
-        np.array([found[i][3] for i in kept]),
-        float(weights @ chi2.sf(squares, n_obs)),
+        np.array(pulls),
+        float(shares @ chi2.sf(innovations.squares[kept], n_obs)),
+        left,
     )
 
 
 def log_evidence(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> FloatArray:
     """Return log N(v; 0, S), (n_components, n_scales), without weights and constant; arguments as for `condition`."""
+    return _innovations(prior, model, observed, noise).logs.reshape(len(prior), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Innovations:
+    """Innovations v with their covariances S, of pairs of component and scale: all scales of one follow each other.
+
+    Attributes
+    ----------
+    component, scale : ndarray of shape (n_pairs,)
+        Number of the component, and its scale.
+    parts : dict of int to (ndarray (n_rows, n_latent), ndarray (n_rows, n_rows))
+        G P, and G P G' + E at scale one, of the components in question, over all rows.
+    factors : ndarray of float64, shape (n_pairs, n_obs + 1, n_obs + 1)
+        Cholesky factors L of S, with (L^-1 v)' as a last row.
+    squares, logs : ndarray of float64, shape (n_pairs,)
+        v' S^-1 v, and log N(v; 0, S) without its constant.
+    """
+
+    component: IntArray
+    scale: FloatArray
+    parts: dict[int, tuple[FloatArray, FloatArray]]
+    factors: FloatArray
+    squares: FloatArray
+    logs: FloatArray
+
+
+def _innovations(
+    prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray, pairs: IntArray | None = None
+) -> _Innovations:
+    """Return the innovations of some pairs, by default of all; other arguments, errors and cost as for `condition`."""
     n_obs = len(observed)
-    seen = model.slopes[:n_obs]
-    logs = np.empty((len(prior), len(prior[0].scales)))
-    for c, one in enumerate(prior):
-        own = seen @ one.covariance @ seen.T + one.errors[:n_obs, :n_obs]
-        off = observed - model.at[:n_obs] - seen @ (one.mean - model.point)
-        for s, scale in enumerate(one.scales):
-            logs[c, s] = _innovation(off, scale**2 * own + noise)[3]
-    return logs
-
-
-def _innovation(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
-    """Return the Cholesky factor of S, S^-1 v, v' S^-1 v, and log N(v; 0, S) without its constant."""
-    from scipy.linalg import lapack
-
-    factor, fails = lapack.dpotrf(covariance, lower=1)
-    if fails:
+    component = np.repeat(np.arange(len(prior)), [len(one.scales) for one in prior])
+    scale = np.concatenate([one.scales for one in prior])
+    if pairs is not None:
+        component, scale = component[pairs], scale[pairs]
+    found, of_pair = np.unique(component, return_inverse=True)
+    parts = {}
+    for number in found:
+        spread = model.slopes @ prior[number].covariance
+        parts[int(number)] = spread, spread @ model.slopes.T + prior[number].errors
+    seen = np.array([own[:n_obs, :n_obs] for _, own in parts.values()])
+    points = np.array([prior[number].mean for number in found]) - model.point
+    off = observed - model.at[:n_obs] - points @ model.slopes[:n_obs].T
+    # Bordered by v', one Cholesky factor gives log det S and L^-1 v; the corner only has to be large enough.
+    bordered = np.zeros((len(scale), n_obs + 1, n_obs + 1))
+    bordered[:, :n_obs, :n_obs] = (scale**2)[:, None, None] * seen[of_pair] + noise
+    bordered[:, n_obs, :n_obs] = off[of_pair]
+    try:
+        largest = (off.T * np.linalg.solve(noise, off.T)).sum(axis=0)
+        bordered[:, n_obs, n_obs] = 1.0 + 2.0 * largest[of_pair]
+        factors = np.asarray(np.linalg.cholesky(bordered), np.float64)
+    except np.linalg.LinAlgError as error:
         message = "the covariance of the innovation must be positive definite"
-        raise NoiseError(message, where="noise")
-    pull = lapack.dpotrs(factor, off, lower=1)[0].ravel()
-    square = float(off @ pull)
-    return factor, pull, square, -0.5 * square - float(np.log(factor.diagonal()).sum())
+        raise NoiseError(message, where="noise") from error
+    squares = (factors[:, n_obs, :n_obs] ** 2).sum(axis=1)
+    logs = -0.5 * squares - np.log(np.diagonal(factors, axis1=1, axis2=2)[:, :n_obs]).sum(axis=1)
+    return _Innovations(component, scale, parts, factors, squares, logs)

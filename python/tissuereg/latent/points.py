@@ -51,8 +51,8 @@ class PointModel:
 
     Attributes
     ----------
-    n_decodes : int
-        Ensembles decoded so far.
+    n_decoded : int
+        Members decoded so far.
     """
 
     def __init__(self, model: LatentModel, markers: MarkerObservation, targets: TargetObservation) -> None:
@@ -67,7 +67,7 @@ class PointModel:
         self._near = self.rows[:, self._nodes]
         self._cut = model.cut(self.rows) if isinstance(model, NetworkModel) else None
         self._errors: dict[int, tuple[FloatArray, FloatArray]] = {}
-        self.n_decodes = 0
+        self.n_decoded = 0
 
     @property
     def multiply_adds(self) -> int:
@@ -88,7 +88,7 @@ class PointModel:
 
     def decode(self, latents: FloatArray) -> FloatArray:
         """Return displacements (n_members, n_points, 3) of the points, one column of latents a member, mm."""
-        self.n_decodes += 1
+        self.n_decoded += latents.shape[1]
         return self._cut(latents) if self._cut is not None else self.at(self.model.decode(latents, self._nodes))
 
     def at(self, fields: FloatArray) -> FloatArray:

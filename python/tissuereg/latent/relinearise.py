@@ -15,6 +15,9 @@ _STEP = 0.2
 #: The search ends where the mean moves by less than this share of those standard deviations.
 _NEAR = 0.02
 
+#: Pairs of component and scale are ruled out for good by a pass that moves the mean by less than this share of them.
+_CLOSE = 0.5
+
 #: Latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm.
 Decode = Callable[[FloatArray], FloatArray]
 
@@ -68,11 +71,13 @@ def conditioned(
     MixturePosterior, Linear
         Cost: a decode of 2 n_latent + 1 columns a pass.
     """
-    point = start
+    point, hopeful = start, None
     for left in reversed(range(passes)):
         model = linearised(decode, point, spread)
-        found = condition(prior, model, observed, noise)
-        if left == 0 or np.abs((found.mean_latents - point) / spread).max() < _NEAR:
+        found = condition(prior, model, observed, noise, hopeful)
+        moved = float(np.abs((found.mean_latents - point) / spread).max())
+        if left == 0 or moved < _NEAR:
             break
-        point = found.mean_latents
+        # Evidences far from the answer rule nothing out.
+        point, hopeful = found.mean_latents, found.hopeful if moved < _CLOSE else None
     return found, model

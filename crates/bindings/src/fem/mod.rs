@@ -46,13 +46,26 @@ pub(crate) fn surface_triangles<'py>(
     arrays::from_triangles(py, mesh_of(py, nodes, tets)?.surface_triangles())
 }
 
+/// Signed volumes of tets, float64 (m,) mm^3, with their nodes at any places.
+#[pyfunction]
+pub(crate) fn tet_volumes<'py>(
+    py: Python<'py>,
+    nodes: &Bound<'py, PyAny>,
+    tets: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let nodes = View::<f64>::new("nodes", nodes, &[&[None, Some(3)]])?;
+    let tets = tets_of(py, tets)?;
+    let volumes = tissuereg_fem::tet_volumes(nodes.rows::<3>(), &tets);
+    Ok(volumes.map_err(|error| errors::from_fem(py, &error, None))?.into_pyarray(py))
+}
+
+fn tets_of(py: Python<'_>, tets: &Bound<'_, PyAny>) -> PyResult<Vec<[usize; 4]>> {
+    View::<i64>::new("tets", tets, &[&[None, Some(4)]])?.indices::<4>(py, "tets", Class::Mesh)
+}
+
 fn mesh_of(py: Python<'_>, nodes: &Bound<'_, PyAny>, tets: &Bound<'_, PyAny>) -> PyResult<Mesh> {
     let nodes = View::<f64>::new("nodes", nodes, &[&[None, Some(3)]])?.rows::<3>().to_vec();
-    let tets = View::<i64>::new("tets", tets, &[&[None, Some(4)]])?.indices::<4>(
-        py,
-        "tets",
-        Class::Mesh,
-    )?;
+    let tets = tets_of(py, tets)?;
     let mesh = py.detach(|| Mesh::new(nodes, tets));
     mesh.map_err(|error| errors::from_fem(py, &error, None))
 }
