@@ -36,7 +36,7 @@ def said(result):
 def counted(monkeypatch):
     """Counts of ensembles decoded at points, by their members; and of whole fields."""
     counts = {"points": [], "fields": 0}
-    at_points, fields = PointModel.decode, NetworkModel.decode
+    at_points, fields, changes = PointModel.decode, NetworkModel.decode, NetworkModel.change
 
     def decode_points(self, latents):
         counts["points"].append(latents.shape[1])
@@ -46,7 +46,12 @@ def counted(monkeypatch):
         counts["fields"] += latents.shape[1]
         return fields(self, latents, nodes)
 
+    def decode_changes(self, latents, code):
+        counts["fields"] += latents.shape[1]
+        return changes(self, latents, code)
+
     monkeypatch.setattr(PointModel, "decode", decode_points)
+    monkeypatch.setattr(NetworkModel, "change", decode_changes)
     monkeypatch.setattr(NetworkModel, "decode", decode_fields)
     return counts
 
@@ -85,11 +90,11 @@ def test_with_a_calibration_the_ensemble_is_decoded_at_first_and_before_the_last
     # Draws from the prior with its mean, the last step; then the decoder's derivatives, two or three times.
     assert counted["points"][:2] == [101, 100]
     assert counted["points"][2:] in ([53, 53], [53, 53, 53])
-    # The answer, beside the simulation's code.
-    assert counted["fields"] == 2
-    # The spread of nodes decodes 64 draws in two parts, each with the simulation's code, when it is first read.
+    # The answer, as a change from the simulation.
+    assert counted["fields"] == 1
+    # The spread of nodes decodes 64 draws when it is first read.
     assert result.std.shape == (event.mesh.n_nodes,)
-    assert counted["fields"] == 2 + 64 + 2
+    assert counted["fields"] == 1 + 64
 
 
 def test_without_a_calibration_the_ensemble_is_decoded_once_a_step_and_once_at_the_end(event, simulation, counted):

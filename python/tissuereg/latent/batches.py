@@ -1,9 +1,10 @@
-"""Members of an ensemble in batches, on threads that are started once a process and kept."""
+"""Members of an ensemble in batches, and other tasks, on threads that are started once a process and kept."""
 
 import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,20 +41,25 @@ def in_batches(run: Callable[[npt.NDArray[np.float32]], Any], latents: FloatArra
     if count < 2:
         return run(rows)
     batches = np.array_split(rows, count)
-    found: list[Any] = [None] * count
+    return np.concatenate(together([partial(run, batch) for batch in batches], threads))
+
+
+def together(tasks: Sequence[Callable[[], Any]], threads: int) -> list[Any]:
+    """Return what some tasks return, in their order, run by so many threads, the caller's included."""
+    found: list[Any] = [None] * len(tasks)
     numbers = itertools.count()
 
     def work() -> None:
         # Numbers are handed out one by one: `next` of a count is atomic.
-        while (number := next(numbers)) < count:
-            found[number] = run(batches[number])
+        while (number := next(numbers)) < len(tasks):
+            found[number] = tasks[number]()
 
-    helpers = min(threads, count) - 1
+    helpers = min(threads, len(tasks)) - 1
     started = [_helpers(helpers).submit(work) for _ in range(helpers)]
     work()
     for one in started:
         one.result()
-    return np.concatenate(found)
+    return found
 
 
 def _helpers(count: int) -> ThreadPoolExecutor:

@@ -194,10 +194,14 @@ class Calibration:
         change = None if self.change is None else self.change.errors.at(rows_of)
         return PointCalibration(self, self.errors.at(rows_of), change)
 
+    @cached_property
+    def _roots(self) -> FloatArray:
+        return np.asarray(np.linalg.cholesky(self.kinds.covariances), np.float64)
+
     def distance(self, code: FloatArray) -> float:
         """Return how far a code (n_latent,) lies from the training set: least distance from a kind, in its spread."""
         off = code - self.kinds.means
-        white = np.linalg.solve(np.linalg.cholesky(self.kinds.covariances), off[:, :, None])
+        white = np.linalg.solve(self._roots, off[:, :, None])
         return float(np.sqrt((white**2).sum(axis=(1, 2)).min()))
 
     def save(self) -> dict[str, FloatArray]:

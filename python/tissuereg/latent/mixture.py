@@ -147,7 +147,7 @@ def condition(
         If the covariance of an innovation is not positive definite.
     """
     from scipy.linalg import lapack
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     n_obs, slopes = len(observed), model.slopes
     weights = np.concatenate([one.weights for one in prior])
@@ -177,7 +177,7 @@ def condition(
         np.array(means),
         np.array(covariances),
         np.array(pulls),
-        float(shares @ chi2.sf(innovations.squares[kept], n_obs)),
+        float(shares @ chdtrc(n_obs, innovations.squares[kept])),
         left,
     )
 

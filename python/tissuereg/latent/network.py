@@ -164,8 +164,15 @@ class NetworkModel:
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
         if nodes is None and latents.shape[1] <= _FEW and self.tables is not None:
-            return self.tables.decode(latents)
+            return self.tables.decode(latents, threads=self._threads)
         return self._by_file(latents, nodes)
+
+    def change(self, latents: FloatArray, code: FloatArray) -> FloatArray:
+        """Return the fields of latents (n_latent, n_members) less that of a code (n_latent,), mm."""
+        if latents.shape[1] <= _FEW and self.tables is not None:
+            return self.tables.change(latents, code, self._threads)
+        both = self._by_file(np.concatenate([code[:, None], latents], axis=1))
+        return np.asarray(both[1:] - both[0])
 
     def _by_file(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields by ``decoder.onnx``."""
@@ -289,10 +296,11 @@ class AnchoredModel:
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        if nodes is None:
+            return self._simulation + self._network.change(latents, self._prior.mean)
         # Beside the simulation's code in one call: the bits depend on nothing that was decoded before.
         both = self._network.decode(np.concatenate([self._prior.mean[:, None], latents], axis=1), nodes)
-        simulation = self._simulation if nodes is None else self._simulation[nodes]
-        return np.asarray(both[1:] + (simulation - both[0]))
+        return np.asarray(both[1:] + (self._simulation[nodes] - both[0]))
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
         """Return the expected errors of the change; see `LatentModel.errors`. They grow with the change."""

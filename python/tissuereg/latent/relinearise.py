@@ -13,7 +13,7 @@ from tissuereg.latent.mixture import Component, Linear, MixturePosterior, condit
 _STEP = 0.2
 
 #: The search ends where the mean moves by less than this share of those standard deviations.
-_NEAR = 0.02
+_NEAR = 0.05
 
 #: Pairs of component and scale are ruled out for good by a pass that moves the mean by less than this share of them.
 _CLOSE = 0.5

@@ -233,10 +233,15 @@ def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, fac
     D = diag(variance), (h, n); v = `turned`, (n, n_readings); B = `columns` (n, c) times `factors` (h, c).
     """
     weighted = factors[:, :, None] * (columns.T[None] / variance[:, None])
-    inner = np.eye(columns.shape[1]) + (weighted @ columns) * factors[:, None]
-    lower = np.linalg.cholesky(inner)
-    seen = np.linalg.inv(lower) @ (weighted @ turned)
-    plain = (1.0 / variance) @ turned**2
+    n, plain = columns.shape[1], (1.0 / variance) @ turned**2
+    # Bordered by the readings, one Cholesky factor L has L^-1 w as well; the corner only has to be large enough.
+    seen = weighted @ turned
+    inner = np.zeros((len(variance), n + turned.shape[1], n + turned.shape[1]))
+    inner[:, :n, :n] = np.eye(n) + (weighted @ columns) * factors[:, None]
+    inner[:, n:, :n] = np.swapaxes(seen, 1, 2)
+    inner[:, n:, n:] = (1.0 + np.einsum("hcr,hcr->h", seen, seen))[:, None, None] * np.eye(turned.shape[1])
+    factor = np.linalg.cholesky(inner)
+    lower, seen = factor[:, :n, :n], np.swapaxes(factor[:, n:, :n], 1, 2)
     logs = np.log(2 * np.pi * variance).sum(axis=1) + 2.0 * np.log(np.einsum("hii->hi", lower)).sum(axis=1)
     return np.asarray(-0.5 * (plain - np.sum(seen**2, axis=1) + logs[:, None]))
 
