@@ -24,6 +24,9 @@ CHANNELS, N_BASES, N_LATENT = (32, 64, 128), 9, 26
 #: Error fields of the random network: as many as trained ones have.
 _N_ERRORS = 64
 
+#: Its scale: displacements that turn no tetrahedron inside out, as a trained network's do not.
+_SCALE_MM = 0.5
+
 
 def write_random_table2(mesh: Mesh, folder: Path, seed: int = 0) -> None:
     """Write a model folder with a random network of Table II.
@@ -119,7 +122,7 @@ def _decoder_tables(levels: list[_Level], n_nodes: int, rng: np.random.Generator
         "fully_connected.weight": rng.standard_normal((width, N_LATENT)) / np.sqrt(N_LATENT),
         "fully_connected.bias": np.zeros(width),
         "mean_mm": np.zeros((n_nodes, 3)),
-        "scale_mm": np.array(3.0),
+        "scale_mm": np.array(_SCALE_MM),
     }
     for name, size in (("error", "error_sizes_mm"), ("change_error", "change_sizes_mm")):
         tables |= {
