@@ -461,12 +461,16 @@ def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float)
 
 
 class _Locator:
-    """Finds the tet that contains a point; boxes and inverses of all tets are formed once."""
+    """Finds the tet that contains a point; boxes and inverses of all tets are formed once and sorted along x."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._corners = mesh.nodes[mesh.tets]
         self._extent = mesh.extent
         self._lowest, self._highest = self._corners.min(axis=1), self._corners.max(axis=1)
+        # Along x, a tet that contains a point begins at most the widest one's width before it.
+        self._by_x = np.argsort(self._lowest[:, 0], kind="stable")
+        self._begins = self._lowest[self._by_x, 0]
+        self._widest = float((self._highest[:, 0] - self._lowest[:, 0]).max())
         self._inverse = np.linalg.inv(np.moveaxis(self._corners[:, 1:] - self._corners[:, :1], 1, 2))
 
     def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
@@ -475,8 +479,10 @@ class _Locator:
             message = f"target '{name}' must be finite, got {point.tolist()}"
             raise MarkerError(message, where=name)
         near = 1e-6 * self._extent
-        boxed = ((point >= self._lowest - near) & (point <= self._highest + near)).all(axis=1)
-        tets = np.flatnonzero(boxed)
+        first, last = np.searchsorted(self._begins, (point[0] - self._widest - 2.0 * near, point[0] + 2.0 * near))
+        tets = np.sort(self._by_x[first:last])
+        lowest, highest = self._lowest[tets] - near, self._highest[tets] + near
+        tets = tets[((point >= lowest) & (point <= highest)).all(axis=1)]
         weights = self._weights(tets, point)
         if len(tets) and weights.min(axis=1).max() >= -1e-9:
             best = int(np.argmax(weights.min(axis=1)))
