@@ -108,8 +108,9 @@ def event(mesh: tr.Mesh, truth: np.ndarray, simulation: np.ndarray | None, seed:
     return Event(truth, simulated, reference, measured, inner, moved, start)
 
 
-def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True) -> Method:
+def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True, decode_all: bool = False) -> Method:
     """Return `tissuereg.register` with a model as a method."""
+    settings = tr.RegisterSettings(decode_all=decode_all)
 
     def method(one: Event) -> Answer:
         result = tr.register(
@@ -119,6 +120,7 @@ def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True) -> Method:
             simulation=one.simulation if simulated else None,
             targets={str(i): place for i, place in enumerate(one.targets)},
             threads=1,
+            settings=settings,
         )
         found = [result.target(str(i)) for i in range(N_TARGETS)]
         return Answer(
@@ -363,6 +365,7 @@ def measure(
             mesh,
             {
                 "ours": ours,
+                "ours, every update decoded": registered(mesh, model, decode_all=True),
                 "one Gaussian": registered(mesh, plain),
                 "paper": paper(mesh, model),
                 "pca26": registered(mesh, pca),
@@ -376,6 +379,7 @@ def measure(
             mesh,
             {
                 "ours": ours,
+                "ours, every update decoded": registered(mesh, model, decode_all=True),
                 "ours, without the simulation": registered(mesh, model, simulated=False),
                 "one Gaussian": registered(mesh, plain),
                 "paper": paper(mesh, model),

@@ -17,7 +17,8 @@ noise, 20 random inner points each. Made by `make spread`; the method is describ
   0.48), another modulus and loads that are off, each with the believed model's simulation of the same event. *Before*
   is that simulation. {development} other pairs were used to calibrate.
 
-*ours*: the model with its calibration. *one Gaussian*: the same model without it (its prior and its errors one Gaussian
+*ours*: the model with its calibration; the ensemble is decoded before the first and the last update, or before every
+one. *one Gaussian*: the same model without it (its prior and its errors one Gaussian
 each). *paper*: Algorithm 1 as the paper has it: prior $q(z \\mid M_t)$, $C_d$ = 0.1 mm², 100 members, 5 assimilations;
 $M_t$ is the simulation, or the undeformed body. *pca26*: 26 principal components in place of the network. The last
 column: events whose mean error at the targets is larger than before. A method that is not given the simulation is

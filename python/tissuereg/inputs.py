@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import maybe, named, of_kind, real, whole
+from tissuereg._arguments import flag, maybe, named, of_kind, real, whole
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg._choice import check_choice
 from tissuereg.contacts.settings import ContactSettings
@@ -36,6 +36,9 @@ class RegisterSettings:
         draws from the Gaussian stand for the posterior, and there are no steps.
     decrease : float
         Ratio of successive inflation coefficients.
+    decode_all : bool
+        Decode the ensemble before every update. By default a calibrated model, whose answer is found about the
+        ensemble's mean, decodes before the first and the last; between them predictions follow their regression.
     contacts : ContactSettings
         Prior and sampling of unknown contacts, without a model.
 
@@ -49,6 +52,7 @@ class RegisterSettings:
     n_members: int = 200
     n_steps: int = 5
     decrease: float = 2.0
+    decode_all: bool = False
     contacts: ContactSettings = field(default_factory=ContactSettings)
 
     def __post_init__(self) -> None:
@@ -56,6 +60,7 @@ class RegisterSettings:
         whole("n_members", self.n_members, least=2)
         whole("n_steps", self.n_steps, least=1)
         real("decrease", self.decrease, above=0.0)
+        flag("decode_all", self.decode_all)
         of_kind("contacts", self.contacts, ContactSettings)
 
 

@@ -181,7 +181,7 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
         ensemble = found.ensemble(rng, settings.n_members)
         return _Fit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
     first = drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None
-    if searches and first is not None:
+    if searches and not settings.decode_all and first is not None:
         # Only a search: the answer is found about the ensemble's mean, by true decodes.
         known = predict(first.latents) if first.predicted is None else first.predicted
         first = replace(first, predicted=known)

@@ -278,7 +278,14 @@ CALLS = {
     ),
     "RegisterSettings": (
         tr.RegisterSettings,
-        {"update": "esmda", "n_members": 9, "n_steps": 2, "decrease": 2.0, "contacts": quick().contacts},
+        {
+            "update": "esmda",
+            "n_members": 9,
+            "n_steps": 2,
+            "decrease": 2.0,
+            "decode_all": False,
+            "contacts": quick().contacts,
+        },
     ),
     "ContactSettings": (ContactSettings, {"n_slots": 3, "odds": 0.8, "sizes": (0.1,), "weight": (0.1, 2.0)}),
     "register": (
