@@ -9,6 +9,7 @@ from misuse.events import BODIES, good, misusable
 from misuse.misuses import MISUSES
 from tissuereg.observe import MarkerObservation
 from tissuereg.readings import suspect
+from tissuereg.readings.skin import Skin
 
 #: One event of the development half whose mistakes all leave a trace: 15 markers or so on an ellipsoid off the origin.
 BODY, NUMBER = "ellipsoid", 6
@@ -137,3 +138,21 @@ def test_many_markers_are_weighed_by_some_of_them():
     measured[[7, 200]] = measured[[200, 7]]
     (found,) = suspect(mesh, tr.Markers(places, measured))
     assert found.markers == ("M8", "M201")
+
+
+def test_sets_of_points_that_are_remembered_are_as_those_that_are_new(event, monkeypatch):
+    rng, mesh = np.random.default_rng(3), event.mesh()
+    sets = mesh.nodes[rng.choice(mesh.n_nodes, (5, 9))] + rng.standard_normal((5, 9, 3))
+    skin, sought = Skin(mesh), []
+    plain = Skin._closest
+    monkeypatch.setattr(Skin, "_closest", lambda self, flat: sought.append(len(flat)) or plain(self, flat))
+    first = skin.closest(sets[:3])
+    again = skin.closest(sets)
+    alone = [skin.closest(one) for one in sets]
+    # Three sets, then the two that are new, then none.
+    assert sought == [27, 18]
+    for name in first._fields:
+        assert np.array_equal(getattr(first, name), getattr(again, name)[:3])
+        assert np.array_equal(np.array([getattr(one, name) for one in alone]), getattr(again, name))
+    foot = again.foot - sets
+    assert np.allclose(np.abs(again.distance), np.linalg.norm(foot, axis=2), atol=1e-12)

@@ -1,5 +1,6 @@
 """Distances of points from a body's surface, and from its held nodes, for many points at once."""
 
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,11 @@ from tissuereg.mesh import Mesh
 
 #: Number of closest surface samples whose triangles are tested exactly.
 _N_CLOSEST = 4
+
+#: Numbers that describe the closest place of a point; sets of points that are remembered.
+_VALUES, _N_KEPT = 8, 512
+
+_KEEPING = Lock()
 
 
 #: Lengths over which motion fades towards held nodes, as shares of the extent.
@@ -69,13 +75,33 @@ class Skin:
         self._normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
         shares = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0], [2.0, 2.0, 2.0]]) / 6.0
         self._samples = cKDTree(np.einsum("sc,tcx->tsx", shares, self._corners).reshape(-1, 3), balanced_tree=False)
+        self._known: dict[bytes, FloatArray] = {}
         self.held: IntArray = mesh.node_sets.get("fixed", np.empty(0, np.int64))
         self._held_triangles: BoolArray = np.asarray(np.isin(mesh.surface, self.held).all(axis=1))
         self._held_tree = cKDTree(mesh.nodes[self.held], balanced_tree=False) if len(self.held) else None
 
     def closest(self, points: FloatArray) -> Closest:
-        """Return the closest place on the surface for points of shape (..., 3), mm."""
-        flat = points.reshape(-1, 3)
+        """Return the closest place on the surface for points of shape (..., 3), mm.
+
+        Points are taken in sets, (n, 3); the last sets are remembered, since reference places come again and again.
+        """
+        sets = points.reshape(-1, *points.shape[-2:])
+        keys = [one.tobytes() for one in sets]
+        with _KEEPING:
+            found = {key: self._known[key] for key in keys if key in self._known}
+        fresh = {key: number for number, key in enumerate(keys) if key not in found}
+        if fresh:
+            flat = self._closest(sets[list(fresh.values())].reshape(-1, 3)).reshape(len(fresh), -1, _VALUES)
+            found |= dict(zip(fresh, flat, strict=True))
+            with _KEEPING:
+                self._known |= {key: found[key] for key in fresh}
+                while len(self._known) > _N_KEPT:
+                    self._known.pop(next(iter(self._known)))
+        values = np.array([found[key] for key in keys]).reshape(*points.shape[:-1], _VALUES)
+        return Closest(values[..., 0], values[..., 1:4], values[..., 4:7], values[..., 7] > 0.0)
+
+    def _closest(self, flat: FloatArray) -> FloatArray:
+        """Return distance, foot, normal and whether it is held (1 or 0) for every point, (n, 8)."""
         _, samples = self._samples.query(flat, k=_N_CLOSEST)
         triangles = samples // 4
         corners = self._corners[triangles]
@@ -87,13 +113,7 @@ class Skin:
         inside = np.einsum("px,px->p", off[rows, best], normal) < 0.0
         distance = np.where(inside, -1.0, 1.0) * np.sqrt(gaps[rows, best])
         held = self._held_triangles[triangles[rows, best]]
-        shape = points.shape
-        return Closest(
-            distance.reshape(shape[:-1]),
-            feet[rows, best].reshape(shape),
-            normal.reshape(shape),
-            held.reshape(shape[:-1]),
-        )
+        return np.column_stack([distance, feet[rows, best], normal, held])
 
     def freedom(self, points: FloatArray) -> FloatArray:
         """Return how freely the body can move at points: 0 at held nodes, towards 1 far from them.
