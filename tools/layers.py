@@ -14,13 +14,13 @@ from pathlib import Path
 #: import from its own layer (without a circle) and from lower ones.
 LAYERS: tuple[tuple[str, str], ...] = (
     ("commands", "__main__ cli"),
-    ("ready-made runs", "bench bench_network bench_step demo frames registrations skeleton studies"),
+    ("ready-made runs", "baselines bench bench_network bench_step demo frames registrations skeleton studies"),
     ("public calls", "contact_answer contact_registration diagnose latent_registration registrar registration"),
     ("answers", "report result"),
     ("parts of the calls", "contacts inputs meshing samples"),
     (
         "simulation, observation, networks",
-        "assimilate baselines latent mixture_posterior observe phantom posterior readings simulate widen",
+        "assimilate latent mixture_posterior observe phantom posterior readings simulate widen",
     ),
     ("files, the only place of other units", "io"),
     ("many tasks, the only place of processes and Dask", "parallel"),

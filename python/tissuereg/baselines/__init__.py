@@ -1,7 +1,23 @@
-"""Baselines without simulation: rigid motion and spline through the markers, copying the neighbours."""
+"""The methods that registration is compared with, one file each, all with the one call of `Rival`."""
 
-from tissuereg.baselines.copy import copied_displacement
-from tissuereg.baselines.rigid import rigid_displacement
-from tissuereg.baselines.spline import spline_displacement
+from tissuereg.baselines.copy import MeanOfMarkers, copied_displacement
+from tissuereg.baselines.rigid import Rigid, rigid_displacement
+from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
+from tissuereg.baselines.spline import Spline, spline_displacement
 
-__all__ = ["copied_displacement", "rigid_displacement", "spline_displacement"]
+#: Every method by the name that tables print.
+RIVALS: dict[str, type[Rival]] = {rival.name: rival for rival in (MeanOfMarkers, Rigid, Spline)}
+
+__all__ = [
+    "RIVALS",
+    "Estimate",
+    "MeanOfMarkers",
+    "Moment",
+    "Rigid",
+    "Rival",
+    "Setting",
+    "Spline",
+    "copied_displacement",
+    "rigid_displacement",
+    "spline_displacement",
+]

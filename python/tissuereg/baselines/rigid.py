@@ -1,10 +1,12 @@
 """The best rigid motion of the markers (Kabsch)."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray, float_array
+from tissuereg.baselines.copy import copied_displacement
+from tissuereg.baselines.rival import Estimate, Rival
 from tissuereg.errors import MarkerError
 
 
@@ -43,3 +45,16 @@ def rigid_displacement(reference: Any, measured: Any, points: Any) -> FloatArray
 
     turn, _ = Rotation.align_vectors(after - after.mean(axis=0), before - before.mean(axis=0))
     return np.asarray(turn.apply(wanted - before.mean(axis=0)) + after.mean(axis=0) - wanted)
+
+
+class Rigid(Rival):
+    """The best rigid motion of the markers that were seen, and their mean displacement where fewer than three were."""
+
+    name: ClassVar[str] = "rigid"
+
+    def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
+        """Return the displacement of the nodes under that motion; see `Rival.register`."""
+        moment = self.moment(measured_mm, simulation_mm)
+        rule = rigid_displacement if len(moment.seen) >= 3 else copied_displacement
+        reference, nodes = self.setting.reference_mm[moment.seen], self.setting.mesh.nodes
+        return Estimate(rule(reference, moment.measured_mm[moment.seen], nodes))

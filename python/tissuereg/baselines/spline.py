@@ -1,11 +1,12 @@
 """A thin-plate spline through the markers, affine where there are too few of them."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg.baselines.copy import copied_displacement
+from tissuereg.baselines.rival import Estimate, Rival
 
 
 def spline_displacement(reference: Any, measured: Any, points: Any) -> FloatArray:
@@ -33,3 +34,15 @@ def spline_displacement(reference: Any, measured: Any, points: Any) -> FloatArra
     from scipy.interpolate import RBFInterpolator
 
     return np.asarray(RBFInterpolator(before, after - before, kernel="thin_plate_spline")(wanted))
+
+
+class Spline(Rival):
+    """The thin-plate spline through the markers that were seen; see `spline_displacement`."""
+
+    name: ClassVar[str] = "thin-plate spline"
+
+    def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
+        """Return the spline's displacement of the nodes; see `Rival.register`."""
+        moment = self.moment(measured_mm, simulation_mm)
+        reference, nodes = self.setting.reference_mm[moment.seen], self.setting.mesh.nodes
+        return Estimate(spline_displacement(reference, moment.measured_mm[moment.seen], nodes))

@@ -1,0 +1,103 @@
+"""What all methods of the comparison share, and those that know the markers alone."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import tissuereg as tr
+from tissuereg.baselines import RIVALS, Estimate, MeanOfMarkers, Rigid, Rival, Setting, Spline
+from tissuereg.errors import ArgumentError, MarkerError, ShapeError
+
+PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0], [15.0, 20.0, 35.0], [30.0, 5.0, 20.0]])
+
+
+def setting(mesh, **parts) -> Setting:
+    """Return a setting with five markers."""
+    given = {"reference_mm": PLACES, "std_mm": np.full(5, 0.1), "material": tr.Material()}
+    return Setting(mesh, **{**given, **parts})
+
+
+class NeedsAll(Rival):
+    """A method that needs everything and says that nothing moves."""
+
+    name = "needs all"
+    needs = frozenset({"simulation", "fields"})
+
+    def register(self, measured_mm, simulation_mm=None):
+        return Estimate(np.zeros_like(self.moment(measured_mm, simulation_mm).start_mm))
+
+
+def test_every_method_is_listed_under_the_name_that_it_prints():
+    assert {name: rival.name for name, rival in RIVALS.items()} == {name: name for name in RIVALS}
+
+
+def test_the_mean_of_the_markers_leaves_out_those_that_were_not_seen(block_mesh):
+    measured = PLACES + np.array([1.0, 2.0, 3.0])
+    measured[1] = np.nan
+    measured[3] += 4.0
+    found = MeanOfMarkers(setting(block_mesh)).register(measured)
+    # Three markers moved by (1, 2, 3), one by 4 more: the mean of four is 1 more.
+    np.testing.assert_allclose(found.displacement_mm, np.tile([2.0, 3.0, 4.0], (block_mesh.n_nodes, 1)), atol=1e-13)
+
+
+@pytest.mark.parametrize("unseen", [[], [0], [2, 4]])
+def test_a_rigid_motion_is_found_exactly_from_any_three_markers(block_mesh, unseen):
+    turn, shift = Rotation.from_rotvec([0.3, -0.2, 0.5]), np.array([1.0, 2.0, -3.0])
+    measured = turn.apply(PLACES) + shift
+    measured[unseen] = np.nan
+    found = Rigid(setting(block_mesh)).register(measured)
+    expected = turn.apply(np.array(block_mesh.nodes)) + shift - block_mesh.nodes
+    np.testing.assert_allclose(found.displacement_mm, expected, atol=1e-12)  # rounding at 50 mm
+
+
+def test_an_affine_motion_is_found_exactly_by_the_spline(block_mesh):
+    gradient = np.array([[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.3, 0.0, 0.05]])
+    found = Spline(setting(block_mesh)).register(PLACES + PLACES @ gradient.T)
+    # Kernel values at 50 mm are about 1e4, so the system loses four digits of 1e-16 times 50 mm.
+    np.testing.assert_allclose(found.displacement_mm, block_mesh.nodes @ gradient.T, atol=1e-10)
+
+
+def test_two_markers_give_the_rigid_motion_without_rotation(block_mesh):
+    measured = PLACES + np.array([0.0, 0.0, 1.0])
+    measured[2:] = np.nan
+    found = Rigid(setting(block_mesh)).register(measured)
+    np.testing.assert_allclose(found.displacement_mm, np.tile([0.0, 0.0, 1.0], (block_mesh.n_nodes, 1)), atol=1e-13)
+
+
+@pytest.mark.parametrize("rival", [MeanOfMarkers, Rigid, Spline])
+def test_a_moment_without_markers_is_refused(block_mesh, rival):
+    with pytest.raises(MarkerError, match="at least one of 5 markers must be seen"):
+        rival(setting(block_mesh)).register(PLACES * np.nan)
+
+
+def test_a_method_is_refused_a_setting_that_lacks_what_it_needs(block_mesh):
+    with pytest.raises(ArgumentError, match=r"`setting\.fields` must be given for the method 'needs all'"):
+        NeedsAll(setting(block_mesh))
+
+
+def test_a_moment_without_simulation_is_refused_where_one_is_needed(block_mesh):
+    rival = NeedsAll(setting(block_mesh, fields=np.zeros((1, block_mesh.n_nodes, 3))))
+    with pytest.raises(ArgumentError, match="`simulation_mm` must be given for the method 'needs all'"):
+        rival.register(PLACES)
+
+
+@pytest.mark.parametrize(
+    ("parts", "error", "says"),
+    [
+        ({"mesh": None}, ArgumentError, "`mesh`"),
+        ({"reference_mm": PLACES[:, :2]}, ShapeError, "`reference_mm`"),
+        ({"std_mm": np.full(4, 0.1)}, ShapeError, "`std_mm`"),
+        ({"std_mm": np.zeros(5)}, MarkerError, "std must be positive"),
+        ({"material": 10.0}, ArgumentError, "`material`"),
+        ({"load": 1.0}, ArgumentError, "`load`"),
+        ({"model": 1.0}, ArgumentError, "`model` must know the mesh's 120 nodes"),
+        ({"fields": np.zeros((2, 3, 3))}, ShapeError, "`fields`"),
+        ({"fields": np.full((2, 120, 3), np.nan)}, ShapeError, "field 0 is not"),
+        ({"frame_s": 0.0}, ArgumentError, "`frame_s`"),
+        ({"seed": -1}, ArgumentError, "`seed`"),
+        ({"threads": 1.5}, ArgumentError, "`threads`"),
+    ],
+)
+def test_a_wrong_part_of_a_setting_is_refused(block_mesh, parts, error, says):
+    with pytest.raises(error, match=says):
+        setting(**{"mesh": block_mesh, **parts})
