@@ -20,7 +20,7 @@ LAYERS: tuple[tuple[str, str], ...] = (
     ("parts of the calls", "contacts inputs meshing samples"),
     (
         "simulation, observation, networks",
-        "assimilate latent mixture_posterior observe phantom posterior readings simulate widen",
+        "assimilate latent linear_prior mixture_posterior observe phantom posterior readings simulate widen",
     ),
     ("files, the only place of other units", "io"),
     ("many tasks, the only place of processes and Dask", "parallel"),

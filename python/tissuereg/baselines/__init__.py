@@ -1,16 +1,29 @@
 """The methods that registration is compared with, one file each, all with the one call of `Rival`."""
 
 from tissuereg.baselines.copy import MeanOfMarkers, copied_displacement
+from tissuereg.baselines.elastic import LinearElastic
+from tissuereg.baselines.libr import Libr
 from tissuereg.baselines.rigid import Rigid, rigid_displacement
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
 from tissuereg.baselines.spline import Spline, spline_displacement
 
 #: Every method by the name that tables print.
-RIVALS: dict[str, type[Rival]] = {rival.name: rival for rival in (MeanOfMarkers, Rigid, Spline)}
+RIVALS: dict[str, type[Rival]] = {
+    rival.name: rival
+    for rival in (
+        MeanOfMarkers,
+        Rigid,
+        Spline,
+        LinearElastic,
+        Libr,
+    )
+}
 
 __all__ = [
     "RIVALS",
     "Estimate",
+    "Libr",
+    "LinearElastic",
     "MeanOfMarkers",
     "Moment",
     "Rigid",
