@@ -3,6 +3,8 @@
 from tissuereg.baselines.copy import MeanOfMarkers, copied_displacement
 from tissuereg.baselines.elastic import LinearElastic
 from tissuereg.baselines.libr import Libr
+from tissuereg.baselines.ours import Network, PhysicsPrior
+from tissuereg.baselines.parameters import ParameterInference
 from tissuereg.baselines.rigid import Rigid, rigid_displacement
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
 from tissuereg.baselines.spline import Spline, spline_displacement
@@ -16,6 +18,9 @@ RIVALS: dict[str, type[Rival]] = {
         Spline,
         LinearElastic,
         Libr,
+        ParameterInference,
+        PhysicsPrior,
+        Network,
     )
 }
 
@@ -26,6 +31,9 @@ __all__ = [
     "LinearElastic",
     "MeanOfMarkers",
     "Moment",
+    "Network",
+    "ParameterInference",
+    "PhysicsPrior",
     "Rigid",
     "Rival",
     "Setting",
