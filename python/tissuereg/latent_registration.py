@@ -18,7 +18,7 @@ from tissuereg._clock import Clock
 from tissuereg.assimilate import Assimilation, Between, FirstEnsemble, assimilate, balanced_draws, gauss_newton
 from tissuereg.errors import ModelError
 from tissuereg.inputs import RegisterInput, rms_length
-from tissuereg.latent.model import Gaussian, LatentModel, error_covariance
+from tissuereg.latent.model import Gaussian, LatentModel
 from tissuereg.latent.network import kept_network
 from tissuereg.latent.points import PointModel, PointsAround
 from tissuereg.markers import Markers
@@ -27,7 +27,7 @@ from tissuereg.mixture_posterior import CalibratedPosterior
 from tissuereg.posterior import Posterior
 from tissuereg.result import NO_MARKER, MarkerFit, Registration, Target
 from tissuereg.trust import LEVEL, Trust, judge, judge_by_rehearsal
-from tissuereg.widen import Linearised, widened
+from tissuereg.widen import stated
 from tissuereg.wrong_markers import drop_wrong, score_markers
 
 #: Distance of neighbours for derivatives of the decoder, in standard deviations of the prior: wide enough for float32.
@@ -159,22 +159,13 @@ def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArra
     markers, settings = given.markers, given.settings
     measured = markers.displacement[seen].ravel()
     latents, predicted = drawn.first.latents, drawn.predicted(seen)
-    linear = Linearised.of(model.prior, latents, predicted, drawn.centre[seen].ravel())
-
-    def prior_for(noise: FloatArray) -> tuple[Gaussian, float]:
-        return (model.prior, 1.0) if linear is None else widened(model.prior, model.family, linear, measured, noise)
+    searches = model.calibration is not None and settings.update == "esmda"
+    believed = stated(model, markers, seen, latents, predicted, drawn.centre[seen].ravel(), typical=searches)
+    prior, noise, near, widening = believed.prior, believed.noise, believed.near, believed.factor
 
     def predict(latents: FloatArray) -> FloatArray:
         return _rows(model.markers(model.decode(latents))[:, seen])
 
-    noise = _noise(model.errors().markers[:, seen], markers, seen)
-    prior, widening = prior_for(noise)
-    searches = model.calibration is not None and settings.update == "esmda"
-    near = model.prior.mean
-    if not searches:
-        near = near if linear is None else linear.most_probable(prior, measured, noise)
-        noise = _noise(model.errors(near).markers[:, seen], markers, seen)
-        prior, widening = prior_for(noise)
     rng = np.random.default_rng([given.seed, 3])
     if settings.update == "gauss-newton":
         found = gauss_newton(predict, measured, noise, prior, start=near, tolerance=_TOLERANCE, difference=_DIFFERENCE)
@@ -353,9 +344,3 @@ def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
         message = f"the model must know this mesh of {mesh.n_nodes} nodes, it knows {model.n_nodes}"
         raise ModelError(message, where="model")
     return model  # type: ignore[no-any-return]
-
-
-def _noise(errors: FloatArray, markers: Markers, seen: IntArray) -> FloatArray:
-    """Return C_d: the tracker's noise and the model's own errors (n_fields, n_seen, 3) at the markers."""
-    tracker = (markers.axis_std[seen] ** 2).ravel()
-    return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), 3 * len(seen))))

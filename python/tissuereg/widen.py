@@ -5,8 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
-from tissuereg.latent.model import Gaussian
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.latent.model import Gaussian, error_covariance
+from tissuereg.latent.points import PointsAround
+from tissuereg.markers import Markers
 
 #: No prior is widened beyond this factor on its covariance.
 MOST = 400.0
@@ -119,6 +121,81 @@ def widened(
     enough = misfit(covariance(MOST)) <= n_obs
     factor = float(brentq(lambda s: misfit(covariance(s)) - n_obs, 1.0, MOST)) if enough else MOST
     return Gaussian(prior.mean, covariance(factor)), factor
+
+
+@dataclass(frozen=True, eq=False)
+class Stated:
+    """What is believed of one moment before its latents are found.
+
+    Attributes
+    ----------
+    prior : Gaussian
+        Prior of the latents, widened if the markers say so.
+    factor : float
+        By which it was widened; see `widened`.
+    noise : ndarray of float64, shape (n_obs, n_obs)
+        C_d: the tracker's noise and the model's own errors at the markers, mm^2.
+    near : ndarray of float64, shape (n_latent,)
+        Most probable latents of a linear model, at which these errors are taken.
+    """
+
+    prior: Gaussian
+    factor: float
+    noise: FloatArray
+    near: FloatArray
+
+
+def stated(
+    model: PointsAround,
+    markers: Markers,
+    seen: IntArray,
+    latents: FloatArray,
+    predicted: FloatArray,
+    centre: FloatArray,
+    *,
+    typical: bool = False,
+) -> Stated:
+    """Return prior and noise of a moment, from draws of the model's prior.
+
+    Parameters
+    ----------
+    model : PointsAround
+        The model of the moment.
+    markers : Markers
+        Measured.
+    seen : ndarray of int64, shape (n_seen,)
+        Markers that are used.
+    latents, predicted : ndarray of float64, shape (n_latent, n_members) and (3 n_seen, n_members)
+        Draws from the prior, and their predictions of these markers, mm.
+    centre : ndarray of float64, shape (3 n_seen,)
+        Predictions at the prior's mean, mm.
+    typical : bool
+        Take the errors of a typical event rather than those at the latents of the linear model.
+
+    Returns
+    -------
+    Stated
+        Where no linear model can be fitted to the draws, the model's own prior and the errors at its mean.
+    """
+    measured = markers.displacement[seen].ravel()
+    linear = Linearised.of(model.prior, latents, predicted, centre)
+
+    def prior_for(noise: FloatArray) -> tuple[Gaussian, float]:
+        return (model.prior, 1.0) if linear is None else widened(model.prior, model.family, linear, measured, noise)
+
+    noise = _noise(model.errors().markers[:, seen], markers, seen)
+    prior, factor = prior_for(noise)
+    near = model.prior.mean if linear is None else linear.most_probable(prior, measured, noise)
+    if not typical:
+        noise = _noise(model.errors(near).markers[:, seen], markers, seen)
+        prior, factor = prior_for(noise)
+    return Stated(prior, factor, noise, near)
+
+
+def _noise(errors: FloatArray, markers: Markers, seen: IntArray) -> FloatArray:
+    """Return C_d: the tracker's noise and the model's own errors (n_fields, n_seen, 3) at the markers."""
+    tracker = (markers.axis_std[seen] ** 2).ravel()
+    return np.asarray(np.diag(tracker) + error_covariance(errors.reshape(len(errors), 3 * len(seen))))
 
 
 @lru_cache

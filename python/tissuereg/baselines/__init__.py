@@ -2,9 +2,11 @@
 
 from tissuereg.baselines.copy import MeanOfMarkers, copied_displacement
 from tissuereg.baselines.elastic import LinearElastic
+from tissuereg.baselines.latent_step import LatentFilter, OneStepSmoother
 from tissuereg.baselines.libr import Libr
 from tissuereg.baselines.ours import Network, PhysicsPrior
 from tissuereg.baselines.parameters import ParameterInference
+from tissuereg.baselines.pca import PcaEsMda
 from tissuereg.baselines.rigid import Rigid, rigid_displacement
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
 from tissuereg.baselines.spline import Spline, spline_displacement
@@ -19,6 +21,9 @@ RIVALS: dict[str, type[Rival]] = {
         LinearElastic,
         Libr,
         ParameterInference,
+        PcaEsMda,
+        OneStepSmoother,
+        LatentFilter,
         PhysicsPrior,
         Network,
     )
@@ -27,12 +32,15 @@ RIVALS: dict[str, type[Rival]] = {
 __all__ = [
     "RIVALS",
     "Estimate",
+    "LatentFilter",
     "Libr",
     "LinearElastic",
     "MeanOfMarkers",
     "Moment",
     "Network",
+    "OneStepSmoother",
     "ParameterInference",
+    "PcaEsMda",
     "PhysicsPrior",
     "Rigid",
     "Rival",
