@@ -21,7 +21,6 @@ from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.latent.model import Gaussian, LatentModel
 from tissuereg.latent.network import kept_network
 from tissuereg.latent.points import PointModel, PointsAround
-from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 from tissuereg.mixture_posterior import CalibratedPosterior
 from tissuereg.posterior import Posterior

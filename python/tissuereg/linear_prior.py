@@ -86,7 +86,11 @@ class LinearPrior:
         self._known: dict[bytes, _Directions] = {}
 
     def scaled(
-        self, displacement_mm: FloatArray, seen: IntArray, scale: float | None = None
+        self,
+        displacement_mm: FloatArray,
+        seen: IntArray,
+        scale: float | None = None,
+        std_mm: FloatArray | None = None,
     ) -> tuple[float, float, FloatArray]:
         """Return scale, log evidence, and the weights (3 n_markers,) of the most probable field on the columns of U.
 
@@ -98,13 +102,16 @@ class LinearPrior:
             Which these are.
         scale : float, optional
             Scale to use; by default that of the highest evidence.
+        std_mm : ndarray of float64, shape (n_seen,), optional
+            Standard deviation of each coordinate at this moment; by default that of the prior.
 
         Returns
         -------
         tuple of (float, float, ndarray of float64)
-            Cost: two products with a matrix of (3 n_seen, 3 n_seen).
+            Cost: two products with a matrix of (3 n_seen, 3 n_seen), and its eigenvalues where `std_mm` is given or the
+            markers were never seen together before.
         """
-        here = self._directions(seen)
+        here = self._kept_directions(seen) if std_mm is None else self._directions(seen, np.repeat(std_mm, 3))
         observed = float_array("displacement_mm", displacement_mm, (len(seen), 3)).ravel()
         y = observed @ here.vectors
         if scale is None:
@@ -124,23 +131,25 @@ class LinearPrior:
         scale, evidence, weights = self.scaled(displacement_mm, seen, scale)
         return LinearAnswer(self.field(weights), scale, evidence)
 
-    def _directions(self, seen: IntArray) -> _Directions:
+    def _kept_directions(self, seen: IntArray) -> _Directions:
         key = seen.tobytes()
         if key not in self._known:
-            rows = (3 * seen[:, None] + np.arange(3)).ravel()
-            std = self._std[rows]
-            values, vectors = np.linalg.eigh(self._at_markers[np.ix_(rows, rows)] / np.outer(std, std))
             while len(self._known) >= _KEPT:
                 self._known.pop(next(iter(self._known)))
-            self._known[key] = _Directions(rows, np.maximum(values, 0.0), vectors / std[:, None])
+            self._known[key] = self._directions(seen, self._std.reshape(-1, 3)[seen].ravel())
         return self._known[key]
+
+    def _directions(self, seen: IntArray, std: FloatArray) -> _Directions:
+        rows = (3 * seen[:, None] + np.arange(3)).ravel()
+        values, vectors = np.linalg.eigh(self._at_markers[np.ix_(rows, rows)] / np.outer(std, std))
+        return _Directions(rows, np.maximum(values, 0.0), vectors / std[:, None])
 
 
 def most_probable(
-    priors: "dict[str, LinearPrior]", displacement_mm: FloatArray, seen: IntArray
+    priors: "dict[str, LinearPrior]", displacement_mm: FloatArray, seen: IntArray, std_mm: FloatArray | None = None
 ) -> tuple[str, LinearAnswer]:
     """Return the prior of the highest evidence and its answer; arguments as in `LinearPrior.scaled`."""
-    found = {name: prior.scaled(displacement_mm, seen) for name, prior in priors.items()}
+    found = {name: prior.scaled(displacement_mm, seen, std_mm=std_mm) for name, prior in priors.items()}
     best = max(found, key=lambda name: found[name][1])
     scale, evidence, weights = found[best]
     return best, LinearAnswer(priors[best].field(weights), scale, evidence)

@@ -5,7 +5,6 @@ import pytest
 
 import tissuereg as tr
 from tissuereg.baselines import LatentFilter, OneStepSmoother, PcaEsMda, Setting
-from tissuereg.latent.model import Gaussian
 from tissuereg.latent.pca import PcaModel
 from tissuereg.observe import MarkerObservation
 

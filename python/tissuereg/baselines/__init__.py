@@ -7,6 +7,7 @@ from tissuereg.baselines.libr import Libr
 from tissuereg.baselines.ours import Network, PhysicsPrior
 from tissuereg.baselines.parameters import ParameterInference
 from tissuereg.baselines.pca import PcaEsMda
+from tissuereg.baselines.residual import LinearResidual
 from tissuereg.baselines.rigid import Rigid, rigid_displacement
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
 from tissuereg.baselines.spline import Spline, spline_displacement
@@ -20,6 +21,7 @@ RIVALS: dict[str, type[Rival]] = {
         Spline,
         LinearElastic,
         Libr,
+        LinearResidual,
         ParameterInference,
         PcaEsMda,
         OneStepSmoother,
@@ -35,6 +37,7 @@ __all__ = [
     "LatentFilter",
     "Libr",
     "LinearElastic",
+    "LinearResidual",
     "MeanOfMarkers",
     "Moment",
     "Network",

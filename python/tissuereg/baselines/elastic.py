@@ -64,15 +64,15 @@ class LinearElastic(Rival):
     def __init__(self, setting: Setting, *, smooth: bool = True) -> None:
         super().__init__(setting)
         self.body = elastic_body(setting)
-        self._priors: dict[str, LinearPrior] = {"least energy": self.body.least_energy()}
+        self.priors: dict[str, LinearPrior] = {"least energy": self.body.least_energy()}
         if flag("smooth", smooth):
             for level in range(int(self.body.patches.level.max()) + 1):
                 radius = float(self.body.patches.radii[self.body.patches.level == level][0])
-                self._priors[f"patches of {radius:.3g} mm"] = self.body.patch_loads(level)
+                self.priors[f"patches of {radius:.3g} mm"] = self.body.patch_loads(level)
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
         """Return the simulation and the most probable linear change; see `Rival.register`."""
         moment = self.moment(measured_mm, simulation_mm)
-        name, found = most_probable(self._priors, residual_of(self.body, moment), moment.seen)
+        name, found = most_probable(self.priors, residual_of(self.body, moment), moment.seen)
         kept = {"prior": name, "scale": found.scale, "log_evidence": found.log_evidence}
         return Estimate(added(moment, found.displacement_mm), kept=kept)
