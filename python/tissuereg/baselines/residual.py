@@ -21,9 +21,10 @@ class LinearResidual(Rival):
         sum_i  w^i |r_i - J x_i|^2 / std^2  +  |J|^2 / q^2
 
     over the last moments, i moments ago, in which the marker was seen; q^2, the variance expected of an entry of J, is
-    the residuals' mean square beyond the noise over the inputs' sum of squares in the window. So a marker that was lost still has its residual predicted, and noise
-    is averaged over the window. The method knows nothing between markers; its residuals, each with the variance of its
-    prediction, are carried to the nodes by linear elasticity (`LinearElastic`) about the simulation.
+    the residuals' mean square beyond the noise over the inputs' sum of squares in the window. So a marker that was lost
+    still has its residual predicted, and noise is averaged over the window. The method knows nothing between markers;
+    its residuals, each with the variance of its prediction, are carried to the nodes by linear elasticity
+    (`LinearElastic`) about the simulation.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ class LinearResidual(Rival):
         return predicted, np.sqrt(np.maximum(variance, 0.0))
 
     def _ratio(self, inputs: FloatArray, residuals: FloatArray, seen: Any, weights: FloatArray) -> float:
-        """Return q^2 over the number of inputs: the residuals' mean square without noise over the inputs' sum of them."""
+        """Return q^2, the variance expected of an entry of the Jacobian."""
         squares = np.where(seen, np.nan_to_num(residuals**2).sum(axis=2) / 3.0 - self.setting.std_mm**2, 0.0)
         of_residuals = max(float(weights @ squares.sum(axis=1)) / float(weights @ seen.sum(axis=1)), 0.0)
         of_inputs = float(weights @ (inputs**2).sum(axis=1)) / float(weights.sum())
