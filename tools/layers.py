@@ -15,7 +15,10 @@ from pathlib import Path
 LAYERS: tuple[tuple[str, str], ...] = (
     ("commands", "__main__ cli"),
     ("ready-made runs", "baselines bench bench_network bench_step demo frames registrations skeleton studies"),
-    ("public calls", "contact_answer contact_registration diagnose latent_registration registrar registration"),
+    (
+        "public calls",
+        "contact_answer contact_registration diagnose latent_registration registrar registration tracking",
+    ),
     ("answers", "report result"),
     ("parts of the calls", "contacts inputs meshing samples"),
     (

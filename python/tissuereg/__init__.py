@@ -6,7 +6,7 @@
 4258
 """
 
-from tissuereg import effects, errors, phantom
+from tissuereg import effects, errors, phantom, tracking
 from tissuereg._version import __version__
 from tissuereg.diagnose import diagnose
 from tissuereg.diagnose.many import diagnose_many
@@ -32,6 +32,7 @@ from tissuereg.simulate import Simulation, Simulator, simulate
 from tissuereg.simulate.believed import simulate_experiment
 from tissuereg.simulate.fine import FineModel
 from tissuereg.studies import reproduce
+from tissuereg.tracking import Tracker
 from tissuereg.triangles import Triangles
 
 __all__ = [
@@ -49,6 +50,7 @@ __all__ = [
     "Simulation",
     "Simulator",
     "TissueRegError",
+    "Tracker",
     "Triangles",
     "__version__",
     "diagnose",
@@ -70,5 +72,6 @@ __all__ = [
     "simulate",
     "simulate_experiment",
     "tetrahedralize",
+    "tracking",
     "write_experiment",
 ]

@@ -11,10 +11,11 @@ from tissuereg._arrays import FloatArray
 from tissuereg._clock import Clock
 from tissuereg.contact_answer import Answer, known_of, surface_fit
 from tissuereg.contacts.body import ContactBody
+from tissuereg.contacts.carried import Carried
 from tissuereg.contacts.columns import Columns, spring_stiffness
 from tissuereg.contacts.draws import Draws, NodesOfContacts
 from tissuereg.contacts.evidence import support_stiffness
-from tissuereg.contacts.fit import ContactFit, Passes, start_of
+from tissuereg.contacts.fit import TOLERANCE, ContactFit, Passes, start_of
 from tissuereg.contacts.frame import Frame, drifts
 from tissuereg.contacts.graded import grade, is_graded
 from tissuereg.contacts.icp import closest_frame
@@ -40,6 +41,9 @@ COARSE_NODES, STIFF_POISSON = 3000, 0.475
 #: The fit is repeated without the believed load if the markers' root mean square residual exceeds this many standard
 #: deviations; the belief is dropped if the residual is then less than this share.
 _UNMET, _MUCH_LESS = 3.0, 0.5
+
+#: A search from the contacts of the moment before is given up if it leaves so many times its residual.
+_MUCH_MORE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +91,9 @@ class ContactInput:
         return self.load is not None or self.simulation is not None
 
 
-def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Clock) -> Registration:
+def register_by_contacts(
+    given: RegisterInput, believed: ContactInput, clock: Clock, after: Registration | None = None
+) -> Registration:
     """Register without a model.
 
     Parameters
@@ -98,6 +104,9 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
         Believed load, material and supports.
     clock : Clock
         Records the times of the stages.
+    after : Registration, optional
+        Of a moment shortly before, with the same markers: its contacts are the start, and what it found of supports and
+        graded stiffness is kept.
 
     Returns
     -------
@@ -121,13 +130,13 @@ def register_by_contacts(given: RegisterInput, believed: ContactInput, clock: Cl
     points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, settings.model_error)
     seen = Seen.of(SeenMarkers(given.observed, given.markers, settings.model_error), points)
     announce(body, seen, given, clock)
-    found, note = _Search(given, body, seen, settings, clock).least_left(believed)
+    found, note = _Search(given, body, seen, settings, clock, _carried(after, given)).least_left(believed)
     if note:
         given = replace(given, suspicions=(*given.suspicions, note))
     with clock.stage("spread"):
         spread = Spread(found.fit, found.material, settings, given.threads, found.further)
         known = known_of(given, found.fit, spread)
-    draw = Draws(found.fit, spread, found.material, given.seed, given.threads)
+    draw = Draws(found.fit, spread, found.material, given.seed, given.threads, found.further)
     fields = None
     if believed.ensemble:
         with clock.stage("ensemble"):
@@ -156,6 +165,7 @@ class _Search:
     seen: Seen
     settings: ContactSettings
     clock: Clock
+    carried: Carried | None = None
 
     def least_left(self, believed: ContactInput) -> tuple[_Found, str]:
         """Return the fit with the believed load; or, if that leaves large residuals, one without it, and the reason."""
@@ -184,9 +194,13 @@ class _Search:
         with clock.stage("simulate"):
             parts, field = _believed(body, believed, settings)
             columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
-        frame = _first_frame(given, body.supports)
         rng = np.random.default_rng([given.seed, 7])
         passes = Passes(columns, self.seen, material, settings, rng, given.threads, clock, believed.progress)
+        frame = _first_frame(given, body.supports)
+        if self.carried is not None:
+            gone_on = self._gone_on(self.carried, passes, field, frame)
+            if gone_on is not None:
+                return gone_on
         further: list[tuple[Cause, float]] = []
         if body.base is not None and field is None:
             passes, further = _supported(passes, frame)
@@ -197,11 +211,49 @@ class _Search:
             start = start_of(passes.columns, passes.material, field, frame, given.threads)
         return _Found(passes.run(start), start, passes.material, further)
 
+    def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: Frame) -> _Found | None:
+        """Return the fit that goes on from the moment before; None if that is of no use."""
+        columns = carried.columns_for(passes.columns)
+        if columns is None:
+            return None
+        passes = replace(
+            passes, columns=columns, material=carried.material, before=carried.samples, kept=carried.tangent
+        )
+
+        def solve(coefficients: FloatArray) -> FloatArray:
+            near = carried.tangent.linearised
+            return near.solve_near(columns.load(coefficients), springs=columns.springs, tolerance=TOLERANCE).all_displacement
+
+        with self.clock.stage("simulate"):
+            start = start_of(columns, carried.material, field, frame, self.given.threads)
+            begin = carried.begin(columns, solve)
+        if begin is None:
+            return None
+        try:
+            fit = passes.run(begin)
+        except ConvergenceError:
+            return None
+        if min(fit.residual_rms) > max(self.settings.fit_limit, _MUCH_MORE * carried.residual):
+            # The contacts of the moment before lead nowhere: look everywhere.
+            return None
+        return _Found(fit, start, carried.material, carried.further)
+
 
 def fitting_element(mesh: Mesh, material: Material) -> str:
     """Return the elements that suit a mesh: averaged ones where plain four-node tets would be much too stiff."""
     coarse = mesh.n_nodes <= COARSE_NODES
     return "tet4-averaged" if coarse or float(np.max(material.poisson_array)) > STIFF_POISSON else "tet4"
+
+
+def _carried(after: Registration | None, given: RegisterInput) -> Carried | None:
+    """Return what a registration of the same markers leaves; None without one, or if it was made otherwise."""
+    if after is None or given.surface is not None or not isinstance(after.draw, Draws) or after.surface is not None:
+        return None
+    names, seen = after.all_markers.names, np.isfinite(after.all_markers.measured).any(axis=1)
+    now = np.isfinite(given.markers.measured).any(axis=1)
+    if names != given.markers.names or after.draw.fit.samples[2].shape[1] != int(seen.sum()):
+        return None
+    return Carried.of(after.draw, np.asarray(seen), np.asarray(now))
 
 
 def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, float]]]:

@@ -132,6 +132,11 @@ class Registrar:
         return self._attached.mesh
 
     @property
+    def attached(self) -> Attachment:
+        """Markers and targets on the body."""
+        return self._attached
+
+    @property
     def markers(self) -> Markers:
         """The markers: reference places, noise, names."""
         return self._attached.places
@@ -151,6 +156,7 @@ class Registrar:
         measured_mm: Any,
         simulation: Any = None,
         *,
+        after: Registration | None = None,
         progress: Callable[[int, int], None] | None = None,
         tell: Callable[[str, str], None] | None = None,
     ) -> Registration:
@@ -163,13 +169,16 @@ class Registrar:
             well; they must have the same names and reference places.
         simulation : array_like of float, shape (n_nodes, 3), optional
             Displacement of this moment by any simulator, mm.
+        after : Registration, optional
+            Of a moment shortly before, by this registrar. Without a model its contacts are where the search begins, and
+            the stiffness of doubtful supports and of a graded body is kept: what was fitted once is not fitted again.
         progress, tell : callable, optional
             As in `register`.
 
         Returns
         -------
         Registration
-            The one that `register` gives; see `readings` for the reasons in its trust.
+            The one that `register` gives, if it is not `after` another; see `readings` for the reasons in its trust.
 
         Raises
         ------
@@ -191,7 +200,7 @@ class Registrar:
         called("tell", tell)
         clock = Clock(tell)
         with clock.stage("total"):
-            return self.moment(measured_mm, simulation, None, clock, progress)
+            return self.moment(measured_mm, simulation, None, clock, progress, maybe("after", after, Registration))
 
     def made_for(self, markers: Markers) -> "Registrar":
         """Return a registrar for other markers of the same body; this one if they are its own."""
@@ -215,6 +224,7 @@ class Registrar:
         surface: SurfacePoints | None,
         clock: Clock,
         progress: Callable[[int, int], None] | None = None,
+        after: Registration | None = None,
     ) -> Registration:
         """Register one moment whose markers are those of this registrar; see `register`.
 
@@ -230,6 +240,8 @@ class Registrar:
             Records the times of the stages.
         progress : callable of (int, int), optional
             Called with passes finished and passes at most.
+        after : Registration, optional
+            Of a moment shortly before.
 
         Returns
         -------
@@ -243,7 +255,7 @@ class Registrar:
                 self._plausible = self._plausible or not given.suspicions
                 field = None if simulation is None else finite_field(simulation, given.mesh)
             if self._points is None:
-                return register_by_contacts(given, self._contacts(self._load, field, progress), clock)
+                return register_by_contacts(given, self._contacts(self._load, field, progress), clock, after)
             if field is None and self._load is not None:
                 with clock.stage("simulate"):
                     field = self._simulator.solve(self._load, self._material, threads=given.threads).displacement

@@ -141,6 +141,10 @@ class Columns:
         springs = [unit * self.base_young * one for (_, unit), one in zip(self.body.springs, stiffness, strict=True)]
         return replace(self, springs=np.array(springs))
 
+    def on(self, springs: FloatArray | None) -> "Columns":
+        """Return the same columns with springs (n_sets, 2) in kPa/mm."""
+        return replace(self, springs=springs)
+
     @property
     def moves(self) -> bool:
         """Whether a rigid motion between body and tracker is unknown."""

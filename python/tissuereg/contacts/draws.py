@@ -1,5 +1,6 @@
 """Posterior fields in equilibrium, and the spread of every node."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +11,7 @@ from tissuereg.contacts.frame import Frame
 from tissuereg.contacts.spread import Spread
 from tissuereg.errors import ConvergenceError
 from tissuereg.material import Material
+from tissuereg.simulate.sensitivity import Cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,8 @@ class Draws:
         Material of the body.
     seed, threads : int
         Of the registration.
+    further : sequence of (Cause, float)
+        Uncertain parameters of the model beside the moduli, each with its standard deviation.
     """
 
     fit: ContactFit
@@ -33,6 +37,7 @@ class Draws:
     material: Material
     seed: int
     threads: int
+    further: Sequence[tuple[Cause, float]] = ()
 
     def __call__(self, count: int) -> FloatArray:
         """Return fields (count, n_nodes, 3) in the tracker's frame, mm.

@@ -29,7 +29,7 @@ from tissuereg.load import Load
 from tissuereg.material import Material
 
 #: Relative residual of an equilibrium that is linearised.
-_TOLERANCE = 3e-7
+TOLERANCE = 3e-7
 
 #: Shortest share of a step towards the mean load.
 _SHORTEST_STEP = 0.02
@@ -159,6 +159,10 @@ class Passes:
         Records the times of the stages.
     progress : callable of (int, int), optional
         Called with passes finished and passes at most.
+    before : tuple of ndarray, optional
+        Samples from which the first pass goes on, if the data are not matched anew.
+    kept : Tangent, optional
+        A tangent near the start.
     """
 
     columns: Columns
@@ -169,12 +173,14 @@ class Passes:
     threads: int
     clock: Clock
     progress: Callable[[int, int], None] | None = None
+    before: Samples | None = None
+    kept: Tangent | None = None
     counters: Counter[str] = field(default_factory=Counter)
 
     @cached_property
     def linear(self) -> Linear:
         """The linearisation; its work is counted with that of the passes."""
-        return Linear(self.columns, self.material, self.settings, self.threads, self.clock, self.counters)
+        return Linear(self.columns, self.material, self.settings, self.threads, self.clock, self.counters, self.kept)
 
     def run(self, start: Moment) -> ContactFit:
         """Return the fit from a start in equilibrium.
@@ -221,7 +227,7 @@ class Passes:
     def _from(self, start: Moment, stages: list[tuple[Seen, int]]) -> tuple["_Pass", list[float]]:
         """Return the closest pass from a start, and the cost after each pass."""
         last, moment, history = None, start, list[float]()
-        samples: Samples | None = None
+        samples = None if self.seen.weighed or self.seen.rematches else self.before
         for seen, most in stages:
             if self.seen.weighed != seen.weighed:
                 samples = None  # samples of markers with indicators do not fit weights
@@ -342,7 +348,7 @@ class Passes:
         try:
             load = self.columns.load(coefficients)
             found = tangent.linearised.solve_near(
-                load, springs=self.columns.springs, tolerance=_TOLERANCE, max_iterations=_MOST_ITERATIONS
+                load, springs=self.columns.springs, tolerance=TOLERANCE, max_iterations=_MOST_ITERATIONS
             )
         except ConvergenceError:
             return None
@@ -367,10 +373,12 @@ class Passes:
 
     def _ended(self, reached: list["_Residuals"]) -> bool:
         """Return whether the data are met as well as the linear model predicted, or the last passes brought nothing."""
-        if len(reached) < 2:
+        # A first pass from samples of the moment before is no first look.
+        if len(reached) < (2 if self.before is None else 1):
             return False
-        residual, before = reached[-1].residual, reached[-2].residual
+        residual = reached[-1].residual
         if self.seen.rematches:
+            before = reached[-2].residual if len(reached) > 1 else np.inf
             few = len(reached) < _LEAST_ROUGH and self.seen.rough and residual > self.settings.fit_limit
             return not few and residual > (1.0 - _SETTLED) * before
         met = residual < self.settings.fit_limit and residual < reached[-1].predicted + self.settings.promise_margin
@@ -449,5 +457,5 @@ def start_of(columns: Columns, material: Material, simulation: FloatArray | None
     if all(part is None for part in columns.believed.values()):
         return Moment(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
     load: Load = columns.load(zero)
-    found = simulator.solve(load, material, springs=columns.springs, tolerance=_TOLERANCE, threads=threads)
+    found = simulator.solve(load, material, springs=columns.springs, tolerance=TOLERANCE, threads=threads)
     return Moment(zero, found.all_displacement, frame)

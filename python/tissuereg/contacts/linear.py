@@ -54,6 +54,8 @@ class Linear:
         Records the times of the stages.
     counters : collections.Counter
         Records the work.
+    kept : Tangent, optional
+        A tangent near the first body, in place of the one there.
     """
 
     columns: Columns
@@ -62,6 +64,7 @@ class Linear:
     threads: int
     clock: Clock
     counters: Counter[str]
+    kept: Tangent | None = None
     _basis: tuple[Seen, Basis] | None = field(default=None, repr=False)
 
     def at(self, moment: Moment, seen: Seen) -> AtBody:
@@ -75,7 +78,10 @@ class Linear:
             return AtBody(tangent, posed, sampler(self.columns, self.settings, posed.responses, data))
 
     def tangent(self, moment: Moment) -> Tangent:
-        """Return the tangent at a body."""
+        """Return the tangent at a body, or, once, the one that was kept."""
+        if self.kept is not None:
+            found, self.kept = self.kept, None
+            return found
         with self.clock.stage("linearise"):
             found, factored = tangent_at(self.columns, self.material, moment, self.threads)
         self.counters["factorisations"] += factored

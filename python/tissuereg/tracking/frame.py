@@ -1,0 +1,122 @@
+"""One tracked frame: its registration after the temporal prior, and how it came about."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.inputs import Attachment, rms_length
+from tissuereg.mesh import det_f
+from tissuereg.result import MarkerFit, Registration
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """A tracked frame.
+
+    Attributes
+    ----------
+    time_s : float
+        When it was measured.
+    registration : Registration
+        The answer, after the temporal prior.
+    alone : Registration
+        The answer of this frame's own measurement.
+    simulation : ndarray of float64, shape (n_nodes, 3), or None
+        Displacement from which it was registered, mm.
+    gain : float
+        Share of this frame's own answer, 0 to 1; 1 = no other frame counts.
+    skipped : int
+        Frames that were dropped just before this one, because a newer one was there.
+    """
+
+    time_s: float
+    registration: Registration
+    alone: Registration
+    simulation: FloatArray | None
+    gain: float
+    skipped: int = 0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the parts of a registration lie in the array that the temporal prior filters.
+
+    First the markers, whose innovations tell the rate of motion, then the targets, then the nodes; three components
+    each.
+
+    Attributes
+    ----------
+    attached : Attachment
+        Markers and targets on the body.
+    """
+
+    attached: Attachment
+
+    @property
+    def markers(self) -> slice:
+        """The markers' components."""
+        return slice(0, 3 * len(self.attached.places))
+
+    @property
+    def _targets(self) -> slice:
+        return slice(self.markers.stop, self.markers.stop + 3 * len(self.attached.targets.names))
+
+    def values(self, result: Registration) -> FloatArray:
+        """Return the registered displacement of markers, targets and nodes, (n_values,), mm."""
+        field = result.displacement
+        targets = [result.targets[name].mean - result.targets[name].reference for name in self.attached.targets.names]
+        return np.concatenate([self._of_markers(field).ravel(), np.ravel(targets), field.ravel()])
+
+    def change(self, field: FloatArray) -> FloatArray:
+        """Return the same of a displacement (n_nodes, 3)."""
+        inner = self.attached.targets
+        return np.concatenate([self._of_markers(field).ravel(), inner.predict(field[inner.nodes]).ravel(), field.ravel()])
+
+    def filtered(self, result: Registration, values: FloatArray, alone: FloatArray) -> Registration:
+        """Return a registration with filtered places.
+
+        Covariances stay those of the frame: errors of consecutive frames are correlated, and what the filter removes of
+        them is not more than the frame states.
+
+        Parameters
+        ----------
+        result : Registration
+            Of the frame alone.
+        values, alone : ndarray of float64, shape (n_values,)
+            Filtered and own values, mm.
+
+        Returns
+        -------
+        Registration
+            Displacement, targets, unseen markers, residuals and volume ratios are those of the filtered places.
+        """
+        moved = values - alone
+        of_markers = moved[self.markers].reshape(-1, 3)
+        of_targets = moved[self._targets].reshape(-1, 3)
+        field = values[self._targets.stop :].reshape(-1, 3)
+        names = result.all_markers.names
+        shift = dict(zip(names, of_markers, strict=True))
+        residual = {name: row - shift[name] for name, row in result.markers.residual_mm.items()}
+        ratios = det_f(result.mesh, field)
+        fit = MarkerFit(
+            result.markers.used,
+            result.markers.dropped,
+            result.markers.before_rms_mm,
+            rms_length(np.array(list(residual.values())).reshape(-1, 3)),
+            residual,
+        )
+        targets = zip(self.attached.targets.names, of_targets, strict=True)
+        return replace(
+            result,
+            displacement=field,
+            targets={name: replace(result.targets[name], mean=result.targets[name].mean + by) for name, by in targets},
+            unseen={name: replace(one, mean=one.mean + shift[name]) for name, one in result.unseen.items()},
+            markers=fit,
+            min_det_f=float(ratios.min()),
+            inverted_tets=int((ratios <= 0).sum()),
+        )
+
+    def _of_markers(self, field: FloatArray) -> FloatArray:
+        observed = self.attached.observed
+        return observed.predict(field[observed.nodes])

@@ -1,0 +1,228 @@
+"""The physics simulation of a tracked body, which can be exchanged: what moves the body, and where its nodes are then.
+
+Anything with the method `field` is a `Physics`. One that can also hold a registered shape by nodal forces has the
+methods of `HoldingPhysics`; the package's own solver does (`FemPhysics`).
+"""
+
+from collections.abc import Callable
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from tissuereg._arguments import called, check_running, found, of_kind, real
+from tissuereg._arrays import FloatArray, float_array
+from tissuereg.errors import ArgumentError, ConvergenceError, LoadError
+from tissuereg.load import Load
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.solve import Simulator
+
+
+@runtime_checkable
+class Physics(Protocol):
+    """A physics simulation: known actuators in, the displacement of the body out."""
+
+    def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
+        """Return the displacement under known actuators.
+
+        Parameters
+        ----------
+        actuator : object
+            What the actuators do, in the simulation's own terms: a number, several, or a `Load`.
+        start : ndarray of float64, shape (n_nodes, 3), optional
+            A displacement near the wanted one, mm: a first guess, which may be ignored.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_nodes, 3)
+            mm, on the nodes of the tracked body.
+        """
+        ...
+
+
+@runtime_checkable
+class HoldingPhysics(Physics, Protocol):
+    """A simulation that can hold a given shape by nodal forces while the actuators move on."""
+
+    def holding(self, displacement: FloatArray, actuator: Any) -> FloatArray:
+        """Return the dead loads that, beside the known actuators, hold a displacement in equilibrium.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (n_nodes, 3)
+            A registered displacement, mm.
+        actuator : object
+            What the actuators do at that moment.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_nodes, 3)
+            mN; zero at held nodes.
+
+        Raises
+        ------
+        LoadError
+            If the displacement turns a tetrahedron inside out: nothing holds it.
+        """
+        ...
+
+    def held_field(self, actuator: Any, forces: FloatArray, start: FloatArray) -> FloatArray:
+        """Return the displacement under known actuators and dead loads.
+
+        Parameters
+        ----------
+        actuator : object
+            What the actuators do now.
+        forces : ndarray of float64, shape (n_nodes, 3)
+            Dead loads of `holding`, mN.
+        start : ndarray of float64, shape (n_nodes, 3)
+            The shape that they held, mm.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_nodes, 3)
+            mm.
+
+        Raises
+        ------
+        ConvergenceError
+            If there is no equilibrium.
+        """
+        ...
+
+
+class FemPhysics:
+    """The package's own solver with four-node elements, analysed once for all frames.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    material : Material
+        Believed material.
+    load_of : callable of actuator -> Load, optional
+        The load of an actuator's state; by default the actuator is a `Load` itself, or None for no load.
+    element : {"tet4", "tet4-averaged"}
+        Elements.
+    held_nodes : array_like of int, optional
+        Nodes whose displacement is given; by default the node set ``fixed``.
+    tolerance : float
+        Norm of the residual over the norm of the load.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Raises
+    ------
+    ArgumentError, SupportError
+        If an argument is out of its range, or the body can move freely.
+
+    Notes
+    -----
+    Cost of a frame: one solve, started from the last one.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        material: Material | None = None,
+        load_of: Callable[[Any], Load] | None = None,
+        *,
+        element: str = "tet4",
+        held_nodes: Any = None,
+        tolerance: float = 1e-5,
+        threads: int = 0,
+    ) -> None:
+        called("load_of", load_of)
+        check_running(threads=threads)
+        if element == "tet10":
+            message = "`element` must have no nodes beside the mesh's ('tet4' or 'tet4-averaged'), got 'tet10'"
+            raise ArgumentError(message, where="element")
+        self._simulator = Simulator(mesh, element=element, held_nodes=held_nodes)
+        self._material = Material() if material is None else of_kind("material", material, Material)
+        self._load_of = load_of
+        self._tolerance = real("tolerance", tolerance, above=0.0, below=1.0)
+        self._threads = threads
+
+    def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
+        """Return the displacement under a load; see `Physics.field`."""
+        return self._solved(self._load(actuator), start)
+
+    def holding(self, displacement: FloatArray, actuator: Any) -> FloatArray:
+        """Return what holds a displacement beside the known load; see `HoldingPhysics.holding`."""
+        simulator = self._simulator
+        forces = simulator.internal_forces(displacement, self._material)
+        known = self._load(actuator)
+        given = simulator.forces(known)
+        if given is not None:
+            forces -= given
+        if known.body_force is not None:
+            forces -= self._node_volumes[:, None] * float_array("body_force", known.body_force, (3,))
+        forces[simulator.held_nodes] = 0.0
+        return forces
+
+    def held_field(self, actuator: Any, forces: FloatArray, start: FloatArray) -> FloatArray:
+        """Return the displacement under a load and dead loads; see `HoldingPhysics.held_field`."""
+        known = self._load(actuator)
+        given = self._simulator.forces(known)
+        together = forces if given is None else forces + given
+        return self._solved(Load(together, known.body_force, known.prescribed), start)
+
+    def _load(self, actuator: Any) -> Load:
+        load = actuator if self._load_of is None else self._load_of(actuator)
+        return Load() if load is None else of_kind("actuator", load, Load, error=LoadError)
+
+    def _solved(self, load: Load, start: FloatArray | None) -> FloatArray:
+        settings: dict[str, Any] = {"tolerance": self._tolerance, "threads": self._threads}
+        try:
+            return self._simulator.solve(load, self._material, start=start, **settings).displacement
+        except (ConvergenceError, LoadError):
+            if start is None:
+                raise
+            return self._simulator.solve(load, self._material, **settings).displacement
+
+    @property
+    def _node_volumes(self) -> FloatArray:
+        mesh, volumes = self._simulator.mesh, np.zeros(self._simulator.mesh.n_nodes)
+        np.add.at(volumes, mesh.tets, 0.25 * mesh.volumes[:, None])
+        return volumes
+
+
+class CalledPhysics:
+    """A function of the actuators' state as a physics simulation: another solver, a formula, a reader of files.
+
+    Parameters
+    ----------
+    function : callable of actuator -> array_like of float, shape (n_nodes, 3)
+        Returns the displacement in mm on the nodes of the tracked body.
+
+    Raises
+    ------
+    ArgumentError
+        If it cannot be called.
+    """
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        if not callable(function):
+            message = f"`function` must be a function of the actuators' state, got {found(function)}"
+            raise ArgumentError(message, where="function")
+        self._function = function
+
+    def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:  # noqa: ARG002 (the protocol's)
+        """Return what the function returns; see `Physics.field`."""
+        return float_array("simulation", self._function(actuator), (None, 3))
+
+
+def as_physics(simulator: Any) -> Physics | None:
+    """Return a physics simulation; functions are wrapped, None stays None.
+
+    Raises
+    ------
+    ArgumentError
+        If it is neither a `Physics` nor a function.
+    """
+    if simulator is None or (isinstance(simulator, Physics) and not isinstance(simulator, type)):
+        return simulator
+    if callable(simulator) and not isinstance(simulator, type):
+        return CalledPhysics(simulator)
+    message = f"`simulator` must have a method `field` or be a function of the actuators, got {found(simulator)}"
+    raise ArgumentError(message, where="simulator")

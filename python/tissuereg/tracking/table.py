@@ -1,0 +1,104 @@
+"""Precomputed fields as a physics simulation: between them it interpolates in the actuators' parameters."""
+
+from collections.abc import Iterable, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arguments import found
+from tissuereg._arrays import FloatArray, float_array
+from tissuereg.errors import ArgumentError, ShapeError
+
+
+class TablePhysics:
+    """Fields on a grid of the actuators' parameters, interpolated linearly along each.
+
+    Parameters
+    ----------
+    axes : sequence of array_like of float, shape (n_values,); or one such array
+        Values of each parameter, ascending, two or more: a stroke in mm, a share of a load.
+    fields : array_like of float, shape (n_values of the first, n_values of the second, ..., n_nodes, 3)
+        Displacement at each point of the grid, mm.
+
+    Raises
+    ------
+    ArgumentError
+        If an axis does not ascend.
+    ShapeError
+        If the fields do not fit the axes, or are not finite.
+
+    Notes
+    -----
+    Cost of a frame: a weighted sum of two fields for one parameter, four for two. A table cannot hold a registered
+    shape by forces: a tracker adds the last correction to its fields as a displacement.
+
+    Examples
+    --------
+    >>> table = TablePhysics([0.0, 10.0], [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 4.0]]])
+    >>> table.field(5.0).tolist()
+    [[0.0, 0.0, 2.0]]
+    """
+
+    def __init__(self, axes: Any, fields: Any) -> None:
+        self.axes = _axes(axes)
+        self._fields = float_array("fields", fields, (*(len(axis) for axis in self.axes), None, 3))
+        if not np.isfinite(self._fields).all():
+            message = "`fields` must be finite everywhere"
+            raise ShapeError(message, where="fields")
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes of a field."""
+        return int(self._fields.shape[-2])
+
+    def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:  # noqa: ARG002 (the protocol's)
+        """Return the interpolated field.
+
+        Parameters
+        ----------
+        actuator : float or array_like of float, shape (n_parameters,)
+            Value of each parameter, within the table.
+        start : object, optional
+            Ignored.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_nodes, 3)
+            mm.
+
+        Raises
+        ------
+        ArgumentError
+            If a value lies outside of the table: nothing is known there.
+        ShapeError
+            If there is not one value a parameter.
+        """
+        values = float_array("actuator", np.atleast_1d(np.asarray(actuator)), (len(self.axes),))
+        places = [_between(number, axis, value) for number, (axis, value) in enumerate(zip(self.axes, values, strict=True))]
+        total = np.zeros(self._fields.shape[-2:])
+        for corner in product((0, 1), repeat=len(places)):
+            weight = float(np.prod([share if up else 1.0 - share for up, (_, share) in zip(corner, places, strict=True)]))
+            if weight > 0.0:
+                index = tuple(first + up for up, (first, _) in zip(corner, places, strict=True))
+                total += weight * self._fields[index]
+        return total
+
+
+def _axes(axes: Any) -> tuple[FloatArray, ...]:
+    several = isinstance(axes, Sequence) and len(axes) > 0 and all(isinstance(axis, Iterable) for axis in axes)
+    found_axes = tuple(float_array("axes", axis, (None,)) for axis in (axes if several else [axes]))
+    for axis in found_axes:
+        if len(axis) < 2 or not (np.isfinite(axis).all() and (np.diff(axis) > 0.0).all()):
+            message = f"each of `axes` must hold two or more finite values in ascending order, got {found(axes)}"
+            raise ArgumentError(message, where="axes")
+    return found_axes
+
+
+def _between(number: int, axis: FloatArray, value: float) -> tuple[int, float]:
+    """Return the grid point before a value, and the value's share of the way to the next one."""
+    if not axis[0] <= value <= axis[-1]:
+        message = f"parameter {number + 1} of `actuator` must lie within the table, {axis[0]:g} to {axis[-1]:g}, got {value:g}"
+        raise ArgumentError(message, where="actuator")
+    first = min(int(np.searchsorted(axis, value, side="right")) - 1, len(axis) - 2)
+    return first, float((value - axis[first]) / (axis[first + 1] - axis[first]))

@@ -1,0 +1,129 @@
+r"""The temporal prior: what the frames before say about this one.
+
+The answer of a frame is the truth plus two errors: one that changes slowly, from model and prior, which consecutive
+frames share, and one that is new in each frame, from the tracker's noise. Averaging consecutive answers removes the
+second, and only the second. How far to average depends on how much the body moves between frames beyond what the
+simulation says. With x_t the answer of frame t, s_t the filtered one and d_t the simulated change since the last frame,
+
+    truth_t - truth_{t-1} = d_t + N(0, W r dt),    x_t = truth_t + shared error + N(0, W c_t),
+    s_t = s_{t-1} + d_t + g_t (x_t - s_{t-1} - d_t),    0 <= g_t <= 1,
+
+with the scalar gain of Kalman's filter. c_t grows as markers are lost: a frame with few of them counts less. The rate of motion r and the size W of the noise are unknown: filters for many
+rates run side by side, and each counts by how well it has predicted the last frames (R. G. Brown and P. Y. C. Hwang,
+Introduction to Random Signals and Applied Kalman Filtering, 1992, section 9.3). A rate too small shows in innovations
+that keep their sign, one too large in innovations that change it.
+
+On a body that is still, d_t = 0 and every filtered answer is a weighted mean of answers of single frames, with weights
+that are not negative and add up to one.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+
+#: Rates of motion that are tried: variance of a second's unpredicted motion over that of a frame's noise, 1/s.
+RATES = 10.0 ** np.arange(-2.0, 7.0)
+
+#: Each frame, the record of past innovations counts by this factor: about ten frames are remembered.
+_MEMORY = 0.9
+
+#: Registered places move together: so many of their components count as one independent number.
+_TOGETHER = 3.0
+
+#: Frames that the stated noise of the tracker counts as in the estimate of the noise.
+_STATED = 1.0
+
+#: A filter less probable than this is of no use any more: it goes on from the mean of all.
+_LOST = 1e-3
+
+
+@dataclass(eq=False)
+class TemporalPrior:
+    """Filters for all rates of motion on one stream of answers.
+
+    Parameters
+    ----------
+    variance : float
+        Stated variance of the tracker's noise, mm^2: a first guess of that of an answer's noise.
+
+    Attributes
+    ----------
+    gain : float
+        Mean gain of the last frame: 1 = this frame alone.
+    """
+
+    variance: float
+    gain: float = 1.0
+    _states: FloatArray | None = field(default=None, repr=False)
+    _spread: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    _squares: FloatArray = field(default_factory=lambda: np.zeros_like(RATES), repr=False)
+    _logs: FloatArray = field(default_factory=lambda: np.zeros_like(RATES), repr=False)
+    _count: float = 0.0
+
+    def forget(self) -> None:
+        """Forget all frames."""
+        fresh = TemporalPrior(self.variance)
+        self.__dict__.update(fresh.__dict__)
+
+    def updated(self, answer: FloatArray, change: FloatArray, elapsed: float, relative: float, scored: slice) -> FloatArray:
+        """Return the filtered answer of a frame.
+
+        Parameters
+        ----------
+        answer : ndarray of float64, shape (n_values,)
+            Registered displacement of everything that is filtered, mm.
+        change : ndarray of float64, shape (n_values,)
+            Its simulated change since the last frame, mm.
+        elapsed : float
+            Time since the last frame, s.
+        relative : float
+            Variance of the noise of this frame's answer over that of a frame with all markers.
+        scored : slice
+            The values whose innovations count: those near the data.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_values,)
+            mm. Cost: three passes over an array (n_rates, n_values).
+        """
+        if self._states is None:
+            self._states = np.tile(answer, (len(RATES), 1))
+            self._spread = np.full(len(RATES), relative)
+            self.gain = 1.0
+            return answer
+        before = self._spread + RATES * elapsed
+        total = before + relative
+        gains = before / total
+        # (n_rates, n_values), in place: the fields of all nodes are among them.
+        self._states += change
+        innovations = answer - self._states
+        self._weigh(innovations[:, scored], total)
+        innovations *= gains[:, None]
+        self._states += innovations
+        self._spread = gains * relative
+        weights = self.weights
+        self.gain = float(weights @ gains)
+        filtered = weights @ self._states
+        lost = weights < _LOST
+        self._states[lost] = filtered
+        self._spread[lost] = weights @ self._spread
+        return np.asarray(filtered)
+
+    @property
+    def weights(self) -> FloatArray:
+        """Probability of each of `RATES`, shape (n_rates,)."""
+        stated = _STATED * max(self._per_frame, 1.0)
+        logs = -0.5 * (self._logs + (self._count + stated) * np.log(self._squares + stated * self.variance))
+        weights = np.exp(logs - logs.max())
+        return np.asarray(weights / weights.sum())
+
+    _per_frame: float = 1.0
+
+    def _weigh(self, innovations: FloatArray, total: FloatArray) -> None:
+        """Add the innovations (n_rates, n_scored) of a frame to the record, with their variances over the noise's."""
+        self._per_frame = innovations.shape[1] / _TOGETHER
+        self._squares = _MEMORY * self._squares + (innovations**2).sum(axis=1) / total / _TOGETHER
+        self._logs = _MEMORY * self._logs + self._per_frame * np.log(total)
+        self._count = _MEMORY * self._count + self._per_frame

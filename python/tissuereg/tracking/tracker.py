@@ -1,0 +1,282 @@
+"""A tracked body: frame after frame, the registered state restarts the simulation (the loop of the paper's Fig. 1)."""
+
+import inspect
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arguments import flag, real
+from tissuereg._choice import check_choice
+from tissuereg.errors import ArgumentError, MarkerError
+from tissuereg.inputs import finite_field
+from tissuereg.mesh import Mesh
+from tissuereg.registrar import Registrar
+from tissuereg.result import Registration
+from tissuereg.tracking.frame import Layout, TrackedFrame
+from tissuereg.tracking.inbox import Inbox
+from tissuereg.tracking.physics import as_physics
+from tissuereg.tracking.restart import RESTARTS, LastFrame, Restart, Simulated
+from tissuereg.tracking.temporal import TemporalPrior
+
+#: Options that a registrar takes beside body, markers, model and targets.
+_OPTIONS = tuple(name for name in inspect.signature(Registrar).parameters if name not in ("mesh", "reference_mm", "model", "targets"))
+
+
+class Tracker:
+    """Registers one body frame after frame; each frame starts from what the last ones said.
+
+    A frame is simulated from the registered state of the last one and the known motion of the actuators, registered to
+    its markers, and combined with the last frames as far as the body stood still between them.
+
+    Parameters
+    ----------
+    body : Mesh, (nodes, tets, fixed_nodes) or Registrar
+        Undeformed body in mm; or a registrar, which has markers, model, targets and options already.
+    reference_mm : array_like of float, shape (n_markers, 3), or Markers
+        Places of the markers on the undeformed body.
+    model : path-like or LatentModel, optional
+        A trained model, ``"phantom"``, or one of `fitted_prior`. Without it the load is unknown; the contacts of a
+        frame are then the start of the next one's.
+    targets : mapping of str to array_like of float, shape (3,), optional
+        Inner points of the undeformed body, mm.
+    simulator : Physics or callable of actuator -> array_like of float, shape (n_nodes, 3), optional
+        The physics simulation. Without it frames are registered from rest, as `Registrar.register` does.
+    restart : {"displacement", "forces", "guess", "reference"}
+        How the registered state restarts the simulation; see `tissuereg.tracking.restart`.
+    temporal : bool
+        Whether frames are combined with the ones before.
+    **options
+        Of `Registrar`: ``std``, ``names``, ``load``, ``material``, ``settings``, ``seed``, ``threads``, ...
+
+    Raises
+    ------
+    MarkerError, ModelError, ShapeError, ArgumentError, MeshError
+        As `Registrar`.
+
+    Notes
+    -----
+    Cost of a frame: one simulation and one registration, and a few passes over arrays of the size of a field. What
+    depends on body, model and places is made once, with the tracker.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> from tissuereg.phantom.event import LESION_MM, make_event
+    >>> event = make_event(seed=0)
+    >>> physics = tr.tracking.FemPhysics(event.mesh, event.material)
+    >>> tracker = tr.Tracker(event.mesh, event.markers.reference, "phantom", {"lesion": LESION_MM}, simulator=physics)
+    >>> for k in range(2):
+    ...     result = tracker.step(event.markers.measured, 0.025 * k, actuator=event.load)
+    >>> result.trust.ok, tracker.last.gain < 1.0
+    (True, True)
+    """
+
+    def __init__(
+        self,
+        body: Mesh | tuple[Any, Any, Any] | Registrar,
+        reference_mm: Any = None,
+        model: Any = None,
+        targets: Mapping[str, Any] | None = None,
+        *,
+        simulator: Any = None,
+        restart: str = "displacement",
+        temporal: bool = True,
+        **options: Any,
+    ) -> None:
+        for name in options:
+            check_choice("option", name, _OPTIONS, ArgumentError)
+        check_choice("restart", restart, RESTARTS, ArgumentError)
+        self._registrar = _registrar(body, reference_mm, model, targets, options)
+        physics = as_physics(simulator)
+        self._restart = None if physics is None else Restart(physics, restart)
+        self._layout = Layout(self._registrar.attached)
+        self._temporal = flag("temporal", temporal)
+        self._inbox = Inbox()
+        self.reset()
+
+    @property
+    def registrar(self) -> Registrar:
+        """What registers each frame."""
+        return self._registrar
+
+    @property
+    def last(self) -> TrackedFrame | None:
+        """The last frame; None before the first one."""
+        return self._last
+
+    @property
+    def dropped(self) -> int:
+        """Frames that were pushed and never registered, because a newer one was there."""
+        return self._inbox.dropped
+
+    @property
+    def fallbacks(self) -> int:
+        """Frames in which the body found no equilibrium under the dead loads; see `tissuereg.tracking.restart`."""
+        return 0 if self._restart is None else self._restart.fallbacks
+
+    def reset(self) -> None:
+        """Forget all frames: the next one is a first one. Counts of dropped frames stay."""
+        std = self._registrar.markers.axis_std
+        self._prior = TemporalPrior(float(np.mean(std**2)))
+        self._last: TrackedFrame | None = None
+        self._carried: LastFrame | None = None
+        self._most_used = 0
+
+    def step(self, measured_mm: Any, time_s: float, *, actuator: Any = None) -> Registration:
+        """Register the next frame.
+
+        Parameters
+        ----------
+        measured_mm : array_like of float, shape (n_markers, 3), or Markers
+            Measured places in mm; NaN = not seen.
+        time_s : float
+            When it was measured, s; later than the last frame.
+        actuator : object
+            What the actuators do, as the simulator takes it.
+
+        Returns
+        -------
+        Registration
+            The frame's, after the temporal prior; `last` says more.
+
+        Raises
+        ------
+        ArgumentError
+            If the frame is not later than the last one, or the simulator does not know the actuator's state.
+        MarkerError, ShapeError, ConvergenceError, EnsembleError
+            As `Registrar.register`. The tracker is then as before this frame.
+        """
+        return self._tracked(measured_mm, time_s, actuator, 0).registration
+
+    def update(self, time_s: float, measured_mm: Any, actuator: Any = None) -> Registration:
+        """Register the next frame; `step` with the time first."""
+        return self.step(measured_mm, time_s, actuator=actuator)
+
+    def push(self, measured_mm: Any, time_s: float, *, actuator: Any = None) -> None:
+        """Hand over a frame, to be registered by the next `poll`; a frame that still waits is dropped and counted.
+
+        May be called from another thread than `poll`.
+
+        Parameters
+        ----------
+        measured_mm, time_s, actuator
+            As in `step`. They are checked when they are registered.
+        """
+        self._inbox.push((measured_mm, time_s, actuator))
+
+    def poll(self) -> TrackedFrame | None:
+        """Register the newest frame that was pushed; None if there is none.
+
+        Returns
+        -------
+        TrackedFrame or None
+            With the number of frames that were dropped since the last one.
+
+        Raises
+        ------
+        ArgumentError, MarkerError, ShapeError, ConvergenceError, EnsembleError
+            As `step`; the frame is gone.
+        """
+        taken = self._inbox.take()
+        if taken is None:
+            return None
+        (measured, time_s, actuator), skipped = taken
+        return self._tracked(measured, time_s, actuator, skipped)
+
+    def run(
+        self,
+        frames: Iterable[tuple[Any, ...]],
+        *,
+        clock: Callable[[], float] = time.perf_counter,
+        wait: Callable[[float], None] = time.sleep,
+    ) -> Iterator[TrackedFrame]:
+        """Replay a recording at the rate at which it was measured.
+
+        No frame is registered before its time. If its time comes while another one is registered, it waits; if the next
+        one's comes as well, it is dropped and counted: the tracker goes on with the newest.
+
+        Parameters
+        ----------
+        frames : iterable of (time_s, measured_mm) or (time_s, measured_mm, actuator)
+            In the order of time.
+        clock : callable
+            Returns the time now, s.
+        wait : callable of float
+            Waits so many seconds.
+
+        Yields
+        ------
+        TrackedFrame
+            Of the frames that were registered.
+
+        Raises
+        ------
+        ArgumentError, MarkerError, ShapeError, ConvergenceError, EnsembleError
+            As `step`.
+        """
+        offset: float | None = None
+        for time_s, measured_mm, *actuator in frames:
+            if offset is None:
+                offset = clock() - real("time_s", time_s, unit="s")
+            due = offset + real("time_s", time_s, unit="s")
+            if clock() < due:
+                found = self.poll()
+                if found is not None:
+                    yield found
+                if (remaining := due - clock()) > 0.0:
+                    wait(remaining)
+            self.push(measured_mm, time_s, actuator=actuator[0] if actuator else None)
+        found = self.poll()
+        if found is not None:
+            yield found
+
+    def _tracked(self, measured_mm: Any, time_s: float, actuator: Any, skipped: int) -> TrackedFrame:
+        moment = real("time_s", time_s, unit="s")
+        elapsed = math.inf if self._last is None else moment - self._last.time_s
+        if elapsed <= 0.0:
+            message = f"`time_s` must be later than the last frame's {self._last.time_s:g} s, got {moment:g}"  # type: ignore[union-attr]
+            raise ArgumentError(message, where="time_s")
+        simulated = self._simulated(actuator)
+        field = None if simulated is None else finite_field(simulated.field, self._registrar.mesh)
+        after = None if self._last is None else self._last.alone
+        alone = self._registrar.register(measured_mm, field, after=after)
+        result, gain = self._combined(alone, simulated, elapsed)
+        self._last = TrackedFrame(moment, result, alone, field, gain, skipped)
+        self._carried = LastFrame(result.displacement, actuator, None if simulated is None else simulated.plain)
+        return self._last
+
+    def _simulated(self, actuator: Any) -> Simulated | None:
+        if self._restart is None:
+            if actuator is not None:
+                message = "an `actuator` needs a `simulator` that knows it; the tracker has none"
+                raise ArgumentError(message, where="actuator")
+            return None
+        return self._restart.simulated(actuator, self._carried)
+
+    def _combined(self, alone: Registration, simulated: Simulated | None, elapsed: float) -> tuple[Registration, float]:
+        """Return a frame's answer after the temporal prior, and the share of the frame's own."""
+        n_used = len(alone.markers.used)
+        if not self._temporal or n_used == 0:
+            return alone, 1.0
+        self._most_used = max(self._most_used, n_used)
+        values = self._layout.values(alone)
+        change = np.zeros_like(values) if simulated is None else self._layout.change(simulated.change)
+        filtered = self._prior.updated(values, change, elapsed, self._most_used / n_used, self._layout.markers)
+        return self._layout.filtered(alone, filtered, values), self._prior.gain
+
+
+def _registrar(body: Any, reference_mm: Any, model: Any, targets: Any, options: dict[str, Any]) -> Registrar:
+    if not isinstance(body, Registrar):
+        if reference_mm is None:
+            message = "`reference_mm` must be the places of the markers on the undeformed body, got None"
+            raise MarkerError(message, where="reference_mm")
+        return Registrar(body, reference_mm, model, targets, **options)
+    given = {"reference_mm": reference_mm, "model": model, "targets": targets, **options}
+    for name, value in given.items():
+        if value is not None:
+            message = f"`{name}` must be left out: the registrar has it already"
+            raise ArgumentError(message, where=name)
+    return body
