@@ -90,6 +90,18 @@ class LatentModel(Protocol):
         ...
 
 
+@runtime_checkable
+class Anchors(Protocol):
+    """A model that can be taken about a simulation: its latents are then those of changes from it."""
+
+    def around(self, simulation: FloatArray) -> LatentModel:
+        """Return the model of changes from a simulation (n_nodes, 3) in mm.
+
+        At the mean of its prior it decodes to the simulation.
+        """
+        ...
+
+
 #: Nodes from which the size of a field is estimated, to a few hundredths of it.
 _SAMPLE = 400
 

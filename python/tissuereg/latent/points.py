@@ -13,8 +13,8 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.latent.calibration import PointCalibration
-from tissuereg.latent.model import Gaussian, LatentModel, ScaledErrors, ScalesErrors, mean_square
-from tissuereg.latent.network import AnchoredModel, NetworkModel
+from tissuereg.latent.model import Anchors, Gaussian, LatentModel, ScaledErrors, ScalesErrors, mean_square
+from tissuereg.latent.network import NetworkModel
 from tissuereg.observe import MarkerObservation, TargetObservation
 
 
@@ -80,11 +80,11 @@ class PointModel:
         Parameters
         ----------
         simulation : ndarray of float64, shape (n_nodes, 3), or None
-            Simulated displacement, mm; a network is then one of changes from it.
+            Simulated displacement, mm; a network or a fitted prior is then one of changes from it.
         """
-        anchored = simulation is not None and isinstance(self.model, NetworkModel)
-        latent = self.model.around(simulation) if anchored else self.model  # type: ignore[attr-defined]
-        return PointsAround(self, latent, simulation)
+        if simulation is None or not isinstance(self.model, Anchors):
+            return PointsAround(self, self.model, simulation)
+        return PointsAround(self, self.model.around(simulation), simulation, simulation)
 
     def decode(self, latents: FloatArray) -> FloatArray:
         """Return displacements (n_members, n_points, 3) of the points, one column of latents a member, mm."""
@@ -141,6 +141,8 @@ class PointsAround:
         The model of the moment.
     simulation : ndarray of float64, shape (n_nodes, 3), or None
         Simulated displacement, mm.
+    anchor : ndarray of float64, shape (n_nodes, 3), optional
+        What the mean of the prior decodes to, if the latents are of changes from it, mm.
 
     Attributes
     ----------
@@ -148,13 +150,18 @@ class PointsAround:
         Latents given the simulation, and those of all training fields.
     """
 
-    def __init__(self, at: PointModel, latent: LatentModel, simulation: FloatArray | None) -> None:
+    def __init__(
+        self,
+        at: PointModel,
+        latent: LatentModel,
+        simulation: FloatArray | None,
+        anchor: FloatArray | None = None,
+    ) -> None:
         self._at, self.latent = at, latent
         self.prior: Gaussian = latent.prior(simulation)
         self.family: Gaussian = self.prior if simulation is None else latent.prior(None)
         self._shift: FloatArray | None = None
-        if isinstance(latent, AnchoredModel) and simulation is not None:
-            self._simulated = at.at_points(simulation)
+        self._anchor = None if anchor is None else at.at_points(anchor)
 
     def first(self, latents: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return displacements of the points at the prior's mean, (n_points, 3), and of members.
@@ -162,14 +169,14 @@ class PointsAround:
         Of a model of changes, the mean is the simulation's own code, which decodes to the simulation.
         """
         moved = self._at.decode(np.concatenate([self.prior.mean[:, None], latents], axis=1))
-        if isinstance(self.latent, AnchoredModel):
-            self._shift = self._simulated - moved[0]
+        if self._anchor is not None:
+            self._shift = self._anchor - moved[0]
             moved = moved + self._shift
         return moved[0], moved[1:]
 
     def decode(self, latents: FloatArray) -> FloatArray:
         """Return displacements (n_members, n_points, 3) of the points, one column of latents a member, mm."""
-        if isinstance(self.latent, AnchoredModel) and self._shift is None:
+        if self._anchor is not None and self._shift is None:
             self.first(latents[:, :0])
         moved = self._at.decode(latents)
         return moved if self._shift is None else moved + self._shift

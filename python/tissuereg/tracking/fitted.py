@@ -1,0 +1,200 @@
+"""A prior that is fitted to a body in place, once: principal components of random events about any simulation.
+
+Without a trained network, the changes that a body may undergo beside what is simulated are drawn here: pushes and pulls
+at random places of its surface, with random body forces. Their principal components are the latents. They are changes
+from a simulation, whichever it is, so that they need not be found again when markers or actuators move.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arguments import check_running, of_kind, real, whole
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.errors import EnsembleError
+from tissuereg.latent.model import Gaussian, ScaledErrors
+from tissuereg.latent.pca import PcaModel
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.sampling import EventSampler, linear_answers
+from tissuereg.simulate.solve import Simulator
+
+#: Share of the events that measures the reconstruction error.
+_HELD_OUT = 0.2
+
+#: Standard deviation of the logarithm of an event's size.
+_SIZE_LOG_STD = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPrior:
+    """Changes from a simulation as a latent model; made by `fitted_prior`.
+
+    Attributes
+    ----------
+    changes : PcaModel
+        Principal components of the changes.
+    """
+
+    changes: PcaModel
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return self.changes.n_latent
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        return self.changes.n_nodes
+
+    @property
+    def card(self) -> dict[str, Any]:
+        """Entry `model` of a result."""
+        return self.changes.card
+
+    def around(self, simulation: FloatArray) -> "ChangedSimulation":
+        """Return the latent model of changes from a simulation (n_nodes, 3) in mm."""
+        return ChangedSimulation(self.changes, simulation)
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return changes, one per column of `latents`; see `LatentModel.decode`."""
+        return self.changes.decode(latents, nodes)
+
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the expected reconstruction errors; see `LatentModel.errors`."""
+        return self.changes.errors(latents)
+
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors and their factors; see `ScalesErrors`."""
+        return self.changes.error_law(latents)
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return the unit Gaussian, whatever the simulation."""
+        return self.changes.prior(simulation)
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedSimulation:
+    """``field = simulation + change(z)``; see `FittedPrior`.
+
+    Attributes
+    ----------
+    changes : PcaModel
+        Of the changes.
+    simulation : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    """
+
+    changes: PcaModel
+    simulation: FloatArray
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return self.changes.n_latent
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        return self.changes.n_nodes
+
+    @property
+    def card(self) -> dict[str, Any]:
+        """Entry `model` of a result."""
+        return self.changes.card
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        simulation = self.simulation if nodes is None else self.simulation[nodes]
+        return np.asarray(simulation + self.changes.decode(latents, nodes))
+
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the expected errors of the change; see `LatentModel.errors`."""
+        return self.changes.errors(latents)
+
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors and their factors; see `ScalesErrors`."""
+        return self.changes.error_law(latents)
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return the unit Gaussian, whatever the simulation."""
+        return self.changes.prior(simulation)
+
+
+def fitted_prior(
+    mesh: Mesh,
+    material: Material | None = None,
+    *,
+    largest_mm: float,
+    n_events: int = 200,
+    n_latent: int = 26,
+    held_nodes: Any = None,
+    seed: int = 0,
+    threads: int = 0,
+) -> FittedPrior:
+    """Fit a prior of changes to a body, for `Registrar` and `Tracker` in place of a trained model.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    material : Material, optional
+        Believed material.
+    largest_mm : float
+        Largest node displacement of a usual change, mm: how far a simulation may be off.
+    n_events : int
+        Random events; a fifth of them measures the reconstruction error.
+    n_latent : int
+        Number of latents.
+    held_nodes : array_like of int, optional
+        Nodes that are held; by default the node set ``fixed``.
+    seed : int
+        Of the events.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Returns
+    -------
+    FittedPrior
+        Cost: one nearly linear solve an event, a few back-substitutions each.
+
+    Raises
+    ------
+    ArgumentError, MeshError, SupportError
+        If an argument is out of its range, nothing of the surface is free, or the body can move freely.
+    EnsembleError
+        If too few events find an equilibrium.
+
+    Notes
+    -----
+    Events are linear about the undeformed body; their size is log-normal about `largest_mm`.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> prior = tr.tracking.fitted_prior(tr.phantom.phantom_mesh("small"), largest_mm=3.0, n_events=40, n_latent=8)
+    >>> prior.n_latent
+    8
+    """
+    of_kind("mesh", mesh, Mesh)
+    believed = Material() if material is None else of_kind("material", material, Material)
+    real("largest_mm", largest_mm, above=0.0, below=1e6, unit="mm")
+    whole("n_events", n_events, least=4)
+    whole("n_latent", n_latent, least=1)
+    check_running(seed=seed, threads=threads)
+    simulator = Simulator(mesh, held_nodes=held_nodes)
+    sampler, rng = EventSampler(mesh, held_nodes=held_nodes), np.random.default_rng([seed, 15])
+    fields, scale = linear_answers(simulator, [sampler.draw(rng) for _ in range(n_events)], believed, threads=threads)
+    fields = fields[scale > 0.0]
+    if len(fields) < max(4, n_events // 2):
+        message = f"half of {n_events} events or more must find an equilibrium, {len(fields)} did"
+        raise EnsembleError(message, where="n_events")
+    fields *= largest_mm * np.exp(_SIZE_LOG_STD * rng.standard_normal(len(fields)))[:, None, None]
+    n_held_out = max(1, int(_HELD_OUT * len(fields)))
+    card = {"kind": "pca", "source": "fitted here", "members": len(fields) - n_held_out}
+    none = np.zeros((mesh.n_nodes, 3))
+    return FittedPrior(
+        PcaModel.fit(fields[n_held_out:], fields[:n_held_out], centre=none, n_latent=n_latent, card=card)
+    )
