@@ -16,10 +16,9 @@ last frame is therefore carried on by a change of the problem, or not at all:
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import ConvergenceError, LoadError
+from tissuereg.latent.model import rms_displacement
 from tissuereg.tracking.physics import HoldingPhysics, Physics
 
 #: How a registered state is carried on.
@@ -36,36 +35,24 @@ class Simulated:
         Displacement from which the frame is registered, mm.
     change : ndarray of float64, shape (n_nodes, 3)
         Its change since the last frame that is due to the actuators, mm.
-    plain : ndarray of float64, shape (n_nodes, 3), or None
-        Displacement without anything carried on; None where it was not needed.
     """
 
     field: FloatArray
     change: FloatArray
-    plain: FloatArray | None
 
 
-@dataclass(frozen=True, eq=False)
-class LastFrame:
-    """The registered state of the last frame.
-
-    Attributes
-    ----------
-    displacement : ndarray of float64, shape (n_nodes, 3)
-        Registered, mm.
-    actuator : object
-        What the actuators did.
-    plain : ndarray of float64, shape (n_nodes, 3), or None
-        Displacement of the simulation without anything carried on, mm.
-    """
+@dataclass(eq=False)
+class _Carried:
+    """The registered state that is carried on: its shape, what the actuators did, and what was made of it so far."""
 
     displacement: FloatArray
     actuator: Any
-    plain: FloatArray | None
+    forces: FloatArray | None = None
+    correction: FloatArray | None = None
 
 
 class Restart:
-    """Simulates each frame from the registered state of the last one.
+    """Simulates each frame from a registered state.
 
     Parameters
     ----------
@@ -74,55 +61,92 @@ class Restart:
     how : {"forces", "displacement", "guess", "reference"}
         How the registered state is carried on. A simulation that cannot hold a shape by forces gets ``displacement``
         for ``forces``.
+    noise_mm : float
+        Standard deviation of the tracker's noise. Another state is carried on once the simulation has moved farther
+        than this (root mean square over nodes) from the one before.
 
     Attributes
     ----------
     fallbacks : int
         Frames in which no equilibrium was found under dead loads, so that the displacement was carried on.
+
+    Notes
+    -----
+    While the actuators stand still, so does the simulation: a start that followed each registered state would count the
+    same markers again in every frame, until the prior does not count any more.
     """
 
-    def __init__(self, physics: Physics, how: str) -> None:
+    def __init__(self, physics: Physics, how: str, noise_mm: float) -> None:
         self._physics = physics
+        self._noise_mm = noise_mm
         self.how = "displacement" if how == "forces" and not isinstance(physics, HoldingPhysics) else how
         self.fallbacks = 0
+        self.reset()
 
-    def simulated(self, actuator: Any, last: LastFrame | None) -> Simulated:
-        """Return the simulation of a frame, given the last one.
+    def reset(self) -> None:
+        """Forget all frames."""
+        self._carried: _Carried | None = None
+        self._origin: FloatArray | None = None
+        self._last_field: FloatArray | None = None
+        self._last_shape: FloatArray | None = None
+
+    def simulated(self, actuator: Any) -> Simulated:
+        """Return the simulation of the next frame; nothing is remembered of it before `registered`.
 
         Parameters
         ----------
         actuator : object
-            What the actuators do now.
-        last : LastFrame or None
-            None for a first frame.
+            What the actuators do.
 
         Returns
         -------
         Simulated
-            Cost: one simulation; two where dead loads fail.
+            Cost: one simulation; one or two more where another state is carried on by its displacement.
 
         Raises
         ------
         ConvergenceError
             If the simulation finds no equilibrium.
         """
-        if self.how == "forces" and last is not None and isinstance(self._physics, HoldingPhysics):
+        field = self._field(actuator)
+        before = field if self._last_field is None else self._last_field
+        return Simulated(field, field - before)
+
+    def registered(self, simulated: Simulated, displacement: FloatArray, actuator: Any) -> None:
+        """Remember a frame.
+
+        Parameters
+        ----------
+        simulated : Simulated
+            Its simulation.
+        displacement : ndarray of float64, shape (n_nodes, 3)
+            Registered, mm.
+        actuator : object
+            What the actuators did.
+        """
+        self._last_field, self._last_shape = simulated.field, displacement
+        self._origin = simulated.field if self._origin is None else self._origin
+        moved = float(rms_displacement((simulated.field - self._origin)[None])[0])
+        if self.how in ("forces", "displacement") and moved > self._noise_mm:
+            self._carried = _Carried(displacement, actuator)
+            self._origin = self._last_field = displacement
+
+    def _field(self, actuator: Any) -> FloatArray:
+        carried = self._carried
+        if carried is None:
+            return self._plain(actuator)
+        if self.how == "forces" and isinstance(self._physics, HoldingPhysics):
             try:
-                forces = self._physics.holding(last.displacement, last.actuator)
-                field = self._physics.held_field(actuator, forces, last.displacement)
+                if carried.forces is None:
+                    carried.forces = self._physics.holding(carried.displacement, carried.actuator)
+                start = carried.displacement if self._last_field is None else self._last_field
+                return self._physics.held_field(actuator, carried.forces, start)
             except (ConvergenceError, LoadError):
                 self.fallbacks += 1
-            else:
-                return Simulated(field, field - last.displacement, None)
-        plain = self._plain(actuator, last)
-        if last is None:
-            return Simulated(plain, np.zeros_like(plain), plain)
-        before = self._plain(last.actuator, last) if last.plain is None else last.plain
-        carried = last.displacement - before if self.how in ("forces", "displacement") else 0.0
-        return Simulated(plain + carried, plain - before, plain)
+        if carried.correction is None:
+            carried.correction = carried.displacement - self._plain(carried.actuator)
+        return self._plain(actuator) + carried.correction
 
-    def _plain(self, actuator: Any, last: LastFrame | None) -> FloatArray:
-        start = None
-        if last is not None and self.how != "reference":
-            start = last.displacement if self.how == "guess" or last.plain is None else last.plain
+    def _plain(self, actuator: Any) -> FloatArray:
+        start = None if self.how == "reference" else self._last_shape
         return self._physics.field(actuator, start=start)

@@ -5,10 +5,11 @@ frames share, and one that is new in each frame, from the tracker's noise. Avera
 second, and only the second. How far to average depends on how much the body moves between frames beyond what the
 simulation says. With x_t the answer of frame t, s_t the filtered one and d_t the simulated change since the last frame,
 
-    truth_t - truth_{t-1} = d_t + N(0, W r dt),    x_t = truth_t + shared error + N(0, W c_t),
+    truth_t - truth_{t-1} = d_t + N(0, W r dt + k^2 d^2),    x_t = truth_t + shared error + N(0, W c_t),
     s_t = s_{t-1} + d_t + g_t (x_t - s_{t-1} - d_t),    0 <= g_t <= 1,
 
-with the scalar gain of Kalman's filter. c_t grows as markers are lost: a frame with few of them counts less. The rate of motion r and the size W of the noise are unknown: filters for many
+with the scalar gain of Kalman's filter. c_t grows as markers are lost: a frame with few of them counts less. A simulated
+change may be off by a share k of itself, always in the same direction; d is its root mean square at the markers. The rate of motion r and the size W of the noise are unknown: filters for many
 rates run side by side, and each counts by how well it has predicted the last frames (R. G. Brown and P. Y. C. Hwang,
 Introduction to Random Signals and Applied Kalman Filtering, 1992, section 9.3). A rate too small shows in innovations
 that keep their sign, one too large in innovations that change it.
@@ -26,17 +27,20 @@ from tissuereg._arrays import FloatArray
 #: Rates of motion that are tried: variance of a second's unpredicted motion over that of a frame's noise, 1/s.
 RATES = 10.0 ** np.arange(-2.0, 7.0)
 
+#: Share by which a simulated change may be off.
+_CHANGE_OFF = 0.5
+
 #: Each frame, the record of past innovations counts by this factor: about ten frames are remembered.
 _MEMORY = 0.9
 
 #: Registered places move together: so many of their components count as one independent number.
 _TOGETHER = 3.0
 
-#: Frames that the stated noise of the tracker counts as in the estimate of the noise.
-_STATED = 1.0
+#: So many frames does the stated noise of the tracker count as in the estimate of the noise.
+_STATED = 0.2
 
 #: A filter less probable than this is of no use any more: it goes on from the mean of all.
-_LOST = 1e-3
+_LOST = 1e-6
 
 
 @dataclass(eq=False)
@@ -93,7 +97,8 @@ class TemporalPrior:
             self._spread = np.full(len(RATES), relative)
             self.gain = 1.0
             return answer
-        before = self._spread + RATES * elapsed
+        off = _CHANGE_OFF**2 * float(np.mean(change[scored] ** 2)) / self.variance
+        before = self._spread + RATES * elapsed + off
         total = before + relative
         gains = before / total
         # (n_rates, n_values), in place: the fields of all nodes are among them.

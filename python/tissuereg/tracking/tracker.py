@@ -18,7 +18,7 @@ from tissuereg.result import Registration
 from tissuereg.tracking.frame import Layout, TrackedFrame
 from tissuereg.tracking.inbox import Inbox
 from tissuereg.tracking.physics import as_physics
-from tissuereg.tracking.restart import RESTARTS, LastFrame, Restart, Simulated
+from tissuereg.tracking.restart import RESTARTS, Restart, Simulated
 from tissuereg.tracking.temporal import TemporalPrior
 
 #: Options that a registrar takes beside body, markers, model and targets.
@@ -44,7 +44,7 @@ class Tracker:
         Inner points of the undeformed body, mm.
     simulator : Physics or callable of actuator -> array_like of float, shape (n_nodes, 3), optional
         The physics simulation. Without it frames are registered from rest, as `Registrar.register` does.
-    restart : {"displacement", "forces", "guess", "reference"}
+    restart : {"forces", "displacement", "guess", "reference"}
         How the registered state restarts the simulation; see `tissuereg.tracking.restart`.
     temporal : bool
         Whether frames are combined with the ones before.
@@ -82,7 +82,7 @@ class Tracker:
         targets: Mapping[str, Any] | None = None,
         *,
         simulator: Any = None,
-        restart: str = "displacement",
+        restart: str = "forces",
         temporal: bool = True,
         **options: Any,
     ) -> None:
@@ -91,7 +91,8 @@ class Tracker:
         check_choice("restart", restart, RESTARTS, ArgumentError)
         self._registrar = _registrar(body, reference_mm, model, targets, options)
         physics = as_physics(simulator)
-        self._restart = None if physics is None else Restart(physics, restart)
+        self._noise_mm = float(np.sqrt(np.mean(self._registrar.markers.axis_std**2)))
+        self._restart = None if physics is None else Restart(physics, restart, self._noise_mm)
         self._layout = Layout(self._registrar.attached)
         self._temporal = flag("temporal", temporal)
         self._inbox = Inbox()
@@ -119,10 +120,10 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget all frames: the next one is a first one. Counts of dropped frames stay."""
-        std = self._registrar.markers.axis_std
-        self._prior = TemporalPrior(float(np.mean(std**2)))
+        self._prior = TemporalPrior(self._noise_mm**2)
         self._last: TrackedFrame | None = None
-        self._carried: LastFrame | None = None
+        if self._restart is not None:
+            self._restart.reset()
         self._most_used = 0
 
     def step(self, measured_mm: Any, time_s: float, *, actuator: Any = None) -> Registration:
@@ -245,7 +246,8 @@ class Tracker:
         alone = self._registrar.register(measured_mm, field, after=after)
         result, gain = self._combined(alone, simulated, elapsed)
         self._last = TrackedFrame(moment, result, alone, field, gain, skipped)
-        self._carried = LastFrame(result.displacement, actuator, None if simulated is None else simulated.plain)
+        if self._restart is not None and simulated is not None:
+            self._restart.registered(simulated, result.displacement, actuator)
         return self._last
 
     def _simulated(self, actuator: Any) -> Simulated | None:
@@ -254,7 +256,7 @@ class Tracker:
                 message = "an `actuator` needs a `simulator` that knows it; the tracker has none"
                 raise ArgumentError(message, where="actuator")
             return None
-        return self._restart.simulated(actuator, self._carried)
+        return self._restart.simulated(actuator)
 
     def _combined(self, alone: Registration, simulated: Simulated | None, elapsed: float) -> tuple[Registration, float]:
         """Return a frame's answer after the temporal prior, and the share of the frame's own."""
