@@ -222,7 +222,9 @@ class _Search:
 
         def solve(coefficients: FloatArray) -> FloatArray:
             near = carried.tangent.linearised
-            return near.solve_near(columns.load(coefficients), springs=columns.springs, tolerance=TOLERANCE).all_displacement
+            return near.solve_near(
+                columns.load(coefficients), springs=columns.springs, tolerance=TOLERANCE
+            ).all_displacement
 
         with self.clock.stage("simulate"):
             start = start_of(columns, carried.material, field, frame, self.given.threads)

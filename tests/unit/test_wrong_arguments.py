@@ -92,6 +92,17 @@ def registrar():
     return tr.Registrar(mesh(), markers(), settings=quick(), threads=1)
 
 
+def tracker():
+    return tr.Tracker(registrar())
+
+
+def polled(**given):
+    """Push a frame and register it, which is where its arguments are checked."""
+    made = tracker()
+    made.push(**{"measured_mm": markers().measured, "time_s": 0.0, **given})
+    return made.poll()
+
+
 @cache
 def load():
     return tr.Load(forces=np.where(mesh().nodes[:, 2:] == 40.0, [5.0, 0.0, 0.0], 0.0))
@@ -354,7 +365,74 @@ CALLS = {
     ),
     "Registrar.register": (
         lambda **given: registrar().register(**{"measured_mm": markers().measured, **given}),
-        {"measured_mm": markers().measured, "simulation": None, "progress": None, "tell": None},
+        {"measured_mm": markers().measured, "simulation": None, "after": None, "progress": None, "tell": None},
+    ),
+    "Tracker": (
+        lambda **given: tr.Tracker(
+            **{"body": mesh(), "reference_mm": markers().reference, "settings": quick(), "threads": 1, **given}
+        ),
+        {
+            "body": mesh(),
+            "reference_mm": markers().reference,
+            "model": None,
+            "targets": {},
+            "simulator": None,
+            "restart": "forces",
+            "temporal": True,
+            "std": 0.1,
+            "seed": 0,
+        },
+    ),
+    "Tracker.step": (
+        lambda **given: tracker().step(**{"measured_mm": markers().measured, "time_s": 0.0, **given}),
+        {"measured_mm": markers().measured, "time_s": 1.0, "actuator": None},
+    ),
+    "Tracker.update": (
+        lambda **given: tracker().update(**{"measured_mm": markers().measured, "time_s": 0.0, **given}),
+        {"measured_mm": markers().measured, "time_s": 1.0, "actuator": None},
+    ),
+    "Tracker.poll": (
+        polled,
+        {"measured_mm": markers().measured, "time_s": 1.0, "actuator": None},
+    ),
+    "Tracker.run": (
+        lambda **given: list(tracker().run(**{"frames": [], **given})),
+        {"frames": [(0.0, markers().measured)]},
+    ),
+    "FemPhysics": (
+        tr.tracking.FemPhysics,
+        {
+            "mesh": mesh(),
+            "material": tr.Material(),
+            "load_of": None,
+            "element": "tet4",
+            "held_nodes": mesh().fixed_nodes,
+            "tolerance": 1e-5,
+            "threads": 1,
+        },
+    ),
+    "FemPhysics.field": (
+        lambda **given: tr.tracking.FemPhysics(mesh(), threads=1).field(**{"actuator": None, **given}),
+        {"actuator": load(), "start": np.zeros((mesh().n_nodes, 3))},
+    ),
+    "TablePhysics": (tr.tracking.TablePhysics, {"axes": [0.0, 1.0], "fields": np.zeros((2, 4, 3))}),
+    "TablePhysics.field": (
+        lambda **given: tr.tracking.TablePhysics([0.0, 1.0], np.zeros((2, 4, 3))).field(**given),
+        {"actuator": 0.5},
+    ),
+    "CalledPhysics": (tr.tracking.CalledPhysics, {"function": lambda _: np.zeros((4, 3))}),
+    "fitted_prior": (
+        lambda **given: tr.tracking.fitted_prior(**{"mesh": mesh(), "largest_mm": 1.0, "n_events": 6, **given}),
+        {
+            "mesh": mesh(),
+            "material": tr.Material(),
+            "largest_mm": 1.0,
+            "n_events": 6,
+            "n_latent": 2,
+            "held_nodes": mesh().fixed_nodes,
+            "seed": 0,
+            "threads": 1,
+        },
     ),
     "open_executor": (opened, {"address": "local:2", "task_limit": 900.0, "patience": 60.0}),
     "Processes": (processes, {"n": 2}),
@@ -481,6 +559,7 @@ CALLS = {
 
 #: What a message may call an argument instead of its name; several are split by bars.
 CALLED = {
+    "body": "mesh",
     "address": "cluster",
     "tets": "tet",
     "observed": "noise",
@@ -638,7 +717,16 @@ def test_a_modulus_that_no_solid_has_is_refused(young):
 
 
 #: Public names that take no argument, or are made by us alone.
-NO_ARGUMENTS = {"Registration", "Simulation", "TissueRegError", "__version__", "effects", "errors", "phantom"}
+NO_ARGUMENTS = {
+    "Registration",
+    "Simulation",
+    "TissueRegError",
+    "__version__",
+    "effects",
+    "errors",
+    "phantom",
+    "tracking",
+}
 
 
 def test_every_public_name_is_swept():

@@ -70,10 +70,12 @@ class Carried:
         every = np.zeros((len(wrong), len(before)), wrong.dtype)
         every[:, before] = wrong
         samples = (slots, levels, np.ascontiguousarray(every[:, now]))
-        return cls(fit.columns, fit.moment, samples, fit.tangent, draw.material, list(draw.further), min(fit.residual_rms))
+        return cls(
+            fit.columns, fit.moment, samples, fit.tangent, draw.material, list(draw.further), min(fit.residual_rms)
+        )
 
     def columns_for(self, columns: Columns) -> Columns | None:
-        """Return the columns of the next moment with what was found; None if they are of another body or other causes."""
+        """Return the columns of the next moment with what was found; None if body or causes are others."""
         if columns.body is not self.columns.body or columns.n_columns != self.columns.n_columns:
             return None
         return columns.made_of(self.material).on(self.columns.springs)
@@ -105,5 +107,7 @@ class Carried:
 def _differ(here: Columns, there: Columns, coefficients: FloatArray) -> float:
     """Return the relative difference of two loads, the motion of held nodes included."""
     loads = [columns.load(coefficients) for columns in (here, there)]
-    parts = [np.concatenate([np.ravel(load.forces), np.ravel(load.body_force), np.ravel(load.prescribed)]) for load in loads]
+    parts = [
+        np.concatenate([np.ravel(load.forces), np.ravel(load.body_force), np.ravel(load.prescribed)]) for load in loads
+    ]
     return float(np.abs(parts[0] - parts[1]).max() / max(float(np.abs(parts[1]).max()), 1e-300))

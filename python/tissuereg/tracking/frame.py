@@ -71,7 +71,9 @@ class Layout:
     def change(self, field: FloatArray) -> FloatArray:
         """Return the same of a displacement (n_nodes, 3)."""
         inner = self.attached.targets
-        return np.concatenate([self._of_markers(field).ravel(), inner.predict(field[inner.nodes]).ravel(), field.ravel()])
+        return np.concatenate(
+            [self._of_markers(field).ravel(), inner.predict(field[inner.nodes]).ravel(), field.ravel()]
+        )
 
     def filtered(self, result: Registration, values: FloatArray, alone: FloatArray) -> Registration:
         """Return a registration with filtered places.

@@ -11,6 +11,7 @@ import numpy as np
 
 from tissuereg._arguments import called, check_running, found, of_kind, real
 from tissuereg._arrays import FloatArray, float_array
+from tissuereg._choice import check_choice
 from tissuereg.errors import ArgumentError, ConvergenceError, LoadError
 from tissuereg.load import Load
 from tissuereg.material import Material
@@ -134,9 +135,8 @@ class FemPhysics:
     ) -> None:
         called("load_of", load_of)
         check_running(threads=threads)
-        if element == "tet10":
-            message = "`element` must have no nodes beside the mesh's ('tet4' or 'tet4-averaged'), got 'tet10'"
-            raise ArgumentError(message, where="element")
+        # Elements without nodes beside the mesh's.
+        check_choice("element", element, ("tet4", "tet4-averaged"), ArgumentError)
         self._simulator = Simulator(mesh, element=element, held_nodes=held_nodes)
         self._material = Material() if material is None else of_kind("material", material, Material)
         self._load_of = load_of
@@ -207,7 +207,7 @@ class CalledPhysics:
             raise ArgumentError(message, where="function")
         self._function = function
 
-    def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:  # noqa: ARG002 (the protocol's)
+    def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
         """Return what the function returns; see `Physics.field`."""
         return float_array("simulation", self._function(actuator), (None, 3))
 

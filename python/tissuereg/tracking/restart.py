@@ -4,7 +4,8 @@ A quasi-static body has no memory: from any first guess it finds the same equili
 last frame is therefore carried on by a change of the problem, or not at all:
 
 ``forces``
-    The nodal forces that hold the registered shape, beyond the known loads, stay as dead loads while the actuators move.
+    The nodal forces that hold the registered shape, beside the known loads, stay as dead loads while the actuators
+    move.
 ``displacement``
     The registered shape minus the simulated one is added to the next simulation. Every simulation can do so.
 ``guess``
@@ -15,6 +16,8 @@ last frame is therefore carried on by a change of the problem, or not at all:
 
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import ConvergenceError, LoadError
@@ -35,20 +38,23 @@ class Simulated:
         Displacement from which the frame is registered, mm.
     change : ndarray of float64, shape (n_nodes, 3)
         Its change since the last frame that is due to the actuators, mm.
+    plain : ndarray of float64, shape (n_nodes, 3)
+        Displacement with nothing carried on, mm.
     """
 
     field: FloatArray
     change: FloatArray
+    plain: FloatArray
 
 
 @dataclass(eq=False)
 class _Carried:
-    """The registered state that is carried on: its shape, what the actuators did, and what was made of it so far."""
+    """The registered state that is carried on: its shape, its simulation with nothing carried on, what holds it."""
 
     displacement: FloatArray
     actuator: Any
+    plain: FloatArray
     forces: FloatArray | None = None
-    correction: FloatArray | None = None
 
 
 class Restart:
@@ -68,10 +74,14 @@ class Restart:
     Attributes
     ----------
     fallbacks : int
-        Frames in which no equilibrium was found under dead loads, so that the displacement was carried on.
+        Frames in which the body lost its equilibrium under dead loads, so that the displacement was carried on.
 
     Notes
     -----
+    Dead loads do not follow the body, and they press where the registered shape is rough: a body that is bent far may
+    buckle under them. The simulated change is therefore compared with that of the simulation with nothing carried on,
+    and given up if they differ by more than the latter.
+
     While the actuators stand still, so does the simulation: a start that followed each registered state would count the
     same markers again in every frame, until the prior does not count any more.
     """
@@ -89,6 +99,7 @@ class Restart:
         self._origin: FloatArray | None = None
         self._last_field: FloatArray | None = None
         self._last_shape: FloatArray | None = None
+        self._last_plain: FloatArray | None = None
 
     def simulated(self, actuator: Any) -> Simulated:
         """Return the simulation of the next frame; nothing is remembered of it before `registered`.
@@ -101,16 +112,18 @@ class Restart:
         Returns
         -------
         Simulated
-            Cost: one simulation; one or two more where another state is carried on by its displacement.
+            Cost: one simulation; with ``forces`` two.
 
         Raises
         ------
         ConvergenceError
             If the simulation finds no equilibrium.
         """
-        field = self._field(actuator)
+        start = {"reference": None, "guess": self._last_shape}.get(self.how, self._last_plain)
+        plain = self._physics.field(actuator, start=start)
+        field = plain if self._carried is None else self._carried_on(self._carried, actuator, plain)
         before = field if self._last_field is None else self._last_field
-        return Simulated(field, field - before)
+        return Simulated(field, field - before, plain)
 
     def registered(self, simulated: Simulated, displacement: FloatArray, actuator: Any) -> None:
         """Remember a frame.
@@ -124,29 +137,30 @@ class Restart:
         actuator : object
             What the actuators did.
         """
-        self._last_field, self._last_shape = simulated.field, displacement
+        self._last_field, self._last_shape, self._last_plain = simulated.field, displacement, simulated.plain
         self._origin = simulated.field if self._origin is None else self._origin
-        moved = float(rms_displacement((simulated.field - self._origin)[None])[0])
+        moved = _rms(simulated.field - self._origin)
         if self.how in ("forces", "displacement") and moved > self._noise_mm:
-            self._carried = _Carried(displacement, actuator)
+            self._carried = _Carried(displacement, actuator, simulated.plain)
             self._origin = self._last_field = displacement
 
-    def _field(self, actuator: Any) -> FloatArray:
-        carried = self._carried
-        if carried is None:
-            return self._plain(actuator)
+    def _carried_on(self, carried: _Carried, actuator: Any, plain: FloatArray) -> FloatArray:
+        """Return the simulation from a registered state, given the one with nothing carried on."""
+        moved = plain - carried.plain
         if self.how == "forces" and isinstance(self._physics, HoldingPhysics):
             try:
                 if carried.forces is None:
                     carried.forces = self._physics.holding(carried.displacement, carried.actuator)
                 start = carried.displacement if self._last_field is None else self._last_field
-                return self._physics.held_field(actuator, carried.forces, start)
+                held = self._physics.held_field(actuator, carried.forces, start)
             except (ConvergenceError, LoadError):
-                self.fallbacks += 1
-        if carried.correction is None:
-            carried.correction = carried.displacement - self._plain(carried.actuator)
-        return self._plain(actuator) + carried.correction
+                held = None
+            if held is not None and _rms(held - carried.displacement - moved) <= max(self._noise_mm, _rms(moved)):
+                return held
+            self.fallbacks += 1
+        return np.asarray(carried.displacement + moved)
 
-    def _plain(self, actuator: Any) -> FloatArray:
-        start = None if self.how == "reference" else self._last_shape
-        return self._physics.field(actuator, start=start)
+
+def _rms(field: FloatArray) -> float:
+    """Return the root mean square displacement of a field (n_nodes, 3)."""
+    return float(rms_displacement(field[None])[0])

@@ -1,5 +1,6 @@
 """Precomputed fields as a physics simulation: between them it interpolates in the actuators' parameters."""
 
+import os
 from collections.abc import Iterable, Sequence
 from itertools import product
 from typing import Any
@@ -7,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arguments import found
-from tissuereg._arrays import FloatArray, float_array
+from tissuereg._arrays import FloatArray, depth, float_array
 from tissuereg.errors import ArgumentError, ShapeError
+from tissuereg.io.fields import read_displacement
+from tissuereg.mesh import Mesh
 
 
 class TablePhysics:
@@ -47,12 +50,46 @@ class TablePhysics:
             message = "`fields` must be finite everywhere"
             raise ShapeError(message, where="fields")
 
+    @classmethod
+    def from_files(
+        cls, values: Any, paths: Iterable[str | os.PathLike[str]], mesh: Mesh, name: str = "displacement"
+    ) -> "TablePhysics":
+        """Return a table of the results that another solver wrote for values of one parameter.
+
+        Parameters
+        ----------
+        values : array_like of float, shape (n_values,)
+            The parameter, one value a file, in any order.
+        paths : iterable of path-like
+            Files as `tissuereg.io.fields.read_displacement` reads them: .vtu, .vtk, .msh, .npz.
+        mesh : Mesh
+            Undeformed body, whose nodes the files have.
+        name : str
+            Of the point data.
+
+        Returns
+        -------
+        TablePhysics
+            All fields are held in memory.
+
+        Raises
+        ------
+        FormatError
+            If a file cannot be read or is of another mesh.
+        ArgumentError, ShapeError
+            If there is not one value a file, or two are equal.
+        """
+        files = tuple(paths)
+        given = float_array("values", values, (len(files),))
+        order = np.argsort(given)
+        return cls(given[order], np.array([read_displacement(files[i], mesh, name) for i in order]))
+
     @property
     def n_nodes(self) -> int:
         """Number of nodes of a field."""
         return int(self._fields.shape[-2])
 
-    def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:  # noqa: ARG002 (the protocol's)
+    def field(self, actuator: Any, *, start: FloatArray | None = None) -> FloatArray:
         """Return the interpolated field.
 
         Parameters
@@ -74,11 +111,16 @@ class TablePhysics:
         ShapeError
             If there is not one value a parameter.
         """
-        values = float_array("actuator", np.atleast_1d(np.asarray(actuator)), (len(self.axes),))
-        places = [_between(number, axis, value) for number, (axis, value) in enumerate(zip(self.axes, values, strict=True))]
+        several = actuator if depth("actuator", actuator) else [actuator]
+        values = float_array("actuator", several, (len(self.axes),))
+        places = [
+            _between(number, axis, value) for number, (axis, value) in enumerate(zip(self.axes, values, strict=True))
+        ]
         total = np.zeros(self._fields.shape[-2:])
         for corner in product((0, 1), repeat=len(places)):
-            weight = float(np.prod([share if up else 1.0 - share for up, (_, share) in zip(corner, places, strict=True)]))
+            weight = float(
+                np.prod([share if up else 1.0 - share for up, (_, share) in zip(corner, places, strict=True)])
+            )
             if weight > 0.0:
                 index = tuple(first + up for up, (first, _) in zip(corner, places, strict=True))
                 total += weight * self._fields[index]
@@ -98,7 +140,8 @@ def _axes(axes: Any) -> tuple[FloatArray, ...]:
 def _between(number: int, axis: FloatArray, value: float) -> tuple[int, float]:
     """Return the grid point before a value, and the value's share of the way to the next one."""
     if not axis[0] <= value <= axis[-1]:
-        message = f"parameter {number + 1} of `actuator` must lie within the table, {axis[0]:g} to {axis[-1]:g}, got {value:g}"
+        within = f"must lie within the table, {axis[0]:g} to {axis[-1]:g}, got {value:g}"
+        message = f"parameter {number + 1} of `actuator` {within}"
         raise ArgumentError(message, where="actuator")
     first = min(int(np.searchsorted(axis, value, side="right")) - 1, len(axis) - 2)
     return first, float((value - axis[first]) / (axis[first + 1] - axis[first]))

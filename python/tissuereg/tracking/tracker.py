@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import flag, real
+from tissuereg._arguments import flag, found, real
 from tissuereg._choice import check_choice
 from tissuereg.errors import ArgumentError, MarkerError
 from tissuereg.inputs import finite_field
@@ -17,12 +17,16 @@ from tissuereg.registrar import Registrar
 from tissuereg.result import Registration
 from tissuereg.tracking.frame import Layout, TrackedFrame
 from tissuereg.tracking.inbox import Inbox
-from tissuereg.tracking.physics import as_physics
+from tissuereg.tracking.physics import Physics, as_physics
 from tissuereg.tracking.restart import RESTARTS, Restart, Simulated
 from tissuereg.tracking.temporal import TemporalPrior
 
 #: Options that a registrar takes beside body, markers, model and targets.
-_OPTIONS = tuple(name for name in inspect.signature(Registrar).parameters if name not in ("mesh", "reference_mm", "model", "targets"))
+_OPTIONS = tuple(
+    name for name in inspect.signature(Registrar).parameters if name not in ("mesh", "reference_mm", "model", "targets")
+)
+
+_A_FRAME = "(time_s, measured_mm) or (time_s, measured_mm, actuator)"
 
 
 class Tracker:
@@ -90,7 +94,7 @@ class Tracker:
             check_choice("option", name, _OPTIONS, ArgumentError)
         check_choice("restart", restart, RESTARTS, ArgumentError)
         self._registrar = _registrar(body, reference_mm, model, targets, options)
-        physics = as_physics(simulator)
+        self._physics = physics = as_physics(simulator)
         self._noise_mm = float(np.sqrt(np.mean(self._registrar.markers.axis_std**2)))
         self._restart = None if physics is None else Restart(physics, restart, self._noise_mm)
         self._layout = Layout(self._registrar.attached)
@@ -104,6 +108,11 @@ class Tracker:
         return self._registrar
 
     @property
+    def simulator(self) -> Physics | None:
+        """What simulates each frame; None if nothing does."""
+        return self._physics
+
+    @property
     def last(self) -> TrackedFrame | None:
         """The last frame; None before the first one."""
         return self._last
@@ -115,7 +124,7 @@ class Tracker:
 
     @property
     def fallbacks(self) -> int:
-        """Frames in which the body found no equilibrium under the dead loads; see `tissuereg.tracking.restart`."""
+        """Frames in which the body lost its equilibrium under the dead loads; see `tissuereg.tracking.restart`."""
         return 0 if self._restart is None else self._restart.fallbacks
 
     def reset(self) -> None:
@@ -219,20 +228,19 @@ class Tracker:
             As `step`.
         """
         offset: float | None = None
-        for time_s, measured_mm, *actuator in frames:
-            if offset is None:
-                offset = clock() - real("time_s", time_s, unit="s")
-            due = offset + real("time_s", time_s, unit="s")
+        for time_s, measured_mm, actuator in _each(frames):
+            offset = clock() - time_s if offset is None else offset
+            due = offset + time_s
             if clock() < due:
-                found = self.poll()
-                if found is not None:
-                    yield found
+                registered = self.poll()
+                if registered is not None:
+                    yield registered
                 if (remaining := due - clock()) > 0.0:
                     wait(remaining)
-            self.push(measured_mm, time_s, actuator=actuator[0] if actuator else None)
-        found = self.poll()
-        if found is not None:
-            yield found
+            self.push(measured_mm, time_s, actuator=actuator)
+        registered = self.poll()
+        if registered is not None:
+            yield registered
 
     def _tracked(self, measured_mm: Any, time_s: float, actuator: Any, skipped: int) -> TrackedFrame:
         moment = real("time_s", time_s, unit="s")
@@ -268,6 +276,19 @@ class Tracker:
         change = np.zeros_like(values) if simulated is None else self._layout.change(simulated.change)
         filtered = self._prior.updated(values, change, elapsed, self._most_used / n_used, self._layout.markers)
         return self._layout.filtered(alone, filtered, values), self._prior.gain
+
+
+def _each(frames: Any) -> Iterator[tuple[float, Any, Any]]:
+    """Return the time, the measured places and the actuators' state of each frame of a recording."""
+    if not isinstance(frames, Iterable) or isinstance(frames, str | bytes):
+        message = f"`frames` must be frames, each {_A_FRAME}, got {found(frames)}"
+        raise ArgumentError(message, where="frames")
+    for frame in frames:
+        if not isinstance(frame, tuple | list) or len(frame) not in (2, 3):
+            message = f"each of `frames` must be {_A_FRAME}, got {found(frame)}"
+            raise ArgumentError(message, where="frames")
+        time_s = real("time_s of `frames`", frame[0], unit="s")
+        yield time_s, frame[1], frame[2] if len(frame) == 3 else None
 
 
 def _registrar(body: Any, reference_mm: Any, model: Any, targets: Any, options: dict[str, Any]) -> Registrar:

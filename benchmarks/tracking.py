@@ -1,0 +1,281 @@
+"""What restarts a tracked simulation, what the frames before are worth -> results/tracking.json, docs/tracked.md.
+
+    python benchmarks/tracking.py [--seeds N] [--contacts-seeds N] [--truth FILE] [--threads N] [--page]
+
+The phantom is pushed in equal steps and then held. Its truth is that of `solve_truth`: ten-node elements, another
+modulus, a stiff lesion, pushes larger and rotated. ``--truth`` names a file in which the true fields are kept between
+runs; ``--page`` writes the page again from the archive.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import tissuereg as tr
+from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.phantom import event as phantom_event
+from tissuereg.tracking import FemPhysics, TablePhysics
+from tissuereg.tracking.restart import RESTARTS
+
+ROOT = Path(__file__).resolve().parents[1]
+ARCHIVE = ROOT / "benchmarks" / "results" / "tracking.json"
+PAGE = ROOT / "docs" / "tracked.md"
+
+#: Frames in motion and at rest, frames a second, values of the push at which truth and tables are solved.
+N_MOVING, N_STILL, HZ, N_KNOTS = 10, 10, 40, 9
+STD_MM = 0.1
+LESION = np.asarray(phantom_event.LESION_MM)
+
+HEAD = """# Tracking: what the frames before are worth
+
+Written by `python benchmarks/tracking.py` from `benchmarks/results/tracking.json`; edit neither. How it works:
+[tracking](tracking.md).
+
+The phantom is pushed in {n_moving} equal steps at {hz} Hz and then held for {n_still} frames. The believed simulation
+has four-node elements, a wrong modulus, no lesion, and pushes that are too small and rotated; the truth has ten-node
+elements and a stiff lesion. 15 markers with noise of {std} mm. Errors are distances in mm, means over frames and
+{seeds} random sets of markers: at the lesion, and at the nodes of the body. *Alone*: the answers of the frames before
+the temporal prior.
+"""
+
+
+class Motion:
+    """The phantom in motion: truth, measurements, and the believed simulation, all by the share of the push."""
+
+    def __init__(self, truth: tuple[Any, Any], seed: int, threads: int) -> None:
+        from scipy.interpolate import CubicSpline
+
+        fine, self.mesh = phantom_event.truth_mesh(), phantom_event.phantom_mesh()
+        self.shares = np.r_[np.linspace(1.0 / N_MOVING, 1.0, N_MOVING), np.ones(N_STILL)]
+        knots = np.linspace(0.0, 1.0, N_KNOTS)
+        fields, bodies = (CubicSpline(knots, one)(self.shares) for one in truth)
+        self.bodies = bodies
+        self.places = phantom_event._marker_places(fine, np.random.default_rng([seed, 5]))
+        names = tuple(f"P{i + 1}" for i in range(len(self.places)))
+        seen = MarkerObservation(fine, self.places, names)
+        inner = TargetObservation(fine, {"lesion": LESION})
+        rng = np.random.default_rng([seed, 77])
+        moved = seen.predict(fields[:, seen.nodes])
+        self.measured = self.places + moved + STD_MM * rng.standard_normal(moved.shape)
+        self.lesion = LESION + inner.predict(fields[:, inner.nodes])[:, 0]
+        pushes = phantom_event._pushes(self.mesh, 1.0, 0.0).traction
+        self.material = tr.Material(10.0, phantom_event.POISSON)
+        self.fem = FemPhysics(
+            self.mesh,
+            self.material,
+            lambda share: tr.Load(traction=(pushes[0], share * pushes[1])),
+            threads=threads,
+        )
+
+    def errors(self, frame: int, displacement: Any, lesion: Any, covariance: Any = None) -> list[float]:
+        """Return the error of lesion and body, mm, and whether the 90 % region holds the lesion (-1: no region)."""
+        off = lesion - self.lesion[frame]
+        body = float(np.linalg.norm(displacement - self.bodies[frame], axis=1).mean())
+        # 6.2514 is the 90 % point of chi-square with three degrees of freedom.
+        inside = -1.0 if covariance is None else float(off @ np.linalg.solve(covariance, off) <= 6.2514)
+        return [float(np.linalg.norm(off)), body, inside]
+
+    def of(self, frame: int, result: tr.Registration) -> list[float]:
+        """Return the errors of a registration."""
+        target = result.target("lesion")
+        return self.errors(frame, result.displacement, target.mean, target.covariance)
+
+
+def true_fields(kept: Path | None, threads: int) -> tuple[Any, Any]:
+    """Return the true fields (n_knots, n_nodes, 3) on the truth's mesh and on the body's, solved or read."""
+    if kept is not None and kept.exists():
+        with np.load(kept) as file:
+            return file["fine"], file["body"]
+    fine, body = phantom_event.truth_mesh(), phantom_event.phantom_mesh()
+    contrast = np.where(phantom_event._in_lesion(fine), phantom_event.LESION_CONTRAST, 1.0)
+    material = tr.Material(contrast * phantom_event._TRUE_YOUNG, phantom_event._TRUE_POISSON)
+    simulator = tr.Simulator(fine, element="tet10")
+    triangles, traction = phantom_event._pushes(
+        fine, phantom_event._TRUE_PUSH_FACTOR, phantom_event._TRUE_TILT_DEG
+    ).traction
+    inside = TargetObservation(fine, {str(i): node for i, node in enumerate(body.nodes)})
+    fields, start = [np.zeros_like(fine.nodes)], None
+    for share in np.linspace(0.0, 1.0, N_KNOTS)[1:]:
+        load = tr.Load(traction=(triangles, share * traction))
+        found = simulator.solve(load, material, start=start, tolerance=1e-6, threads=threads)
+        start = found.all_displacement
+        fields.append(found.displacement)
+    on_body = [inside.predict(field[inside.nodes]) for field in fields]
+    if kept is not None:
+        np.savez(kept, fine=fields, body=on_body)
+    return np.array(fields), np.array(on_body)
+
+
+def table_of(motion: Motion) -> TablePhysics:
+    """Return the believed simulation as a table of precomputed fields."""
+    shares, fields = np.linspace(0.0, 1.0, N_KNOTS), []
+    for share in shares:
+        fields.append(motion.fem.field(float(share), start=fields[-1] if fields else None))
+    return TablePhysics(shares, fields)
+
+
+def tracked(motion: Motion, tracker: tr.Tracker, frames: range) -> dict[str, Any]:
+    """Return the errors of a tracker before and after the temporal prior, its gains, and processor seconds."""
+    rows: dict[str, Any] = {"alone": [], "tracked": [], "simulation": [], "gain": [], "cpu_s": []}
+    for k, frame in enumerate(frames):
+        before = time.process_time()
+        actuator = None if tracker.simulator is None else float(motion.shares[frame])
+        result = tracker.step(motion.measured[frame], k / HZ, actuator=actuator)
+        rows["cpu_s"].append(time.process_time() - before)
+        rows["alone"].append(motion.of(frame, tracker.last.alone))
+        rows["tracked"].append(motion.of(frame, result))
+        rows["gain"].append(tracker.last.gain)
+    rows["fallbacks"] = tracker.fallbacks
+    return rows
+
+
+def study(truth: tuple[Any, Any], seed: int, threads: int, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Return the rows of one set of markers, by method."""
+    motion = Motion(truth, seed, threads)
+    everything = range(len(motion.shares))
+    how = {"std": STD_MM, "threads": threads, "settings": tr.RegisterSettings(n_members=100)}
+    registrar = tr.Registrar(motion.mesh, motion.places, "phantom", {"lesion": LESION}, **how)
+    table = table_of(motion)
+    inner = registrar.attached.targets
+    fields = [table.field(share) for share in motion.shares]
+    rows: dict[str, Any] = {
+        "simulation": [
+            motion.errors(k, field, LESION + inner.predict(field[inner.nodes])[0]) for k, field in enumerate(fields)
+        ],
+        "frame by frame": [motion.of(k, registrar.register(motion.measured[k], fields[k])) for k in everything],
+    }
+    for restart in RESTARTS:
+        simulator = motion.fem if restart in ("forces", "guess") else table
+        tell(f"seed {seed}: restart {restart}")
+        rows[f"restart: {restart}"] = tracked(
+            motion, tr.Tracker(registrar, simulator=simulator, restart=restart), everything
+        )
+    return rows
+
+
+def contacts(truth: tuple[Any, Any], seed: int, threads: int, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Return the rows of the physics prior, which knows neither load nor simulation: the last frames of the motion."""
+    motion = Motion(truth, seed, threads)
+    frames = range(N_MOVING - 3, N_MOVING + 3)
+    how = {"std": STD_MM, "threads": threads, "material": motion.material}
+    alone = tr.Registrar(motion.mesh, motion.places, None, {"lesion": LESION}, **how)
+    single: dict[str, Any] = {"errors": [], "cpu_s": [], "passes": []}
+    for frame in frames:
+        before = time.process_time()
+        result = alone.register(motion.measured[frame])
+        single["cpu_s"].append(time.process_time() - before)
+        single["errors"].append(motion.of(frame, result))
+        single["passes"].append(result.work["passes"])
+    tell(f"seed {seed}: contacts")
+    tracker = tr.Tracker(motion.mesh, motion.places, None, {"lesion": LESION}, **how)
+    return {"frame by frame": single, "tracked": tracked(motion, tracker, frames)}
+
+
+def page(answer: dict[str, Any]) -> str:
+    """Return the page of an archive."""
+    head = HEAD.format(
+        n_moving=answer["n_moving"],
+        n_still=answer["n_still"],
+        hz=answer["hz"],
+        std=answer["std_mm"],
+        seeds=len(answer["model"]),
+    )
+    lines = [head, "## With the shipped network\n", _header("moving", "still")]
+    moving, still = slice(0, answer["n_moving"]), slice(answer["n_moving"], None)
+    studies = answer["model"]
+    for name in ("simulation", "frame by frame"):
+        rows = np.array([one[name] for one in studies])
+        lines.append(_row(name, [rows[:, moving], rows[:, still]]))
+    for name in [name for name in studies[0] if name.startswith("restart")]:
+        for part, title in (("alone", f"{name}, alone"), ("tracked", f"{name}, tracked")):
+            rows = np.array([one[name][part] for one in studies])
+            lines.append(_row(title, [rows[:, moving], rows[:, still]]))
+    lines.append("\n*90 %*: share of frames whose 90 % region holds the lesion.\n")
+    lines.append(
+        "| restart | gain moving | gain still | lost equilibria | processor s a frame |\n|---|---|---|---|---|"
+    )
+    for name in [name for name in studies[0] if name.startswith("restart")]:
+        gains = np.array([one[name]["gain"] for one in studies])
+        seconds = np.median([one[name]["cpu_s"] for one in studies])
+        lost = sum(one[name]["fallbacks"] for one in studies)
+        lines.append(
+            f"| {name.removeprefix('restart: ')} | {gains[:, moving].mean():.2f} | {gains[:, still].mean():.2f} "
+            f"| {lost} | {seconds:.3f} |"
+        )
+    if answer["contacts"]:
+        lines.append("\n## Without a model: contacts\n")
+        lines.append("The last frames of the motion and the first at rest, load and simulation unknown.\n")
+        lines.append("| | lesion | body | passes a frame | processor s a frame |\n|---|---|---|---|---|")
+        first, rest = answer["contacts"][0], answer["contacts"]
+        assert first
+        for name, part in (("frame by frame", "errors"), ("tracked", "alone"), ("tracked", "tracked")):
+            rows = np.array([one[name][part] for one in rest])
+            title = name if part != "alone" else "tracked, alone"
+            passes = f"{np.mean([one[name]['passes'] for one in rest]):.1f}" if "passes" in rest[0][name] else "-"
+            seconds = np.median([one[name]["cpu_s"] for one in rest])
+            lines.append(
+                f"| {title} | {rows[..., 0].mean():.3f} | {rows[..., 1].mean():.3f} | {passes} | {seconds:.2f} |"
+            )
+    lines.append(f"\n{_machine(answer)}\n")
+    return "\n".join(lines)
+
+
+def _header(*parts: str) -> str:
+    names = [f"lesion {part} | body {part} | 90 % {part}" for part in parts]
+    return f"| | {' | '.join(names)} |\n|---{'|---' * 3 * len(parts)}|"
+
+
+def _row(title: str, parts: list[Any]) -> str:
+    cells = []
+    for part in parts:
+        inside = part[..., 2]
+        cells += [f"{part[..., 0].mean():.3f}", f"{part[..., 1].mean():.3f}"]
+        cells.append("-" if (inside < 0).any() else f"{inside.mean():.0%}")
+    return f"| {title} | {' | '.join(cells)} |"
+
+
+def _machine(answer: dict[str, Any]) -> str:
+    busy = answer["load_before"] > 0.5
+    words = " The machine was busy with other work: processor times are too long." if busy else ""
+    return f"{answer['threads']} thread(s).{words}"
+
+
+def main() -> None:
+    """Run the studies, or write the page again."""
+    parser = argparse.ArgumentParser(description="What restarts the simulation of a tracked body.")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--contacts-seeds", type=int, default=2)
+    parser.add_argument("--truth", type=Path)
+    parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--page", action="store_true", help="write the page again from the archive")
+    given = parser.parse_args()
+    if not given.page:
+        load, truth = os.getloadavg()[0], true_fields(given.truth, given.threads)
+
+        def tell(words: str) -> None:
+            print(words, file=sys.stderr, flush=True)
+
+        answer = {
+            "schema": "tissuereg.tracking/1",
+            "n_moving": N_MOVING,
+            "n_still": N_STILL,
+            "hz": HZ,
+            "std_mm": STD_MM,
+            "threads": given.threads,
+            "load_before": load,
+            "model": [study(truth, seed, given.threads, tell) for seed in range(given.seeds)],
+            "contacts": [contacts(truth, seed, given.threads, tell) for seed in range(given.contacts_seeds)],
+        }
+        ARCHIVE.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(page(json.loads(ARCHIVE.read_text(encoding="utf-8"))), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
