@@ -7,7 +7,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray
 from tissuereg.inputs import Attachment, rms_length
 from tissuereg.mesh import det_f
-from tissuereg.result import MarkerFit, Registration
+from tissuereg.result import MarkerFit, Registration, Target
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +26,8 @@ class TrackedFrame:
         Displacement from which it was registered, mm.
     gain : float
         Share of this frame's own answer, 0 to 1; 1 = no other frame counts.
+    widening : float
+        Factor on the frame's own covariances: the errors of the registered states that were carried on.
     skipped : int
         Frames that were dropped just before this one, because a newer one was there.
     """
@@ -35,6 +37,7 @@ class TrackedFrame:
     alone: Registration
     simulation: FloatArray | None
     gain: float
+    widening: float = 1.0
     skipped: int = 0
 
 
@@ -74,6 +77,11 @@ class Layout:
         return np.concatenate(
             [self._of_markers(field).ravel(), inner.predict(field[inner.nodes]).ravel(), field.ravel()]
         )
+
+    def variance(self, result: Registration) -> float:
+        """Return the mean variance of a target's coordinate that a registration states, mm^2; 1 without targets."""
+        stated = [np.trace(one.covariance) / 3.0 for one in result.targets.values()]
+        return float(np.mean(stated)) if stated else 1.0
 
     def filtered(self, result: Registration, values: FloatArray, alone: FloatArray) -> Registration:
         """Return a registration with filtered places.
@@ -119,6 +127,28 @@ class Layout:
             inverted_tets=int((ratios <= 0).sum()),
         )
 
+    @staticmethod
+    def widened(result: Registration, factor: float) -> Registration:
+        """Return a registration with all covariances times a factor."""
+        if factor == 1.0:
+            return result
+        nodes = result.nodes
+
+        def wider() -> FloatArray:
+            found = nodes()
+            return np.asarray(found * (factor if found.ndim == 3 else np.sqrt(factor)))
+
+        return replace(
+            result,
+            nodes=wider,
+            targets={name: _wider(one, factor) for name, one in result.targets.items()},
+            unseen={name: _wider(one, factor) for name, one in result.unseen.items()},
+        )
+
     def _of_markers(self, field: FloatArray) -> FloatArray:
         observed = self.attached.observed
         return observed.predict(field[observed.nodes])
+
+
+def _wider(target: Target, factor: float) -> Target:
+    return replace(target, covariance=factor * target.covariance)

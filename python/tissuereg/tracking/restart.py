@@ -40,11 +40,14 @@ class Simulated:
         Its change since the last frame that is due to the actuators, mm.
     plain : ndarray of float64, shape (n_nodes, 3)
         Displacement with nothing carried on, mm.
+    carried : bool
+        Whether a registered state was carried on.
     """
 
     field: FloatArray
     change: FloatArray
     plain: FloatArray
+    carried: bool
 
 
 @dataclass(eq=False)
@@ -123,9 +126,9 @@ class Restart:
         plain = self._physics.field(actuator, start=start)
         field = plain if self._carried is None else self._carried_on(self._carried, actuator, plain)
         before = field if self._last_field is None else self._last_field
-        return Simulated(field, field - before, plain)
+        return Simulated(field, field - before, plain, self._carried is not None)
 
-    def registered(self, simulated: Simulated, displacement: FloatArray, actuator: Any) -> None:
+    def registered(self, simulated: Simulated, displacement: FloatArray, actuator: Any) -> bool:
         """Remember a frame.
 
         Parameters
@@ -136,13 +139,25 @@ class Restart:
             Registered, mm.
         actuator : object
             What the actuators did.
+
+        Returns
+        -------
+        bool
+            Whether this frame's registered state is carried on from now on.
         """
         self._last_field, self._last_shape, self._last_plain = simulated.field, displacement, simulated.plain
         self._origin = simulated.field if self._origin is None else self._origin
         moved = _rms(simulated.field - self._origin)
-        if self.how in ("forces", "displacement") and moved > self._noise_mm:
+        moved_on = self.how in ("forces", "displacement") and moved > self._noise_mm
+        if moved_on:
             self._carried = _Carried(displacement, actuator, simulated.plain)
             self._origin = self._last_field = displacement
+        return moved_on
+
+    def renew(self) -> None:
+        """Carry nothing on to the next frame."""
+        self._carried = None
+        self._origin = self._last_field = self._last_plain
 
     def _carried_on(self, carried: _Carried, actuator: Any, plain: FloatArray) -> FloatArray:
         """Return the simulation from a registered state, given the one with nothing carried on."""

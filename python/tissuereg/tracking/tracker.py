@@ -17,6 +17,7 @@ from tissuereg.registrar import Registrar
 from tissuereg.result import Registration
 from tissuereg.tracking.frame import Layout, TrackedFrame
 from tissuereg.tracking.inbox import Inbox
+from tissuereg.tracking.lineage import Lineage
 from tissuereg.tracking.physics import Physics, as_physics
 from tissuereg.tracking.restart import RESTARTS, Restart, Simulated
 from tissuereg.tracking.temporal import TemporalPrior
@@ -130,6 +131,7 @@ class Tracker:
     def reset(self) -> None:
         """Forget all frames: the next one is a first one. Counts of dropped frames stay."""
         self._prior = TemporalPrior(self._noise_mm**2)
+        self._lineage = Lineage(self._noise_mm)
         self._last: TrackedFrame | None = None
         if self._restart is not None:
             self._restart.reset()
@@ -253,9 +255,13 @@ class Tracker:
         after = None if self._last is None else self._last.alone
         alone = self._registrar.register(measured_mm, field, after=after)
         result, gain = self._combined(alone, simulated, elapsed)
-        self._last = TrackedFrame(moment, result, alone, field, gain, skipped)
+        widening = self._lineage.widening(self._layout.variance(alone), simulated)
+        result = self._layout.widened(result, widening)
+        self._last = TrackedFrame(moment, result, alone, field, gain, widening, skipped)
         if self._restart is not None and simulated is not None:
-            self._restart.registered(simulated, result.displacement, actuator)
+            moved_on = self._restart.registered(simulated, result.displacement, actuator)
+            if moved_on and not self._lineage.goes_on(self._layout.variance(alone), simulated):
+                self._restart.renew()
         return self._last
 
     def _simulated(self, actuator: Any) -> Simulated | None:
