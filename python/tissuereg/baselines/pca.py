@@ -66,10 +66,8 @@ class PcaEsMda(Rival):
             n_latent=whole("n_latent", n_latent, least=1),
             card={},
         )
-        self._counts = {
-            "n_members": whole("n_members", n_members, least=2),
-            "n_steps": whole("n_steps", n_steps, least=1),
-        }
+        self._n_members = whole("n_members", n_members, least=2)
+        self._n_steps = whole("n_steps", n_steps, least=1)
         names = setting.markers(np.full_like(setting.reference_mm, np.nan)).names
         self._observed = MarkerObservation(setting.mesh, setting.reference_mm, names)
         left = self._model.error_fields
@@ -107,7 +105,8 @@ class PcaEsMda(Rival):
             rng=np.random.default_rng([self.setting.seed, 17]),
             min_members=2,
             threads=self.setting.threads,
-            **self._counts,
+            n_members=self._n_members,
+            n_steps=self._n_steps,
         )
         change = model.decode(found.mean[:, None])[0] - model.centre
         spread = found.spread_factor * np.cov(found.latents)

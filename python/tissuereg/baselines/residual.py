@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissuereg._arguments import real, whole
-from tissuereg._arrays import FloatArray
+from tissuereg._arrays import BoolArray, FloatArray
 from tissuereg.baselines.elastic import LinearElastic, residual_of
 from tissuereg.baselines.rival import Estimate, Rival, Setting
 from tissuereg.linear_prior import most_probable
@@ -80,9 +80,9 @@ class LinearResidual(Rival):
         """Return the residual (n_markers, 3) of every marker at the last moment, and its standard deviation."""
         inputs = np.stack([one[0] for one in self._window])
         residuals = np.stack([one[1] for one in self._window])
-        weights = self._forgetting ** np.arange(len(inputs))[::-1]
+        weights: FloatArray = np.asarray(self._forgetting ** np.arange(len(inputs), dtype=np.float64)[::-1])
         noise = self.setting.std_mm**2
-        seen = np.isfinite(residuals).all(axis=2)
+        seen: BoolArray = np.asarray(np.isfinite(residuals).all(axis=2))
         gram = self._ratio(inputs, residuals, seen, weights) * (inputs @ inputs.T)
         predicted, variance = np.zeros(residuals.shape[1:]), np.full(len(noise), gram[-1, -1])
         for marker in np.flatnonzero(seen.any(axis=0)):
@@ -93,7 +93,7 @@ class LinearResidual(Rival):
             variance[marker] -= gain @ gram[own, -1]
         return predicted, np.sqrt(np.maximum(variance, 0.0))
 
-    def _ratio(self, inputs: FloatArray, residuals: FloatArray, seen: Any, weights: FloatArray) -> float:
+    def _ratio(self, inputs: FloatArray, residuals: FloatArray, seen: BoolArray, weights: FloatArray) -> float:
         """Return q^2, the variance expected of an entry of the Jacobian."""
         squares = np.where(seen, np.nan_to_num(residuals**2).sum(axis=2) / 3.0 - self.setting.std_mm**2, 0.0)
         of_residuals = max(float(weights @ squares.sum(axis=1)) / float(weights @ seen.sum(axis=1)), 0.0)

@@ -132,11 +132,10 @@ class ElasticBody:
         areas, _ = surface_of_nodes(self.mesh)
         cell = gathered(self.mesh.nodes[self._free], areas[self._free], whole("n_cells", n_cells, least=1))
         count = int(cell.max()) + 1
-        forces = np.zeros((count, 3, self._at_markers.shape[1], 3))
         share = areas[self._free] / np.bincount(cell, areas[self._free])[cell]
+        forces = np.zeros((3 * count, self._at_markers.shape[1], 3))
         for axis in range(3):
-            forces[cell, axis, self._free, axis] = share
-        forces = forces.reshape(3 * count, -1, 3)
+            forces[3 * cell + axis, self._free, axis] = share
         responses = self._linearised.responses(forces)
         flat = responses.reshape(3 * count, -1)
         energies = forces.reshape(3 * count, -1) @ flat.T
