@@ -270,10 +270,16 @@ def main() -> None:
             "std_mm": STD_MM,
             "threads": given.threads,
             "load_before": load,
-            "model": [study(truth, seed, given.threads, tell) for seed in range(given.seeds)],
-            "contacts": [contacts(truth, seed, given.threads, tell) for seed in range(given.contacts_seeds)],
+            "model": [],
+            "contacts": [],
         }
-        ARCHIVE.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
+        # Archive and page are of what is done; a run that is stopped leaves them so.
+        for seed in range(max(given.seeds, given.contacts_seeds)):
+            if seed < given.seeds:
+                answer["model"].append(study(truth, seed, given.threads, tell))
+            if seed < given.contacts_seeds:
+                answer["contacts"].append(contacts(truth, seed, given.threads, tell))
+            ARCHIVE.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
     PAGE.write_text(page(json.loads(ARCHIVE.read_text(encoding="utf-8"))), encoding="utf-8")
 
 

@@ -9,11 +9,11 @@ simulation says. With x_t the answer of frame t, s_t the filtered one and d_t th
     s_t = s_{t-1} + d_t + g_t (x_t - s_{t-1} - d_t),    0 <= g_t <= 1,
 
 with the scalar gain of Kalman's filter. c_t grows as markers are lost: a frame with few of them counts less. A
-simulated change may be off by a share k of itself, in frame after frame; d is its root mean square at the markers. The rate of
-motion r and the size W of the noise are unknown: filters for many rates run side by side, and each counts by how well
-it has predicted the last frames (R. G. Brown and P. Y. C. Hwang, Introduction to Random Signals and Applied Kalman
-Filtering, 1992, section 9.3). A rate too small shows in innovations that keep their sign, one too large in innovations
-that change it.
+simulated change may be off by a share k of itself, in frame after frame; d is its root mean square at the markers.
+The rate of motion r and the size W of the noise are unknown: filters for many rates run side by side, and each counts
+by how well it has predicted the last frames (R. G. Brown and P. Y. C. Hwang, Introduction to Random Signals and
+Applied Kalman Filtering, 1992, section 9.3). A rate too small shows in innovations that keep their sign, one too
+large in innovations that change it.
 
 On a body that is still, d_t = 0 and every filtered answer is a weighted mean of answers of single frames, with weights
 that are not negative and add up to one.
