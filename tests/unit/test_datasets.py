@@ -446,6 +446,20 @@ def test_a_file_that_was_altered_gets_no_new_card(made, spoilable):
     assert files(spoilable) == files(made[1])
 
 
+def test_pairs_are_those_of_the_file_and_none_without_one(made, tmp_path):
+    assert tr.open_dataset(made[1]).pairs is None
+    recipe = recipe_in(tmp_path, RECIPE.replace("members = 22", "members = 2").replace("members = 0", "members = 2"))
+    make_dataset(recipe, tmp_path / "data")
+    simulations, truths = tr.open_dataset(tmp_path / "data").pairs
+    with h5py.File(tmp_path / "data" / "pairs.h5") as file:
+        np.testing.assert_array_equal(simulations, file["simulation_mm"][:])
+        np.testing.assert_array_equal(truths, file["truth_mm"][:])
+    with h5py.File(tmp_path / "data" / "pairs.h5", "w"):
+        pass
+    with pytest.raises(FormatError, match=r"pairs\.h5 must hold the pairs of this data set"):
+        _ = tr.open_dataset(tmp_path / "data").pairs
+
+
 def test_spoilt_pairs_are_refused_before_the_card_vouches_for_them(tmp_path):
     recipe = recipe_in(tmp_path, RECIPE.replace("members = 22", "members = 2").replace("members = 0", "members = 2"))
     make_dataset(recipe, tmp_path / "data")

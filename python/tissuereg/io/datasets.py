@@ -21,7 +21,8 @@ from tissuereg._arrays import IntArray
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.io.chunks import Fields, check_chunk, read_parameters
 from tissuereg.io.data_mesh import MESH_NAME, read_data_mesh
-from tissuereg.io.hdf5 import OpenFile, checked, spoilt_is_said
+from tissuereg.io.hdf5 import OpenFile, array_of, checked, opened, spoilt_is_said
+from tissuereg.io.pairs import check_pairs
 from tissuereg.io.stores import Store, store_of
 from tissuereg.mesh import Mesh
 
@@ -130,6 +131,19 @@ class Dataset:
     def split(self) -> dict[str, IntArray]:
         """Rows of ``train``, ``valid`` and ``test``, ascending: 80, 10 and 10 % by the seed."""
         return {name: np.array(self.card["split"][name], dtype=np.int64) for name in ("train", "valid", "test")}
+
+    @property
+    def pairs(self) -> tuple[Fields, Fields] | None:
+        """Simulations and truths of the same events, each (n_pairs, n_nodes, 3) float32 in mm; None if it has none."""
+        entry = self.card.get("pairs")
+        if not entry:
+            return None
+        name, where, n_nodes = entry["file"], self._store.where(entry["file"]), self._chunks.n_nodes
+        with opened(self._store, name) as file:
+            check_pairs(file, where, self.card["recipe_sha256"])
+            simulations = array_of(file, where, "simulation_mm", "f", (None, n_nodes, 3))
+            truths = array_of(file, where, "truth_mm", "f", (len(simulations), n_nodes, 3))
+        return np.asarray(simulations, np.float32), np.asarray(truths, np.float32)
 
     def verify(self) -> None:
         """Compare the SHA-256 of every file with that in ``dataset.json``; everything is read.

@@ -1,13 +1,39 @@
-"""Pairs of simulation and truth from a folder of .npz files."""
+"""Pairs of simulation and truth: a data set's own, and those of a folder of .npz files."""
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.npz import open_npz
+
+#: Schema of the pairs of a data set.
+PAIRS_SCHEMA = "tissuereg.pairs/1"
+
+
+def check_pairs(file: Any, where: str, mark: str) -> None:
+    """Check that an open file holds the pairs of a data set.
+
+    Parameters
+    ----------
+    file : h5py.File
+        The open file.
+    where : str
+        Its name, for messages.
+    mark : str
+        SHA-256 of the data set's recipe.
+
+    Raises
+    ------
+    FormatError
+        If it holds something else.
+    """
+    if (file.attrs.get("schema"), file.attrs.get("recipe_sha256")) != (PAIRS_SCHEMA, mark):
+        message = f"{where} must hold the pairs of this data set ({PAIRS_SCHEMA}); it holds something else"
+        raise FormatError(message, where=where)
 
 
 def read_pairs(folder: str | os.PathLike[str], n_nodes: int) -> tuple[FloatArray, FloatArray]:

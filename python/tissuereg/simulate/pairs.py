@@ -8,8 +8,9 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg._version import __version__
-from tissuereg.errors import EnsembleError, FormatError
+from tissuereg.errors import EnsembleError
 from tissuereg.io.hdf5 import array_of, opened, packed
+from tissuereg.io.pairs import PAIRS_SCHEMA, check_pairs
 from tissuereg.io.stores import store_of
 from tissuereg.material import Material
 from tissuereg.simulate.chunks import SOLVE, SOLVE_ITERATIONS, ChunkMaker, ChunkTask, chunk_maker
@@ -17,7 +18,6 @@ from tissuereg.simulate.solve import Simulator
 from tissuereg.simulate.variation import random_inclusion
 
 PAIRS_NAME = "pairs.h5"
-PAIRS_SCHEMA = "tissuereg.pairs/1"
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,7 @@ def _check(task: ChunkTask, content: bytes) -> None:
     store = store_of(task.destination)
     where, n_nodes = store.where(PAIRS_NAME), chunk_maker(task).simulator.mesh.n_nodes
     with opened(store, PAIRS_NAME, content) as file:
-        if (file.attrs.get("schema"), file.attrs.get("recipe_sha256")) != (PAIRS_SCHEMA, task.mark):
-            message = f"{where} must hold the pairs of this data set ({PAIRS_SCHEMA}); it holds something else"
-            raise FormatError(message, where=where)
+        check_pairs(file, where, task.mark)
         n_pairs = len(array_of(file, where, "simulation_mm", "f", (None, n_nodes, 3)))
         array_of(file, where, "truth_mm", "f", (n_pairs, n_nodes, 3))
 
