@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import beta
+from scipy.stats import chi2, f, norm
+from scipy.stats import t as student
 
 import tissuereg as tr
 from tissuereg._machine import machine, versions
@@ -33,6 +35,7 @@ from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.simulate.chunks import ChunkMaker
 from tissuereg.simulate.pairs import simulated_pairs
 from tissuereg.simulate.recipe import read_recipe
+from tissuereg.spread_law import COMMON, squared_radius
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "results" / "spread.json"
@@ -75,6 +78,7 @@ class Answer:
     inverted: int | None = None
     reasons: tuple[str, ...] = ()
     flagged: float = 0.0
+    tail: float | None = None
 
     @property
     def doubts(self) -> bool:
@@ -131,6 +135,7 @@ def registered(mesh: tr.Mesh, model: Any, *, simulated: bool = True, decode_all:
             result.inverted_tets,
             tuple(result.trust.reasons),
             float(np.mean([target.flag is not None for target in found])),
+            found[0].tail,
         )
 
     return method
@@ -175,12 +180,12 @@ def measures(events: list[Event], answers: list[Answer], rng: np.random.Generato
     tiny = 1e-12 * np.eye(3)
     squares = np.einsum("eti,etij,etj->et", off, np.linalg.inv(spread + tiny), off)
     std = np.sqrt(np.maximum(np.einsum("etii->eti", spread), 1e-24))
-    z = off / std
-    crps = std * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / np.sqrt(np.pi))
+    tail = answers[0].tail
+    ranks, crps = law_of_coordinates(off, std, tail)
     radii = np.sqrt(chi2.ppf(0.9, 3)) * np.maximum(np.linalg.det(spread), 0.0) ** (1 / 6)
     coverage = {}
     for level in LEVELS:
-        inside = (squares <= chi2.ppf(level, 3)).mean(axis=1)
+        inside = (squares <= squared_radius(level, tail)).mean(axis=1)
         again = inside[rng.integers(0, len(inside), (2000, len(inside)))].mean(axis=1)
         coverage[f"{level:.2f}"] = [inside.mean(), *np.quantile(again, (0.025, 0.975))]
     worse = after.mean(axis=1) > before.mean(axis=1)
@@ -188,7 +193,7 @@ def measures(events: list[Event], answers: list[Answer], rng: np.random.Generato
         "events": len(events),
         "coverage": coverage,
         "crps_mm": crps.mean(),
-        "ranks": np.histogram(norm.cdf(z), np.linspace(0, 1, 21))[0].tolist(),
+        "ranks": np.histogram(ranks, np.linspace(0, 1, 21))[0].tolist(),
         "radius90_mm": {"mean": radii.mean(), "median": np.median(radii)},
         "before_mm": {"mean": before.mean(), "median": np.median(before)},
         "after_mm": {"mean": after.mean(), "median": np.median(after), "95": np.quantile(after, 0.95)},
@@ -210,6 +215,21 @@ def measures(events: list[Event], answers: list[Answer], rng: np.random.Generato
             "inverted_bodies": int(sum((answer.inverted or 0) > 0 for answer in answers)),
         }
     return _rounded(found)
+
+
+def law_of_coordinates(off: np.ndarray, std: np.ndarray, tail: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return ranks and CRPS of errors in each coordinate, by a Gaussian or by the t law with the same 90 % region.
+
+    The CRPS of a t law: A. Jordan, F. Krueger and S. Lerch, Journal of Statistical Software 90 (12), 2019.
+    """
+    if tail is None:
+        z = off / std
+        return norm.cdf(z), std * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / np.sqrt(np.pi))
+    scale = std * np.sqrt(chi2.ppf(COMMON, 3) / (3.0 * f.ppf(COMMON, 3, tail)))
+    z = off / scale
+    ranks = student.cdf(z, tail)
+    last = 2.0 * np.sqrt(tail) / (tail - 1.0) * beta(0.5, tail - 0.5) / beta(0.5, 0.5 * tail) ** 2
+    return ranks, scale * (z * (2 * ranks - 1) + 2 * student.pdf(z, tail) * (tail + z**2) / (tail - 1.0) - last)
 
 
 def worse_on_average(
@@ -266,12 +286,13 @@ def other_organ(seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def alarms(mesh: tr.Mesh, model: Any, events: list[Event], seed: int) -> dict[str, Any]:
-    """Return how often the answer warns, or is refused, where it should."""
+def alarms(mesh: tr.Mesh, model: Any, events: list[Event], simulated: list[Event], seed: int) -> dict[str, Any]:
+    """Return how often the answer warns, or is refused, where it should; `simulated` are events with a simulation."""
 
-    def fired(reference: np.ndarray, measured: np.ndarray) -> bool:
+    def fired(reference: np.ndarray, measured: np.ndarray, simulation: np.ndarray | None = None) -> bool:
+        markers = tr.Markers(reference, measured, std=STD)
         try:
-            return not tr.register(mesh, tr.Markers(reference, measured, std=STD), model=model, threads=1).trust.ok
+            return not tr.register(mesh, markers, model=model, simulation=simulation, threads=1).trust.ok
         except tr.MarkerError:
             return True
 
@@ -287,10 +308,15 @@ def alarms(mesh: tr.Mesh, model: Any, events: list[Event], seed: int) -> dict[st
         "two markers swapped": swapped,
         "centimetres given as millimetres": [(one.reference / 10.0, one.measured / 10.0) for one in events],
         "measured places in centimetres": [(one.reference, one.measured / 10.0) for one in events],
+        "the simulation reversed": [(one.reference, one.measured, -one.simulation) for one in simulated],
+        "the simulation of another event": [
+            (one.reference, one.measured, other.simulation)
+            for one, other in zip(simulated, simulated[1:] + simulated[:1], strict=True)
+        ],
     }
     found = {}
     for name, some in cases.items():
-        hits = [fired(*markers) for markers in some]
+        hits = [fired(*given) for given in some]
         found[name] = {"cases": len(hits), "fired": int(sum(hits))}
         print(name, found[name], flush=True)
     return found
@@ -339,8 +365,8 @@ def measure(
     """Measure everything; `part` is ``test``, or ``valid`` while a method is being made."""
     data = tr.open_dataset(data_folder)
     mesh, split = data.mesh, data.split
-    model, plain = (NetworkModel(model_folder, mesh, threads=1) for _ in range(2))
-    plain.calibration = None
+    model = NetworkModel(model_folder, mesh, threads=1, calibrated=part == "test")
+    plain = NetworkModel(model_folder, mesh, threads=1, calibrated=False)
     unseen = data.displacement[split["valid"]]
     development, asked = (read_foreign(foreign, each) for each in FOREIGN_PARTS)
     how = RehearsalSettings()
@@ -396,9 +422,11 @@ def measure(
         "part": part,
         "n_development_pairs": len(development[0]),
         "sets": sets,
-        "alarms": alarms(mesh, model, known[:n_alarms], 5),
+        "alarms": alarms(mesh, model, known[:n_alarms], strange[:n_alarms], 5 if part == "test" else 15),
         "widening": {"alone": model.calibration.alone.widening}
         | ({} if model.calibration.anchored is None else {"simulated": model.calibration.anchored.widening}),
+        "tail": {"alone": model.calibration.alone.tail}
+        | ({} if model.calibration.anchored is None else {"simulated": model.calibration.anchored.tail}),
         "machine": machine(),
         "versions": versions(),
     }

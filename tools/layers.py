@@ -30,7 +30,8 @@ LAYERS: tuple[tuple[str, str], ...] = (
     ("physical effects, values kept with a mesh", "_per_mesh effects"),
     (
         "plain data",
-        "experiment load markers material material_experiment material_tests mesh surface triangles trust "
+        "experiment load markers material material_experiment material_tests mesh spread_law surface triangles "
+        "trust "
         "wrong_markers",
     ),
     ("checks of arguments, compiled core", "_arguments _arrays _choice _clock _core _laws _locking _machine _version"),

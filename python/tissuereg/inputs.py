@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from tissuereg.mesh import Mesh
 from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.readings import suspect
 from tissuereg.readings.clouds import suspect_points
+from tissuereg.readings.scatter import scattered
+from tissuereg.readings.skin import skin_of
 from tissuereg.surface import SurfacePoints
 
 #: How the latents of a trained model are found.
@@ -167,6 +170,13 @@ class Attachment:
             return ()
         found = suspect(self.mesh, markers, self.observed)
         return tuple(one.sentence for one in found if self.held == "sure" or one.kind != "held")
+
+    @cached_property
+    def astray(self) -> tuple[str, ...]:
+        """Reason why the reference places may be those of another body, if there is one; found once."""
+        near = skin_of(self.mesh).closest(self.places.reference)
+        distance = np.copysign(self.observed.distance, near.distance)
+        return tuple(one.sentence for one in scattered(distance, self.mesh.extent))
 
     def holds(self, markers: Markers) -> bool:
         """Whether markers have the reference places and names of these, so that the attachment is theirs as well."""

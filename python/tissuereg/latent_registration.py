@@ -25,7 +25,7 @@ from tissuereg.mesh import Mesh
 from tissuereg.mixture_posterior import CalibratedPosterior
 from tissuereg.posterior import Posterior
 from tissuereg.result import NO_MARKER, MarkerFit, Registration, Target
-from tissuereg.trust import LEVEL, Trust, judge, judge_by_rehearsal
+from tissuereg.trust import Trust, judge, judge_by_rehearsal
 from tissuereg.widen import stated
 from tissuereg.wrong_markers import drop_wrong, score_markers
 
@@ -34,6 +34,9 @@ _DIFFERENCE = 1e-2
 
 #: The search ends at a step of so many standard deviations, less than any region shows.
 _TOLERANCE = 1e-2
+
+#: Standard deviations of the tracker's noise beyond which a sign is sure: chance of 1e-5.
+_SURELY = 4.3
 
 #: Draws from which predictions about the prior's mean are found where the ensemble is no search or has fewer than twice
 #: as many members as there are latents.
@@ -223,6 +226,8 @@ def _result(
     notes = list(given.suspicions)
     for i, chance in wrong.items():
         notes.append(f"wrong marker: {markers.names[i]} does not fit the others (p = {chance:.1g}) and was left out")
+    if simulation is not None:
+        notes += _against(markers.displacement[seen], start[seen], markers.axis_std[seen])
     names = tuple(markers.names[i] for i in seen)
     if isinstance(posterior, CalibratedPosterior):
         trust = _calibrated_trust(names, residual, posterior, float(ratios.min()), notes)
@@ -230,8 +235,9 @@ def _result(
         trust = _trust(names, residual, seen, fit, posterior, float(ratios.min()), notes)
     target_start = inner.predict(before[inner.nodes])
     gains: list[tuple[float | None, bool]] = [(None, False)] * len(inner.names)
+    tail = None
     if isinstance(posterior, CalibratedPosterior):
-        gains = list(posterior.gains(target_start))
+        gains, tail = list(posterior.gains(target_start)), posterior.tail
     unseen = np.setdiff1d(np.arange(len(markers)), seen)
     return Registration(
         mesh=mesh,
@@ -245,6 +251,7 @@ def _result(
                 None if simulation is None else inner.reference[i] + target_start[i],
                 gains[i][0],
                 NO_MARKER if gains[i][1] else None,
+                tail,
             )
             for i, name in enumerate(inner.names)
         },
@@ -313,19 +320,34 @@ def _calibrated_trust(
     notes: list[str],
 ) -> Trust:
     """Judge by comparison with honest events that the model never saw."""
-    if posterior.rehearsal.is_unrelated(posterior.unrelated, LEVEL / 3):
-        notes.append("simulation: another event than the simulated one explains the markers better")
+    signs = posterior.signs()
     return judge_by_rehearsal(
         names,
         residual,
         posterior.noise,
-        posterior.marker_noiseless,
-        posterior.rehearsal,
-        posterior.found.p_value,
-        posterior.at.whole.distance(posterior.found.mean_latents),
+        posterior.rehearsal.honest,
+        signs.row,
+        signs.marker_rows,
+        signs.marker_misfits,
         min_det_f,
         notes,
     )
+
+
+def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[str]:
+    """Return the reason that markers moved against their simulation, if they surely did.
+
+    The factor of the simulation that fits the displacements (n_used, 3) best is below zero beyond what the tracker's
+    noise (n_used, 3) explains; in honest events loads and stiffness are off by a factor, never by its sign.
+    """
+    weighted = simulated / std**2
+    square = float((weighted * simulated).sum())
+    if square <= 0.0:
+        return []
+    factor = float((weighted * moved).sum()) / square
+    if factor + _SURELY / np.sqrt(square) >= 0.0:
+        return []
+    return [f"simulation: the markers moved against it, {factor:.2f} times as far as simulated"]
 
 
 def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:

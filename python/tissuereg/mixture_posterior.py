@@ -17,6 +17,7 @@ from tissuereg.latent.model import rms_displacement
 from tissuereg.latent.network import AnchoredModel
 from tissuereg.latent.points import PointsAround
 from tissuereg.latent.relinearise import conditioned, spread_of
+from tissuereg.latent.signs import Signs, signs_of
 from tissuereg.latent.untangle import untangled
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
@@ -210,11 +211,6 @@ class CalibratedPosterior:
         return np.zeros((self._n_markers, 3, 3))
 
     @property
-    def marker_noiseless(self) -> FloatArray:
-        """Posterior covariance of the used markers as the mixture has it."""
-        return self._covariance[: len(self.observed), : len(self.observed)]
-
-    @property
     def target_mean(self) -> FloatArray:
         """Displacement (n_targets, 3) of every target."""
         return self.found.mean[3 * self._n_markers :].reshape(-1, 3)
@@ -246,20 +242,23 @@ class CalibratedPosterior:
         return [(float(a / max(a + b, 1e-300)), bool(a < b and b > noise)) for a, b in zip(removed, left, strict=True)]
 
     @property
-    def p_value(self) -> float:
-        """Share of honest events whose markers look at least as improbable."""
-        return self.rehearsal.p_value(self.found.p_value)
+    def tail(self) -> float | None:
+        """Degrees of freedom of the law of the targets about their means; None for a Gaussian."""
+        return self.rehearsal.tail
+
+    def signs(self) -> Signs:
+        """Return what is compared with honest events."""
+        n_own = 1 if self._anchored else len(self.prior)
+        return signs_of(self.at.whole, self.prior, n_own, self.linear, self.found, self.noise)
 
     @property
-    def unrelated(self) -> float:
-        """Chance that the simulation is not of this event; 0 without one."""
-        if len(self.prior) == len(self.at.whole.kinds.weights):
-            return 0.0
-        return float(self.found.weights[self.found.component > 0].sum())
+    def _anchored(self) -> int:
+        """Number of components that are those of the simulated event: one or none."""
+        return len(self.prior) - len(self.at.whole.kinds.weights)
 
     def _errors(self, number: int) -> tuple[RowErrors, FloatArray]:
         """Return the errors of a component, and the covariance of their coefficients at scale one."""
-        anchored = len(self.prior) - len(self.at.whole.kinds.weights)
+        anchored = self._anchored
         change = self.at.change_errors
         if anchored and number == 0 and change is not None:
             square = max(self.size, LEAST_SIZE_MM) ** 2

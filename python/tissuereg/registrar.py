@@ -259,6 +259,8 @@ class Registrar:
             if field is None and self._load is not None:
                 with clock.stage("simulate"):
                     field = self._simulator.solve(self._load, self._material, threads=given.threads).displacement
+            if not given.suspicions and self._attached.astray:
+                given = replace(given, suspicions=self._attached.astray)
             result = register_by_model(given, self._points, field, clock)
             if not examined and not result.trust.ok:
                 with clock.stage("judge"):

@@ -16,6 +16,7 @@ from tissuereg.contacts.surface_fit import SurfaceFit
 from tissuereg.errors import MarkerError, ModelError
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
+from tissuereg.spread_law import squared_radius
 from tissuereg.trust import Trust
 
 #: Flag of a target of which the markers say too little.
@@ -24,7 +25,7 @@ NO_MARKER = "no marker tells"
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The ellipsoid that contains a given share of a Gaussian.
+    """The ellipsoid that contains a point with a given probability.
 
     Attributes
     ----------
@@ -60,7 +61,8 @@ class Target:
     mean : ndarray of float64, shape (3,)
         Registered place, mm.
     covariance : ndarray of float64, shape (3, 3)
-        mm^2: posterior ensemble and the model's own error.
+        mm^2: posterior ensemble and the model's own error. Where there is a `tail`, that of the Gaussian that has the
+        same 90 % region.
     simulation : ndarray of float64, shape (3,), or None
         Place by the simulation alone, mm.
     constrained : float or None
@@ -69,6 +71,8 @@ class Target:
         one.
     flag : str or None
         ``"no marker tells"`` if that share is too small to rely on the region, or on the answer being the better one.
+    tail : float or None
+        Degrees of freedom of the t law of the true place about the mean, of a calibrated model; None for a Gaussian.
     """
 
     reference: FloatArray
@@ -77,9 +81,10 @@ class Target:
     simulation: FloatArray | None
     constrained: float | None = None
     flag: str | None = None
+    tail: float | None = None
 
     def region(self, share: float = 0.90) -> Region:
-        """Return the ellipsoid that contains `share` of the Gaussian with this mean and covariance.
+        """Return the ellipsoid that contains the true place with probability `share`.
 
         Parameters
         ----------
@@ -91,13 +96,11 @@ class Target:
         Region
             Half-axes largest last.
         """
-        from scipy.stats import chi2
-
         if not 0.0 < real("share", share, error=MarkerError) < 1.0:
             message = f"`share` must lie in (0, 1), got {share}"
             raise MarkerError(message, where="share")
         values, vectors = np.linalg.eigh(self.covariance)
-        radii = np.sqrt(np.maximum(values, 0.0) * chi2.ppf(share, 3))
+        radii = np.sqrt(np.maximum(values, 0.0) * squared_radius(share, self.tail))
         return Region(self.mean, vectors.T, radii, share)
 
 
@@ -378,4 +381,5 @@ def _target_json(target: Target) -> dict[str, Any]:
         "simulation_mm": None if target.simulation is None else target.simulation.tolist(),
         "constrained": target.constrained,
         "flag": target.flag,
+        "tail_degrees_of_freedom": target.tail,
     }

@@ -30,10 +30,11 @@ class Trust:
     ok : bool
         True if there is no reason against it.
     p_value : float
-        Probability of a misfit at least this large if prior and noise are as stated.
+        Probability of a misfit at least this large if prior and noise are as stated; with a calibrated model the share
+        of honest events that look at least as bad.
     reasons : list of str
         Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
-        marker``, ``inverted tets``, ``simulation``, or a kind of `tissuereg.readings.Suspicion`.
+        marker``, ``inverted tets``, ``simulation``, ``unfamiliar``, or a kind of `tissuereg.readings.Suspicion`.
     chi_square : float
         J above.
     residual_chi_square : float
@@ -114,19 +115,15 @@ def judge(
     return Trust(not reasons, p_value, total, data_misfit, n_obs, reasons)
 
 
-class Honest(Protocol):
-    """What honest events look like; see `tissuereg.latent.calibration.Rehearsal`."""
+class Compared(Protocol):
+    """Honest events; see `tissuereg.latent.honest.Honest`."""
 
-    def p_value(self, raw: float) -> float:
-        """Return the share of honest events that look at least as improbable."""
+    def p_value(self, signs: FloatArray) -> float:
+        """Return the share of honest events whose rarest sign is as rare as that of signs (4,)."""
         ...
 
-    def marker_p_value(self, chance: float) -> float:
-        """Return the share of them of which a marker is as improbable given the others, times their number."""
-        ...
-
-    def is_far(self, distance: float, level: float) -> bool:
-        """Whether fewer than a share `level` of them lie so far from the training set."""
+    def shares(self, signs: FloatArray) -> FloatArray:
+        """Return for each of signs (4,) the share of honest events that look as bad."""
         ...
 
 
@@ -134,33 +131,31 @@ def judge_by_rehearsal(
     names: tuple[str, ...],
     residual: FloatArray,
     noise: FloatArray,
-    absorbed: FloatArray,
-    honest: Honest,
-    raw_p_value: float,
-    distance: float,
+    honest: Compared,
+    signs: FloatArray,
+    marker_signs: FloatArray,
+    marker_misfits: FloatArray,
     min_det_f: float,
     notes: list[str],
 ) -> Trust:
     """Return whether a registration with a calibrated model can be trusted, and why not.
 
-    Its three tests share the level of one percent, so that an honest event raises an alarm at that rate at most.
+    Its signs are judged together: an honest event raises an alarm by any of them at a rate of one percent.
 
     Parameters
     ----------
     names : tuple of str
         Markers that were used.
     residual : ndarray of float64, shape (n_markers, 3)
-        Measured minus fitted, mm; NaN = not seen, ignored.
+        Measured minus fitted, mm.
     noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
         Covariance of the tracker's noise, mm^2.
-    absorbed : ndarray of float64, shape (3 n_markers, 3 n_markers)
-        Posterior covariance of the markers' predictions, mm^2.
-    honest : Honest
+    honest : Compared
         Honest events.
-    raw_p_value : float
-        Chance of the innovation by the mixture.
-    distance : float
-        Distance of the fitted code from the training set.
+    signs : ndarray of float64, shape (4,)
+        Misfit, wrong marker, unfamiliar, simulation; see `tissuereg.latent.honest.SIGNS`.
+    marker_signs, marker_misfits : ndarray of float64, shape (n_markers,)
+        The second sign of each marker, and its squared misfit to the others in its own standard deviations.
     min_det_f : float
         Smallest volume ratio of the registered body.
     notes : list of str
@@ -169,31 +164,39 @@ def judge_by_rehearsal(
     Returns
     -------
     Trust
-        With one reason per failed test.
+        With a reason for each sign that is rare enough to be one, and at least for the rarest.
     """
     flat = residual.ravel()
-    seen = np.flatnonzero(np.isfinite(flat))
-    data = float(flat[seen] @ np.linalg.solve(noise[np.ix_(seen, seen)], flat[seen]))
-    p_value, reasons = honest.p_value(raw_p_value), list(notes)
-    if p_value < LEVEL / 3:
-        reasons.append(
-            f"misfit: fewer than one in {_in_words(p_value)} honest events fit the model so badly (p = {p_value:.2g}); "
-            "the noise is larger than stated, or the body does what the model has never seen"
-        )
-    if honest.is_far(distance, LEVEL / 3):
-        reasons.append(f"unfamiliar: the shape lies {distance:.1f} standard deviations from all that the model knows")
+    data = float(flat @ np.linalg.solve(noise, flat))
+    p_value, reasons = honest.p_value(signs), list(notes)
+    if p_value < LEVEL:
+        shares = honest.shares(signs)
+        limit = max(LEVEL / len(shares), float(shares.min()))
+        misfit, marker, unfamiliar, simulation = (bool(share <= limit) for share in shares)
+        if misfit:
+            reasons.append(
+                f"misfit: fewer than one in {_in_words(shares[0])} honest events fit the model so badly "
+                f"(p = {shares[0]:.2g}); the noise is larger than stated, or the body does what the model never saw"
+            )
+        if marker:
+            for index, sign in enumerate(marker_signs):
+                if honest.shares(np.array([signs[0], sign, *signs[2:]]))[1] > limit:
+                    continue
+                off = np.sqrt(marker_misfits[index])
+                reasons.append(
+                    f"wrong marker: {names[index]} does not fit the others, {off:.1f} standard deviations off"
+                )
+        if unfamiliar:
+            reasons.append(
+                f"unfamiliar: the shape lies {signs[2]:.1f} standard deviations from all that the model knows"
+            )
+        if simulation:
+            reasons.append("simulation: another event than the simulated one explains the markers better")
     if len(names) == 1:
         reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
-    scores = score_markers(residual, noise, absorbed)
-    n_markers = int((scores.n_obs > 0).sum())
-    for index in np.flatnonzero(scores.n_obs > 0):
-        if honest.marker_p_value(n_markers * float(scores.p_value[index])) >= LEVEL / 3:
-            continue
-        off = np.sqrt(scores.chi_square[index])
-        reasons.append(f"wrong marker: {names[index]} does not fit the others, {off:.1f} standard deviations off")
     if min_det_f <= 0:
         reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
-    return Trust(not reasons, p_value, data, data, len(seen), reasons)
+    return Trust(not reasons, p_value, data, data, len(flat), reasons)
 
 
 def _in_words(p_value: float) -> str:

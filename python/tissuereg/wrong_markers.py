@@ -63,11 +63,6 @@ def score_markers(residual: FloatArray, noise: FloatArray, absorbed: FloatArray)
     )
 
 
-def worst_chance(scores: _core.GroupScores) -> float:
-    """Return the p-value of the marker that fits the others worst, times the number of markers seen (Bonferroni)."""
-    return float(np.min(scores.p_value, initial=1.0) * max(1, int((scores.n_obs > 0).sum())))
-
-
 def drop_wrong(
     fit: Callable[[IntArray], tuple[_Fit, _core.GroupScores]],
     n_markers: int,

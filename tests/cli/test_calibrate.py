@@ -18,7 +18,8 @@ members = 40
 chunk = 40
 largest_mm = [2.0, 8.0]
 [pairs]
-members = 0
+members = 2
+element = "tet4"
 """
 
 
@@ -40,7 +41,7 @@ def test_a_model_is_calibrated_and_registers_with_it(folders, capsys):
     code = main([*words, "--json", "-"])
     found = json.loads(capsys.readouterr().out)
     assert code == 0, found
-    assert (code, found["schema"], found["pairs"]) == (0, "tissuereg.calibrate/1", 12)
+    assert (code, found["schema"], found["pairs"]) == (0, "tissuereg.calibrate/1", 14)
     data = tr.open_dataset(folders / "data")
     field, surface = data.displacement[5].astype(float), np.unique(data.mesh.surface)[::60]
     reference = data.mesh.nodes[surface]
@@ -54,6 +55,12 @@ def test_a_model_is_calibrated_and_registers_with_it(folders, capsys):
         assert np.isfinite(result.std).all()
         # Exact markers: better than the body at rest.
         assert result.markers.after_rms_mm < 0.5 * result.markers.before_rms_mm
+
+
+def test_pairs_of_the_data_set_are_used_without_a_further_folder(folders, capsys):
+    words = ["calibrate", str(folders / "model"), "--data", str(folders / "data"), "--json", "-"]
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["pairs"] == 2
 
 
 def test_a_folder_without_pairs_is_refused(folders, capsys, tmp_path):

@@ -9,9 +9,10 @@ import tissuereg as tr
 from support.meshes import block
 from tissuereg.latent.calibrate import _mixing
 from tissuereg.latent.calibration import Calibration, FieldErrors, Rehearsal
+from tissuereg.latent.honest import Honest
 from tissuereg.latent.kinds import Kinds, probabilities
 from tissuereg.latent.pca import PcaModel
-from tissuereg.trust import judge_by_rehearsal
+from tissuereg.latent_registration import _against
 
 
 def smooth_fields(mesh, n_fields, seed):
@@ -76,9 +77,44 @@ def test_probabilities_of_scales_are_those_that_the_events_have_under_them():
     np.testing.assert_allclose(weights, counts / counts.sum(), atol=1e-4)
 
 
-@pytest.mark.parametrize(("distance", "far"), [(990.0, False), (999.0, True)])
-def test_a_shape_is_unfamiliar_beyond_a_third_of_a_percent_of_the_honest_ones(distance, far):
-    honest = Rehearsal(np.ones(1), np.ones(1), distances=np.arange(1.0, 1001.0))
-    residual, noise = np.zeros((2, 3)), np.eye(6)
-    trust = judge_by_rehearsal(("a", "b"), residual, noise, 0.2 * noise, honest, 0.5, distance, 0.9, [])
-    assert any(reason.startswith("unfamiliar") for reason in trust.reasons) is far
+def test_regions_are_those_of_the_law_that_the_rehearsals_gave(mesh, calibration):
+    heavy = replace(calibration, alone=replace(calibration.alone, tail=3.0))
+    one, other = (registered(mesh, each)[0].target("t") for each in (calibration, heavy))
+    np.testing.assert_array_equal(other.region(0.9).radii, one.region(0.9).radii)
+    assert (other.region(0.5).radii < one.region(0.5).radii).all()
+    assert (other.region(0.99).radii > one.region(0.99).radii).all()
+
+
+def test_a_shape_that_no_honest_event_has_is_unfamiliar(mesh, calibration):
+    signs = np.column_stack([np.random.default_rng(4).exponential(size=(300, 2)), np.zeros((300, 2))])
+    for most, trusted in ((1e6, True), (1e-3, False)):
+        signs[:, 2] = np.linspace(0.0, most, 300)
+        known = replace(calibration, alone=replace(calibration.alone, honest=Honest.none().beside(signs)))
+        reasons = registered(mesh, known)[0].trust.reasons
+        assert any(reason.startswith("unfamiliar") for reason in reasons) is not trusted
+
+
+@pytest.mark.parametrize(("factor", "against"), [(1.0, False), (0.05, False), (-0.05, True), (-1.0, True)])
+def test_markers_that_move_against_their_simulation_are_a_reason(factor, against):
+    rng = np.random.default_rng(5)
+    simulated, std = rng.standard_normal((15, 3)), np.full((15, 3), 0.01)
+    moved = factor * simulated + std * rng.standard_normal((15, 3))
+    assert bool(_against(moved, simulated, std)) is against
+    # Noise alone decides nothing, nor does a simulation in which nothing moves.
+    assert not _against(std * rng.standard_normal((15, 3)), 0.01 * simulated, std)
+    assert not _against(moved, np.zeros((15, 3)), std)
+
+
+def test_markers_of_another_body_are_a_reason(mesh, calibration):
+    model = PcaModel(
+        np.zeros((mesh.n_nodes, 3)), smooth_fields(mesh, 4, 2), np.empty((0, mesh.n_nodes, 3)), np.empty(0), {}
+    )
+    model.calibration = calibration
+    rng = np.random.default_rng(6)
+    free = np.setdiff1d(np.unique(mesh.surface), mesh.fixed_nodes)[::2][:24]
+    for off, trusted in ((0.0, True), (0.07 * mesh.extent, False)):
+        places = mesh.nodes[free] + off * rng.uniform(-1.0, 1.0, (24, 3))
+        registrar = tr.Registrar(mesh, places, model, std=0.05)
+        reasons = registrar.register(places + 0.05 * rng.standard_normal((24, 3))).trust.reasons
+        kinds = [reason.split(":")[0] for reason in reasons]
+        assert ("places" in kinds) is not trusted, reasons

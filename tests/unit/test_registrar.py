@@ -228,3 +228,21 @@ def test_what_does_not_fit_is_refused_by_name(event):
     other = tr.Markers(event.markers.reference + 0.1, event.markers.measured)
     with pytest.raises(MarkerError, match="other names or places"):
         registrar.register(other)
+
+
+def test_a_simulation_that_is_reversed_or_of_another_event_is_a_reason_and_the_right_one_is_none(event, simulation):
+    registrar = tr.Registrar(event.mesh, event.markers, "phantom", TARGETS, settings=settings())
+    # Another event: the same motion, elsewhere on the body.
+    turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    elsewhere = event.mesh.nodes @ turned.T
+    nearest = [int(np.argmin(((event.mesh.nodes - place) ** 2).sum(axis=1))) for place in elsewhere]
+    other = simulation[nearest] @ turned
+    said = {
+        name: [
+            reason for reason in registrar.register(event.markers.measured, field).trust.reasons if "simul" in reason
+        ]
+        for name, field in (("right", simulation), ("reversed", -simulation), ("other", other))
+    }
+    assert said["right"] == []
+    assert any(reason.startswith("simulation: the markers moved against it") for reason in said["reversed"])
+    assert "simulation: another event than the simulated one explains the markers better" in said["other"]

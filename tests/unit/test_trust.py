@@ -96,35 +96,37 @@ def test_one_marker_alone_is_not_trusted_unless_points_are_there():
 
 
 class Events:
-    """Honest events of which one in a hundred has a chance of at most 0.2, a marker's of 0.1, or a distance above 6."""
+    """Honest events of which a share of exp(-sign) looks as bad, and of all signs together four times the least."""
 
-    def p_value(self, raw):
-        return raw / 20.0
+    def shares(self, signs):
+        return np.exp(-np.asarray(signs))
 
-    def marker_p_value(self, chance):
-        return chance / 10.0
-
-    def is_far(self, distance, level):
-        return distance > 6.0
+    def p_value(self, signs):
+        return float(4.0 * self.shares(signs).min())
 
 
-def compared(residual=None, raw=0.5, distance=3.0, min_det_f=0.8, notes=()):
-    residual = np.zeros((8, 3)) if residual is None else residual
+def compared(misfit=0.5, markers=None, distance=1.0, unrelated=0.0, min_det_f=0.8, notes=()):
+    """Return the verdict on signs, given as shares of honest events that look as bad."""
+    markers = np.ones(8) if markers is None else markers
+    signs = -np.log([misfit, markers.min(), distance, np.exp(-unrelated)])
     noise = 0.01 * np.eye(24)
-    return judge_by_rehearsal(NAMES, residual, noise, 0.2 * noise, Events(), raw, distance, min_det_f, list(notes))
+    return judge_by_rehearsal(
+        NAMES, np.zeros((8, 3)), noise, Events(), signs, -np.log(markers), np.full(8, 9.0), min_det_f, list(notes)
+    )
 
 
 def test_what_honest_events_show_as_well_is_trusted():
-    trust = compared(raw=0.1)
+    trust = compared(misfit=0.003)
     assert trust.ok
-    assert trust.p_value == pytest.approx(0.005)
+    assert trust.p_value == pytest.approx(0.012)
 
 
 @pytest.mark.parametrize(
     ("given", "kind"),
     [
-        ({"raw": 0.05}, "misfit"),
-        ({"distance": 7.0}, "unfamiliar"),
+        ({"misfit": 0.002}, "misfit"),
+        ({"distance": 0.002}, "unfamiliar"),
+        ({"unrelated": 7.0}, "simulation"),
         ({"min_det_f": -0.1}, "inverted tets"),
         ({"notes": ["simulation: another"]}, "simulation"),
     ],
@@ -133,11 +135,11 @@ def test_what_honest_events_do_not_show_is_a_reason(given, kind):
     assert [reason.split(":")[0] for reason in compared(**given).reasons] == [kind]
 
 
-def test_a_marker_is_wrong_only_if_honest_events_have_none_like_it():
-    residual = np.zeros((8, 3))
-    # Less than 0.01 / 3 of honest events: a chance below a thirtieth, shared out among eight markers.
-    for share, trusted in ((1.2, True), (0.8, False)):
-        residual[5, 0] = 0.1 * np.sqrt(0.8 * chi2.isf(share / 30.0 / 8, 3))
-        trust = compared(residual)
-        assert trust.ok == trusted
-        assert all(reason.startswith("wrong marker: P5 ") for reason in trust.reasons)
+def test_markers_that_are_rarer_than_in_honest_events_are_named():
+    for share, trusted in ((0.0026, True), (0.0024, False)):
+        markers = np.ones(8)
+        markers[[2, 5]] = share
+        trust = compared(markers=markers)
+        assert trust.ok is trusted
+        named = [reason.split()[2] for reason in trust.reasons if reason.startswith("wrong marker: ")]
+        assert named == ([] if trusted else ["P2", "P5"])

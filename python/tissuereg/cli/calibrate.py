@@ -10,8 +10,9 @@ from tissuereg.cli.options import add_common, command_parser
 _DETAILS = (
     "MODEL is a folder that 'tissuereg train' made, DATA the data set it was trained on. Codes of the training split "
     "give the kinds of events, the validation split the model's errors and how honest measurements look: its events "
-    "are registered from random markers. PAIRS holds files pairs_*.npz with simulation_mm and truth_mm "
-    "(n, n_nodes, 3): what is believed, and what happens. "
+    "are registered from random markers. Pairs of what is believed and what happens tell how far truths lie from "
+    "simulations: those of the data set, if its recipe asked for some, and those of PAIRS, a folder of files "
+    "pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). "
     "The folder gets calibration.npz; 'tissuereg register --model' uses it."
 )
 
@@ -30,7 +31,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("model", metavar="MODEL", help="folder of a trained model")
     parser.add_argument("--data", required=True, metavar="DATA", help="data set that it was trained on")
-    parser.add_argument("--pairs", metavar="PAIRS", help="folder of pairs of simulation and truth")
+    parser.add_argument("--pairs", metavar="PAIRS", help="folder of further pairs of simulation and truth")
     add_common(parser, seed="seed of kinds, places and noise (default: 0)")
     parser.set_defaults(run=run)
 
@@ -51,16 +52,17 @@ def run(args: argparse.Namespace) -> Outcome:
     import numpy as np
 
     from tissuereg.io.datasets import open_dataset
-    from tissuereg.io.pairs import read_pairs
+    from tissuereg.io.pairs import joined_pairs, read_pairs
     from tissuereg.latent.calibrate import RehearsalSettings, calibrate, codes_of
     from tissuereg.latent.calibration_file import write_calibration
     from tissuereg.latent.network import NetworkModel
 
     clock = Stopwatch()
     data = open_dataset(args.data)
-    model = NetworkModel(args.model, data.mesh, threads=1)
+    # Its calibration may be of an older version.
+    model = NetworkModel(args.model, data.mesh, threads=1, calibrated=False)
     unseen = np.asarray(data.displacement[data.split["valid"]], np.float64)
-    pairs = None if args.pairs is None else read_pairs(args.pairs, data.mesh.n_nodes)
+    pairs = joined_pairs(data.pairs, None if args.pairs is None else read_pairs(args.pairs, data.mesh.n_nodes))
     clock.lap("read")
     codes = codes_of(model, data.displacement, data.split["train"])
     clock.lap("encode")
@@ -77,6 +79,10 @@ def run(args: argparse.Namespace) -> Outcome:
         "widening": {
             "alone": made.alone.widening,
             "simulated": None if made.anchored is None else made.anchored.widening,
+        },
+        "tail_degrees_of_freedom": {
+            "alone": made.alone.tail,
+            "simulated": None if made.anchored is None else made.anchored.tail,
         },
         "seed": args.seed or 0,
         "seconds": clock.seconds,

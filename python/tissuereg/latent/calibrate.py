@@ -15,16 +15,17 @@ from tissuereg.latent.calibration import (
     Calibration,
     Change,
     FieldErrors,
-    PointCalibration,
     Rehearsal,
     RowsOf,
 )
+from tissuereg.latent.honest import Honest
 from tissuereg.latent.kinds import Kinds, probabilities
 from tissuereg.latent.mixture import Component, Linear, condition, log_evidence
 from tissuereg.latent.model import LatentModel, rms_displacement
 from tissuereg.latent.relinearise import conditioned, spread_of
+from tissuereg.latent.signs import signs_of
 from tissuereg.mesh import Mesh, free_surface
-from tissuereg.wrong_markers import score_markers, worst_chance
+from tissuereg.spread_law import squared_radius
 
 #: Scales of events of one kind: their standard deviations over those of the kind.
 _SCALES = np.array([0.2, 0.4, 0.7, 1.2, 2.0, 3.5])
@@ -35,8 +36,11 @@ _CHANGE_SCALES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 #: Patterns of errors kept, and of errors of changes.
 _PATTERNS, _CHANGE_PATTERNS = 80, 80
 
-#: Parts of the pairs, each rehearsed with what the others tell: a covariance of few pairs knows those pairs too well.
+#: Parts of the events, each rehearsed with what the others tell.
 _FOLDS = 5
+
+#: Least and most degrees of freedom of the law of targets; above the most it is a Gaussian.
+_TAILS = (1.5, 100.0)
 
 #: Errors by which those of a kind are mixed with those of all.
 _BORROWED = 20.0
@@ -68,6 +72,8 @@ class RehearsalSettings:
         Noise of the tracker, mm.
     n_events : int
         Events at most.
+    n_repeats : int
+        Registrations of each pair, from other places and with other noise: pairs are few.
     seed : int
         Of places and noise.
     """
@@ -76,6 +82,7 @@ class RehearsalSettings:
     n_targets: int = 20
     std: float = 0.1
     n_events: int = 1000
+    n_repeats: int = 3
     seed: int = 0
 
 
@@ -114,37 +121,34 @@ def calibrate(
         Cost: about six decodes of 2 n_latent + 1 columns at some nodes for every rehearsed event.
     """
     how = settings or RehearsalSettings()
+    rehearsal = _Rehearsal(model, mesh, how)
     kinds = Kinds.fit(codes, n_kinds, how.seed)
     coded = model.codes(unseen)
     missed = np.concatenate([unseen[i : i + _BATCH] - model.decode(coded[i : i + _BATCH].T) for i in _parts(unseen)])
-    errors = field_errors(missed, kinds.shares(coded), _PATTERNS)
+    shares = kinds.shares(coded)
     scales = Rehearsal(_SCALES, np.full(len(_SCALES), 1.0 / len(_SCALES)))
-    made = Calibration(kinds, errors, scales)
-    rehearsed = _Rehearsed(how, scales)
-    for truth in unseen[: how.n_events]:
-        rehearsed.add(model, mesh, made, None, truth)
-    made = replace(made, alone=rehearsed.outcome())
+    made = Calibration(kinds, field_errors(missed, shares, _PATTERNS), scales)
+    events = []
+    for own, others in _folds(len(unseen)):
+        without = replace(made, errors=field_errors(missed[others], shares[others], _PATTERNS))
+        events += [rehearsal.registered(without, None, unseen[row]) for row in own[own < how.n_events]]
+    alone = rehearsal.outcome(events, scales)
+    made = replace(made, alone=alone)
     if pairs is None or not len(pairs[0]):
         return made
-    differences = _Differences.of(model, *pairs, missed)
+    # Truths of another physics look worse without a simulation too.
+    again = range(how.n_repeats)
+    truths = (rehearsal.registered(made, None, truth) for truth in pairs[1] for _ in again)
+    signs = np.array([rehearsal.shown(event, alone.scale_weights)[0] for event in truths])
+    made = replace(made, alone=replace(alone, honest=alone.honest.beside(signs)))
+    differences = _Differences.of(model, *pairs, missed, rehearsal.rest_code)
     made = replace(made, change=differences.change(np.arange(len(pairs[0]))))
     scales = Rehearsal(_CHANGE_SCALES, np.full(len(_CHANGE_SCALES), 1.0 / len(_CHANGE_SCALES)))
-    rehearsed = _Rehearsed(how, scales)
-    for part in range(_FOLDS):
-        rows = np.arange(len(pairs[0]))
-        without = replace(made, anchored=scales, change=differences.change(rows[rows % _FOLDS != part]))
-        for row in rows[rows % _FOLDS == part]:
-            rehearsed.add(model, mesh, without, pairs[0][row], pairs[1][row])
-    anchored = rehearsed.outcome()
-    # Pairs are few; how far codes lie from the training set, and markers from the others, is seen without them too.
-    return replace(
-        made,
-        anchored=replace(
-            anchored,
-            marker_chances=np.sort(np.concatenate([anchored.marker_chances, made.alone.marker_chances])),
-            distances=np.sort(np.concatenate([anchored.distances, made.alone.distances])),
-        ),
-    )
+    events = []
+    for own, others in _folds(len(pairs[0])):
+        without = replace(made, anchored=scales, change=differences.change(others))
+        events += [rehearsal.registered(without, pairs[0][row], pairs[1][row]) for row in own for _ in again]
+    return replace(made, anchored=rehearsal.outcome(events, scales))
 
 
 def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
@@ -201,9 +205,10 @@ class _Differences:
     others: FloatArray
 
     @classmethod
-    def of(cls, model: Codes, simulations: FloatArray, truths: FloatArray, others: FloatArray) -> "_Differences":
+    def of(
+        cls, model: Codes, simulations: FloatArray, truths: FloatArray, others: FloatArray, rest_code: FloatArray
+    ) -> "_Differences":
         """Return the differences of pairs; `others` are errors of whole fields, in mm."""
-        rest_code = model.codes(np.zeros((1, *simulations.shape[1:])))[0]
         before, after = model.codes(simulations), model.codes(truths)
         sizes = np.maximum(rms_displacement(simulations), LEAST_SIZE_MM)
         off, along = after - before, before - rest_code
@@ -257,22 +262,35 @@ class _Places:
         return lambda fields: self.rows(fields[:, self.nodes])
 
 
-class _Rehearsed:
-    """Registrations of truths from random markers, with scales equally probable at first; see `Rehearsal`."""
+@dataclass(frozen=True, eq=False)
+class _Event:
+    """A registered truth: its prior, of which the first `n_own` components are the event's own, and the decoder there.
 
-    def __init__(self, how: RehearsalSettings, law: Rehearsal) -> None:
-        self._how, self._law = how, law
+    Rows of `observed` are those of the markers, of `rows` the true ones of markers and targets, mm.
+    """
+
+    made: Calibration
+    prior: list[Component]
+    n_own: int
+    linear: Linear
+    observed: FloatArray
+    rows: FloatArray
+
+
+class _Rehearsal:
+    """Registers truths from random markers, with scales equally probable at first; see `Rehearsal`."""
+
+    def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings) -> None:
+        self._model, self._mesh, self._how = model, mesh, how
         self._rng = np.random.default_rng([how.seed, 22])
         self._noise = how.std**2 * np.eye(3 * how.n_markers)
-        self._events: list[tuple[Calibration, list[Component], int, Linear, FloatArray, FloatArray]] = []
-        self._logs: list[FloatArray] = []
+        kept = getattr(model, "rest_code", None)
+        self.rest_code: FloatArray = model.codes(np.zeros((1, mesh.n_nodes, 3)))[0] if kept is None else kept
 
-    def add(
-        self, model: Codes, mesh: Mesh, made: Calibration, simulation: FloatArray | None, truth: FloatArray
-    ) -> None:
-        """Register one truth, and keep the evidence of every scale."""
-        how, n_obs = self._how, len(self._noise)
-        places = _Places.drawn(mesh, how, self._rng)
+    def registered(self, made: Calibration, simulation: FloatArray | None, truth: FloatArray) -> _Event:
+        """Register one truth."""
+        how, model, n_obs = self._how, self._model, len(self._noise)
+        places = _Places.drawn(self._mesh, how, self._rng)
         rows = places.rows(truth[None, places.nodes].astype(np.float64))[0]
         observed = rows[:n_obs] + how.std * self._rng.standard_normal(n_obs)
         at = made.at(places.rows_of())
@@ -281,7 +299,7 @@ class _Rehearsed:
         if simulation is not None:
             simulation = simulation.astype(np.float64)
             start, n_own = model.codes(simulation[None])[0], 1
-            prior = prior_about(model, at, simulation, start)
+            prior = at.prior_about(start, self.rest_code, float(rms_displacement(simulation[None])[0]))
             decoded = model.decode(start[:, None], places.nodes)
             anchor = places.rows(simulation[None, places.nodes] - decoded)[0]
 
@@ -289,43 +307,30 @@ class _Rehearsed:
             return places.rows(model.decode(latents, places.nodes)) + anchor
 
         _, linear = conditioned(decode, prior, observed, self._noise, start, spread_of(made.kinds), _PASSES)
-        self._events.append((made, prior, n_own, linear, observed, rows))
-        weights = np.array([one.weights.sum() for one in prior[:n_own]])
-        logs = log_evidence(prior[:n_own], linear, observed, self._noise) + np.log(weights)[:, None]
-        self._logs.append(np.logaddexp.reduce(logs, axis=0))
+        return _Event(made, prior, n_own, linear, observed, rows)
 
-    def outcome(self) -> Rehearsal:
+    def shown(self, event: _Event, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the signs of an event under probabilities of scales, and the misfits of its targets."""
+        own = [replace(one, weights=one.weights.sum() * scale_weights) for one in event.prior[: event.n_own]]
+        prior, n_obs = [*own, *event.prior[event.n_own :]], len(self._noise)
+        found = condition(prior, event.linear, event.observed, self._noise)
+        shown = signs_of(event.made, prior, event.n_own, event.linear, found, self._noise)
+        return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
+
+    def outcome(self, events: list[_Event], law: Rehearsal) -> Rehearsal:
         """Return the likeliest scales, and what registrations with these give."""
-        from scipy.stats import chi2
+        scale_weights = _mixing(np.array([self._log_evidence(event) for event in events]))
+        signs, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
+        widening, tail = _regions(np.concatenate(misfits))
+        honest = Honest.none().beside(np.array(signs))
+        return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, honest=honest)
 
-        scale_weights = _mixing(np.array(self._logs))
-        seen = slice(0, len(self._noise))
-        misfits, chances, distances, of_markers, unrelated = [], [], [], [], []
-        for made, prior, n_own, linear, observed, rows in self._events:
-            weighted = [replace(one, weights=one.weights.sum() * scale_weights) for one in prior[:n_own]]
-            found = condition([*weighted, *prior[n_own:]], linear, observed, self._noise)
-            off = (observed - found.mean[seen]).reshape(-1, 3)
-            chances.append(found.p_value)
-            of_markers.append(worst_chance(score_markers(off, self._noise, found.covariance[seen, seen])))
-            distances.append(made.distance(found.mean_latents))
-            if n_own < len(prior):
-                unrelated.append(float(found.weights[found.component >= n_own].sum()))
-            misfits.append(_misfits(rows - found.mean, found.covariance, seen.stop))
-        return replace(
-            self._law,
-            scale_weights=scale_weights,
-            p_values=np.sort(chances),
-            marker_chances=np.sort(of_markers),
-            distances=np.sort(distances),
-            unrelated=np.sort(unrelated),
-            widening=float(np.quantile(np.concatenate(misfits), 0.9) / chi2.ppf(0.9, 3)),
-        )
-
-
-def prior_about(model: Codes, at: PointCalibration, simulation: FloatArray, code: FloatArray) -> list[Component]:
-    """Return the prior of the truth of a simulated event; see `PointCalibration.prior_about`."""
-    rest_code = model.codes(np.zeros((1, *simulation.shape)))[0]
-    return at.prior_about(code, rest_code, float(rms_displacement(simulation[None])[0]))
+    def _log_evidence(self, event: _Event) -> FloatArray:
+        """Return the log-evidence of every scale of the event's own components."""
+        prior = event.prior[: event.n_own]
+        weights = np.array([one.weights.sum() for one in prior])
+        logs = log_evidence(prior, event.linear, event.observed, self._noise) + np.log(weights)[:, None]
+        return np.asarray(np.logaddexp.reduce(logs, axis=0))
 
 
 def _mixing(logs: FloatArray) -> FloatArray:
@@ -342,6 +347,44 @@ def _misfits(off: FloatArray, covariance: FloatArray, first: int) -> FloatArray:
     """Return squared distances of points from row `first` on, in their own covariance."""
     rows = range(first, len(off), 3)
     return np.array([off[i : i + 3] @ np.linalg.solve(covariance[i : i + 3, i : i + 3], off[i : i + 3]) for i in rows])
+
+
+def _regions(misfits: FloatArray) -> tuple[float, float | None]:
+    """Return the factor on covariances and the degrees of freedom with which 50 and 90 % regions hold their share.
+
+    Parameters
+    ----------
+    misfits : ndarray of float64, shape (n,)
+        Squared distances of targets from their means, in their own covariance.
+
+    Returns
+    -------
+    widening : float
+        Covariances times this give the Gaussian whose 90 % region holds 90 %.
+    tail : float or None
+        Degrees of freedom of the t law with the same 90 % region; None if tails are as a Gaussian's, or lighter.
+    """
+    from scipy.optimize import brentq
+    from scipy.stats import chi2
+
+    middle, wide = np.quantile(misfits, (0.5, 0.9))
+
+    def excess(dof: float) -> float:
+        return float(squared_radius(0.9, None) / squared_radius(0.5, dof) - wide / middle)
+
+    low, high = _TAILS
+    widening = float(wide / chi2.ppf(0.9, 3))
+    if excess(high) >= 0.0:
+        return widening, None
+    return widening, low if excess(low) <= 0.0 else float(brentq(excess, low, high))
+
+
+def _folds(n_events: int) -> list[tuple[IntArray, IntArray]]:
+    """Return parts of events, each with the others: a covariance knows the events that it was made of too well."""
+    rows = np.arange(n_events)
+    parts = [(rows[rows % _FOLDS == part], rows[rows % _FOLDS != part]) for part in range(_FOLDS)]
+    # A single event has no others.
+    return [(own, others if len(others) else own) for own, others in parts if len(own)]
 
 
 def _parts(fields: FloatArray) -> range:

@@ -12,9 +12,14 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.errors import FormatError
 from tissuereg.io.npz import Archive, open_npz
+from tissuereg.latent.honest import SIGNS, Honest
 from tissuereg.latent.kinds import Kinds
 from tissuereg.latent.mixture import Component
+
+#: Form of ``calibration.npz``.
+VERSION = 2
 
 #: Fields (n_fields, n_nodes, 3) to their rows at markers and targets, (n_fields, n_rows).
 RowsOf = Callable[[FloatArray], FloatArray]
@@ -116,53 +121,20 @@ class Rehearsal:
     ----------
     scales, scale_weights : ndarray of float64, shape (n_scales,)
         Factors on the standard deviations of a kind, and their probabilities.
-    p_values : ndarray of float64, shape (n_events,)
-        Chances of the innovations by the mixture, ascending: those of honest events.
-    marker_chances : ndarray of float64, shape (n_events,)
-        Chance of the marker that fits the others worst, times the number of markers (`worst_chance`), ascending.
-    distances : ndarray of float64, shape (n_events,)
-        Distances of the fitted codes from the training set (`Calibration.distance`), ascending.
-    unrelated : ndarray of float64, shape (n_events,)
-        Chances that the simulation is not of the event, ascending; of honest pairs. Empty without simulations.
     widening : float
         Factor on covariances with which 90 % regions hold 90 % of the targets.
+    tail : float or None
+        Degrees of freedom of the t law of the targets about their means, with which 50 % regions hold their share too;
+        None for a Gaussian.
+    honest : Honest
+        What honest events show.
     """
 
     scales: FloatArray
     scale_weights: FloatArray
-    p_values: FloatArray = field(default_factory=lambda: np.empty(0))
-    marker_chances: FloatArray = field(default_factory=lambda: np.empty(0))
-    distances: FloatArray = field(default_factory=lambda: np.empty(0))
-    unrelated: FloatArray = field(default_factory=lambda: np.empty(0))
     widening: float = 1.0
-
-    def p_value(self, raw: float) -> float:
-        """Return the share of honest events that look at least as improbable as a chance `raw` by the mixture."""
-        return _share(self.p_values, raw)
-
-    def marker_p_value(self, chance: float) -> float:
-        """Return the share of honest events of which a marker is as improbable given the others, times their number."""
-        return _share(self.marker_chances, chance)
-
-    def is_far(self, distance: float, level: float) -> bool:
-        """Whether fewer than a share `level` of the honest events lie so far from the training set."""
-        return bool(len(self.distances) and distance > np.quantile(self.distances, 1.0 - level))
-
-    def is_unrelated(self, chance: float, level: float) -> bool:
-        """Whether a simulation is likelier not of the event, and so in fewer than a share `level` of honest pairs."""
-        usual = np.quantile(self.unrelated, 1.0 - level) if len(self.unrelated) else 0.0
-        return bool(chance > max(0.5, float(usual)))
-
-
-def _share(honest: FloatArray, chance: float) -> float:
-    """Return the share of ascending chances that are no larger than a given one; that itself if none are known."""
-    n = len(honest)
-    if n == 0:
-        return chance
-    if chance < honest[0]:
-        # Below all of them: in proportion to the chance itself.
-        return float(chance / honest[0] / (n + 1))
-    return float(np.interp(chance, honest, np.arange(1, n + 1)) / (n + 1))
+    tail: float | None = None
+    honest: Honest = field(default_factory=Honest.none)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +179,7 @@ class Calibration:
     def save(self) -> dict[str, FloatArray]:
         """Return the arrays of ``calibration.npz``."""
         arrays = {
+            "version": np.array(VERSION),
             "kind_weights": self.kinds.weights,
             "kind_means": self.kinds.means,
             "kind_covariances": self.kinds.covariances,
@@ -227,9 +200,16 @@ class Calibration:
         Raises
         ------
         FormatError
-            If an array is missing or of another shape.
+            If it is of another version, or an array is missing or of another shape.
         """
         with open_npz(str(path)) as file:
+            version = int(file.indices("version").item()) if "version" in file else 1
+            if version != VERSION:
+                message = (
+                    f"{path} must be a calibration of version {VERSION}, got {version}; "
+                    "`tissuereg calibrate MODEL --data DATA` makes it anew"
+                )
+                raise FormatError(message, where=str(path))
             weights = file.floats("kind_weights", None)
             n_kinds = len(weights)
             kinds = Kinds(
@@ -334,22 +314,20 @@ def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
     return {
         f"{name}_scales": rehearsal.scales,
         f"{name}_scale_weights": rehearsal.scale_weights,
-        f"{name}_p_values": rehearsal.p_values,
-        f"{name}_marker_chances": rehearsal.marker_chances,
-        f"{name}_distances": rehearsal.distances,
-        f"{name}_unrelated": rehearsal.unrelated,
+        f"{name}_signs": rehearsal.honest.signs,
+        f"{name}_groups": rehearsal.honest.groups,
+        f"{name}_tail": np.array(rehearsal.tail or 0.0),
         f"{name}_widening": np.array(rehearsal.widening),
     }
 
 
 def _rehearsal_in(file: Archive, name: str) -> Rehearsal:
     scales = file.floats(f"{name}_scales", None)
+    signs, tail = file.floats(f"{name}_signs", None, len(SIGNS)), float(file.floats(f"{name}_tail"))
     return Rehearsal(
         scales,
         file.floats(f"{name}_scale_weights", len(scales)),
-        file.floats(f"{name}_p_values", None),
-        file.floats(f"{name}_marker_chances", None),
-        file.floats(f"{name}_distances", None),
-        file.floats(f"{name}_unrelated", None),
         float(file.floats(f"{name}_widening")),
+        tail or None,
+        Honest(signs, file.indices(f"{name}_groups", len(signs))),
     )

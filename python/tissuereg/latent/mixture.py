@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.errors import NoiseError
 from tissuereg.latent.kinds import probabilities
 
@@ -83,8 +83,11 @@ class MixturePosterior:
         S^-1 v, 1/mm.
     p_value : float
         Chance of an innovation as improbable as this one, averaged over the pairs.
-    hopeful : ndarray of bool, shape (n_all,)
-        Which of all pairs, those of a component after each other, are not hopeless.
+    logs : ndarray of float64, shape (n_all,)
+        Logarithm of each pair's probability times the density of the innovation, up to a constant; those of a component
+        after each other. Of pairs that were ruled out about an earlier point, as it was there.
+    log_evidence : ndarray of float64, shape (n_components,)
+        The same of components, over their scales.
     """
 
     weights: FloatArray
@@ -95,7 +98,8 @@ class MixturePosterior:
     covariances: FloatArray
     pulls: FloatArray
     p_value: float
-    hopeful: BoolArray
+    logs: FloatArray
+    log_evidence: FloatArray
 
     @property
     def mean(self) -> FloatArray:
@@ -119,7 +123,7 @@ def condition(
     model: Linear,
     observed: FloatArray,
     noise: FloatArray,
-    hopeful: BoolArray | None = None,
+    earlier: FloatArray | None = None,
 ) -> MixturePosterior:
     """Return the posterior of markers and targets given the markers.
 
@@ -133,8 +137,8 @@ def condition(
         Measured displacements, mm; the first n_obs rows of the model.
     noise : ndarray of float64, shape (n_obs, n_obs)
         Covariance of the tracker's noise, mm^2.
-    hopeful : ndarray of bool, shape (n_all,), optional
-        Pairs that are considered, as found about a point close by; by default all.
+    earlier : ndarray of float64, shape (n_all,), optional
+        `MixturePosterior.logs` about a point close by: pairs that are hopeless there are ruled out.
 
     Returns
     -------
@@ -151,12 +155,12 @@ def condition(
 
     n_obs, slopes = len(observed), model.slopes
     weights = np.concatenate([one.weights for one in prior])
-    considered = np.flatnonzero(weights > 0.0 if hopeful is None else hopeful)
+    ends = np.cumsum([len(one.weights) for one in prior])[:-1]
+    every = np.full(len(weights), -np.inf) if earlier is None else earlier.copy()
+    considered = np.flatnonzero(weights > 0.0 if earlier is None else earlier > earlier.max() + np.log(_HOPELESS))
     innovations = _innovations(prior, model, observed, noise, considered)
-    logs = np.log(weights[considered]) + innovations.logs
+    every[considered] = logs = np.log(weights[considered]) + innovations.logs
     kept = np.flatnonzero(logs > logs.max() + np.log(_NEGLIGIBLE))
-    left = np.zeros(len(weights), dtype=bool)
-    left[considered[logs > logs.max() + np.log(_HOPELESS)]] = True
     latents, means, covariances, pulls = [], [], [], []
     for pair in kept:
         one, scale = prior[innovations.component[pair]], innovations.scale[pair]
@@ -178,8 +182,42 @@ def condition(
         np.array(covariances),
         np.array(pulls),
         float(shares @ chdtrc(n_obs, innovations.squares[kept])),
-        left,
+        every,
+        np.array([np.logaddexp.reduce(part) for part in np.split(every, ends)]),
     )
+
+
+def left_out(
+    prior: list[Component], model: Linear, found: MixturePosterior, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return how well each marker agrees with the prediction from all others, the model's own error included.
+
+    Parameters
+    ----------
+    prior, model, noise
+        As `condition` was given.
+    found : MixturePosterior
+        What it returned; three components a marker.
+
+    Returns
+    -------
+    misfits, chances : ndarray of float64, shape (n_markers,)
+        Squared misfit in its own standard deviations, and the chance of one at least as large, averaged over the pairs.
+        With u = S^-1 v and A the marker's block of S^-1, the misfit is u' A^-1 u. Cost: an inverse of size n_obs for
+        every pair.
+    """
+    from scipy.stats import chi2
+
+    n_obs = len(noise)
+    seen = model.slopes[:n_obs]
+    misfits = np.empty((len(found.weights), n_obs // 3))
+    for row, (number, scale, pull) in enumerate(zip(found.component, found.scale, found.pulls, strict=True)):
+        one = prior[int(number)]
+        own = seen @ one.covariance @ seen.T + one.errors[:n_obs, :n_obs]
+        inverse = np.linalg.inv(scale**2 * own + noise).reshape(n_obs // 3, 3, n_obs // 3, 3)
+        blocks, parts = np.einsum("iaib->iab", inverse), pull.reshape(-1, 3)
+        misfits[row] = np.einsum("ia,ia->i", parts, np.linalg.solve(blocks, parts[:, :, None])[:, :, 0])
+    return found.weights @ misfits, found.weights @ chi2.sf(misfits, 3)
 
 
 def log_evidence(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> FloatArray:

@@ -48,6 +48,8 @@ class NetworkModel:
         Batches decoded at once; 0 takes all cores. Each batch runs on one thread, so the bits do not depend on it.
     source : str, optional
         Origin of the model for the result; by default the folder.
+    calibrated : bool
+        Whether the folder's calibration is read, if there is one.
 
     Raises
     ------
@@ -58,7 +60,13 @@ class NetworkModel:
     """
 
     def __init__(
-        self, folder: str | os.PathLike[str], mesh: Mesh, *, threads: int = 0, source: str | None = None
+        self,
+        folder: str | os.PathLike[str],
+        mesh: Mesh,
+        *,
+        threads: int = 0,
+        source: str | None = None,
+        calibrated: bool = True,
     ) -> None:
         self.folder = Path(folder)
         card = read_card(self.folder)
@@ -80,7 +88,7 @@ class NetworkModel:
         with open_npz(self.folder / "decoder_weights.npz") as weights:
             self._errors = _errors_in(weights, "error_fields_mm", "error_sizes_mm", self.n_nodes)
             self._change_errors = _errors_in(weights, "change_error_fields_mm", "change_sizes_mm", self.n_nodes)
-        self.calibration: Calibration | None = read_calibration(self.folder, card)
+        self.calibration: Calibration | None = read_calibration(self.folder, card) if calibrated else None
         errors = card["errors_mm"]
         self.card = {
             "kind": card["kind"],

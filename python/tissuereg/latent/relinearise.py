@@ -71,13 +71,13 @@ def conditioned(
     MixturePosterior, Linear
         Cost: a decode of 2 n_latent + 1 columns a pass.
     """
-    point, hopeful = start, None
+    point, logs = start, None
     for left in reversed(range(passes)):
         model = linearised(decode, point, spread)
-        found = condition(prior, model, observed, noise, hopeful)
+        found = condition(prior, model, observed, noise, logs)
         moved = float(np.abs((found.mean_latents - point) / spread).max())
         if left == 0 or moved < _NEAR:
             break
         # Evidences far from the answer rule nothing out.
-        point, hopeful = found.mean_latents, found.hopeful if moved < _CLOSE else None
+        point, logs = found.mean_latents, found.logs if moved < _CLOSE else None
     return found, model

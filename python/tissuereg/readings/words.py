@@ -23,7 +23,7 @@ class Suspicion:
     ----------
     kind : str
         ``unit``, ``frame``, ``mirrored``, ``rigid motion``, ``swapped``, ``columns``, ``far from the surface``,
-        ``unrelated``, ``stale``, ``repeated`` or ``held``.
+        ``places``, ``unrelated``, ``stale``, ``repeated`` or ``held``.
     sentence : str
         Starts with the kind.
     markers : tuple of str

@@ -1,0 +1,72 @@
+"""The signs by which a registration with a calibrated model is compared with honest events (`Honest`)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.latent.calibration import Calibration
+from tissuereg.latent.mixture import Component, Linear, MixturePosterior, left_out
+
+#: Least chance of which the logarithm is taken.
+_LEAST = 1e-300
+
+
+@dataclass(frozen=True, eq=False)
+class Signs:
+    """Signs of one registration.
+
+    Attributes
+    ----------
+    row : ndarray of float64, shape (4,)
+        As `tissuereg.latent.honest.SIGNS`.
+    marker_rows : ndarray of float64, shape (n_markers,)
+        The sign of each marker: the second of `row` is the largest of them.
+    marker_misfits : ndarray of float64, shape (n_markers,)
+        Squared misfit of each marker to the prediction from the others, in its own standard deviations.
+    """
+
+    row: FloatArray
+    marker_rows: FloatArray
+    marker_misfits: FloatArray
+
+
+def signs_of(
+    calibration: Calibration,
+    prior: list[Component],
+    n_own: int,
+    linear: Linear,
+    found: MixturePosterior,
+    noise: FloatArray,
+) -> Signs:
+    """Return the signs of a registration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of the model.
+    prior : list of Component
+        The mixture that `found` was conditioned in.
+    n_own : int
+        Components of the event itself, which come first; the others are those of an event that was not simulated.
+    linear : Linear
+        The decoder.
+    found : MixturePosterior
+        The posterior.
+    noise : ndarray of float64, shape (n_obs, n_obs)
+        Covariance of the tracker's noise, mm^2.
+
+    Returns
+    -------
+    Signs
+        Cost: an inverse of size n_obs for every pair of component and scale that was kept.
+    """
+    misfits, chances = left_out(prior, linear, found, noise)
+    markers = -np.log(np.maximum(len(chances) * chances, _LEAST))
+    unrelated = 0.0
+    if n_own < len(prior):
+        own, others = (np.logaddexp.reduce(part) for part in np.split(found.log_evidence, [n_own]))
+        unrelated = max(float(others - own), 0.0)
+    misfit = -np.log(max(found.p_value, _LEAST))
+    row = np.array([misfit, markers.max(initial=-np.inf), calibration.distance(found.mean_latents), unrelated])
+    return Signs(row, markers, misfits)

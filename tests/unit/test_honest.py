@@ -1,0 +1,136 @@
+"""Honest events as a yardstick: rates of false alarms, and signs that none of them shows."""
+
+import numpy as np
+import pytest
+
+from tissuereg.latent.calibrate import _regions
+from tissuereg.latent.honest import SIGNS, Honest
+from tissuereg.latent.mixture import Component, Linear, condition, left_out
+from tissuereg.latent.signs import signs_of
+from tissuereg.spread_law import squared_radius
+
+
+def drawn(n_events, rng, heavier=1.0):
+    """Return signs of events: three exponential ones that share a part, and one that is mostly zero."""
+    common = 0.5 * rng.exponential(size=(n_events, 1))
+    signs = common + heavier * rng.exponential(size=(n_events, 4))
+    signs[:, 3] = np.maximum(signs[:, 3] - 4.0, 0.0)
+    return signs
+
+
+@pytest.mark.parametrize("n_events", [136, 1000])
+def test_one_in_a_hundred_honest_events_raises_an_alarm_whatever_their_number(n_events):
+    rng = np.random.default_rng(0)
+    rates = []
+    for _ in range(30):
+        honest = Honest.none().beside(drawn(n_events, rng))
+        rates.append(np.mean([honest.p_value(signs) < 0.01 for signs in drawn(200, rng)]))
+    # The rate of one yardstick of n events varies by sqrt(0.01 / n), up to 0.9 %; the mean of 30, of 200 asked each, by
+    # 0.2 %: three standard errors.
+    assert abs(np.mean(rates) - 0.01) < 0.006
+
+
+def test_p_values_of_honest_events_are_uniform():
+    rng = np.random.default_rng(1)
+    honest = Honest.none().beside(drawn(2000, rng))
+    p = np.sort([honest.p_value(signs) for signs in drawn(400, rng)])
+    # Kolmogorov's 1 % point, of both samples.
+    assert np.abs(p - (np.arange(400) + 0.5) / 400).max() < 1.63 * np.sqrt(1 / 400 + 1 / 2000)
+
+
+def test_the_group_that_looks_worst_is_the_yardstick():
+    rng = np.random.default_rng(2)
+    known, foreign = drawn(500, rng), drawn(200, rng, heavier=2.0)
+    alone, both = Honest.none().beside(known), Honest.none().beside(known).beside(foreign)
+    assert np.array_equal(np.unique(both.groups), [0, 1])
+    signs = np.array([9.0, 1.0, 1.0, 0.0])
+    assert alone.p_value(signs) < 0.01 < both.p_value(signs)
+    assert (both.shares(signs) >= alone.shares(signs)).all()
+    only = Honest.none().beside(foreign)
+    assert both.p_value(signs) == pytest.approx(only.p_value(signs))
+
+
+def test_shares_go_on_beyond_the_largest_honest_value():
+    honest = Honest.none().beside(np.tile(np.random.default_rng(3).exponential(size=(3000, 1)), 4))
+    asked = np.linspace(0.0, 12.0, 40)
+    shares = np.array([honest.shares(np.full(4, one))[0] for one in asked])
+    assert (np.diff(shares) <= 0).all()
+    # The scale of the tail is known from 300 values, to 6 %: 0.6 in the logarithm at 10 beyond; three standard errors.
+    np.testing.assert_allclose(np.log(shares), -asked, atol=1.9)
+    equal = Honest.none().beside(np.zeros((12, 4)))
+    assert equal.shares(np.zeros(4))[0] == 1.0
+    assert equal.shares(np.full(4, 3.0))[0] < 0.1
+
+
+def test_without_honest_events_chances_are_taken_as_they_are():
+    honest = Honest.none()
+    assert honest.p_value(np.array([3.0, 1.0, 8.0, 0.0])) == pytest.approx(np.exp(-3.0))
+    np.testing.assert_allclose(honest.shares(np.array([3.0, 1.0, 8.0, 2.0])), [np.exp(-3.0), np.exp(-1.0), 1.0, 1.0])
+
+
+# --- signs ---
+
+
+@pytest.fixture
+def gaussian():
+    rng = np.random.default_rng(4)
+    slopes, errors = rng.standard_normal((15, 4)), rng.standard_normal((15, 18))
+    one = Component(np.ones(1), np.ones(1), np.zeros(4), np.diag([1.0, 2.0, 0.5, 1.0]), 0.05 * errors @ errors.T)
+    return one, Linear(np.zeros(4), rng.standard_normal(15), slopes), 0.04 * np.eye(12), rng
+
+
+def test_a_marker_is_compared_with_its_prediction_from_the_others(gaussian):
+    one, linear, noise, rng = gaussian
+    observed = 2.0 * rng.standard_normal(12)
+    misfits, chances = left_out([one], linear, condition([one], linear, observed, noise), noise)
+    total = (linear.slopes @ one.covariance @ linear.slopes.T + one.errors)[:12, :12] + noise
+    off = observed - linear.at[:12]
+    for marker in range(4):
+        own = np.arange(3 * marker, 3 * marker + 3)
+        others = np.setdiff1d(np.arange(12), own)
+        gain = np.linalg.solve(total[np.ix_(others, others)], total[np.ix_(others, own)]).T
+        left = off[own] - gain @ off[others]
+        covariance = total[np.ix_(own, own)] - gain @ total[np.ix_(others, own)]
+        assert misfits[marker] == pytest.approx(left @ np.linalg.solve(covariance, left), rel=1e-9)
+    assert ((chances > 0) & (chances < 1)).all()
+
+
+class Nowhere:
+    """A calibration for which all codes are equally familiar."""
+
+    def distance(self, code):
+        return 0.0
+
+
+def test_markers_of_another_event_than_the_simulated_one_show_it(gaussian):
+    one, linear, noise, rng = gaussian
+    about = Component(np.array([0.98]), np.ones(1), np.array([3.0, 0, 0, 0]), 0.01 * np.eye(4), 0.1 * one.errors)
+    other = Component(np.array([0.02]), np.ones(1), one.mean, one.covariance, one.errors)
+    found = {}
+    for name, latents in (("own", [3.1, 0, 0, 0]), ("another", [-1.0, 1.5, 0, 0])):
+        observed = linear.at[:12] + linear.slopes[:12] @ np.array(latents) + 0.2 * rng.standard_normal(12)
+        posterior = condition([about, other], linear, observed, noise)
+        found[name] = signs_of(Nowhere(), [about, other], 1, linear, posterior, noise).row
+    simulation = SIGNS.index("simulation")
+    assert found["own"][simulation] == 0.0
+    assert found["another"][simulation] > 10.0
+    honest = Honest.none().beside(np.column_stack([drawn(200, np.random.default_rng(5))[:, :3], np.zeros(200)]))
+    assert honest.p_value(found["another"]) < 0.01
+
+
+# --- regions ---
+
+
+@pytest.mark.parametrize("dof", [3.0, 8.0, None])
+def test_regions_hold_their_share_of_points_about_their_means(dof):
+    rng = np.random.default_rng(6)
+    points = rng.standard_normal((40_000, 3))
+    if dof is not None:
+        points *= np.sqrt(dof / rng.chisquare(dof, (40_000, 1)))
+    squares = np.sum(points**2, axis=1)
+    widening, tail = _regions(squares)
+    assert (tail is None or tail > 30.0) if dof is None else tail == pytest.approx(dof, rel=0.15)
+    # Binomial: standard error 0.25 %, four of them.
+    for share in (0.5, 0.8, 0.9, 0.95, 0.99):
+        assert np.mean(squares / widening <= squared_radius(share, tail)) == pytest.approx(share, abs=0.01)
+    assert squared_radius(0.9, tail) == pytest.approx(squared_radius(0.9, None))
