@@ -249,7 +249,7 @@ class CalibratedPosterior:
     def signs(self) -> Signs:
         """Return what is compared with honest events."""
         n_own = 1 if self._anchored else len(self.prior)
-        return signs_of(self.at.whole, self.prior, n_own, self.linear, self.found, self.noise)
+        return signs_of(self.at.whole, self.found, n_own)
 
     @property
     def _anchored(self) -> int:

@@ -82,7 +82,7 @@ def gaussian():
 def test_a_marker_is_compared_with_its_prediction_from_the_others(gaussian):
     one, linear, noise, rng = gaussian
     observed = 2.0 * rng.standard_normal(12)
-    misfits, chances = left_out([one], linear, condition([one], linear, observed, noise), noise)
+    misfits, chances = left_out(condition([one], linear, observed, noise))
     total = (linear.slopes @ one.covariance @ linear.slopes.T + one.errors)[:12, :12] + noise
     off = observed - linear.at[:12]
     for marker in range(4):
@@ -110,7 +110,7 @@ def test_markers_of_another_event_than_the_simulated_one_show_it(gaussian):
     for name, latents in (("own", [3.1, 0, 0, 0]), ("another", [-1.0, 1.5, 0, 0])):
         observed = linear.at[:12] + linear.slopes[:12] @ np.array(latents) + 0.2 * rng.standard_normal(12)
         posterior = condition([about, other], linear, observed, noise)
-        found[name] = signs_of(Nowhere(), [about, other], 1, linear, posterior, noise).row
+        found[name] = signs_of(Nowhere(), posterior, 1).row
     simulation = SIGNS.index("simulation")
     assert found["own"][simulation] == 0.0
     assert found["another"][simulation] > 10.0

@@ -314,7 +314,7 @@ class _Rehearsal:
         own = [replace(one, weights=one.weights.sum() * scale_weights) for one in event.prior[: event.n_own]]
         prior, n_obs = [*own, *event.prior[event.n_own :]], len(self._noise)
         found = condition(prior, event.linear, event.observed, self._noise)
-        shown = signs_of(event.made, prior, event.n_own, event.linear, found, self._noise)
+        shown = signs_of(event.made, found, event.n_own)
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
     def outcome(self, events: list[_Event], law: Rehearsal) -> Rehearsal:

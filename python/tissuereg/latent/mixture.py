@@ -81,6 +81,8 @@ class MixturePosterior:
         mm^2.
     pulls : ndarray of float64, shape (n_pairs, n_obs)
         S^-1 v, 1/mm.
+    factors : ndarray of float64, shape (n_pairs, n_obs, n_obs)
+        Lower Cholesky factors of S.
     p_value : float
         Chance of an innovation as improbable as this one, averaged over the pairs.
     logs : ndarray of float64, shape (n_all,)
@@ -97,6 +99,7 @@ class MixturePosterior:
     means: FloatArray
     covariances: FloatArray
     pulls: FloatArray
+    factors: FloatArray
     p_value: float
     logs: FloatArray
     log_evidence: FloatArray
@@ -181,43 +184,38 @@ def condition(
         np.array(means),
         np.array(covariances),
         np.array(pulls),
+        innovations.factors[kept, :n_obs, :n_obs],
         float(shares @ chdtrc(n_obs, innovations.squares[kept])),
         every,
         np.array([np.logaddexp.reduce(part) for part in np.split(every, ends)]),
     )
 
 
-def left_out(
-    prior: list[Component], model: Linear, found: MixturePosterior, noise: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def left_out(found: MixturePosterior) -> tuple[FloatArray, FloatArray]:
     """Return how well each marker agrees with the prediction from all others, the model's own error included.
 
     Parameters
     ----------
-    prior, model, noise
-        As `condition` was given.
     found : MixturePosterior
-        What it returned; three components a marker.
+        Of markers with three components each.
 
     Returns
     -------
     misfits, chances : ndarray of float64, shape (n_markers,)
         Squared misfit in its own standard deviations, and the chance of one at least as large, averaged over the pairs.
-        With u = S^-1 v and A the marker's block of S^-1, the misfit is u' A^-1 u. Cost: an inverse of size n_obs for
-        every pair.
+        With u = S^-1 v and A the marker's block of S^-1, the misfit is u' A^-1 u. Cost: an inverse of a factor of size
+        n_obs for every pair.
     """
-    from scipy.stats import chi2
+    from scipy.linalg import lapack
+    from scipy.special import chdtrc
 
-    n_obs = len(noise)
-    seen = model.slopes[:n_obs]
-    misfits = np.empty((len(found.weights), n_obs // 3))
-    for row, (number, scale, pull) in enumerate(zip(found.component, found.scale, found.pulls, strict=True)):
-        one = prior[int(number)]
-        own = seen @ one.covariance @ seen.T + one.errors[:n_obs, :n_obs]
-        inverse = np.linalg.inv(scale**2 * own + noise).reshape(n_obs // 3, 3, n_obs // 3, 3)
-        blocks, parts = np.einsum("iaib->iab", inverse), pull.reshape(-1, 3)
-        misfits[row] = np.einsum("ia,ia->i", parts, np.linalg.solve(blocks, parts[:, :, None])[:, :, 0])
-    return found.weights @ misfits, found.weights @ chi2.sf(misfits, 3)
+    n_pairs, n_obs = found.pulls.shape
+    roots = np.array([lapack.dtrtri(factor, lower=1)[0] for factor in found.factors])
+    columns = roots.reshape(n_pairs, n_obs, n_obs // 3, 3).transpose(0, 2, 3, 1)
+    parts = found.pulls.reshape(n_pairs, -1, 3)
+    solved = np.linalg.solve(columns @ columns.transpose(0, 1, 3, 2), parts[..., None])[..., 0]
+    misfits = (parts * solved).sum(axis=2)
+    return found.weights @ misfits, found.weights @ chdtrc(3, misfits)
 
 
 def log_evidence(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> FloatArray:

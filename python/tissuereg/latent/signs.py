@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.latent.calibration import Calibration
-from tissuereg.latent.mixture import Component, Linear, MixturePosterior, left_out
+from tissuereg.latent.mixture import MixturePosterior, left_out
 
 #: Least chance of which the logarithm is taken.
 _LEAST = 1e-300
@@ -33,11 +33,8 @@ class Signs:
 
 def signs_of(
     calibration: Calibration,
-    prior: list[Component],
-    n_own: int,
-    linear: Linear,
     found: MixturePosterior,
-    noise: FloatArray,
+    n_own: int,
 ) -> Signs:
     """Return the signs of a registration.
 
@@ -45,26 +42,20 @@ def signs_of(
     ----------
     calibration : Calibration
         Of the model.
-    prior : list of Component
-        The mixture that `found` was conditioned in.
-    n_own : int
-        Components of the event itself, which come first; the others are those of an event that was not simulated.
-    linear : Linear
-        The decoder.
     found : MixturePosterior
         The posterior.
-    noise : ndarray of float64, shape (n_obs, n_obs)
-        Covariance of the tracker's noise, mm^2.
+    n_own : int
+        Components of the event itself, which come first; the others are those of an event that was not simulated.
 
     Returns
     -------
     Signs
-        Cost: an inverse of size n_obs for every pair of component and scale that was kept.
+        Cost: an inverse of a factor of size n_obs for every pair of component and scale that was kept.
     """
-    misfits, chances = left_out(prior, linear, found, noise)
+    misfits, chances = left_out(found)
     markers = -np.log(np.maximum(len(chances) * chances, _LEAST))
     unrelated = 0.0
-    if n_own < len(prior):
+    if n_own < len(found.log_evidence):
         own, others = (np.logaddexp.reduce(part) for part in np.split(found.log_evidence, [n_own]))
         unrelated = max(float(others - own), 0.0)
     misfit = -np.log(max(found.p_value, _LEAST))
