@@ -14,7 +14,7 @@ from tissuereg.latent.calibrate import RehearsalSettings, calibrate, field_error
 from tissuereg.latent.calibration import Calibration, FieldErrors, Rehearsal
 from tissuereg.latent.calibration_file import write_calibration
 from tissuereg.latent.kinds import Kinds
-from tissuereg.latent.mixture import Component, Linear, condition, log_evidence
+from tissuereg.latent.mixture import Component, Conditioned, Linear, condition, log_evidence
 from tissuereg.latent.network import NetworkModel
 from tissuereg.latent.pca import PcaModel
 from tissuereg.latent.relinearise import conditioned
@@ -121,12 +121,12 @@ def test_pairs_that_are_ruled_out_change_nothing_and_the_others_keep_their_numbe
     observed, noise = rng.standard_normal(6), 0.1 * np.eye(6)
     every = condition(prior, linear, observed, noise)
     assert (every.logs[3:6] < every.logs.max() - 30.0).all()
-    again = condition(prior, linear, observed, noise, every.logs)
+    again = Conditioned(prior, linear, observed, noise, every.logs).posterior()
     for one in fields(every):
         np.testing.assert_array_equal(getattr(again, one.name), getattr(every, one.name))
     # Without the last component's second scale, the others are as they were, and its evidence is what it was.
     earlier = np.where(np.arange(9) == 7, every.logs, -np.inf)
-    only = condition(prior, linear, observed, noise, earlier)
+    only = Conditioned(prior, linear, observed, noise, earlier).posterior()
     assert (only.component.tolist(), only.scale.tolist(), only.weights.tolist()) == ([2], [1.0], [1.0])
     assert only.logs[7] == every.logs[7]
 

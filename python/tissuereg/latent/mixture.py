@@ -13,6 +13,7 @@ are reported.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -121,14 +122,8 @@ class MixturePosterior:
         return np.asarray(np.tensordot(self.weights, self.covariances, 1) + away.T @ away)
 
 
-def condition(
-    prior: list[Component],
-    model: Linear,
-    observed: FloatArray,
-    noise: FloatArray,
-    earlier: FloatArray | None = None,
-) -> MixturePosterior:
-    """Return the posterior of markers and targets given the markers.
+class Conditioned:
+    """A prior given the markers, with a decoder that is linear: how probable its pairs are, and their latents.
 
     Parameters
     ----------
@@ -143,52 +138,90 @@ def condition(
     earlier : ndarray of float64, shape (n_all,), optional
         `MixturePosterior.logs` about a point close by: pairs that are hopeless there are ruled out.
 
-    Returns
-    -------
-    MixturePosterior
-        Cost: a Cholesky factor of size n_obs + 1 for every pair of component and scale.
+    Attributes
+    ----------
+    weights, latents, pulls, logs
+        As in `MixturePosterior`.
 
     Raises
     ------
     NoiseError
         If the covariance of an innovation is not positive definite.
-    """
-    from scipy.linalg import lapack
-    from scipy.special import chdtrc
 
-    n_obs, slopes = len(observed), model.slopes
-    weights = np.concatenate([one.weights for one in prior])
-    ends = np.cumsum([len(one.weights) for one in prior])[:-1]
-    every = np.full(len(weights), -np.inf) if earlier is None else earlier.copy()
-    considered = np.flatnonzero(weights > 0.0 if earlier is None else earlier > earlier.max() + np.log(_HOPELESS))
-    innovations = _innovations(prior, model, observed, noise, considered)
-    every[considered] = logs = np.log(weights[considered]) + innovations.logs
-    kept = np.flatnonzero(logs > logs.max() + np.log(_NEGLIGIBLE))
-    latents, means, covariances, pulls = [], [], [], []
-    for pair in kept:
-        one, scale = prior[innovations.component[pair]], innovations.scale[pair]
-        spread, own = innovations.parts[innovations.component[pair]]
-        factor = innovations.factors[pair, :n_obs, :n_obs]
-        pull = lapack.dtrtrs(factor, innovations.factors[pair, n_obs, :n_obs], lower=1, trans=1)[0]
-        latents.append(one.mean + scale**2 * spread[:n_obs].T @ pull)
-        means.append(model.at + slopes @ (one.mean - model.point) + scale**2 * own[:, :n_obs] @ pull)
-        half = lapack.dtrtrs(factor, scale**2 * own[:n_obs], lower=1)[0]
-        covariances.append(scale**2 * own - half.T @ half)
-        pulls.append(pull)
-    shares = probabilities(logs[kept])
-    return MixturePosterior(
-        shares,
-        innovations.component[kept],
-        innovations.scale[kept],
-        np.array(latents),
-        np.array(means),
-        np.array(covariances),
-        np.array(pulls),
-        innovations.factors[kept, :n_obs, :n_obs],
-        float(shares @ chdtrc(n_obs, innovations.squares[kept])),
-        every,
-        np.array([np.logaddexp.reduce(part) for part in np.split(every, ends)]),
-    )
+    Notes
+    -----
+    Cost: a Cholesky factor of size n_obs + 1 for every pair of component and scale.
+    """
+
+    def __init__(
+        self,
+        prior: list[Component],
+        model: Linear,
+        observed: FloatArray,
+        noise: FloatArray,
+        earlier: FloatArray | None = None,
+    ) -> None:
+        self._prior, self._model, self._n_obs = prior, model, len(observed)
+        weights = np.concatenate([one.weights for one in prior])
+        self.logs = np.full(len(weights), -np.inf) if earlier is None else earlier.copy()
+        considered = np.flatnonzero(weights > 0.0 if earlier is None else earlier > earlier.max() + np.log(_HOPELESS))
+        self._innovations = found = _innovations(prior, model, observed, noise, considered)
+        self.logs[considered] = logs = np.log(weights[considered]) + found.logs
+        self._kept = np.flatnonzero(logs > logs.max() + np.log(_NEGLIGIBLE))
+        self.weights = probabilities(logs[self._kept])
+        self.pulls = np.array([self._backwards(pair) for pair in self._kept])
+        self.latents = np.array(
+            [
+                prior[found.component[pair]].mean
+                + found.scale[pair] ** 2 * found.parts[found.component[pair]][0][: self._n_obs].T @ pull
+                for pair, pull in zip(self._kept, self.pulls, strict=True)
+            ]
+        )
+
+    @property
+    def mean_latents(self) -> FloatArray:
+        """Mean of the latents (n_latent,)."""
+        return np.asarray(self.weights @ self.latents)
+
+    def posterior(self) -> MixturePosterior:
+        """Return the posterior of markers and targets."""
+        from scipy.linalg import lapack
+        from scipy.special import chdtrc
+
+        n_obs, model, found, kept = self._n_obs, self._model, self._innovations, self._kept
+        means, covariances = [], []
+        for pair, pull in zip(kept, self.pulls, strict=True):
+            one, scale = self._prior[found.component[pair]], found.scale[pair]
+            _, own = found.parts[found.component[pair]]
+            means.append(model.at + model.slopes @ (one.mean - model.point) + scale**2 * own[:, :n_obs] @ pull)
+            half = lapack.dtrtrs(found.factors[pair, :n_obs, :n_obs], scale**2 * own[:n_obs], lower=1)[0]
+            covariances.append(scale**2 * own - half.T @ half)
+        ends = np.cumsum([len(one.weights) for one in self._prior])[:-1]
+        return MixturePosterior(
+            self.weights,
+            found.component[kept],
+            found.scale[kept],
+            self.latents,
+            np.array(means),
+            np.array(covariances),
+            self.pulls,
+            found.factors[kept, :n_obs, :n_obs],
+            float(self.weights @ chdtrc(n_obs, found.squares[kept])),
+            self.logs,
+            np.array([np.logaddexp.reduce(part) for part in np.split(self.logs, ends)]),
+        )
+
+    def _backwards(self, pair: Any) -> FloatArray:
+        """Return S^-1 v of a pair."""
+        from scipy.linalg import lapack
+
+        factor = self._innovations.factors[pair]
+        return np.asarray(lapack.dtrtrs(factor[:-1, :-1], factor[-1, :-1], lower=1, trans=1)[0])
+
+
+def condition(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> MixturePosterior:
+    """Return the posterior of markers and targets given the markers; see `Conditioned`."""
+    return Conditioned(prior, model, observed, noise).posterior()
 
 
 def left_out(found: MixturePosterior) -> tuple[FloatArray, FloatArray]:
@@ -250,7 +283,7 @@ class _Innovations:
 def _innovations(
     prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray, pairs: IntArray | None = None
 ) -> _Innovations:
-    """Return the innovations of some pairs, by default of all; other arguments, errors and cost as for `condition`."""
+    """Return the innovations of some pairs, by default of all; other arguments and errors as for `Conditioned`."""
     n_obs = len(observed)
     component = np.repeat(np.arange(len(prior)), [len(one.scales) for one in prior])
     scale = np.concatenate([one.scales for one in prior])

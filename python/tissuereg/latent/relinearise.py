@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray
 from tissuereg.latent.kinds import Kinds
-from tissuereg.latent.mixture import Component, Linear, MixturePosterior, condition
+from tissuereg.latent.mixture import Component, Conditioned, Linear, MixturePosterior
 
 #: Neighbours of a point for the decoder's derivatives, in standard deviations of the training set's codes: secants over
 #: the region where the posterior lies.
@@ -74,10 +74,10 @@ def conditioned(
     point, logs = start, None
     for left in reversed(range(passes)):
         model = linearised(decode, point, spread)
-        found = condition(prior, model, observed, noise, logs)
+        found = Conditioned(prior, model, observed, noise, logs)
         moved = float(np.abs((found.mean_latents - point) / spread).max())
         if left == 0 or moved < _NEAR:
             break
         # Evidences far from the answer rule nothing out.
         point, logs = found.mean_latents, found.logs if moved < _CLOSE else None
-    return found, model
+    return found.posterior(), model

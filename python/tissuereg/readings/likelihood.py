@@ -42,6 +42,9 @@ _SPECK, _SPRAWL = 0.12, 1.3
 #: Fewest markers for which a spread is meaningful.
 _FEWEST_SPREAD = 3
 
+#: Up to so many readings are part of a Cholesky factor.
+_FEW_READINGS = 6
+
 #: Sizes of a deformation and lengths over which it varies, as shares of the extent; log-weights of the sizes.
 _SIZES, _LENGTHS = np.array([0.002, 0.008, 0.03, 0.08, 0.2]), (0.1, 0.3, 0.8)
 _SIZE_WEIGHTS = np.log([0.23, 0.23, 0.23, 0.23, 0.08])
@@ -156,13 +159,11 @@ def motion_likelihood(
     sizes, together, noises, weights = _grid(noise, extent)
     factors = np.ones((len(sizes), columns.shape[2]))
     factors[:, : 6 * len(freedom)] = together[:, None]
-    parts = []
-    for length in _LENGTHS:
-        values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, length * extent)
-        variance = sizes[:, None] ** 2 * values + noises[:, None] ** 2
-        parts.append(_gaussian(variance, turned, mixed, factors) + weights[:, None])
+    values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, np.array(_LENGTHS) * extent)
+    variance = sizes[:, None] ** 2 * values[:, None] + noises[:, None] ** 2
+    logs = _gaussian(variance, turned, mixed, factors) + weights[:, None]
     # Weights sum to one for each length.
-    return np.asarray(log_mean_exp(np.concatenate(parts)) + np.log(len(sizes)))
+    return np.asarray(log_mean_exp(logs.reshape(-1, len(motion))) + np.log(len(sizes)))
 
 
 @cache
@@ -208,10 +209,18 @@ def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tupl
 
 
 def _diagonal(
-    arms: FloatArray, freedom: FloatArray, motion: FloatArray, columns: FloatArray, seen: BoolArray, length: float
+    arms: FloatArray,
+    freedom: FloatArray,
+    motion: FloatArray,
+    columns: FloatArray,
+    seen: BoolArray,
+    lengths: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return eigenvalues (n,), and displacements (n, n_readings) and columns (n, c) in the eigenvectors' frame."""
-    gaps = np.sqrt(3.0) * np.linalg.norm(arms[:, None] - arms[None], axis=2) / length
+    """Return eigenvalues (l, n), and displacements (l, n, n_readings) and columns (l, n, c) in the eigenvectors' frame.
+
+    Of smooth motions of each length, (l,) in mm.
+    """
+    gaps = np.sqrt(3.0) * np.linalg.norm(arms[:, None] - arms[None], axis=2) / lengths[:, None, None]
     covariance = (1.0 + gaps) * np.exp(-gaps) * freedom[:, None] * freedom[None]
     values, turned, mixed = [], [], []
     known: tuple[bytes, FloatArray, FloatArray] | None = None
@@ -220,30 +229,37 @@ def _diagonal(
         if not rows.any():
             continue
         if known is None or known[0] != rows.tobytes():
-            known = (rows.tobytes(), *np.linalg.eigh(covariance[np.ix_(rows, rows)]))
+            spectrum, vectors = np.linalg.eigh(covariance[:, rows][:, :, rows])
+            known = rows.tobytes(), spectrum, np.swapaxes(vectors, 1, 2)
         values.append(np.maximum(known[1], 0.0))
-        turned.append(known[2].T @ motion[:, rows, axis].T)
-        mixed.append(known[2].T @ columns[rows, axis])
-    return np.concatenate(values), np.concatenate(turned), np.concatenate(mixed)
+        turned.append(known[2] @ motion[:, rows, axis].T)
+        mixed.append(known[2] @ columns[rows, axis])
+    return np.concatenate(values, axis=1), np.concatenate(turned, axis=1), np.concatenate(mixed, axis=1)
 
 
 def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, factors: FloatArray) -> FloatArray:
-    """Return log N(v; 0, D + B B') for each of many variances: (h, n_readings).
+    """Return log N(v; 0, D + B B'), (l, h, n_readings), for each of many variances of each length.
 
-    D = diag(variance), (h, n); v = `turned`, (n, n_readings); B = `columns` (n, c) times `factors` (h, c).
+    D = diag(variance), (l, h, n); v = `turned`, (l, n, n_readings); B = `columns` (l, n, c) times `factors` (h, c).
     """
-    weighted = factors[:, :, None] * (columns.T[None] / variance[:, None])
-    n, plain = columns.shape[1], (1.0 / variance) @ turned**2
-    # Bordered by the readings, one Cholesky factor L has L^-1 w as well; the corner only has to be large enough.
-    seen = weighted @ turned
-    inner = np.zeros((len(variance), n + turned.shape[1], n + turned.shape[1]))
-    inner[:, :n, :n] = np.eye(n) + (weighted @ columns) * factors[:, None]
-    inner[:, n:, :n] = np.swapaxes(seen, 1, 2)
-    inner[:, n:, n:] = (1.0 + np.einsum("hcr,hcr->h", seen, seen))[:, None, None] * np.eye(turned.shape[1])
-    factor = np.linalg.cholesky(inner)
-    lower, seen = factor[:, :n, :n], np.swapaxes(factor[:, n:, :n], 1, 2)
-    logs = np.log(2 * np.pi * variance).sum(axis=1) + 2.0 * np.log(np.einsum("hii->hi", lower)).sum(axis=1)
-    return np.asarray(-0.5 * (plain - np.sum(seen**2, axis=1) + logs[:, None]))
+    weighted = factors[:, :, None] * (np.swapaxes(columns, 1, 2)[:, None] / variance[:, :, None])
+    n, n_readings = columns.shape[2], turned.shape[2]
+    plain = (1.0 / variance) @ turned**2
+    whole = np.eye(n) + (weighted @ columns[:, None]) * factors[:, None]
+    w = weighted @ turned[:, None]
+    if n_readings > _FEW_READINGS:
+        lower = np.linalg.cholesky(whole)
+        explained = np.sum((np.linalg.inv(lower) @ w) ** 2, axis=2)
+    else:
+        # Bordered by the readings, one Cholesky factor L has L^-1 w as well; the corner only has to be large enough.
+        inner = np.zeros((*variance.shape[:2], n + n_readings, n + n_readings))
+        inner[..., :n, :n], inner[..., n:, :n] = whole, np.swapaxes(w, 2, 3)
+        inner[..., n:, n:] = (1.0 + np.einsum("lhcr,lhcr->lh", w, w))[..., None, None] * np.eye(n_readings)
+        factor = np.linalg.cholesky(inner)
+        lower, explained = factor[..., :n, :n], np.sum(factor[..., n:, :n] ** 2, axis=3)
+    diagonal = np.diagonal(lower, axis1=2, axis2=3)
+    logs = np.log(2 * np.pi * variance).sum(axis=2) + 2.0 * np.log(diagonal).sum(axis=2)
+    return np.asarray(-0.5 * (plain - explained + logs[..., None]))
 
 
 def log_mean_exp(values: FloatArray) -> FloatArray:
