@@ -217,13 +217,14 @@ bench-esmda: $(VENV)/.installed-dev
 	$(BIN)/python -m pip install --quiet pyesmda dageo iterative_ensemble_smoother
 	$(BIN)/python benchmarks/esmda.py
 
-# Of the shipped model, on the data it was trained on: make phantom-data.
+# Of the shipped model, on the data it was trained on: make phantom-data. TABLE2=FOLDER: with a trained network of Table II.
 SPREAD_DATA ?= build/phantom-data
 FOREIGN ?= build/foreign
 MODEL ?= python/tissuereg/phantom/model
 
 spread: $(VENV)/.installed-dev
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --model $(MODEL) --data $(SPREAD_DATA) --foreign $(FOREIGN)
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --model $(MODEL) --data $(SPREAD_DATA) --foreign $(FOREIGN) \
+		$(if $(TABLE2),--table2 $(TABLE2))
 
 spread-data: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --make-foreign $(FOREIGN)

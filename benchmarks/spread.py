@@ -360,7 +360,14 @@ def fitted_pca(data: Any) -> tuple[PcaModel, np.ndarray]:
 
 
 def measure(
-    model_folder: Path, data_folder: Path, foreign: Path, n_test: int, n_rivals: int, n_alarms: int, part: str
+    model_folder: Path,
+    data_folder: Path,
+    foreign: Path,
+    n_test: int,
+    n_rivals: int,
+    n_alarms: int,
+    part: str,
+    table2: Path | None = None,
 ) -> dict[str, Any]:
     """Measure everything; `part` is ``test``, or ``valid`` while a method is being made."""
     data = tr.open_dataset(data_folder)
@@ -386,12 +393,16 @@ def measure(
     known = [event(mesh, field, None, [41, i]) for i, field in enumerate(held[:n_test])]
     strange = [event(mesh, b, a, [42, i]) for i, (a, b) in enumerate(zip(*asked, strict=True))]
     ours = registered(mesh, model)
+    paper_network = {}
+    if table2 is not None:
+        paper_network["ours, Table II's network"] = registered(mesh, NetworkModel(table2, mesh, threads=1))
     sets = {
         "known": rows(
             mesh,
             {
                 "ours": ours,
                 "ours, every update decoded": registered(mesh, model, decode_all=True),
+                **paper_network,
                 "one Gaussian": registered(mesh, plain),
                 "paper": paper(mesh, model),
                 "pca26": registered(mesh, pca),
@@ -406,6 +417,7 @@ def measure(
             {
                 "ours": ours,
                 "ours, every update decoded": registered(mesh, model, decode_all=True),
+                **paper_network,
                 "ours, without the simulation": registered(mesh, model, simulated=False),
                 "one Gaussian": registered(mesh, plain),
                 "paper": paper(mesh, model),
@@ -419,6 +431,7 @@ def measure(
     return {
         "schema": "tissuereg.spread/1",
         "model": {**model.card, "source": model_folder.name},
+        "table2": None if table2 is None else NetworkModel(table2, mesh, threads=1).card,
         "part": part,
         "n_development_pairs": len(development[0]),
         "sets": sets,
@@ -451,6 +464,7 @@ def main() -> None:
     parser.add_argument("--events", type=int, default=500, help="test shapes")
     parser.add_argument("--rivals", type=int, default=200, help="shapes that the other methods register")
     parser.add_argument("--alarms", type=int, default=100, help="shapes spoilt in each way")
+    parser.add_argument("--table2", type=Path, help="calibrated model folder of a Table II network, as a further row")
     parser.add_argument("--part", choices=("test", "valid"), default="test", help="valid while a method is being made")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--page", action="store_true", help="measure nothing: write the page of what was measured")
@@ -460,7 +474,7 @@ def main() -> None:
         return
     if not options.page:
         counts = options.events, options.rivals, options.alarms
-        found = measure(options.model, options.data, options.foreign, *counts, options.part)
+        found = measure(options.model, options.data, options.foreign, *counts, options.part, options.table2)
         options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     if options.part == "test":
         from spread_page import write_page
