@@ -18,11 +18,13 @@ from support.files import FIDUCIALS, GOOD_MARKERS, write_experiment
 from support.meshes import block
 from support.rigs import rig
 from tissuereg.assimilate import StepOptions, assimilate, gauss_newton
+from tissuereg.baselines import RIVALS, Rigid, Setting
 from tissuereg.contacts.settings import ContactSettings
 from tissuereg.effects import EFFECTS
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
 from tissuereg.io.experiments import read_experiment
 from tissuereg.latent.model import Gaussian
+from tissuereg.latent.pca import PcaModel
 from tissuereg.parallel import Failed, Processes, open_executor
 from tissuereg.simulate.fine import FineMeshing
 from tissuereg.wrong_markers import score_markers
@@ -74,6 +76,20 @@ def mesh():
 def markers():
     places = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0]])
     return tr.Markers(places, places + np.array([0.5, 0.0, 0.0]))
+
+
+def setting(**given):
+    """What the methods of the comparison are given."""
+    good = {"mesh": mesh(), "reference_mm": markers().reference, "std_mm": np.full(3, 0.1), "material": tr.Material()}
+    return Setting(**{**good, "threads": 1, **given})
+
+
+def rival(name):
+    """Return the constructor of a method, given everything that any of them needs."""
+    fields = np.random.default_rng(0).standard_normal((20, mesh().n_nodes, 3))
+    model = PcaModel.fit(fields, fields[:0], centre=fields.mean(axis=0), n_latent=3, card={})
+    whole = setting(fields=fields, model=model, load=load())
+    return lambda **given: RIVALS[name](**{"setting": whole, **given})
 
 
 @cache
@@ -549,6 +565,44 @@ CALLS = {
         score_markers,
         {"residual": np.ones((1, 3)), "noise": np.eye(3), "absorbed": 0.1 * np.eye(3)},
     ),
+    "Setting": (
+        setting,
+        {
+            "mesh": mesh(),
+            "reference_mm": markers().reference,
+            "std_mm": np.full(3, 0.1),
+            "material": tr.Material(),
+            "load": None,
+            "model": None,
+            "fields": np.zeros((1, mesh().n_nodes, 3)),
+            "frame_s": 0.025,
+            "seed": 0,
+            "threads": 1,
+        },
+    ),
+    "Rival.register": (
+        lambda **given: Rigid(setting()).register(**{"measured_mm": markers().measured, **given}),
+        {"measured_mm": markers().measured, "simulation_mm": np.zeros((mesh().n_nodes, 3))},
+    ),
+    "LinearElastic": (rival("linear elastic"), {"setting": None, "smooth": False}),
+    "Libr": (rival("LIBR"), {"n_cells": 4, "energy_weight": 1.0}),
+    "LinearResidual": (rival("linear residual"), {"window": 3, "memory_s": 0.1}),
+    "ParameterInference": (
+        rival("parameter inference"),
+        {
+            "stiffness_std": 0.5,
+            "load_std": 0.5,
+            "drift": 0.1,
+            "n_members": 8,
+            "n_steps": 2,
+            "later_steps": 1,
+            "spread": False,
+        },
+    ),
+    "PcaEsMda": (rival("PCA-26 + ES-MDA"), {"n_latent": 3, "n_members": 9, "n_steps": 2}),
+    "OneStepSmoother": (rival("one-step ES in latents"), {"n_members": 9, "spread": False}),
+    "LatentFilter": (rival("EnKF in latents"), {"memory_s": 1.0, "n_members": 9, "spread": False}),
+    "PhysicsPrior": (rival("tissuereg, physics prior"), {"spread": False, "settings": quick()}),
     "reproduce": (
         reproduced,
         {"studies": ["table2", "fig8"], "out": "out", "model": None, "seed": 0, "threads": 1, "progress": None},

@@ -22,6 +22,9 @@ from tissuereg.observe import MarkerObservation
 #: Residual over load at which an equilibrium is good enough for markers with noise.
 _TOLERANCE = 1e-6
 
+#: Upper limit of a standard deviation of a logarithm, and of the drift: beyond lie no bodies.
+_MOST_STD = 10.0
+
 
 class ParameterInference(Rival):
     r"""The equilibrium whose stiffness and load, as factors on the believed ones, explain the markers.
@@ -71,9 +74,10 @@ class ParameterInference(Rival):
         spread: bool = False,
     ) -> None:
         super().__init__(setting)
-        stds = (real("stiffness_std", stiffness_std, above=0.0), real("load_std", load_std, above=0.0))
+        given = (("stiffness_std", stiffness_std), ("load_std", load_std))
+        stds = [real(name, std, above=0.0, below=_MOST_STD) for name, std in given]
         self._first = Gaussian(np.zeros(2), np.diag(np.square(stds)))
-        self._drift = real("drift", drift, least=0.0) ** 2 * self._first.covariance
+        self._drift = real("drift", drift, least=0.0, below=_MOST_STD) ** 2 * self._first.covariance
         self._n_members = whole("n_members", n_members, least=4)
         self._n_steps = (whole("n_steps", n_steps, least=1), whole("later_steps", later_steps, least=1))
         self._spread = flag("spread", spread)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissuereg._arguments import check_running, maybe, named, of_kind, real
-from tissuereg._arrays import FloatArray, IntArray, float_array, frozen, optional_array
+from tissuereg._arrays import BoolArray, FloatArray, IntArray, float_array, frozen, optional_array
 from tissuereg.errors import ArgumentError, MarkerError, ShapeError
 from tissuereg.latent.model import LatentModel
 from tissuereg.load import Load
@@ -82,7 +82,8 @@ class Setting:
             raise ShapeError(message, where="fields")
         real("frame_s", self.frame_s, above=0.0, unit="s")
         check_running(seed=self.seed, threads=self.threads)
-        Markers(reference, np.full_like(reference, np.nan), std)
+        _check_rows("reference_mm", reference, np.asarray(np.isfinite(reference).all(axis=1)), "finite, in mm")
+        _check_rows("std_mm", std, np.isfinite(std) & (std > 0.0), "positive and finite, in mm")
         object.__setattr__(self, "reference_mm", frozen(reference))
         object.__setattr__(self, "std_mm", frozen(std))
         object.__setattr__(self, "fields", fields)
@@ -229,6 +230,13 @@ class Rival(ABC):
             message = f"at least one of {len(reference)} markers must be seen, all rows of `measured_mm` have NaN"
             raise MarkerError(message, where="measured_mm")
         return Moment(measured, (measured - reference)[seen], seen, simulation)
+
+
+def _check_rows(name: str, values: FloatArray, good: BoolArray, wanted: str) -> None:
+    if not good.all():
+        row = int(np.argmin(good))
+        message = f"`{name}` must be {wanted}; marker {row} has {values[row].tolist()}"
+        raise MarkerError(message, where=name)
 
 
 def _check_model(model: Any, mesh: Mesh) -> None:
