@@ -56,7 +56,7 @@ class Registrar:
     readings : {"doubtful", "always"}
         With a model: when markers are examined for other units, axes, motions and orders (`tissuereg.readings`), which
         takes as long as several registrations. "doubtful": until a first moment is free of suspicion, and where the
-        answer cannot be trusted for another reason. Without a model, always.
+        answer cannot be trusted for another reason. Without a model, always; `register(after=)` then as "doubtful".
 
     Raises
     ------
@@ -140,6 +140,11 @@ class Registrar:
     def markers(self) -> Markers:
         """The markers: reference places, noise, names."""
         return self._attached.places
+
+    @property
+    def by_contacts(self) -> bool:
+        """Whether there is no model, so that the load is unknown and contacts are searched."""
+        return self._model is None
 
     @property
     def n_decoded(self) -> int:
@@ -250,26 +255,34 @@ class Registrar:
         """
         with self._blas.limit(limits=1):
             with clock.stage("attach"):
-                examined = self._examines or not self._plausible
+                always = self._examines and (after is None or self._points is not None)
+                examined = always or not self._plausible
                 given = self._attached.measured(markers, surface, examined)
                 self._plausible = self._plausible or not given.suspicions
                 field = None if simulation is None else finite_field(simulation, given.mesh)
             if self._points is None:
-                return register_by_contacts(given, self._contacts(self._load, field, progress), clock, after)
+                found = register_by_contacts(given, self._contacts(self._load, field, progress), clock, after)
+                return found if examined else self._judged(found, markers, clock)
             if field is None and self._load is not None:
                 with clock.stage("simulate"):
                     field = self._simulator.solve(self._load, self._material, threads=given.threads).displacement
             if not given.suspicions and self._attached.astray:
                 given = replace(given, suspicions=self._attached.astray)
             result = register_by_model(given, self._points, field, clock)
-            if not examined and not result.trust.ok:
-                with clock.stage("judge"):
-                    reasons = [*self._attached.suspicions(markers), *result.trust.reasons]
-                    result = replace(result, trust=replace(result.trust, reasons=reasons))
+            if not examined:
+                result = self._judged(result, markers, clock)
             if not self._polish:
                 return result
             polished = register_by_contacts(given, self._contacts(None, result.displacement, progress), clock)
             return replace(polished, model={**result.model, "polished": True})
+
+    def _judged(self, result: Registration, markers: Markers, clock: Clock) -> Registration:
+        """Return a result whose markers were not examined, with the reasons that an examination gives if it fails."""
+        if result.trust.ok:
+            return result
+        with clock.stage("judge"):
+            reasons = [*self._attached.suspicions(markers), *result.trust.reasons]
+            return replace(result, trust=replace(result.trust, reasons=reasons))
 
     def _contacts(
         self, load: Load | None, field: FloatArray | None, progress: Callable[[int, int], None] | None

@@ -309,6 +309,19 @@ def test_contacts_go_on_from_the_last_frame_with_less_work():
     assert np.mean(errors["tracked"]) < 1.5 * np.mean(errors["alone"])
 
 
+def test_contacts_are_carried_on_in_place_of_the_registered_shape():
+    rng = np.random.default_rng(16)
+    how = {"threads": 1, "settings": quick_contacts(), "std": STD, "material": BELIEVED}
+    solver = physics()
+    tracker = tr.Tracker(MESH, PLACES, None, TARGETS, simulator=solver, **how)
+    for k, share in enumerate((0.8, 1.0)):
+        result = tracker.step(measured(share, rng), FRAME_S * k, actuator=share)
+        # The simulation alone, to the solver's tolerance; the contacts explain what it lacks.
+        assert np.abs(tracker.last.simulation - solver.field(share)).max() < 1e-4
+        assert tracker.last.widening == 1.0
+    assert np.sqrt(square_error(result, 1.0)[0]) < np.sqrt(((solver.field(1.0) - truth(1.0)) ** 2).sum(axis=1).mean())
+
+
 def test_contacts_of_a_frame_are_of_no_use_after_a_jump_and_all_places_are_searched():
     rng = np.random.default_rng(15)
     how = {"threads": 1, "settings": quick_contacts(), "std": STD, "material": BELIEVED}

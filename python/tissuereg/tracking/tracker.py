@@ -50,7 +50,8 @@ class Tracker:
     simulator : Physics or callable of actuator -> array_like of float, shape (n_nodes, 3), optional
         The physics simulation. Without it frames are registered from rest, as `Registrar.register` does.
     restart : {"forces", "displacement", "guess", "reference"}
-        How the registered state restarts the simulation; see `tissuereg.tracking.restart`.
+        How the registered state restarts the simulation; see `tissuereg.tracking.restart`. Without a model ``forces``
+        and ``displacement`` are ``guess``: the contacts of the last frame are the forces that hold its shape.
     temporal : bool
         Whether frames are combined with the ones before.
     **options
@@ -97,7 +98,9 @@ class Tracker:
         self._registrar = _registrar(body, reference_mm, model, targets, options)
         self._physics = physics = as_physics(simulator)
         self._noise_mm = float(np.sqrt(np.mean(self._registrar.markers.axis_std**2)))
-        self._restart = None if physics is None else Restart(physics, restart, self._noise_mm)
+        # Contacts are the forces that hold the last shape already.
+        how = "guess" if self._registrar.by_contacts and restart != "reference" else restart
+        self._restart = None if physics is None else Restart(physics, how, self._noise_mm)
         self._layout = Layout(self._registrar.attached)
         self._temporal = flag("temporal", temporal)
         self._inbox = Inbox()
