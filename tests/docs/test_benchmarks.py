@@ -25,6 +25,15 @@ def test_pages_of_diagnoses_are_those_of_their_archives(name, archive):
     assert script.page(rows) != kept
 
 
+def test_the_page_of_tracking_is_that_of_its_archive():
+    script = loaded("tracking")
+    answer = json.loads((BENCHMARKS / "results" / "tracking.json").read_text(encoding="utf-8"))
+    kept = (BENCHMARKS.parent / "docs" / "tracked.md").read_text(encoding="utf-8")
+    assert script.page(answer) == kept
+    answer["model"][0]["frame by frame"][0][0] += 1.0
+    assert script.page(answer) != kept
+
+
 def test_an_answer_is_right_with_every_true_cause_and_no_other():
     script = loaded("febio")
 

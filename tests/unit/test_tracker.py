@@ -249,7 +249,7 @@ def test_a_newer_frame_takes_the_place_of_one_that_waits_and_this_is_counted():
 def test_frames_pushed_by_another_thread_are_registered_or_counted():
     rng = np.random.default_rng(12)
     tracker = tr.Tracker(registrar(), simulator=physics())
-    frames = [measured(1.0, rng) for _ in range(20)]
+    frames = [measured(1.0, rng) for _ in range(8)]
 
     def camera():
         for k, frame in enumerate(frames):
@@ -258,11 +258,11 @@ def test_frames_pushed_by_another_thread_are_registered_or_counted():
     thread = threading.Thread(target=camera)
     thread.start()
     registered = []
-    while thread.is_alive() or not registered or registered[-1].time_s < FRAME_S * 20:
+    while thread.is_alive() or not registered or registered[-1].time_s < FRAME_S * 8:
         found = tracker.poll()
         registered += [] if found is None else [found]
     thread.join()
-    assert len(registered) + tracker.dropped == 20
+    assert len(registered) + tracker.dropped == 8
 
 
 @pytest.mark.parametrize(
