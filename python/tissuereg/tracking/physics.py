@@ -220,7 +220,9 @@ def as_physics(simulator: Any) -> Physics | None:
     ArgumentError
         If it is neither a `Physics` nor a function.
     """
-    if simulator is None or (isinstance(simulator, Physics) and not isinstance(simulator, type)):
+    if simulator is None:
+        return None
+    if isinstance(simulator, Physics) and not isinstance(simulator, type):
         return simulator
     if callable(simulator) and not isinstance(simulator, type):
         return CalledPhysics(simulator)

@@ -66,11 +66,7 @@ class TemporalPrior:
     _squares: FloatArray = field(default_factory=lambda: np.zeros_like(RATES), repr=False)
     _logs: FloatArray = field(default_factory=lambda: np.zeros_like(RATES), repr=False)
     _count: float = 0.0
-
-    def forget(self) -> None:
-        """Forget all frames."""
-        fresh = TemporalPrior(self.variance)
-        self.__dict__.update(fresh.__dict__)
+    _per_frame: float = 1.0
 
     def updated(
         self, answer: FloatArray, change: FloatArray, elapsed: float, relative: float, scored: slice
@@ -126,8 +122,6 @@ class TemporalPrior:
         logs = -0.5 * (self._logs + (self._count + stated) * np.log(self._squares + stated * self.variance))
         weights = np.exp(logs - logs.max())
         return np.asarray(weights / weights.sum())
-
-    _per_frame: float = 1.0
 
     def _weigh(self, innovations: FloatArray, total: FloatArray) -> None:
         """Add the innovations (n_rates, n_scored) of a frame to the record, with their variances over the noise's."""

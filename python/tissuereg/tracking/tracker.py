@@ -249,10 +249,12 @@ class Tracker:
 
     def _tracked(self, measured_mm: Any, time_s: float, actuator: Any, skipped: int) -> TrackedFrame:
         moment = real("time_s", time_s, unit="s")
-        elapsed = math.inf if self._last is None else moment - self._last.time_s
-        if elapsed <= 0.0:
-            message = f"`time_s` must be later than the last frame's {self._last.time_s:g} s, got {moment:g}"  # type: ignore[union-attr]
-            raise ArgumentError(message, where="time_s")
+        elapsed = math.inf
+        if self._last is not None:
+            elapsed = moment - self._last.time_s
+            if elapsed <= 0.0:
+                message = f"`time_s` must be later than the last frame's {self._last.time_s:g} s, got {moment:g}"
+                raise ArgumentError(message, where="time_s")
         simulated = self._simulated(actuator)
         field = None if simulated is None else finite_field(simulated.field, self._registrar.mesh)
         after = None if self._last is None else self._last.alone
