@@ -178,6 +178,7 @@ fn fem_class(error: &FemError) -> (Class, Option<String>) {
         E::Unconstrained(rigid) => (Class::Support, Some(format!("node {}", rigid.node))),
         E::BadYoung { entry, .. } => (Class::Material, Some(format!("young, entry {entry}"))),
         E::BadPoisson { entry, .. } => (Class::Material, Some(format!("poisson, entry {entry}"))),
+        E::NoSuchParticle { particle, .. } => (Class::Mesh, Some(format!("particle {particle}"))),
         E::BadLaw { name, .. } => (Class::Material, Some((*name).to_owned())),
         E::BadFibre { entry, .. } => (Class::Material, Some(format!("direction, entry {entry}"))),
         E::WrongLength { what, .. } => (Class::Shape, Some((*what).to_owned())),

@@ -29,8 +29,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::fem::{
-        Adjoints, Body, Cause, Compliance, Law, Linearised, ManySolutions, Rig, RigFrame, Solution,
-        check_mesh, laws, surface_triangles, tet_volumes,
+        Adjoints, Body, Cause, Compliance, Law, Linearised, ManySolutions, PyAdmmBody, PyPbd, Rig,
+        RigFrame, Solution, check_mesh, laws, surface_triangles, tet_volumes,
     };
     #[pymodule_export]
     use super::localized::{LocalizedStep, gaspari_cohn};

@@ -165,6 +165,14 @@ pub enum FemError {
         /// The vector found.
         direction: [f64; 3],
     },
+    /// A constraint or an observation names a particle that does not exist.
+    #[error("particle {particle} does not exist: there are {n_particles}")]
+    NoSuchParticle {
+        /// The index that is out of range.
+        particle: usize,
+        /// Number of particles.
+        n_particles: usize,
+    },
     /// An array has the wrong number of rows.
     #[error("{what} must have {expected} rows; found {found}")]
     WrongLength {

@@ -98,6 +98,7 @@
 //! [`Behaviour`] end with `..Default::default()`. No type of another crate is part of the interface.
 #![forbid(unsafe_code)]
 
+mod admm;
 mod assembly;
 mod body;
 mod element;
@@ -108,6 +109,7 @@ mod history;
 mod load;
 pub mod material;
 mod mesh;
+mod pbd;
 mod rest_shape;
 mod resultant;
 mod sensitivity;
@@ -116,6 +118,7 @@ mod supports;
 mod surface;
 mod system;
 
+pub use admm::{AdmmBody, AdmmReport};
 pub use body::Body;
 pub use element::Element;
 pub use ensemble::{Member, Outcome, solve_many};
@@ -127,6 +130,7 @@ pub use history::{
 pub use load::Load;
 pub use material::{Material, Stiffness};
 pub use mesh::{DEGENERATE_LIMIT, Mesh, tet_volumes};
+pub use pbd::{Pbd, PbdConstraint, PbdObservation};
 pub use rest_shape::{RestShape, rest_shape};
 pub use resultant::{Resultant, resultant};
 pub use sensitivity::{

@@ -2,10 +2,12 @@
 
 from tissuereg.baselines.copy import MeanOfMarkers, copied_displacement
 from tissuereg.baselines.elastic import LinearElastic
+from tissuereg.baselines.kf_admm import KfAdmm
 from tissuereg.baselines.latent_step import LatentFilter, OneStepSmoother
 from tissuereg.baselines.libr import Libr
 from tissuereg.baselines.ours import Network, PhysicsPrior
 from tissuereg.baselines.parameters import ParameterInference
+from tissuereg.baselines.pbd import PositionBasedDynamics
 from tissuereg.baselines.pca import PcaEsMda
 from tissuereg.baselines.residual import LinearResidual
 from tissuereg.baselines.rigid import Rigid, rigid_displacement
@@ -22,6 +24,8 @@ RIVALS: dict[str, type[Rival]] = {
         LinearElastic,
         Libr,
         LinearResidual,
+        PositionBasedDynamics,
+        KfAdmm,
         ParameterInference,
         PcaEsMda,
         OneStepSmoother,
@@ -34,6 +38,7 @@ RIVALS: dict[str, type[Rival]] = {
 __all__ = [
     "RIVALS",
     "Estimate",
+    "KfAdmm",
     "LatentFilter",
     "Libr",
     "LinearElastic",
@@ -45,6 +50,7 @@ __all__ = [
     "ParameterInference",
     "PcaEsMda",
     "PhysicsPrior",
+    "PositionBasedDynamics",
     "Rigid",
     "Rival",
     "Setting",

@@ -1,8 +1,10 @@
 //! Meshes, bodies and solves.
 
+mod admm;
 mod bed;
 mod law;
 mod many;
+mod pbd;
 mod rig;
 mod sensitivity;
 
@@ -17,9 +19,11 @@ use tissuereg_fem::{
     Element, Load, LoadSteps, Material, Mesh, Method, Precision, SolveSettings, Supports,
 };
 
+pub(crate) use self::admm::PyAdmmBody;
 use self::bed::{Bed, Sheet, SheetOut};
 pub(crate) use self::law::{Law, laws};
 pub(crate) use self::many::ManySolutions;
+pub(crate) use self::pbd::PyPbd;
 pub(crate) use self::rig::{Rig, RigFrame};
 pub(crate) use self::sensitivity::{Adjoints, Cause, Compliance, Linearised};
 use crate::arrays::{self, View};

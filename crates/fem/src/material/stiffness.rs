@@ -92,7 +92,7 @@ impl Stiffness {
     }
 
     /// Lamé constants, one entry an entry of Young's modulus.
-    pub(super) fn moduli(&self) -> Result<Vec<NeoHookean>, FemError> {
+    pub(crate) fn moduli(&self) -> Result<Vec<NeoHookean>, FemError> {
         let (young, poisson) = self.fields();
         let n = young.len();
         if poisson.len() != n && poisson.len() != 1 {

@@ -25,6 +25,23 @@ pub(crate) const WIDE_SINGLE: usize = 16;
 pub(crate) struct SolveScratch {
     single: Vec<f32>,
     double: Vec<f64>,
+    active: Vec<bool>,
+}
+
+/// The buffers of one precision.
+struct Buffers<'a, T> {
+    local: &'a mut Vec<T>,
+    active: &'a mut Vec<bool>,
+}
+
+impl SolveScratch {
+    fn single(&mut self) -> Buffers<'_, f32> {
+        Buffers { local: &mut self.single, active: &mut self.active }
+    }
+
+    fn double(&mut self) -> Buffers<'_, f64> {
+        Buffers { local: &mut self.double, active: &mut self.active }
+    }
 }
 
 impl Factor {
@@ -57,22 +74,22 @@ impl Factor {
             Self::Compact(f) if W == 1 => {
                 let (rhs, out) = (rhs.as_flattened(), out.as_flattened_mut());
                 let (rhs, out) = (rhs.as_chunks::<1>().0, out.as_chunks_mut::<1>().0);
-                f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
+                f.solve_into(fronts, scale, rhs, out, scratch.single(), parallel);
             }
             // A metric has one right-hand side at a time.
             Self::Compact(f) => {
                 let mut found = vec![[0.0]; out.len()];
                 for w in 0..W {
                     let column: Vec<[f64; 1]> = rhs.iter().map(|row| [row[w]]).collect();
-                    f.solve_into(fronts, scale, &column, &mut found, &mut scratch.single, parallel);
+                    f.solve_into(fronts, scale, &column, &mut found, scratch.single(), parallel);
                     out.iter_mut().zip(&found).for_each(|(row, [x])| row[w] = *x);
                 }
             }
             Self::Single(f) => {
-                f.solve_into(fronts, scale, rhs, out, &mut scratch.single, parallel);
+                f.solve_into(fronts, scale, rhs, out, scratch.single(), parallel);
             }
             Self::Double(f) => {
-                f.solve_into(fronts, scale, rhs, out, &mut scratch.double, parallel);
+                f.solve_into(fronts, scale, rhs, out, scratch.double(), parallel);
             }
         }
     }
@@ -85,7 +102,7 @@ impl<E: Entry> Numeric<E> {
         scale: f64,
         rhs: &[[f64; W]],
         out: &mut [[f64; W]],
-        local: &mut Vec<E::Real>,
+        Buffers { local, active }: Buffers<E::Real>,
         parallel: bool,
     ) {
         // Single precision has a narrow range of exponents: bring right-hand sides to size 1.
@@ -101,7 +118,7 @@ impl<E: Entry> Numeric<E> {
         let back = sizes.map(|size| if size.is_finite() { size * scale } else { f64::NAN });
         let sizes = sizes.map(|size| if size == 0.0 { 1.0 } else { size });
         local.resize(W * fronts.n_local, E::Real::default());
-        let active = active(fronts, rhs);
+        mark_active(fronts, rhs, active);
         let solving = Solving { fronts, factor: self, parallel, from: rhs, sizes, active };
         let local = local.as_chunks_mut::<W>().0;
         let mut rest = &mut *local;
@@ -123,17 +140,17 @@ impl<E: Entry> Numeric<E> {
     }
 }
 
-/// Whether anything but zero arrives at each front on the way forward. Loads of a few nodes reach few
+/// Note whether anything but zero arrives at each front on the way forward. Loads of a few nodes reach few
 /// of them.
-fn active<const W: usize>(fronts: &Fronts, rhs: &[[f64; W]]) -> Vec<bool> {
-    let mut active = vec![W == 1; fronts.fronts.len()];
+fn mark_active<const W: usize>(fronts: &Fronts, rhs: &[[f64; W]], active: &mut Vec<bool>) {
+    active.clear();
+    active.resize(fronts.fronts.len(), W == 1);
     for (f, front) in fronts.fronts.iter().enumerate() {
         let own = &rhs[front.first..front.first + front.n_own];
         active[f] = active[f]
             || own.as_flattened().iter().any(|&r| r != 0.0)
             || fronts.children_of(front).iter().any(|&child| active[child as usize]);
     }
-    active
 }
 
 struct Solving<'a, E: Entry, const W: usize> {
@@ -142,7 +159,7 @@ struct Solving<'a, E: Entry, const W: usize> {
     parallel: bool,
     from: &'a [[f64; W]],
     sizes: [f64; W],
-    active: Vec<bool>,
+    active: &'a [bool],
 }
 
 impl<E: Entry, const W: usize> Solving<'_, E, W> {

@@ -1,0 +1,95 @@
+"""Vibration modes of a supported body at rest."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, frozen
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.simulate.solve import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The slowest vibrations of a body.
+
+    Attributes
+    ----------
+    shapes : ndarray of float64, shape (n_modes, n_nodes, 3)
+        Displacement of the nodes over the amplitude, 1/sqrt(kg); zero at held nodes. Shapes are orthonormal in the
+        mass: ``sum_n m_n shapes[j, n] . shapes[k, n]`` is one for ``j = k`` and zero otherwise.
+    squares : ndarray of float64, shape (n_modes,)
+        Squared angular frequencies, 1/s^2, ascending.
+    """
+
+    shapes: FloatArray
+    squares: FloatArray
+
+
+def vibration_modes(mesh: Mesh, material: Material, masses: FloatArray, n_modes: int, threads: int = 0) -> Modes:
+    """Return the slowest modes ``K phi = omega^2 M phi`` of four-node tets at rest, with masses lumped at the nodes.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body; its node set ``fixed`` is held.
+    material : Material
+        Young's modulus and Poisson's ratio; of all laws with these the stiffness at rest is the same.
+    masses : ndarray of float64, shape (n_nodes,)
+        Mass of every node, kg.
+    n_modes : int
+        Number of modes; no more are returned than the body has free components.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Returns
+    -------
+    Modes
+        The largest component of every shape is positive.
+
+    Raises
+    ------
+    SupportError
+        If the body can move freely.
+
+    Notes
+    -----
+    Lanczos' method on ``M^(1/2) K^-1 M^(1/2)``, whose largest eigenvalues are ``1/omega^2``: some three solutions
+    with one factor per mode. A body with few free components is treated as a full matrix.
+    """
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    simulator = Simulator(mesh)
+    young, poisson = simulator.moduli(material)
+    rest = simulator.body.linearise(np.zeros_like(mesh.nodes), young, poisson, threads=threads)
+    free = np.ones(mesh.n_nodes, dtype=bool)
+    free[mesh.fixed_nodes] = False
+    roots = np.repeat(np.sqrt(masses[free]), 3)
+    n_free = len(roots)
+
+    def scaled_response(forces: FloatArray) -> FloatArray:
+        """Return M^(1/2) K^-1 M^(1/2) f for rows (n, n_free)."""
+        fields = np.zeros((len(forces), mesh.n_nodes, 3))
+        fields[:, free] = (roots * forces).reshape(len(forces), -1, 3)
+        return np.asarray(roots * rest.responses(fields)[:, free].reshape(len(forces), -1))
+
+    count = min(n_modes, n_free)
+    if 2 * count + 1 >= n_free:
+        full = scaled_response(np.eye(n_free))
+        values, vectors = np.linalg.eigh(0.5 * (full + full.T))
+        values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
+    else:
+        operator = LinearOperator(
+            (n_free, n_free), matvec=lambda v: scaled_response(v.reshape(1, -1))[0], dtype=np.float64
+        )
+        # A start that is given, so that the same body has the same bits.
+        start = np.random.default_rng(0).standard_normal(n_free)
+        values, vectors = eigsh(operator, k=count, which="LA", v0=start)
+        order = np.argsort(values)[::-1]
+        values, vectors = values[order], vectors[:, order]
+    vectors = vectors / roots[:, None]
+    largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(count)]
+    shapes = np.zeros((count, mesh.n_nodes, 3))
+    shapes[:, free] = (vectors * np.sign(largest)).T.reshape(count, -1, 3)
+    return Modes(frozen(shapes), frozen(1.0 / values))
