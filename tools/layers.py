@@ -20,7 +20,7 @@ LAYERS: tuple[tuple[str, str], ...] = (
         "contact_answer contact_registration diagnose latent_registration registrar registration tracking",
     ),
     ("answers", "report result"),
-    ("parts of the calls", "contacts inputs meshing samples"),
+    ("parts of the calls", "advise contacts inputs meshing samples"),
     (
         "simulation, observation, networks",
         "assimilate latent linear_prior mixture_posterior observe phantom posterior readings simulate widen",

@@ -8,6 +8,7 @@
 
 from tissuereg import effects, errors, phantom, tracking
 from tissuereg._version import __version__
+from tissuereg.advise import MarkerAdvice, advise_markers
 from tissuereg.diagnose import diagnose
 from tissuereg.diagnose.many import diagnose_many
 from tissuereg.errors import TissueRegError
@@ -41,6 +42,7 @@ __all__ = [
     "FilledMesh",
     "FineModel",
     "Load",
+    "MarkerAdvice",
     "Markers",
     "Material",
     "Mesh",
@@ -53,6 +55,7 @@ __all__ = [
     "Tracker",
     "Triangles",
     "__version__",
+    "advise_markers",
     "diagnose",
     "diagnose_many",
     "effects",

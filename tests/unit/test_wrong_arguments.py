@@ -92,6 +92,15 @@ def rival(name):
     return lambda **given: RIVALS[name](**{"setting": whole, **given})
 
 
+#: A target in the body of `mesh`.
+DEEP = {"deep": (15.0, 10.0, 20.0)}
+
+
+@cache
+def fields():
+    return np.random.default_rng(0).normal(size=(9, mesh().n_nodes, 3))
+
+
 @cache
 def quick():
     few = ContactSettings(n_chains=2, n_chains_first=2, max_passes=1, n_kept=1, powers=(1.0,), n_draws=2)
@@ -448,6 +457,19 @@ CALLS = {
             "held_nodes": mesh().fixed_nodes,
             "seed": 0,
             "threads": 1,
+        },
+    ),
+    "advise_markers": (
+        lambda **given: tr.advise_markers(**{"mesh": mesh(), "fields_mm": fields(), "targets": DEEP, "n": 1, **given}),
+        {
+            "mesh": mesh(),
+            "fields_mm": fields(),
+            "targets": DEEP,
+            "n": 1,
+            "candidates_mm": markers().reference,
+            "placed_mm": None,
+            "std": 0.1,
+            "apart_mm": 0.0,
         },
     ),
     "open_executor": (opened, {"address": "local:2", "task_limit": 900.0, "patience": 60.0}),

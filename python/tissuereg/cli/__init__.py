@@ -10,7 +10,20 @@ import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from tissuereg.cli import bench, calibrate, demo, diagnose, mesh, new, register, reproduce, simulate, solve, train
+from tissuereg.cli import (
+    advise,
+    bench,
+    calibrate,
+    demo,
+    diagnose,
+    mesh,
+    new,
+    register,
+    reproduce,
+    simulate,
+    solve,
+    train,
+)
 from tissuereg.cli.common import Outcome, envelope, paragraph, warnings_as_lines
 from tissuereg.cli.ending import NO_ROOM, ended_like_an_interrupt, mute_stdout
 from tissuereg.cli.options import Parser, UsageError, json_target, parse
@@ -18,7 +31,7 @@ from tissuereg.errors import ConvergenceError, TissueRegError
 from tissuereg.io.atomic import check_file_target
 from tissuereg.io.json import dumps, write_json
 
-_COMMANDS = (mesh, new, solve, simulate, train, calibrate, register, diagnose, demo, bench, reproduce)
+_COMMANDS = (mesh, new, solve, simulate, train, calibrate, register, advise, diagnose, demo, bench, reproduce)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
