@@ -111,11 +111,11 @@ def _picture(name: str, study: str) -> Path:
 def run(model: str | None, threads: int) -> dict[str, Any]:
     """Return the archive of all studies with a model."""
     from tissuereg._machine import machine, n_cores, versions
-    from tissuereg.studies import STUDIES, reproduce
+    from tissuereg.studies import SIMULATED, reproduce
 
     with tempfile.TemporaryDirectory() as folder:
-        whole = reproduce(STUDIES, Path(folder) / "out", model=model, threads=threads)
-        studies = {name: json.loads((Path(folder) / "out" / f"{name}.json").read_text("utf-8")) for name in STUDIES}
+        whole = reproduce(SIMULATED, Path(folder) / "out", model=model, threads=threads)
+        studies = {name: json.loads((Path(folder) / "out" / f"{name}.json").read_text("utf-8")) for name in SIMULATED}
     return {
         "schema": "tissuereg.paper/1",
         "machine": machine(),

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from support.scripts import REPOSITORY, script
-from tissuereg.studies import STUDIES
+from tissuereg.studies import SIMULATED
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def test_the_page_is_that_of_its_archives(archives):
 def test_every_study_was_run_with_every_model(archives):
     assert "shipped" in archives
     for archive in archives.values():
-        assert tuple(archive["studies"]) == STUDIES
+        assert tuple(archive["studies"]) == SIMULATED
         for study, content in archive["studies"].items():
             assert content["agree"][study]["agree"] in ("yes", "no")
             assert {row["study"] for row in content["rows"]} == {study}
@@ -34,5 +34,5 @@ def test_every_study_was_run_with_every_model(archives):
 def test_every_picture_of_the_page_is_there(archives):
     paper = script("benchmarks", "paper")
     text = paper.page(archives)
-    pictures = [paper._picture(name, study) for name in archives for study in STUDIES]
+    pictures = [paper._picture(name, study) for name in archives for study in SIMULATED]
     assert all(picture.exists() and f"({picture.name})" in text for picture in pictures)

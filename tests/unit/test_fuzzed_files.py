@@ -27,6 +27,7 @@ from tissuereg.io.surfaces import read_triangles
 from tissuereg.latent.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
 from tissuereg.simulate.dataset import make_dataset
 from tissuereg.simulate.recipe import read_recipe
+from tissuereg.studies.rigs import read_rig
 
 #: Examples of each file; `make test-sturdy` asks for 10,000.
 CASES = int(os.environ.get("TISSUEREG_CASES", "60"))
@@ -74,6 +75,19 @@ SURFACES = (
 )
 
 ENTRY = bytes(range(200))
+
+#: A rig of the phantom experiment.
+RECORDING = {
+    **{name: np.zeros((1, 3)) for name in ("pad_centre_mm", "pad_direction", "markers_mm", "inner_mm")},
+    **{name: np.ones(1) for name in ("pad_radius_mm", "pad_stroke_mm")},
+    **{f"{name}_displacement_mm": np.zeros((2, 1, 3)) for name in ("marker", "inner")},
+    "sensor_displacement_mm": np.zeros((2, 3)),
+    "sensor_mm": np.zeros(3),
+    "shares": [0.5, 1.0],
+    "motion": [0.0, 1.0],
+    "frame_s": 0.025,
+    "truth": '{"scenario": 1, "seed": 0}',
+}
 
 #: All columns that markers may have.
 WIDE_MARKERS = (
@@ -229,6 +243,7 @@ def good(tmp_path_factory) -> Path:
     np.savez(folder / "mesh.npz", nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
     write_problem(folder / "problem.npz")
     np.savez(folder / "simulation.npz", displacement_mm=np.zeros((3, 3)))
+    np.savez(folder / "recording.npz", **RECORDING)
     (folder / "markers.csv").write_text(GOOD_MARKERS)
     (folder / "targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\ndeep,4,5,6\n")
     (folder / "surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n4,5,6\n7,8,9\n")
@@ -317,6 +332,7 @@ READERS = [
     pytest.param(tr.read_mesh, "mesh.npz", id="mesh.npz"),
     pytest.param(read_problem, "problem.npz", id="problem.npz"),
     pytest.param(read_simulation, "simulation.npz", id="simulation.npz"),
+    pytest.param(read_rig, "recording.npz", id="recording.npz"),
     pytest.param(tr.read_markers, "markers.csv", id="markers.csv"),
     pytest.param(tr.read_targets, "targets.csv", id="targets.csv"),
     pytest.param(tr.read_surface, "surface.csv", id="surface.csv"),

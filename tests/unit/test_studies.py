@@ -15,7 +15,7 @@ from tissuereg.latent.model import Gaussian
 from tissuereg.latent.pca import PcaModel
 from tissuereg.simulate.dataset import make_dataset
 from tissuereg.simulate.recipe import recipe_of
-from tissuereg.studies import STUDIES, shapes
+from tissuereg.studies import SIMULATED, STUDIES, shapes
 from tissuereg.studies import run as running
 from tissuereg.studies import sweep as sweeping
 from tissuereg.studies.algorithm import DECREASE, assimilate_many
@@ -401,7 +401,7 @@ def test_table_ii_is_told_from_other_networks(subject, cases):
 def test_all_studies_are_written_with_what_the_interface_states(subject, tmp_path):
     said = []
     content = run_studies(
-        STUDIES,
+        SIMULATED,
         subject,
         tmp_path / "out",
         threads=1,
@@ -410,12 +410,12 @@ def test_all_studies_are_written_with_what_the_interface_states(subject, tmp_pat
         progress=lambda *given: said.append(given),
     )
     assert {file.name for file in (tmp_path / "out").iterdir()} == {
-        f"{study}.{ending}" for study in STUDIES for ending in ("md", "csv", "png", "json")
+        f"{study}.{ending}" for study in SIMULATED for ending in ("md", "csv", "png", "json")
     }
     wanted = {"study", "cd_mm2", "n_e", "n_a", "n_pairs", "start_mean_mm", "end_mean_mm", "end_rms_mm", "end_max_mm"}
     for row in content["rows"]:
         assert wanted | {"coverage90", "paper_mm"} <= set(row)
-    for study in STUDIES:
+    for study in SIMULATED:
         kept = json.loads((tmp_path / "out" / f"{study}.json").read_text())
         assert kept["schema"] == "tissuereg.reproduce/1"
         assert kept["rows"] == [row for row in content["rows"] if row["study"] == study]
@@ -450,7 +450,7 @@ def test_the_command_knows_the_studies_of_the_package():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["fig9"], "STUDY must be one or more of table2, fig6, fig7, fig8, got fig9"),
+        (["fig9"], "STUDY must be one or more of table2, fig6, fig7, fig8, fig10, fig11, phantom, got fig9"),
         (["fig8", "--model", "none"], "a model folder must hold model.json"),
         (["fig8", "--seed", "-1"], "--seed"),
         ([], "STUDY"),

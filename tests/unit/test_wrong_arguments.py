@@ -214,7 +214,8 @@ def reproduced(**given):
     """Check the arguments of the paper's studies, of which none is run."""
     running = importlib.import_module("tissuereg.studies.run")
     with pytest.MonkeyPatch.context() as changed, tempfile.TemporaryDirectory() as folder:
-        changed.setattr(running, "run_studies", lambda *_, **__: None)
+        changed.setattr(running, "_simulated", lambda *_, **__: {})
+        changed.setattr(running, "_delivered", lambda *_, **__: None)
         return tr.reproduce(**{"out": folder, **given})
 
 
@@ -627,7 +628,17 @@ CALLS = {
     "PhysicsPrior": (rival("tissuereg, physics prior"), {"spread": False, "settings": quick()}),
     "reproduce": (
         reproduced,
-        {"studies": ["table2", "fig8"], "out": "out", "model": None, "seed": 0, "threads": 1, "progress": None},
+        {
+            "studies": ["table2", "fig8"],
+            "out": "out",
+            "model": None,
+            "data": "rigs",
+            "fields": None,
+            "methods": ["rigid"],
+            "seed": 0,
+            "threads": 1,
+            "progress": None,
+        },
     ),
     "phantom.breast_mesh": (tr.phantom.breast_mesh, {"n_nodes": 300}),
     "FineMeshing": (FineMeshing, {"rim_edge": 0.5, "growth": 1.0, "edge_share": 0.5, "cut": True}),

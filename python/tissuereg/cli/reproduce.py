@@ -1,4 +1,4 @@
-"""``tissuereg reproduce``: the paper's simulation studies."""
+"""``tissuereg reproduce``: the paper's studies."""
 
 import argparse
 from typing import Any
@@ -11,10 +11,13 @@ _DETAILS = (
     "start meshes, ten targets each, 15 markers on the surface, Algorithm 1, and the same with our own prior. "
     "STUDY, one or more: table2 (the network), fig6 (C_d and N_e), fig7 (N_a and N_e), fig8 (the error after each "
     "assimilation). Test shapes are solved anew from the model's recipe, so no data set is needed. DIR gets a table "
-    "(.md, .csv), a picture and a JSON of each study, with what the paper states and whether it holds here."
+    "(.md, .csv), a picture and a JSON of each study, with what the paper states and whether it holds here. "
+    "Of the phantom experiment (section IV): fig10 and fig11 (error at the buried sensor over time, one and two "
+    "actuators) and phantom (every method on every rig, with markers lost, wrong and noisy). Rigs are files that "
+    "another solver has made (--data)."
 )
 
-_STUDIES = ("table2", "fig6", "fig7", "fig8")
+_STUDIES = ("table2", "fig6", "fig7", "fig8", "fig10", "fig11", "phantom")
 
 
 def add_parser(commands: Any) -> None:
@@ -25,12 +28,19 @@ def add_parser(commands: Any) -> None:
     commands : argparse sub-parsers action
         Where to.
     """
-    purpose = "run the paper's simulation studies"
+    purpose = "run the paper's studies"
     parser = command_parser(commands, "reproduce", purpose, _DETAILS, "tissuereg reproduce fig6 --out paper")
     parser.add_argument("studies", metavar="STUDY", nargs="+", help=f"one or more of {', '.join(_STUDIES)}")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for tables, pictures and JSON")
     text = "folder of a trained model (default: the one that ships with the package)"
     parser.add_argument("--model", metavar="FOLDER", help=text)
+    phantom = parser.add_argument_group("of the phantom experiment")
+    text = "folder of rigs, *.npz (default: benchmarks/twin/rigs)"
+    phantom.add_argument("--data", metavar="RIGS", help=text)
+    text = "data set of the model's body, for methods that need training fields (default: they are left out)"
+    phantom.add_argument("--fields", metavar="DATA", help=text)
+    text = "a method to run besides the simulation; may be given several times (default: all)"
+    phantom.add_argument("--method", action="append", metavar="NAME", help=text)
     add_common(parser, seed="seed of shapes, markers and ensembles (default: 0)")
     parser.set_defaults(run=run, late="studies", room=len(_STUDIES))
 
@@ -62,7 +72,15 @@ def run(args: argparse.Namespace) -> Outcome:
     with progress_bar("registrations", quiet=args.quiet) as report:
         progress = None if report is None else lambda _, done, in_all: report(done, in_all)
         content = reproduce(
-            args.studies, args.out, model=args.model, seed=args.seed or 0, threads=args.threads, progress=progress
+            args.studies,
+            args.out,
+            model=args.model,
+            data=args.data,
+            fields=args.fields,
+            methods=args.method,
+            seed=args.seed or 0,
+            threads=args.threads,
+            progress=progress,
         )
     return Outcome(content, _summary(content, args.out), args.threads)
 
@@ -71,7 +89,7 @@ def _summary(content: dict[str, Any], out: str) -> str:
     model = content["model"]
     lines = [f"{model['kind']} ({model['source']}), {model['n_nodes']} nodes, {model['n_latent']} latents"]
     for study, verdict in content["agree"].items():
-        rows = [row for row in content["rows"] if row["study"] == study and row["end_mean_mm"] is not None]
+        rows = [row for row in content["rows"] if row["study"] == study and row.get("end_mean_mm", 0.0) is not None]
         lines.append(f"{study}: {len(rows)} rows; agrees with the paper: {verdict['agree']}")
         for claims in verdict["claims"].values():
             lines += [f"  {'holds' if one['holds'] else 'fails'}: {one['claim']} ({one['found']})" for one in claims]

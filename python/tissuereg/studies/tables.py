@@ -40,11 +40,11 @@ def markdown(content: dict[str, Any]) -> str:
     """
     study = content["rows"][0]["study"]
     verdict = content["agree"][study]
-    lines = [f"Agrees with the paper: **{verdict['agree']}**.", "", *_claims(verdict)]
+    lines = [f"Agrees with the paper: **{verdict['agree']}**.", "", *claim_lines(verdict)]
     if "family" in verdict:
         found = verdict["family"]["agree"]
         lines += [f"The same statements with the prior of all training codes: **{found}**.", ""]
-        lines += _claims(verdict["family"])
+        lines += claim_lines(verdict["family"])
     if study == "table2":
         layers = [{"number": k, **one} for k, one in enumerate(content["layers"], start=1)]
         columns = (("number", "", "{}"), ("layer", "layer", "{}"), ("paper", "paper", "{}"), ("here", "here", "{}"))
@@ -95,16 +95,23 @@ def _sweep(rows: list[dict[str, Any]], across: str) -> list[str]:
 
 def csv(content: dict[str, Any]) -> str:
     """Return the rows of a study as CSV, one column a key; intervals take two."""
-    keys = [key for key in content["rows"][0] if key not in ("steps_mm", "end_mean_interval95_mm")]
-    has_interval = "end_mean_interval95_mm" in content["rows"][0]
-    lines = [",".join([*keys, *(["end_mean_low_mm", "end_mean_high_mm"] if has_interval else [])])]
+    rows = []
     for row in content["rows"]:
-        values = [*(row[key] for key in keys), *row.get("end_mean_interval95_mm", ())]
-        lines.append(",".join(_cell(value) for value in values))
+        ends = row.get("end_mean_interval95_mm", ())
+        rest = {key: value for key, value in row.items() if key not in ("steps_mm", "end_mean_interval95_mm")}
+        rows.append(rest | dict(zip(("end_mean_low_mm", "end_mean_high_mm"), ends, strict=False)))
+    return csv_lines(rows)
+
+
+def csv_lines(rows: list[dict[str, Any]]) -> str:
+    """Return rows with the same keys as CSV, one column a key."""
+    lines = [",".join(rows[0])]
+    lines += [",".join(_cell(row[key]) for key in rows[0]) for row in rows]
     return "\n".join(lines) + "\n"
 
 
-def _claims(verdict: dict[str, Any]) -> list[str]:
+def claim_lines(verdict: dict[str, Any]) -> list[str]:
+    """Return the paper's statements on a study as Markdown tables, and whether each holds."""
     lines = []
     for reading, claims in verdict["claims"].items():
         lines += [f"| {reading}: the paper's statement | holds | found |", "| --- | --- | --- |"]

@@ -9,9 +9,10 @@ HOLD = 3000.0
 
 @dataclass
 class Springs:
-    """Free along the base but for springs, kPa/mm; held across it."""
+    """Springs along the base and across it, kPa/mm; by default it is held across."""
 
     stiffness: float
+    across: float = HOLD
 
     def start(self, surface):
         """Return the state of a run."""
@@ -19,7 +20,7 @@ class Springs:
 
     def law(self, state, u):
         """Return traction (k, q, 3) and minus its derivative."""
-        tie = np.array([self.stiffness, self.stiffness, HOLD])
+        tie = np.array([self.stiffness, self.stiffness, self.across])
         return -tie * u, np.broadcast_to(np.diag(tie), (*u.shape, 3))
 
     def end(self, state, u):

@@ -1,0 +1,1 @@
+"""A virtual twin of the paper's phantom rig (section IV, Fig. 9), simulated by scikit-fem."""

@@ -1,0 +1,65 @@
+"""Make the rigs that are missing: ``python -m twin`` with ``tests`` and ``benchmarks`` on the path (``make twin``).
+
+``--only NAME``: one rig; ``--list``: their names; ``--corners N``: another mesh, for a comparison, into another
+``--out``. Each rig is one file, written whole: a run that was stopped goes on.
+"""
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from tissuereg.io.npz import write_npz
+from twin.rig import FRAME_S, SCENARIOS, SEEDS, draw, pushes
+
+RIGS = Path(__file__).resolve().parent / "rigs"
+
+
+def main():
+    """Make what is missing."""
+    parser = argparse.ArgumentParser(prog="python -m twin", description=__doc__)
+    parser.add_argument("--only")
+    parser.add_argument("--list", action="store_true")
+    parser.add_argument("--out", type=Path, default=RIGS)
+    parser.add_argument("--corners", type=int)
+    options = parser.parse_args()
+    rigs = [draw(scenario, seed) for seed in SEEDS for scenario in SCENARIOS]
+    names = [rig.name for rig in rigs]
+    if options.list:
+        print("\n".join(names))
+        return
+    if options.only and options.only not in names:
+        parser.error(f"--only must be one of {', '.join(names)}, got {options.only}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    for rig in rigs:
+        path = options.out / f"{rig.name}.npz"
+        if path.exists() or options.only not in (None, rig.name):
+            continue
+        make(rig, path, options.corners)
+
+
+def make(rig, path, n_corners=None):
+    """Solve a rig and write its file."""
+    from twin.solve import N_CORNERS, solve
+
+    found, facts = solve(rig, n_corners=n_corners or N_CORNERS)
+    known = {
+        "pad_centre_mm": [one.known_centre for one in rig.actuators],
+        "pad_direction": [one.known_direction for one in rig.actuators],
+        "pad_radius_mm": [one.radius for one in rig.actuators],
+        "pad_stroke_mm": [one.stroke for one in rig.actuators],
+        "motion": pushes(),
+        "frame_s": FRAME_S,
+    }
+    stated = json.dumps(asdict(rig) | {"solved": facts}, default=lambda array: array.tolist())
+    moved = {name: value for name, value in found.items() if name.endswith("displacement_mm")}
+    rest = {name: value for name, value in found.items() if name not in moved}
+    # A nanometre is enough, and a third of the size.
+    write_npz(path, {**rest, **known, **{k: v.astype(np.float32) for k, v in moved.items()}, "truth": stated})
+    print(f"{rig.name}: {facts}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,385 @@
+"""One method after another on the recordings of rigs: errors at the buried sensor and at inner points, and times.
+
+Every method is given the same: markers, the believed simulation, the believed material (E = 10 kPa, neo-Hookean, as in
+the paper's section IV), and no other truth.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray, IntArray
+from tissuereg.baselines import RIVALS, Estimate, Rival, Setting
+from tissuereg.errors import FormatError, TissueRegError
+from tissuereg.latent.model import LatentModel
+from tissuereg.load import Load
+from tissuereg.material import Material
+from tissuereg.mesh import Mesh
+from tissuereg.observe import TargetObservation
+from tissuereg.phantom.event import POISSON
+from tissuereg.registrar import Registrar
+from tissuereg.simulate.solve import Simulator
+from tissuereg.studies.rigs import Rig
+
+#: What everyone believes: the paper's modulus.
+BELIEVED = Material(10.0, POISSON)
+
+#: Every so many frames one is scored, while the actuators have gone at least this share of their strokes.
+EVERY, LEAST_SHARE = 8, 0.05
+
+#: A method that takes longer a frame, s, is given the scored frames alone.
+TOO_SLOW_S = 0.25
+
+#: 95 % quantile of the normal distribution: a component lies within it of its mean in 90 % of cases.
+_QUANTILE90 = 1.6448536269514722
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How markers are seen.
+
+    Attributes
+    ----------
+    name, words : str
+        For JSON, and for tables.
+    noise_mm : float
+        Standard deviation of the tracker in a coordinate, which the methods are told.
+    dropped : float
+        Share of the markers that are never seen.
+    wrong_mm : float
+        How far one marker is off in all frames, in a random direction; the methods are not told.
+    """
+
+    name: str
+    words: str
+    noise_mm: float = 0.1
+    dropped: float = 0.0
+    wrong_mm: float = 0.0
+
+
+PLAIN = Condition("plain", "all markers, noise 0.1 mm")
+CONDITIONS = (
+    PLAIN,
+    *(Condition(f"dropped-{p}", f"{p} % of the markers not seen", dropped=p / 100) for p in (20, 40, 60)),
+    Condition("wrong", "one marker wrong by 5 mm", wrong_mm=5.0),
+    *(Condition(f"noise-{n}", f"noise {n} mm", noise_mm=n) for n in (0.5, 1.0)),
+)
+
+
+class Simulated(Rival):
+    """The believed simulation as it is: what every method starts from."""
+
+    name = "simulation"
+    needs = frozenset({"simulation"})
+
+    def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
+        """Return the simulation."""
+        return Estimate(self.moment(measured_mm, simulation_mm).start_mm)
+
+
+class Registered(Rival):
+    """The package with a trained model: every moment by `Registrar.register` with the believed simulation."""
+
+    name = "tissuereg"
+    needs = frozenset({"simulation", "model"})
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting)
+        self._registrar = Registrar(
+            setting.mesh,
+            setting.reference_mm,
+            setting.model,
+            std=setting.std_mm,
+            material=setting.material,
+            seed=setting.seed,
+            threads=setting.threads,
+        )
+
+    def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
+        """Return the registered displacement and its spread."""
+        moment = self.moment(measured_mm, simulation_mm)
+        found = self._registrar.register(moment.measured_mm, moment.simulation_mm)
+        # A node's spread is stated as the root of a trace, over three components.
+        spread = np.repeat(found.std[:, None] / np.sqrt(3.0), 3, axis=1)
+        return Estimate(found.displacement, spread, {"trusted": found.trust.ok})
+
+
+class RegisteredAlone(Registered):
+    """The same without a simulation."""
+
+    name = "tissuereg without simulation"
+    needs = frozenset({"model"})
+
+    def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
+        """Return the registered displacement and its spread."""
+        return super().register(measured_mm, None)
+
+
+#: Every method by its name, ours first.
+METHODS: dict[str, type[Rival]] = {method.name: method for method in (Simulated, Registered, RegisteredAlone)} | RIVALS
+
+
+class Believed:
+    """What is believed of a rig: the simulation of its frames, and where the scored points lie in the mesh.
+
+    Parameters
+    ----------
+    rig : Rig
+    mesh : Mesh
+        Of the user; its node set ``fixed`` is held.
+    threads : int
+        Of the solver.
+
+    Notes
+    -----
+    The surface nodes under a pad, as far as the user knows it, take its motion; nothing else moves the body. One
+    equilibrium is solved at every stored share of the strokes, and frames lie on the spline through them.
+    """
+
+    def __init__(self, rig: Rig, mesh: Mesh, threads: int = 0) -> None:
+        self.rig, self.mesh, self._threads = rig, mesh, threads
+        points = {"sensor": rig.sensor_mm} | {str(k): place for k, place in enumerate(rig.inner_mm)}
+        self._points = TargetObservation(mesh, points)
+
+    def at_points(self, field: FloatArray) -> FloatArray:
+        """Return a nodal field (n_nodes, 3) at the sensor and the inner points, (1 + n_inner, 3)."""
+        return self._points.predict(field[self._points.nodes])
+
+    @cached_property
+    def truth_mm(self) -> FloatArray:
+        """True displacement of the sensor and the inner points, shape (n_frames, 1 + n_inner, 3)."""
+        both = np.concatenate([self.rig.sensor_levels_mm[:, None], self.rig.inner_levels_mm], axis=1)
+        return self.rig.at_frames(both)
+
+    @cached_property
+    def _pressed(self) -> list[IntArray]:
+        fixed, pressed = self.mesh.fixed_nodes, []
+        for pad in self.rig.pads:
+            nodes = np.setdiff1d(self.mesh.surface_nodes_within(pad.centre_mm, pad.radius_mm), fixed)
+            if not len(nodes):
+                message = f"{self.rig.name}: a pad must touch the mesh; none of its surface nodes lies under it"
+                raise FormatError(message, where=self.rig.name)
+            pressed.append(nodes)
+        return pressed
+
+    @cached_property
+    def _solved(self) -> tuple[FloatArray, Load]:
+        """Fields at the stored shares, and the forces of the pads at the whole strokes as a load."""
+        fixed = self.mesh.fixed_nodes
+        held, which = np.unique(np.concatenate([fixed, *self._pressed]), return_inverse=True)
+        strokes = np.zeros((len(held), 3))
+        start = len(fixed)
+        for nodes, pad in zip(self._pressed, self.rig.pads, strict=True):
+            strokes[which[start : start + len(nodes)]] = pad.stroke_mm
+            start += len(nodes)
+        simulator = Simulator(self.mesh, held_nodes=held)
+        fields: list[FloatArray] = []
+        for share in self.rig.shares:
+            found = simulator.solve(
+                Load(prescribed=share * strokes),
+                BELIEVED,
+                threads=self._threads,
+                **({"start": fields[-1]} if fields else {}),
+            )
+            fields.append(found.displacement)
+        forces = np.zeros_like(self.mesh.nodes)
+        moved = ~np.isin(held, fixed)
+        forces[held[moved]] = found.reactions[moved]
+        return np.array(fields), Load(forces=forces)
+
+    @cached_property
+    def simulation_mm(self) -> FloatArray:
+        """Believed displacement of the nodes, shape (n_frames, n_nodes, 3)."""
+        return self.rig.at_frames(self._solved[0])
+
+    @property
+    def load(self) -> Load:
+        """The pads' believed forces at the whole strokes: what the load may look like."""
+        return self._solved[1]
+
+    @property
+    def scored(self) -> IntArray:
+        """Frames that are scored."""
+        frames = np.arange(0, len(self.rig.motion), EVERY)
+        return frames[self.rig.motion[frames] >= LEAST_SHARE]
+
+    def setting(self, condition: Condition, model: LatentModel | None, fields: Any, seed: int) -> Setting:
+        """Return what every method is given."""
+        return Setting(
+            mesh=self.mesh,
+            reference_mm=self.rig.reference_mm,
+            std_mm=np.full(len(self.rig.reference_mm), condition.noise_mm),
+            material=BELIEVED,
+            load=self.load,
+            model=model,
+            fields=fields,
+            frame_s=self.rig.frame_s,
+            seed=seed,
+            threads=self._threads,
+        )
+
+
+def measured(rig: Rig, condition: Condition, seed: int) -> FloatArray:
+    """Return the markers as the tracker gives them (n_frames, n_markers, 3), mm; NaN = not seen."""
+    rng = np.random.default_rng([seed, rig.scenario, rig.seed])
+    places = rig.reference_mm + rig.at_frames(rig.marker_levels_mm)
+    order = rng.permutation(len(rig.reference_mm))
+    direction = rng.standard_normal(3)
+    noisy = places + condition.noise_mm * rng.standard_normal(places.shape)
+    noisy[:, order[-1]] += condition.wrong_mm * direction / np.linalg.norm(direction)
+    noisy[:, order[: round(condition.dropped * len(order))]] = np.nan
+    return np.asarray(noisy)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a method did on one rig under one condition.
+
+    Attributes
+    ----------
+    method, condition, rig : str
+        Names.
+    scenario : int
+    times_s : ndarray of float64, shape (n_scored,)
+        Of the scored frames.
+    sensor_mm, inner_mm : ndarray of float64, shapes (n_scored,), (n_scored, n_inner)
+        Distance of the sensor and the inner points from where they are.
+    coverage90 : float or None
+        Share of the components of inner points whose 90 % interval holds the truth, where the method gives a spread.
+    ms : float
+        Median time of a frame.
+    frames, failed : int
+        Frames that it was given, and those among them that it could not register: the simulation counts there.
+    """
+
+    method: str
+    condition: str
+    rig: str
+    scenario: int
+    times_s: FloatArray
+    sensor_mm: FloatArray
+    inner_mm: FloatArray
+    coverage90: float | None
+    ms: float
+    frames: int
+    failed: int
+
+
+def run_method(rival: Rival, believed: Believed, markers: FloatArray, condition: str) -> Run:
+    """Return what a method does on the frames of a rig, in their order.
+
+    Parameters
+    ----------
+    rival : Rival
+        Made for the setting.
+    believed : Believed
+        Of the rig.
+    markers : ndarray of float64, shape (n_frames, n_markers, 3)
+        As measured, mm.
+    condition : str
+        Its name.
+    """
+    scored, rig = believed.scored, believed.rig
+    is_scored = np.isin(np.arange(len(markers)), scored)
+    distances, inside, seconds, failed, slow = [], [], [], 0, False
+    for frame, (seen, simulation) in enumerate(zip(markers, believed.simulation_mm, strict=True)):
+        if slow and not is_scored[frame]:
+            continue
+        begun = time.perf_counter()
+        try:
+            found = rival.register(seen, simulation)
+        except TissueRegError:
+            failed += 1
+            found = Estimate(simulation)
+        seconds.append(time.perf_counter() - begun)
+        # The first frame may have made what is kept.
+        slow = slow or (len(seconds) > 1 and min(seconds) > TOO_SLOW_S)
+        if not is_scored[frame]:
+            continue
+        off = believed.at_points(found.displacement_mm) - believed.truth_mm[frame]
+        distances.append(np.linalg.norm(off, axis=1))
+        if found.spread_mm is not None:
+            inside.append((np.abs(off) <= _QUANTILE90 * believed.at_points(found.spread_mm))[1:].mean())
+    away = np.array(distances)
+    return Run(
+        method=rival.name,
+        condition=condition,
+        rig=rig.name,
+        scenario=rig.scenario,
+        times_s=(scored + 1) * rig.frame_s,
+        sensor_mm=away[:, 0],
+        inner_mm=away[:, 1:],
+        coverage90=float(np.mean(inside)) if inside else None,
+        ms=1e3 * float(np.median(seconds)),
+        frames=len(seconds),
+        failed=failed,
+    )
+
+
+class Contest:
+    """Methods on rigs under conditions; nothing is run twice.
+
+    Parameters
+    ----------
+    rigs : sequence of Rig
+    mesh : Mesh
+        Of the user.
+    model : LatentModel, optional
+        Trained model of the mesh.
+    fields : ndarray of float64, shape (n_fields, n_nodes, 3), optional
+        Training fields, mm.
+    methods : mapping of str to type of Rival
+        Those that lack what they need are left out.
+    seed, threads : int
+        Of the noise and the methods; of the solver and the methods.
+    """
+
+    def __init__(
+        self,
+        rigs: Sequence[Rig],
+        mesh: Mesh,
+        model: LatentModel | None = None,
+        fields: Any = None,
+        methods: Mapping[str, type[Rival]] = METHODS,
+        seed: int = 0,
+        threads: int = 0,
+    ) -> None:
+        self.rigs, self._mesh, self._model, self._fields = tuple(rigs), mesh, model, fields
+        self._seed, self._threads = seed, threads
+        given = {"simulation", "load"}
+        given |= {name for name, value in (("model", model), ("fields", fields)) if value is not None}
+        self.methods = {name: method for name, method in methods.items() if method.needs <= given}
+        self.left_out = tuple(name for name in methods if name not in self.methods)
+        self._believed: dict[str, Believed] = {}
+        self._runs: dict[tuple[str, str], list[Run]] = {}
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The model for the studies' JSON: ``kind``, ``source``, ``n_nodes``, ``n_latent``."""
+        card = {} if self._model is None else self._model.card
+        latents = 0 if self._model is None else self._model.n_latent
+        facts = {name: card.get(name, "none") for name in ("kind", "source")}
+        return {**facts, "n_nodes": self._mesh.n_nodes, "n_latent": latents}
+
+    def runs(self, rig: Rig, condition: Condition) -> list[Run]:
+        """Return what every method did on a rig under a condition."""
+        key = rig.name, condition.name
+        if key not in self._runs:
+            self._runs[key] = self._run(rig, condition)
+        return self._runs[key]
+
+    def _run(self, rig: Rig, condition: Condition) -> list[Run]:
+        if rig.name not in self._believed:
+            self._believed = {rig.name: Believed(rig, self._mesh, self._threads)}  # one rig's fields at a time
+        believed = self._believed[rig.name]
+        setting = believed.setting(condition, self._model, self._fields, self._seed)
+        markers = measured(rig, condition, self._seed)
+        runs = []
+        for name, method in self.methods.items():
+            run = run_method(method(setting), believed, markers, condition.name)
+            runs.append(replace(run, method=name))
+        return runs

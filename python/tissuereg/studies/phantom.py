@@ -1,0 +1,192 @@
+"""The phantom experiment (the paper's section IV, Figs. 10 and 11) as studies, from the runs of a contest."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tissuereg._arrays import FloatArray
+from tissuereg.errors import ArgumentError
+from tissuereg.studies.claims import Agreement, Claim
+from tissuereg.studies.contest import CONDITIONS, PLAIN, Condition, Contest, Registered, Run, Simulated
+from tissuereg.studies.rigs import Rig
+
+#: Shares by which the paper's method lowers the simulation's error and that of KF-ADMM, and our goals.
+PAPER_REDUCTION, PAPER_AGAINST_KF = 0.72, 0.45
+GOAL_REDUCTION, GOAL_AGAINST_KF = 0.80, 0.55
+
+#: What names of the paper's rival begin with.
+KF_ADMM = "KF-ADMM"
+
+#: Studies, and the scenario that each shows; None: both.
+PHANTOM_STUDIES: dict[str, int | None] = {"fig10": 1, "fig11": 2, "phantom": None}
+
+#: Resamples of an interval, and their seed.
+_RESAMPLES, _SEED = 2000, 27
+
+#: Called with the number of rigs that are done, and of all.
+Progress = Callable[[int, int], None]
+
+
+def phantom_study(name: str, contest: Contest, progress: Progress | None = None) -> dict[str, Any]:
+    """Return the entries of a study's JSON.
+
+    Parameters
+    ----------
+    name : str
+        Among `PHANTOM_STUDIES`.
+    contest : Contest
+        With rigs of the study's scenario.
+    progress : callable of (int, int), optional
+        Called with the number of rigs and conditions that are done, and of all.
+
+    Returns
+    -------
+    dict
+        ``rows`` (a method under a condition), ``agree``, ``conditions``, ``left_out``; of a figure ``curves``, of
+        ``phantom`` ``goals``.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no rig of the scenario.
+    """
+    scenario = PHANTOM_STUDIES[name]
+    rigs = [rig for rig in contest.rigs if scenario in (None, rig.scenario)]
+    if not rigs:
+        message = f"`data` must hold rigs of scenario {scenario} for '{name}', found none"
+        raise ArgumentError(message, where="data")
+    conditions = CONDITIONS if scenario is None else (PLAIN,)
+    done = 0
+    runs: dict[str, list[Run]] = {condition.name: [] for condition in conditions}
+    in_all = len(rigs) * len(conditions)
+    for rig in rigs:
+        for condition in conditions:
+            runs[condition.name] += contest.runs(rig, condition)
+            done += 1
+            if progress is not None:
+                progress(done, in_all)
+    rows = [
+        {"study": name, "scenario": scenario, **row}
+        for condition in conditions
+        for row in _rows(condition, runs[condition.name])
+    ]
+    found = {
+        "rows": rows,
+        "agree": {name: _agreement(rows).to_json()},
+        "conditions": {condition.name: condition.words for condition in conditions},
+        "left_out": list(contest.left_out),
+    }
+    if scenario is None:
+        return {**found, "goals": _goals(rows)}
+    return {**found, "curves": _curves(rigs[0], contest.runs(rigs[0], PLAIN))}
+
+
+def of_rigs(runs: Sequence[Run], value: Callable[[Run], float]) -> FloatArray:
+    """Return a value of every rig (n_rigs,), in their order."""
+    return np.array([value(run) for run in runs])
+
+
+def interval(values: FloatArray) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of values (n_rigs,) by the bootstrap over rigs."""
+    draws = np.random.default_rng(_SEED).integers(len(values), size=(_RESAMPLES, len(values)))
+    low, high = np.quantile(values[draws].mean(axis=1), (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _rows(condition: Condition, runs: Sequence[Run]) -> list[dict[str, Any]]:
+    by_method: dict[str, list[Run]] = {}
+    for run in runs:
+        by_method.setdefault(run.method, []).append(run)
+    start = of_rigs(by_method[Simulated.name], _sensor) if Simulated.name in by_method else None
+    return [_row(condition, method, its, start) for method, its in by_method.items()]
+
+
+def _sensor(run: Run) -> float:
+    return float(run.sensor_mm.mean())
+
+
+def _row(condition: Condition, method: str, runs: Sequence[Run], start: FloatArray | None) -> dict[str, Any]:
+    sensor = of_rigs(runs, _sensor)
+    inner = of_rigs(runs, lambda run: float(run.inner_mm.mean()))
+    known = start is not None and bool((start > 0.0).all())
+    reduction = 1.0 - sensor / start if known else None
+    covered = [run.coverage90 for run in runs if run.coverage90 is not None]
+    return {
+        "condition": condition.name,
+        "method": method,
+        "rigs": len(runs),
+        "sensor_mean_mm": float(sensor.mean()),
+        "sensor_interval95_mm": interval(sensor),
+        "sensor_q95_mm": float(np.quantile(np.concatenate([run.sensor_mm for run in runs]), 0.95)),
+        "inner_mean_mm": float(inner.mean()),
+        "inner_interval95_mm": interval(inner),
+        "inner_q95_mm": float(np.quantile(np.concatenate([run.inner_mm.ravel() for run in runs]), 0.95)),
+        "reduction": None if reduction is None else float(reduction.mean()),
+        "reduction_interval95": None if reduction is None else interval(reduction),
+        "coverage90": float(np.mean(covered)) if covered else None,
+        "ms": float(np.median([run.ms for run in runs])),
+        "frames": sum(run.frames for run in runs),
+        "failed": sum(run.failed for run in runs),
+    }
+
+
+def _plain(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    return {row["method"]: row for row in rows if row["condition"] == PLAIN.name}
+
+
+def _against_kf(plain: dict[str, dict[str, Any]]) -> float | None:
+    """Return by which share our error at the sensor is below that of KF-ADMM; None where that was not run."""
+    rival = next((row for name, row in plain.items() if name.startswith(KF_ADMM)), None)
+    ours = plain.get(Registered.name)
+    return None if rival is None or ours is None else 1.0 - ours["sensor_mean_mm"] / rival["sensor_mean_mm"]
+
+
+def _agreement(rows: Sequence[dict[str, Any]]) -> Agreement:
+    plain, claims = _plain(rows), []
+    ours = plain.get(Registered.name)
+    if ours is not None and ours["reduction"] is not None:
+        low, high = ours["reduction_interval95"]
+        claims.append(
+            Claim(
+                f"registration lowers the simulation's error by {PAPER_REDUCTION:.0%}",
+                ours["reduction"] >= PAPER_REDUCTION,
+                f"{ours['reduction']:.0%}, interval {low:.0%} to {high:.0%}",
+            )
+        )
+    gain = _against_kf(plain)
+    if gain is not None:
+        text = f"it is {PAPER_AGAINST_KF:.0%} better than KF-ADMM"
+        claims.append(Claim(text, gain >= PAPER_AGAINST_KF, f"{gain:.0%}"))
+    return Agreement({"error at the sensor": tuple(claims)} if claims else {})
+
+
+def _goals(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    plain = _plain(rows)
+    ours = plain.get(Registered.name)
+    if ours is None or ours["reduction"] is None:
+        return []
+    goals = [_goal(f"simulation's error lowered by {GOAL_REDUCTION:.0%}", ours["reduction"], GOAL_REDUCTION)]
+    gain = _against_kf(plain)
+    if gain is not None:
+        goals.append(_goal(f"{GOAL_AGAINST_KF:.0%} better than KF-ADMM", gain, GOAL_AGAINST_KF))
+    better = sorted(
+        (row for row in plain.values() if row["sensor_mean_mm"] < ours["sensor_mean_mm"]),
+        key=lambda row: float(row["sensor_mean_mm"]),
+    )
+    names = ", ".join(f"{row['method']} ({row['sensor_mean_mm']:.2f} mm)" for row in better) or "none is better"
+    return [*goals, {"goal": "better than every other method", "found": names, "met": not better}]
+
+
+def _goal(text: str, found: float, wanted: float) -> dict[str, Any]:
+    return {"goal": text, "found": f"{found:.0%}", "met": found >= wanted}
+
+
+def _curves(rig: Rig, runs: Sequence[Run]) -> dict[str, Any]:
+    return {
+        "rig": rig.name,
+        "motion_times_s": ((np.arange(len(rig.motion)) + 1) * rig.frame_s).tolist(),
+        "motion": rig.motion.tolist(),
+        "times_s": runs[0].times_s.tolist(),
+        "sensor_mm": {run.method: run.sensor_mm.tolist() for run in runs},
+    }

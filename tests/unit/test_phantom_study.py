@@ -1,0 +1,252 @@
+"""The phantom experiment: recordings, methods on them, and what is counted."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.small_model import SMALL_MODEL
+from tissuereg._clock import Clock
+from tissuereg.baselines import Estimate, MeanOfMarkers, Rigid, Rival
+from tissuereg.errors import ArgumentError, FormatError, MarkerError
+from tissuereg.io.npz import write_npz
+from tissuereg.latent.network import NetworkModel
+from tissuereg.studies import contest as contests
+from tissuereg.studies.contest import CONDITIONS, PLAIN, Believed, Contest, Registered, Run, Simulated, measured
+from tissuereg.studies.phantom import _rows, phantom_study
+from tissuereg.studies.rigs import Pad, Rig, read_rig, read_rigs
+from tissuereg.studies.run import _delivered, run_contest
+
+MOTION = np.concatenate([np.linspace(0.1, 1.0, 12), np.linspace(0.9, 0.0, 12)])
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return tr.phantom.phantom_mesh("small")
+
+
+@pytest.fixture(scope="module")
+def rig(mesh):
+    """A rig whose truth is the believed simulation, at nodes of the mesh."""
+    free = np.setdiff1d(mesh.surface_nodes, mesh.fixed_nodes)
+    inner = np.setdiff1d(np.arange(mesh.n_nodes), np.union1d(mesh.surface_nodes, mesh.fixed_nodes))
+    seen, below = free[:: len(free) // 15][:15], inner[:: len(inner) // 11][:11]
+    levels = {"marker": (2, 15, 3), "sensor": (2, 3), "inner": (2, 10, 3)}
+    bare = Rig(
+        name="scenario1-00",
+        scenario=1,
+        seed=0,
+        pads=(Pad(np.array([58.0, 0.0, 20.0]), np.array([-6.0, 0.0, 0.0]), 14.0),),
+        frame_s=0.025,
+        motion=MOTION,
+        reference_mm=mesh.nodes[seen],
+        sensor_mm=mesh.nodes[below[0]],
+        inner_mm=mesh.nodes[below[1:]],
+        shares=np.array([0.5, 1.0]),
+        truth={"scenario": 1, "seed": 0},
+        **{f"{name}_levels_mm": np.zeros(shape) for name, shape in levels.items()},
+    )
+    fields = Believed(bare, mesh, 1)._solved[0]
+    return replace(
+        bare,
+        marker_levels_mm=fields[:, seen],
+        sensor_levels_mm=fields[:, below[0]],
+        inner_levels_mm=fields[:, below[1:]],
+    )
+
+
+def arrays_of(rig):
+    """Return a rig as the arrays of its file."""
+    strokes = np.array([pad.stroke_mm for pad in rig.pads])
+    sizes = np.linalg.norm(strokes, axis=1)
+    return {
+        "pad_centre_mm": [pad.centre_mm for pad in rig.pads],
+        "pad_direction": strokes / sizes[:, None],
+        "pad_radius_mm": [pad.radius_mm for pad in rig.pads],
+        "pad_stroke_mm": sizes,
+        "motion": rig.motion,
+        "frame_s": rig.frame_s,
+        "shares": rig.shares,
+        "markers_mm": rig.reference_mm,
+        "sensor_mm": rig.sensor_mm,
+        "inner_mm": rig.inner_mm,
+        "marker_displacement_mm": rig.marker_levels_mm,
+        "sensor_displacement_mm": rig.sensor_levels_mm,
+        "inner_displacement_mm": rig.inner_levels_mm,
+        "truth": json.dumps(dict(rig.truth)),
+    }
+
+
+class Fails(Rival):
+    """A method that never finds anything."""
+
+    name = "fails"
+
+    def register(self, measured_mm, simulation_mm=None):
+        message = "no"
+        raise MarkerError(message)
+
+
+class NeedsFields(Rigid):
+    """A method that wants training fields."""
+
+    name = "needs fields"
+    needs = frozenset({"fields"})
+
+
+class Off(Rival):
+    """The simulation and 2 mm more along x, which it says it knows to 1 mm."""
+
+    name = "off"
+    needs = frozenset({"simulation"})
+
+    def register(self, measured_mm, simulation_mm=None):
+        return Estimate(simulation_mm + np.array([2.0, 0.0, 0.0]), np.ones_like(simulation_mm))
+
+
+METHODS = {method.name: method for method in (Simulated, MeanOfMarkers, Rigid, Off, Fails, NeedsFields)}
+
+
+@pytest.fixture(scope="module")
+def made(rig, mesh):
+    return Contest([rig], mesh, methods=METHODS, threads=1)
+
+
+# --- recordings ---
+
+
+def test_a_rig_is_read_as_it_was_written(rig, tmp_path):
+    write_npz(tmp_path / "scenario1-00.npz", arrays_of(rig))
+    (found,) = read_rigs(tmp_path)
+    assert (found.name, found.scenario, found.seed, found.frame_s) == ("scenario1-00", 1, 0, 0.025)
+    np.testing.assert_array_equal(found.inner_levels_mm, rig.inner_levels_mm)
+    np.testing.assert_allclose(found.pads[0].stroke_mm, rig.pads[0].stroke_mm, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"shares": [1.0, 0.5]}, "must be two or more growing numbers above 0"),
+        ({"motion": [0.0, 1.5]}, "must be shares from 0 to 1"),
+        ({"truth": "{}"}, "must be JSON with `scenario` and `seed`"),
+        ({"inner_displacement_mm": np.zeros((2, 9, 3))}, "inner_displacement_mm"),
+        ({"sensor_mm": [0.0, 0.0, np.nan]}, "must be finite"),
+    ],
+)
+def test_a_spoilt_rig_is_refused_with_the_array_that_is_wrong(rig, tmp_path, changed, said):
+    write_npz(tmp_path / "rig.npz", arrays_of(rig) | changed)
+    with pytest.raises(FormatError, match=said):
+        read_rig(tmp_path / "rig.npz")
+
+
+def test_a_folder_without_rigs_is_refused(tmp_path):
+    with pytest.raises(FormatError, match="must hold rigs"):
+        read_rigs(tmp_path)
+
+
+def test_frames_at_stored_shares_are_the_stored_displacements(rig):
+    frames = replace(rig, motion=np.array([0.0, 0.5, 1.0])).at_frames(rig.inner_levels_mm)
+    np.testing.assert_allclose(frames, [0.0 * frames[1], *rig.inner_levels_mm], atol=1e-12)
+
+
+# --- what the tracker gives ---
+
+
+def test_one_marker_is_off_by_what_the_condition_states_and_no_other(rig):
+    wrong = next(one for one in CONDITIONS if one.wrong_mm)
+    off = measured(rig, wrong, 0) - measured(rig, PLAIN, 0)
+    sizes = np.linalg.norm(off, axis=2)
+    assert (sizes > 1e-9).sum(axis=1).tolist() == [1] * len(MOTION)
+    np.testing.assert_allclose(sizes.max(axis=1), 5.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("share", "n"), [(20, 3), (40, 6), (60, 9)])
+def test_dropped_markers_are_missing_in_all_frames(rig, share, n):
+    (dropped,) = [one for one in CONDITIONS if one.name == f"dropped-{share}"]
+    missing = np.isnan(measured(rig, dropped, 0)).all(axis=2)
+    assert missing.sum(axis=1).tolist() == [n] * len(MOTION)
+    assert (missing == missing[0]).all()
+
+
+# --- methods on rigs ---
+
+
+def test_a_simulation_that_is_the_truth_has_no_error(made, rig):
+    run = next(run for run in made.runs(rig, PLAIN) if run.method == "simulation")
+    assert len(run.sensor_mm) == len(np.arange(0, 24, contests.EVERY))
+    # Both sides are the same spline through the same fields; rounding of millimetres.
+    assert max(run.sensor_mm.max(), run.inner_mm.max()) < 1e-9
+
+
+def test_errors_and_coverage_are_those_of_a_known_offset(made, rig):
+    run = next(run for run in made.runs(rig, PLAIN) if run.method == "off")
+    np.testing.assert_allclose(run.inner_mm, 2.0, rtol=1e-9)
+    # Of three components one is off by two standard deviations, two are exact.
+    assert run.coverage90 == pytest.approx(2 / 3)
+
+
+def test_where_a_method_fails_the_simulation_counts_and_it_is_said(made, rig):
+    run = next(run for run in made.runs(rig, PLAIN) if run.method == "fails")
+    assert (run.failed, run.frames) == (24, 24)
+    assert run.sensor_mm.max() < 1e-9  # rounding, as above
+
+
+def test_methods_that_lack_what_they_need_are_left_out_and_named(made):
+    assert made.left_out == ("needs fields",)
+
+
+def test_a_method_that_is_too_slow_is_given_the_scored_frames_alone(rig, mesh, monkeypatch):
+    monkeypatch.setattr(contests, "TOO_SLOW_S", -1.0)
+    (run,) = Contest([rig], mesh, methods={"off": Off}, threads=1).runs(rig, PLAIN)
+    # The first two frames tell; of the scored ones (0, 8, 16) two follow.
+    assert run.frames == 4
+    np.testing.assert_allclose(run.sensor_mm, 2.0, rtol=1e-9)
+
+
+def test_the_entry_of_this_package_is_its_registrar(rig, mesh):
+    model = NetworkModel(SMALL_MODEL, mesh, threads=1)
+    believed = Believed(rig, mesh, 1)
+    markers, simulation = measured(rig, PLAIN, 0)[11], believed.simulation_mm[11]
+    found = Registered(believed.setting(PLAIN, model, None, 0)).register(markers, simulation)
+    registrar = tr.Registrar(mesh, rig.reference_mm, model, std=0.1, material=contests.BELIEVED, threads=1)
+    np.testing.assert_array_equal(found.displacement_mm, registrar.register(markers, simulation).displacement)
+
+
+# --- what is summed up and written ---
+
+
+def test_the_reduction_is_the_mean_over_rigs_of_each_rigs_own():
+    def run(method, rig, error):
+        errors = np.array([error - 0.5, error + 0.5])
+        return Run(method, "plain", rig, 1, np.arange(2.0), errors, errors[:, None], None, 1.0, 2, 0)
+
+    runs = [run("simulation", "a", 4.0), run("ours", "a", 1.0), run("simulation", "b", 2.0), run("ours", "b", 1.0)]
+    rows = {row["method"]: row for row in _rows(PLAIN, runs)}
+    assert rows["ours"]["reduction"] == pytest.approx((0.75 + 0.5) / 2)
+    assert rows["simulation"]["reduction"] == 0.0
+    assert rows["simulation"]["sensor_mean_mm"] == pytest.approx(3.0)
+
+
+def test_a_figure_without_rigs_of_its_scenario_is_refused(made):
+    with pytest.raises(ArgumentError, match="must hold rigs of scenario 2 for 'fig11'"):
+        phantom_study("fig11", made)
+
+
+def test_studies_are_written_with_every_method_and_condition(made, tmp_path):
+    said = []
+    contents = run_contest(["fig10", "phantom"], made, Clock(), lambda *given: said.append(given))
+    answer = _delivered(tmp_path / "out", contents, Clock())
+    assert said[-1] == ("phantom", 7, 7)
+    names = {"simulation", MeanOfMarkers.name, Rigid.name, "off", "fails"}
+    for study, conditions in (("fig10", 1), ("phantom", 7)):
+        kept = json.loads((tmp_path / "out" / f"{study}.json").read_text())
+        assert {row["method"] for row in kept["rows"]} == names
+        assert len(kept["rows"]) == 5 * conditions == len([r for r in answer["rows"] if r["study"] == study])
+        page = (tmp_path / "out" / f"{study}.md").read_text()
+        assert page.count("| off |") == conditions
+        assert "Not run, since a model or training fields were not given: needs fields." in page
+        assert len((tmp_path / "out" / f"{study}.csv").read_text().splitlines()) == 1 + 5 * conditions
+        assert (tmp_path / "out" / f"{study}.png").stat().st_size > 10_000
+    assert set(json.loads((tmp_path / "out" / "fig10.json").read_text())["curves"]["sensor_mm"]) == names
