@@ -14,7 +14,7 @@ from tissuereg.errors import ArgumentError, FormatError, MarkerError
 from tissuereg.io.npz import write_npz
 from tissuereg.latent.network import NetworkModel
 from tissuereg.studies import contest as contests
-from tissuereg.studies.contest import CONDITIONS, PLAIN, Believed, Contest, Registered, Run, Simulated, measured
+from tissuereg.studies.contest import CONDITIONS, PLAIN, Believed, Contest, NetworkAlone, Run, Simulated, measured
 from tissuereg.studies.phantom import _rows, phantom_study
 from tissuereg.studies.rigs import Pad, Rig, read_rig, read_rigs
 from tissuereg.studies.run import _delivered, run_contest
@@ -48,7 +48,7 @@ def rig(mesh):
         truth={"scenario": 1, "seed": 0},
         **{f"{name}_levels_mm": np.zeros(shape) for name, shape in levels.items()},
     )
-    fields = Believed(bare, mesh, 1)._solved[0]
+    fields = Believed(bare, mesh, 1).levels_mm
     return replace(
         bare,
         marker_levels_mm=fields[:, seen],
@@ -205,13 +205,34 @@ def test_a_method_that_is_too_slow_is_given_the_scored_frames_alone(rig, mesh, m
     np.testing.assert_allclose(run.sensor_mm, 2.0, rtol=1e-9)
 
 
-def test_the_entry_of_this_package_is_its_registrar(rig, mesh):
+def test_without_a_simulation_the_registrar_is_given_none(rig, mesh):
     model = NetworkModel(SMALL_MODEL, mesh, threads=1)
     believed = Believed(rig, mesh, 1)
     markers, simulation = measured(rig, PLAIN, 0)[11], believed.simulation_mm[11]
-    found = Registered(believed.setting(PLAIN, model, None, 0)).register(markers, simulation)
+    found = NetworkAlone(believed.setting(PLAIN, model, None, 0)).register(markers, simulation)
     registrar = tr.Registrar(mesh, rig.reference_mm, model, std=0.1, material=contests.BELIEVED, threads=1)
-    np.testing.assert_array_equal(found.displacement_mm, registrar.register(markers, simulation).displacement)
+    np.testing.assert_array_equal(found.displacement_mm, registrar.register(markers).displacement)
+
+
+def test_a_spread_that_must_be_asked_for_is_not_timed_with_the_answer(rig, mesh):
+    asked = []
+
+    class Asked(Off):
+        name = "asked"
+
+        def __init__(self, setting, *, spread=False):
+            super().__init__(setting)
+            self.spread = spread
+
+        def register(self, measured_mm, simulation_mm=None):
+            asked.append(self.spread)
+            found = super().register(measured_mm, simulation_mm)
+            return found if self.spread else Estimate(found.displacement_mm)
+
+    (run,) = Contest([rig], mesh, methods={"asked": Asked}, threads=1).runs(rig, PLAIN)
+    assert asked == [False] * 24 + [True] * 3
+    assert run.frames == 24
+    assert run.coverage90 == pytest.approx(2 / 3)
 
 
 # --- what is summed up and written ---

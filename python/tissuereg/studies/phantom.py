@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray
+from tissuereg.baselines import Network
 from tissuereg.errors import ArgumentError
 from tissuereg.studies.claims import Agreement, Claim
-from tissuereg.studies.contest import CONDITIONS, PLAIN, Condition, Contest, Registered, Run, Simulated
+from tissuereg.studies.contest import CONDITIONS, PLAIN, Condition, Contest, Run, Simulated
 from tissuereg.studies.rigs import Rig
 
 #: Shares by which the paper's method lowers the simulation's error and that of KF-ADMM, and our goals.
@@ -138,13 +139,13 @@ def _plain(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 def _against_kf(plain: dict[str, dict[str, Any]]) -> float | None:
     """Return by which share our error at the sensor is below that of KF-ADMM; None where that was not run."""
     rival = next((row for name, row in plain.items() if name.startswith(KF_ADMM)), None)
-    ours = plain.get(Registered.name)
+    ours = plain.get(Network.name)
     return None if rival is None or ours is None else 1.0 - ours["sensor_mean_mm"] / rival["sensor_mean_mm"]
 
 
 def _agreement(rows: Sequence[dict[str, Any]]) -> Agreement:
     plain, claims = _plain(rows), []
-    ours = plain.get(Registered.name)
+    ours = plain.get(Network.name)
     if ours is not None and ours["reduction"] is not None:
         low, high = ours["reduction_interval95"]
         claims.append(
@@ -163,7 +164,7 @@ def _agreement(rows: Sequence[dict[str, Any]]) -> Agreement:
 
 def _goals(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     plain = _plain(rows)
-    ours = plain.get(Registered.name)
+    ours = plain.get(Network.name)
     if ours is None or ours["reduction"] is None:
         return []
     goals = [_goal(f"simulation's error lowered by {GOAL_REDUCTION:.0%}", ours["reduction"], GOAL_REDUCTION)]
