@@ -54,9 +54,9 @@ def make(rig, path, n_corners=None):
         "frame_s": FRAME_S,
     }
     stated = json.dumps(asdict(rig) | {"solved": facts}, default=lambda array: array.tolist())
-    moved = {name: value for name, value in found.items() if name.endswith("displacement_mm")}
+    moved = {name: value for name, value in found.items() if name.endswith(("displacement_mm", "force_mN"))}
     rest = {name: value for name, value in found.items() if name not in moved}
-    # A nanometre is enough, and a third of the size.
+    # Single precision is enough, and half of the size.
     write_npz(path, {**rest, **known, **{k: v.astype(np.float32) for k, v in moved.items()}, "truth": stated})
     print(f"{rig.name}: {facts}", flush=True)
 

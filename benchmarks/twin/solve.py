@@ -56,20 +56,29 @@ class TwinRun(Run):
                 blocks.append((surface.elements, surface.matrices(tie[..., None, None] * np.eye(3))))
         super()._add_surfaces(u, residual, blocks)
 
+    def pad_forces(self):
+        """Return the force of each pad on the body (n_pads, 3) in mN."""
+        forces = []
+        for stroke, (surface, distance, radius, _) in zip(self.strokes, self.pads.values(), strict=True):
+            traction = (TIE * (distance < radius))[..., None] * (self.stroke[0] * stroke - surface.at(self.u))
+            forces.append(np.einsum("kqx,kq->x", traction, surface.dx))
+        return np.array(forces)
+
 
 def solve(rig, shares=SHARES, n_corners=N_CORNERS):
-    """Return arrays by name: places of markers, sensor and inner points, and their displacements at the shares, mm."""
+    """Return arrays by name, places (mm) and what moves them at the shares (mm, mN), and the work that was done."""
     begun = clock.process_time()
     body, nodes, skin = body_of(n_corners)
     markers, sensor, inner = points(rig, nodes, skin)
     on_skin = body.interpolation(markers, on_skin=True)
     inside = body.interpolation(np.vstack([sensor, inner]), on_skin=False)
     run = TwinRun(body, rig)
-    seen, below = [], []
+    seen, below, forces = [], [], []
     for k, share in enumerate(shares):
         run.step(k + 1.0, (share, 0.0, 0.0))
         seen.append(on_skin @ run.u)
         below.append(inside @ run.u)
+        forces.append(run.pad_forces())
     run.factor.free()
     below = np.array(below)
     return {
@@ -80,6 +89,7 @@ def solve(rig, shares=SHARES, n_corners=N_CORNERS):
         "marker_displacement_mm": np.array(seen),
         "sensor_displacement_mm": below[:, 0],
         "inner_displacement_mm": below[:, 1:],
+        "pad_force_mN": np.array(forces),
     }, {
         "n_nodes": body.n_nodes,
         "factorisations": run.counts["factorings"],

@@ -82,6 +82,7 @@ RECORDING = {
     **{name: np.ones(1) for name in ("pad_radius_mm", "pad_stroke_mm")},
     **{f"{name}_displacement_mm": np.zeros((2, 1, 3)) for name in ("marker", "inner")},
     "sensor_displacement_mm": np.zeros((2, 3)),
+    "pad_force_mN": np.zeros((2, 1, 3)),
     "sensor_mm": np.zeros(3),
     "shares": [0.5, 1.0],
     "motion": [0.0, 1.0],

@@ -15,7 +15,7 @@ import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.baselines import RIVALS, Estimate, Network, Rival, Setting
-from tissuereg.errors import FormatError, TissueRegError
+from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
 from tissuereg.latent.model import LatentModel
 from tissuereg.load import Load
 from tissuereg.material import Material
@@ -23,7 +23,7 @@ from tissuereg.mesh import Mesh
 from tissuereg.observe import TargetObservation
 from tissuereg.phantom.event import POISSON
 from tissuereg.simulate.solve import Simulator
-from tissuereg.studies.rigs import Rig
+from tissuereg.studies.rigs import Rig, on_spline
 
 #: What everyone believes: the paper's modulus.
 BELIEVED = Material(10.0, POISSON)
@@ -33,6 +33,12 @@ EVERY, LEAST_SHARE = 8, 0.05
 
 #: A method that takes longer a frame, s, is given the scored frames alone.
 TOO_SLOW_S = 0.25
+
+#: A believed body that is softer than the true one is pressed farther than that, up to this share of the strokes.
+_MOST_SHARE = 1.75
+
+#: Points of the curve of force by share that is inverted.
+_FINE = 4001
 
 #: 95 % quantile of the normal distribution: a component lies within it of its mean in 90 % of cases.
 _QUANTILE90 = 1.6448536269514722
@@ -52,6 +58,8 @@ class Condition:
         Share of the markers that are never seen.
     wrong_mm : float
         How far one marker is off in all frames, in a random direction; the methods are not told.
+    drive : {"force", "motion"}
+        What drives the believed simulation: the measured push of the actuators, or their motion.
     """
 
     name: str
@@ -59,11 +67,14 @@ class Condition:
     noise_mm: float = 0.1
     dropped: float = 0.0
     wrong_mm: float = 0.0
+    drive: str = "force"
 
 
 PLAIN = Condition("plain", "all markers, noise 0.1 mm")
+MOTION = Condition("motion", "simulation driven by the actuators' motion", drive="motion")
 CONDITIONS = (
     PLAIN,
+    MOTION,
     *(Condition(f"dropped-{p}", f"{p} % of the markers not seen", dropped=p / 100) for p in (20, 40, 60)),
     Condition("wrong", "one marker wrong by 5 mm", wrong_mm=5.0),
     *(Condition(f"noise-{n}", f"noise {n} mm", noise_mm=n) for n in (0.5, 1.0)),
@@ -95,6 +106,41 @@ class NetworkAlone(Network):
 METHODS: dict[str, type[Rival]] = {method.name: method for method in (Simulated, Network, NetworkAlone)} | RIVALS
 
 
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A body along growing shares of the pads' strokes, at rest first.
+
+    Attributes
+    ----------
+    shares : ndarray of float64, shape (n,)
+    fields_mm : ndarray of float64, shape (n, n_nodes, 3)
+        Displacement of the nodes.
+    pushes : ndarray of float64, shape (n,)
+        How hard the pads push along their strokes together, mN.
+    """
+
+    shares: FloatArray
+    fields_mm: FloatArray
+    pushes: FloatArray
+
+    def fields_at(self, shares: FloatArray) -> FloatArray:
+        """Return the fields at shares (k,), on the spline, (k, n_nodes, 3) in mm."""
+        return on_spline(self.shares, self.fields_mm, shares)
+
+    def shares_of(self, pushes: FloatArray) -> FloatArray:
+        """Return the shares (k,) at which the body is pushed so hard (k,) in mN; the last one for harder pushes."""
+        fine = np.linspace(0.0, self.shares[-1], _FINE)
+        # Rounding, or a body that gives way, must not turn the curve around.
+        along = np.maximum.accumulate(on_spline(self.shares, self.pushes, fine))
+        return np.asarray(np.interp(pushes, along, fine))
+
+
+def _further(shares: FloatArray) -> FloatArray:
+    """Return shares beyond the last one, as far apart as the last two."""
+    step = shares[-1] - shares[-2]
+    return np.asarray(np.arange(shares[-1] + step, _MOST_SHARE + 0.5 * step, step))
+
+
 class Believed:
     """What is believed of a rig: the simulation of its frames, and where the scored points lie in the mesh.
 
@@ -108,12 +154,15 @@ class Believed:
 
     Notes
     -----
-    The surface nodes under a pad, as far as the user knows it, take its motion; nothing else moves the body. One
-    equilibrium is solved at every stored share of the strokes, and frames lie on the spline through them.
+    The surface nodes under a pad, as far as the user knows it, move as one with it; nothing else moves the body. One
+    equilibrium is solved at every stored share of the strokes, and at further ones as far as there is equilibrium;
+    frames lie on the spline through them. Driven by motion, a frame is at the actuators' own share; driven by force, at
+    the share at which the believed body pushes back as hard as was measured.
     """
 
     def __init__(self, rig: Rig, mesh: Mesh, threads: int = 0) -> None:
         self.rig, self.mesh, self._threads = rig, mesh, threads
+        self._simulated: dict[str, FloatArray] = {}
         points = {"sensor": rig.sensor_mm} | {str(k): place for k, place in enumerate(rig.inner_mm)}
         self._points = TargetObservation(mesh, points)
 
@@ -139,31 +188,39 @@ class Believed:
         return pressed
 
     @cached_property
-    def levels_mm(self) -> FloatArray:
-        """Believed displacement of the nodes at the stored shares, shape (n_levels, n_nodes, 3)."""
+    def path(self) -> "Path":
+        """The believed body along the strokes."""
         fixed = self.mesh.fixed_nodes
         held, which = np.unique(np.concatenate([fixed, *self._pressed]), return_inverse=True)
-        strokes = np.zeros((len(held), 3))
+        strokes, of_pad = np.zeros((len(held), 3)), np.full(len(held), -1)
         start = len(fixed)
-        for nodes, pad in zip(self._pressed, self.rig.pads, strict=True):
-            strokes[which[start : start + len(nodes)]] = pad.stroke_mm
+        for number, (nodes, pad) in enumerate(zip(self._pressed, self.rig.pads, strict=True)):
+            rows = which[start : start + len(nodes)]
+            strokes[rows], of_pad[rows] = pad.stroke_mm, number
             start += len(nodes)
         simulator = Simulator(self.mesh, held_nodes=held)
-        fields: list[FloatArray] = []
-        for share in self.rig.shares:
-            found = simulator.solve(
-                Load(prescribed=share * strokes),
-                BELIEVED,
-                threads=self._threads,
-                **({"start": fields[-1]} if fields else {}),
-            )
+        shares, fields, pushes = [0.0], [np.zeros_like(self.mesh.nodes)], [0.0]
+        for share in (*self.rig.shares, *_further(self.rig.shares)):
+            try:
+                load = Load(prescribed=share * strokes)
+                found = simulator.solve(load, BELIEVED, threads=self._threads, start=fields[-1])
+            except ConvergenceError:
+                if share <= self.rig.shares[-1]:
+                    raise
+                break
+            forces = np.array([found.reactions[of_pad == number].sum(axis=0) for number in range(len(self.rig.pads))])
+            shares.append(float(share))
             fields.append(found.displacement)
-        return np.array(fields)
+            pushes.append(float(self.rig.push(forces[None])[0]))
+        return Path(np.array(shares), np.array(fields), np.array(pushes))
 
-    @cached_property
-    def simulation_mm(self) -> FloatArray:
-        """Believed displacement of the nodes, shape (n_frames, n_nodes, 3)."""
-        return self.rig.at_frames(self.levels_mm)
+    def simulation_mm(self, drive: str) -> FloatArray:
+        """Return the believed displacement of the nodes, shape (n_frames, n_nodes, 3)."""
+        if drive not in self._simulated:
+            pushed = self.rig.at_frames(self.rig.push(self.rig.pad_forces))
+            shares = self.rig.motion if drive == "motion" else self.path.shares_of(pushed)
+            self._simulated[drive] = self.path.fields_at(shares)
+        return self._simulated[drive]
 
     @property
     def scored(self) -> IntArray:
@@ -233,7 +290,7 @@ class Run:
 
 
 def run_method(
-    rival: Rival, believed: Believed, markers: FloatArray, condition: str, *, scored_alone: bool = False
+    rival: Rival, believed: Believed, markers: FloatArray, condition: Condition, *, scored_alone: bool = False
 ) -> Run:
     """Return what a method does on the frames of a rig, in their order.
 
@@ -245,15 +302,15 @@ def run_method(
         Of the rig.
     markers : ndarray of float64, shape (n_frames, n_markers, 3)
         As measured, mm.
-    condition : str
-        Its name.
+    condition : Condition
+        Under which they were measured.
     scored_alone : bool
         Whether it is given the scored frames alone, however fast it is.
     """
     scored, rig = believed.scored, believed.rig
     is_scored = np.isin(np.arange(len(markers)), scored)
     distances, inside, seconds, failed, slow = [], [], [], 0, scored_alone
-    for frame, (seen, simulation) in enumerate(zip(markers, believed.simulation_mm, strict=True)):
+    for frame, (seen, simulation) in enumerate(zip(markers, believed.simulation_mm(condition.drive), strict=True)):
         if slow and not is_scored[frame]:
             continue
         begun = time.perf_counter()
@@ -274,7 +331,7 @@ def run_method(
     away = np.array(distances)
     return Run(
         method=rival.name,
-        condition=condition,
+        condition=condition.name,
         rig=rig.name,
         scenario=rig.scenario,
         times_s=(scored + 1) * rig.frame_s,
@@ -347,12 +404,12 @@ class Contest:
         markers = measured(rig, condition, self._seed)
         runs = []
         for name, method in self.methods.items():
-            run = run_method(method(setting), believed, markers, condition.name)
-            if run.coverage90 is None and condition == PLAIN and "spread" in signature(method).parameters:
+            run = run_method(method(setting), believed, markers, condition)
+            if run.coverage90 is None and condition in (PLAIN, MOTION) and "spread" in signature(method).parameters:
                 # Its spread costs time that its answer does not need: other runs are timed.
                 wide: Callable[..., Rival] = method
                 covered = run_method(
-                    wide(setting, spread=True), believed, markers, condition.name, scored_alone=True
+                    wide(setting, spread=True), believed, markers, condition, scored_alone=True
                 ).coverage90
                 run = replace(run, coverage90=covered)
             runs.append(replace(run, method=name))

@@ -58,6 +58,8 @@ class Rig:
         Shares of the strokes with a stored equilibrium, growing from above 0.
     marker_levels_mm, sensor_levels_mm, inner_levels_mm : ndarray of float64, shapes (n_levels, ..., 3)
         True displacements there.
+    pad_forces : ndarray of float64, shape (n_levels, n_pads, 3)
+        Force of each pad on the body there in mN, as its actuator measures it.
     truth : mapping of str to object
         What is true of the rig and not known to any method.
     """
@@ -75,14 +77,30 @@ class Rig:
     marker_levels_mm: FloatArray
     sensor_levels_mm: FloatArray
     inner_levels_mm: FloatArray
+    pad_forces: FloatArray
     truth: Mapping[str, Any]
 
     def at_frames(self, levels: FloatArray) -> FloatArray:
         """Return displacements at every frame (n_frames, ...) from those at the shares (n_levels, ...), mm."""
-        from scipy.interpolate import CubicSpline
-
         known = np.concatenate([np.zeros_like(levels[:1]), levels])
-        return np.asarray(CubicSpline(np.concatenate([[0.0], self.shares]), known)(self.motion))
+        return on_spline(np.concatenate([[0.0], self.shares]), known, self.motion)
+
+    @property
+    def strokes_mm(self) -> FloatArray:
+        """Strokes of the pads, shape (n_pads, 3)."""
+        return np.array([pad.stroke_mm for pad in self.pads])
+
+    def push(self, forces: FloatArray) -> FloatArray:
+        """Return how hard the pads push along their strokes together (n,), from their forces (n, n_pads, 3), mN."""
+        along = self.strokes_mm / np.linalg.norm(self.strokes_mm, axis=1, keepdims=True)
+        return np.asarray(np.einsum("lpx,px->l", forces, along))
+
+
+def on_spline(places: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Return values (k, ...) at wanted places (k,), on the cubic spline through values (n, ...) at places (n,)."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(places, values)(wanted))
 
 
 def read_rig(path: str | os.PathLike[str]) -> Rig:
@@ -132,6 +150,7 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
             marker_levels_mm=file.floats("marker_displacement_mm", len(shares), len(reference), 3),
             sensor_levels_mm=file.floats("sensor_displacement_mm", len(shares), 3),
             inner_levels_mm=file.floats("inner_displacement_mm", len(shares), len(inner), 3),
+            pad_forces=file.floats("pad_force_mN", len(shares), n, 3),
             truth=truth,
         )
 
