@@ -30,6 +30,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", default=HERE / "twin" / "rigs")
     parser.add_argument("--fields")
+    parser.add_argument("--keep", default="build/phantom-experiment")
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--page", action="store_true")
     options = parser.parse_args()
@@ -37,7 +38,12 @@ def main():
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "out"
             answer = tr.reproduce(
-                list(PHANTOM_STUDIES), out, data=options.data, fields=options.fields, threads=options.threads
+                list(PHANTOM_STUDIES),
+                out,
+                data=options.data,
+                fields=options.fields,
+                keep=options.keep,
+                threads=options.threads,
             )
             studies = {name: json.loads((out / f"{name}.json").read_text("utf-8")) for name in PHANTOM_STUDIES}
         content = {"machine": machine(), "seconds": answer["seconds"], "studies": studies}

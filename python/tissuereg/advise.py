@@ -196,7 +196,7 @@ class _Conditioned:
     @property
     def expected_mm(self) -> FloatArray:
         """Root of the trace of every target's covariance (n_targets,), mm."""
-        return np.sqrt(np.maximum(self._wanted, 0.0).reshape(-1, 3).sum(axis=1))
+        return np.asarray(np.sqrt(np.maximum(self._wanted, 0.0).reshape(-1, 3).sum(axis=1)))
 
     def gains(self) -> FloatArray:
         """Return by how much each place would lower the targets' summed variance (n_places,), mm^2."""

@@ -269,6 +269,43 @@ def test_a_spread_that_must_be_asked_for_is_not_timed_with_the_answer(rig, mesh)
     assert run.coverage90 == pytest.approx(2 / 3)
 
 
+class Counted(Off):
+    """Counts its calls."""
+
+    name = "counted, of all"
+    calls = 0
+
+    def register(self, measured_mm, simulation_mm=None):
+        type(self).calls += 1
+        return super().register(measured_mm, simulation_mm)
+
+
+def test_what_is_kept_is_not_run_again_unless_seed_or_rig_differ(rig, mesh, tmp_path):
+    def made(rig, seed=0):
+        return Contest([rig], mesh, methods={"counted": Counted}, seed=seed, threads=1, keep=tmp_path / "kept")
+
+    (first,) = made(rig).runs(rig, MOTION)
+    calls = Counted.calls
+    (again,) = made(rig).runs(rig, MOTION)
+    assert Counted.calls == calls == 24
+    np.testing.assert_array_equal(again.inner_mm, first.inner_mm)
+    assert (again.ms, again.frames, again.coverage90) == (first.ms, first.frames, first.coverage90)
+    other = replace(rig, sensor_levels_mm=rig.sensor_levels_mm + 0.1)
+    made(rig, seed=1).runs(rig, MOTION)
+    made(other).runs(other, MOTION)
+    assert Counted.calls == 3 * calls
+
+
+def test_a_kept_run_that_is_spoilt_is_made_anew(rig, mesh, tmp_path):
+    def run():
+        return Contest([rig], mesh, methods={"off": Off}, threads=1, keep=tmp_path).runs(rig, MOTION)[0]
+
+    first = run()
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:100])
+    np.testing.assert_array_equal(run().inner_mm, first.inner_mm)
+
+
 # --- what is summed up and written ---
 
 

@@ -635,6 +635,7 @@ CALLS = {
             "data": "rigs",
             "fields": None,
             "methods": ["rigid"],
+            "keep": None,
             "seed": 0,
             "threads": 1,
             "progress": None,

@@ -41,6 +41,8 @@ def add_parser(commands: Any) -> None:
     phantom.add_argument("--fields", metavar="DATA", help=text)
     text = "a method to run besides the simulation; may be given several times (default: all)"
     phantom.add_argument("--method", action="append", metavar="NAME", help=text)
+    text = "folder that keeps what each method did on each rig: the same command goes on where it was stopped"
+    phantom.add_argument("--keep", metavar="FOLDER", help=text)
     add_common(parser, seed="seed of shapes, markers and ensembles (default: 0)")
     parser.set_defaults(run=run, late="studies", room=len(_STUDIES))
 
@@ -78,6 +80,7 @@ def run(args: argparse.Namespace) -> Outcome:
             data=args.data,
             fields=args.fields,
             methods=args.method,
+            keep=args.keep,
             seed=args.seed or 0,
             threads=args.threads,
             progress=progress,

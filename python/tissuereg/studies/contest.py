@@ -4,6 +4,7 @@ Every method is given the same: markers, the believed simulation, the believed m
 the paper's section IV), and no other truth.
 """
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from tissuereg.observe import TargetObservation
 from tissuereg.phantom.event import POISSON
 from tissuereg.simulate.solve import Simulator
 from tissuereg.studies.rigs import Rig, on_spline
+from tissuereg.studies.runs import KeptRuns, Run
 
 #: What everyone believes: the paper's modulus.
 BELIEVED = Material(10.0, POISSON)
@@ -36,6 +38,9 @@ TOO_SLOW_S = 0.25
 
 #: A believed body that is softer than the true one is pressed farther than that, up to this share of the strokes.
 _MOST_SHARE = 1.75
+
+#: A believed body without so many equilibria, rest among them, is none.
+_LEAST_LEVELS = 3
 
 #: Points of the curve of force by share that is inverted.
 _FINE = 4001
@@ -124,8 +129,8 @@ class Path:
     pushes: FloatArray
 
     def fields_at(self, shares: FloatArray) -> FloatArray:
-        """Return the fields at shares (k,), on the spline, (k, n_nodes, 3) in mm."""
-        return on_spline(self.shares, self.fields_mm, shares)
+        """Return the fields at shares (k,), on the spline, (k, n_nodes, 3) in mm; beyond the last share, its own."""
+        return on_spline(self.shares, self.fields_mm, np.minimum(shares, self.shares[-1]))
 
     def shares_of(self, pushes: FloatArray) -> FloatArray:
         """Return the shares (k,) at which the body is pushed so hard (k,) in mN; the last one for harder pushes."""
@@ -156,8 +161,9 @@ class Believed:
     -----
     The surface nodes under a pad, as far as the user knows it, move as one with it; nothing else moves the body. One
     equilibrium is solved at every stored share of the strokes, and at further ones as far as there is equilibrium;
-    frames lie on the spline through them. Driven by motion, a frame is at the actuators' own share; driven by force, at
-    the share at which the believed body pushes back as hard as was measured.
+    frames lie on the spline through them, and frames beyond the last one at the last one. Driven by motion, a frame is
+    at the actuators' own share; driven by force, at the share at which the believed body pushes back as hard as was
+    measured.
     """
 
     def __init__(self, rig: Rig, mesh: Mesh, threads: int = 0) -> None:
@@ -205,7 +211,7 @@ class Believed:
                 load = Load(prescribed=share * strokes)
                 found = simulator.solve(load, BELIEVED, threads=self._threads, start=fields[-1])
             except ConvergenceError:
-                if share <= self.rig.shares[-1]:
+                if len(shares) < _LEAST_LEVELS:
                     raise
                 break
             forces = np.array([found.reactions[of_pad == number].sum(axis=0) for number in range(len(self.rig.pads))])
@@ -253,40 +259,6 @@ def measured(rig: Rig, condition: Condition, seed: int) -> FloatArray:
     noisy[:, order[-1]] += condition.wrong_mm * direction / np.linalg.norm(direction)
     noisy[:, order[: round(condition.dropped * len(order))]] = np.nan
     return np.asarray(noisy)
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What a method did on one rig under one condition.
-
-    Attributes
-    ----------
-    method, condition, rig : str
-        Names.
-    scenario : int
-    times_s : ndarray of float64, shape (n_scored,)
-        Of the scored frames.
-    sensor_mm, inner_mm : ndarray of float64, shapes (n_scored,), (n_scored, n_inner)
-        Distance of the sensor and the inner points from where they are.
-    coverage90 : float or None
-        Share of the components of inner points whose 90 % interval holds the truth, where the method gives a spread.
-    ms : float
-        Median time of a frame.
-    frames, failed : int
-        Frames that it was given, and those among them that it could not register: the simulation counts there.
-    """
-
-    method: str
-    condition: str
-    rig: str
-    scenario: int
-    times_s: FloatArray
-    sensor_mm: FloatArray
-    inner_mm: FloatArray
-    coverage90: float | None
-    ms: float
-    frames: int
-    failed: int
 
 
 def run_method(
@@ -360,6 +332,8 @@ class Contest:
         Those that lack what they need are left out.
     seed, threads : int
         Of the noise and the methods; of the solver and the methods.
+    keep : path-like, optional
+        Folder where runs are kept, and taken from where they were made with the same seed, model and fields.
     """
 
     def __init__(
@@ -371,6 +345,7 @@ class Contest:
         methods: Mapping[str, type[Rival]] = METHODS,
         seed: int = 0,
         threads: int = 0,
+        keep: str | os.PathLike[str] | None = None,
     ) -> None:
         self.rigs, self._mesh, self._model, self._fields = tuple(rigs), mesh, model, fields
         self._seed, self._threads = seed, threads
@@ -378,6 +353,8 @@ class Contest:
         given |= {name for name, value in (("model", model), ("fields", fields)) if value is not None}
         self.methods = {name: method for name, method in methods.items() if method.needs <= given}
         self.left_out = tuple(name for name in methods if name not in self.methods)
+        trained = None if fields is None else len(fields)
+        self._kept = KeptRuns(keep, {"seed": seed, "training_fields": trained, **self.facts})
         self._believed: dict[str, Believed] = {}
         self._runs: dict[tuple[str, str], list[Run]] = {}
 
@@ -397,20 +374,23 @@ class Contest:
         return self._runs[key]
 
     def _run(self, rig: Rig, condition: Condition) -> list[Run]:
+        runs = {name: self._kept.read(rig, condition.name, name) for name in self.methods}
+        for name, known in runs.items():
+            if known is None:
+                runs[name] = self._run_anew(rig, condition, name)
+        return [run for run in runs.values() if run is not None]
+
+    def _run_anew(self, rig: Rig, condition: Condition, name: str) -> Run:
         if rig.name not in self._believed:
             self._believed = {rig.name: Believed(rig, self._mesh, self._threads)}  # one rig's fields at a time
-        believed = self._believed[rig.name]
+        believed, method = self._believed[rig.name], self.methods[name]
         setting = believed.setting(condition, self._model, self._fields, self._seed)
         markers = measured(rig, condition, self._seed)
-        runs = []
-        for name, method in self.methods.items():
-            run = run_method(method(setting), believed, markers, condition)
-            if run.coverage90 is None and condition in (PLAIN, MOTION) and "spread" in signature(method).parameters:
-                # Its spread costs time that its answer does not need: other runs are timed.
-                wide: Callable[..., Rival] = method
-                covered = run_method(
-                    wide(setting, spread=True), believed, markers, condition, scored_alone=True
-                ).coverage90
-                run = replace(run, coverage90=covered)
-            runs.append(replace(run, method=name))
-        return runs
+        run = replace(run_method(method(setting), believed, markers, condition), method=name)
+        if run.coverage90 is None and condition in (PLAIN, MOTION) and "spread" in signature(method).parameters:
+            # Its spread costs time that its answer does not need: other runs are timed.
+            wide: Callable[..., Rival] = method
+            covered = run_method(wide(setting, spread=True), believed, markers, condition, scored_alone=True)
+            run = replace(run, coverage90=covered.coverage90)
+        self._kept.write(rig, run)
+        return run

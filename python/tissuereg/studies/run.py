@@ -56,6 +56,7 @@ def reproduce(
     data: str | os.PathLike[str] | None = None,
     fields: str | os.PathLike[str] | None = None,
     methods: Sequence[str] | None = None,
+    keep: str | os.PathLike[str] | None = None,
     seed: int = 0,
     threads: int = 0,
     progress: Progress | None = None,
@@ -78,6 +79,8 @@ def reproduce(
         are left out.
     methods : sequence of str, optional
         Methods of the phantom experiment; by default all.
+    keep : path-like, optional
+        Folder where what each method did on each rig is kept, so that a run that was stopped goes on.
     seed : int
         Of the choice of shapes, markers and inner points, of the tracker's noise, and of the ensembles.
     threads : int
@@ -121,7 +124,7 @@ def reproduce(
     called("progress", progress)
     folder = place("out", out, error=OutputError)
     check_folder_target(folder)
-    for name, given in (("data", data), ("fields", fields)):
+    for name, given in (("data", data), ("fields", fields), ("keep", keep)):
         if given is not None:
             place(name, given)
     chosen = None if methods is None else list(each("methods", methods, str))
@@ -132,7 +135,7 @@ def reproduce(
     phantom = [name for name in dict.fromkeys(names) if name in PHANTOM_STUDIES]
     if phantom:
         with clock.stage("rigs"):
-            contest = _contest(data, model, fields, chosen, seed, threads)
+            contest = _contest(data, model, fields, chosen, keep, seed, threads)
     if simulated:
         with clock.stage("model"):
             subject = subject_of(model)
@@ -173,7 +176,9 @@ def run_contest(
     return contents
 
 
-def _contest(data: Any, model: Any, fields: Any, methods: list[str] | None, seed: int, threads: int) -> Contest:
+def _contest(
+    data: Any, model: Any, fields: Any, methods: list[str] | None, keep: Any, seed: int, threads: int
+) -> Contest:
     rigs = read_rigs(RIGS if data is None else data)
     mesh = phantom_mesh()
     known = as_model("phantom" if model is None else model, mesh, threads)
@@ -184,7 +189,7 @@ def _contest(data: Any, model: Any, fields: Any, methods: list[str] | None, seed
         members = members[np.sort(np.random.default_rng(seed).permutation(len(members))[:_MOST_FIELDS])]
         trained = np.asarray(dataset.displacement[members], np.float64)
     wanted = METHODS if methods is None else {name: METHODS[name] for name in (Simulated.name, *methods)}
-    return Contest(rigs, mesh, known, trained, wanted, seed, threads)
+    return Contest(rigs, mesh, known, trained, wanted, seed, threads, keep)
 
 
 def _simulated(
