@@ -84,7 +84,7 @@ def draw(scenario, seed):
         scenario=scenario,
         seed=seed,
         actuators=tuple(_actuator(rng, axis, scenario) for axis in SCENARIOS[scenario]),
-        young=float(np.exp(rng.uniform(np.log(7.0), np.log(15.0)))),
+        young=float(np.exp(rng.uniform(np.log(5.0), np.log(20.0)))),
         poisson=float(rng.uniform(0.465, 0.485)),
         alpha=float(rng.uniform(5.0, 10.0)),
         inclusion_centre=_inside(rng, 1, 13.0, 14.0)[0],

@@ -37,7 +37,7 @@ EVERY, LEAST_SHARE = 8, 0.05
 TOO_SLOW_S = 0.25
 
 #: A believed body that is softer than the true one is pressed farther than that, up to this share of the strokes.
-_MOST_SHARE = 1.75
+_MOST_SHARE = 2.0
 
 #: A believed body without so many equilibria, rest among them, is none.
 _LEAST_LEVELS = 3
@@ -306,7 +306,7 @@ def run_method(
         condition=condition.name,
         rig=rig.name,
         scenario=rig.scenario,
-        times_s=(scored + 1) * rig.frame_s,
+        times_s=np.asarray((scored + 1) * rig.frame_s, np.float64),
         sensor_mm=away[:, 0],
         inner_mm=away[:, 1:],
         coverage90=float(np.mean(inside)) if inside else None,

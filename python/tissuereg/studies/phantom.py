@@ -110,8 +110,7 @@ def _sensor(run: Run) -> float:
 def _row(condition: Condition, method: str, runs: Sequence[Run], start: FloatArray | None) -> dict[str, Any]:
     sensor = of_rigs(runs, _sensor)
     inner = of_rigs(runs, lambda run: float(run.inner_mm.mean()))
-    known = start is not None and bool((start > 0.0).all())
-    reduction = 1.0 - sensor / start if known else None
+    reduction = None if start is None or not (start > 0.0).all() else 1.0 - sensor / start
     covered = [run.coverage90 for run in runs if run.coverage90 is not None]
     return {
         "condition": condition.name,

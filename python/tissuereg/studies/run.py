@@ -130,7 +130,8 @@ def reproduce(
     chosen = None if methods is None else list(each("methods", methods, str))
     for method in chosen or ():
         check_choice("methods", method, METHODS, ArgumentError)
-    clock, contents = Clock(), {}
+    clock = Clock()
+    contents: dict[str, dict[str, Any]] = {}
     simulated = [name for name in dict.fromkeys(names) if name in SIMULATED]
     phantom = [name for name in dict.fromkeys(names) if name in PHANTOM_STUDIES]
     if phantom:
