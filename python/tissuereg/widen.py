@@ -1,4 +1,4 @@
-"""Empirical-Bayes guard: a prior that cannot explain the markers is widened, and the result reports it."""
+"""Prior and noise of a moment; a prior that cannot explain the markers is widened, and the result reports it."""
 
 from dataclasses import dataclass
 from functools import lru_cache
