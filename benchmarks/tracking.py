@@ -41,7 +41,7 @@ Written by `python benchmarks/tracking.py` from `benchmarks/results/tracking.jso
 The phantom is pushed in {n_moving} equal steps at {hz} Hz and then held for {n_still} frames. The believed simulation
 has four-node elements, a wrong modulus, no lesion, and pushes that are too small and rotated; the truth has ten-node
 elements and a stiff lesion. 15 markers with noise of {std} mm. Errors are distances in mm, means over frames and
-{seeds} random sets of markers: at the lesion, and at the nodes of the body. *Alone*: the answers of the frames before
+{seeds} random set(s) of markers: at the lesion, and at the nodes of the body. *Alone*: the answers of the frames before
 the temporal prior.
 """
 
