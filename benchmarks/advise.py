@@ -12,7 +12,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from readme import write_table
 
 import tissuereg as tr
 from tissuereg._machine import machine
@@ -151,6 +150,8 @@ def gain(ratios):
 
 def main():
     """Measure and write; `--page` writes the page alone."""
+    from readme import write_table
+
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", default="build/phantom-data")
     parser.add_argument("--train", type=int, default=2000)

@@ -9,7 +9,6 @@ import json
 import tempfile
 from pathlib import Path
 
-from readme import write_table
 
 import tissuereg as tr
 from tissuereg._machine import machine
@@ -27,6 +26,8 @@ def block(name, content):
 
 def main():
     """Run and write."""
+    from readme import write_table
+
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", default=HERE / "twin" / "rigs")
     parser.add_argument("--fields")

@@ -83,6 +83,15 @@ def test_the_figures_of_many_machines_are_those_of_their_json():
     assert "busy" in script.figures({**answer, "load_before": 3.0})
 
 
+def test_the_table_of_advised_markers_is_that_of_its_json():
+    script = loaded("advise")
+    answer = json.loads((BENCHMARKS / "results" / "advise.json").read_text(encoding="utf-8"))
+    kept = loaded("readme").table("advise.json", BENCHMARKS.parent / "docs" / "advise-markers.md")
+    assert script.table(answer) == kept
+    answer["rows"][0]["advised_mm"] *= 2.0
+    assert script.table(answer) != kept
+
+
 def test_the_page_of_parts_of_material_tests_is_that_of_its_archive():
     script = loaded("material_parts")
     archive = json.loads((BENCHMARKS / "results" / "material-parts.json").read_text(encoding="utf-8"))
