@@ -9,7 +9,6 @@ import json
 import tempfile
 from pathlib import Path
 
-
 import tissuereg as tr
 from tissuereg._machine import machine
 from tissuereg.studies.phantom import PHANTOM_STUDIES
