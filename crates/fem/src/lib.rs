@@ -75,7 +75,8 @@
 //! [`History`] leads a body from one time frame to the next, with relaxation, rate, softening, set,
 //! drainage and swelling ([`Behaviour`]) on any law; [`Rig`] bonds pads to it and releases them.
 //! [`Springs`] hold facets of its surface, a [`Skin`] covers them, and [`rest_shape`] finds the
-//! unloaded shape of a body that is given in its shape under gravity.
+//! unloaded shape of a body that is given in its shape under gravity. [`AdmmBody`] moves with inertia, by
+//! projective dynamics; [`Pbd`] meets distances, volumes and observed places one after another.
 //!
 //! # Derivatives
 //!
