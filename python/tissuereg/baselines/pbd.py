@@ -101,7 +101,7 @@ class PositionBasedDynamics(Rival):
 
 def _node_volumes(mesh: Mesh) -> FloatArray:
     """Return the volume that counts for every node, mm^3."""
-    return np.bincount(mesh.tets.ravel(), np.repeat(mesh.volumes / 4.0, 4), mesh.n_nodes)
+    return np.asarray(np.bincount(mesh.tets.ravel(), np.repeat(mesh.volumes / 4.0, 4), mesh.n_nodes), np.float64)
 
 
 def _edge_compliances(mesh: Mesh, young: FloatArray) -> FloatArray:

@@ -9,8 +9,9 @@ from tissuereg._arrays import FloatArray
 from tissuereg.baselines import Network
 from tissuereg.errors import ArgumentError
 from tissuereg.studies.claims import Agreement, Claim
-from tissuereg.studies.contest import CONDITIONS, PLAIN, Condition, Contest, Run, Simulated
+from tissuereg.studies.contest import CONDITIONS, PLAIN, Condition, Contest, Simulated
 from tissuereg.studies.rigs import Rig
+from tissuereg.studies.runs import Run
 
 #: Shares by which the paper's method lowers the simulation's error and that of KF-ADMM, and our goals.
 PAPER_REDUCTION, PAPER_AGAINST_KF = 0.72, 0.45
