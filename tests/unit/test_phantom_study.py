@@ -21,13 +21,13 @@ from tissuereg.studies.contest import (
     Believed,
     Contest,
     NetworkAlone,
-    Run,
     Simulated,
     measured,
 )
 from tissuereg.studies.phantom import _rows, phantom_study
 from tissuereg.studies.rigs import Pad, Rig, read_rig, read_rigs
 from tissuereg.studies.run import _delivered, run_contest
+from tissuereg.studies.runs import Run
 
 SHARES = np.concatenate([np.linspace(0.1, 1.0, 12), np.linspace(0.9, 0.0, 12)])
 
