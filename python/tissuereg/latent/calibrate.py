@@ -22,6 +22,7 @@ from tissuereg.latent.honest import Honest
 from tissuereg.latent.kinds import Kinds, probabilities
 from tissuereg.latent.mixture import Component, Linear, condition, log_evidence
 from tissuereg.latent.model import LatentModel, rms_displacement
+from tissuereg.latent.network import NetworkModel
 from tissuereg.latent.relinearise import conditioned, spread_of
 from tissuereg.latent.signs import signs_of
 from tissuereg.mesh import Mesh, free_surface
@@ -261,6 +262,19 @@ class _Places:
         """Return the same for whole fields."""
         return lambda fields: self.rows(fields[:, self.nodes])
 
+    def decoder(self, model: Codes) -> RowsOf:
+        """Return the rows of a model's latents (n_latent, n_members); a network's decoder is cut down to them."""
+        from scipy import sparse
+
+        cut = None
+        if isinstance(model, NetworkModel):
+            number = np.repeat(np.arange(len(self.where)), self.where.shape[1])
+            places = (self.weights.ravel(), (number, self.nodes[self.where].ravel()))
+            cut = model.cut(sparse.csr_array(places, (len(self.where), model.n_nodes)))
+        if cut is None:
+            return lambda latents: self.rows(model.decode(latents, self.nodes))
+        return lambda latents: cut(latents).reshape(latents.shape[1], -1)
+
 
 @dataclass(frozen=True, eq=False)
 class _Event:
@@ -293,20 +307,23 @@ class _Rehearsal:
         places = _Places.drawn(self._mesh, how, self._rng)
         rows = places.rows(truth[None, places.nodes].astype(np.float64))[0]
         observed = rows[:n_obs] + how.std * self._rng.standard_normal(n_obs)
-        at = made.at(places.rows_of())
+        at, decoded = made.at(places.rows_of()), places.decoder(model)
         anchor, start, n_own = np.zeros(len(rows)), made.kinds.weights @ made.kinds.means, len(made.kinds.weights)
         prior = at.prior()
         if simulation is not None:
             simulation = simulation.astype(np.float64)
             start, n_own = model.codes(simulation[None])[0], 1
             prior = at.prior_about(start, self.rest_code, float(rms_displacement(simulation[None])[0]))
-            decoded = model.decode(start[:, None], places.nodes)
-            anchor = places.rows(simulation[None, places.nodes] - decoded)[0]
-
-        def decode(latents: FloatArray) -> FloatArray:
-            return places.rows(model.decode(latents, places.nodes)) + anchor
-
-        _, linear = conditioned(decode, prior, observed, self._noise, start, spread_of(made.kinds), _PASSES)
+            anchor = places.rows(simulation[None, places.nodes])[0] - decoded(start[:, None])[0]
+        _, linear = conditioned(
+            lambda latents: decoded(latents) + anchor,
+            prior,
+            observed,
+            self._noise,
+            start,
+            spread_of(made.kinds),
+            _PASSES,
+        )
         return _Event(made, prior, n_own, linear, observed, rows)
 
     def shown(self, event: _Event, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
