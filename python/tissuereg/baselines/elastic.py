@@ -53,7 +53,7 @@ class LinearElastic(Rival):
 
     Notes
     -----
-    Cost of a moment: less than a millisecond on 4,000 nodes and 15 markers, a solve for each new set of markers seen
+    Cost of a moment: products of the size of markers and of one field, a solve for each new set of markers seen
     apart. After Z. Yang, R. Simon, K. Merrell and C. A. Linte, "Boundary constraint-free biomechanical model-based
     surface matching for intraoperative liver deformation correction", arXiv:2403.09964, 2024, which has no held base
     and finds correspondences as well.
