@@ -1,4 +1,5 @@
 //! What an iteration of ADMM costs: no memory.
+#![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 

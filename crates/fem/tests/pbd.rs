@@ -1,4 +1,5 @@
 //! Position-based dynamics: springs, volumes and observed places against what is known of them.
+#![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 

@@ -119,7 +119,7 @@ mod tests {
             [[20.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 9.0]],
         ];
         for k in 0..300 {
-            let at = |i: usize| ((k * 9 + i) as f64 * 2.718).sin() * 1.5;
+            let at = |i: usize| ((k * 9 + i) as f64 * 2.7).sin() * 1.5;
             all.push(std::array::from_fn(|i| {
                 std::array::from_fn(|j| at(3 * i + j) + f64::from(u8::from(i == j)))
             }));
