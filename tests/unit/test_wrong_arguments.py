@@ -806,6 +806,7 @@ def test_a_modulus_that_no_solid_has_is_refused(young):
 
 #: Public names that take no argument, or are made by us alone.
 NO_ARGUMENTS = {
+    "MarkerAdvice",
     "Registration",
     "Simulation",
     "TissueRegError",
