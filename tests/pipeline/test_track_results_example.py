@@ -47,7 +47,7 @@ def test_a_file_of_another_mesh_or_other_data_is_refused(folder, told):
     write_vtu(folder / "deformed.vtu", mesh, {"displacement": field}, places=mesh.nodes + field)
     with pytest.raises(FormatError, match="undeformed mesh"):
         read_displacement(folder / "deformed.vtu", mesh)
-    with pytest.raises(FormatError, match="must have the .* nodes of the mesh"):
+    with pytest.raises(FormatError, match=r"must have the .* nodes of the mesh"):
         read_displacement(folder / "push_0.5.vtu", tr.phantom.truth_mesh("small"))
     write_vtu(
         folder / "holes.vtu", mesh, {"displacement": np.where(np.arange(mesh.n_nodes)[:, None] == 3, np.nan, field)}
