@@ -10,6 +10,7 @@ _Element = Literal["tet4", "tet4-averaged", "tet10"]
 
 __all__ = [
     "Adjoints",
+    "AdmmBody",
     "Body",
     "Cause",
     "Compliance",
@@ -21,6 +22,7 @@ __all__ = [
     "LocalizedStep",
     "ManySolutions",
     "Noise",
+    "Pbd",
     "Rig",
     "RigFrame",
     "Solution",
