@@ -71,6 +71,17 @@ def test_fields_from_the_tables_are_those_of_the_plain_equations(decoder):
     np.testing.assert_allclose(read.decode(latents, some), wanted[:, some], rtol=0, atol=off)
 
 
+def test_a_change_is_the_difference_of_two_fields_with_any_number_of_threads(decoder):
+    read, field, _ = decoder
+    rng = np.random.default_rng(5)
+    latents, code = rng.standard_normal((4, 3)), rng.standard_normal(4)
+    wanted = np.stack([field(z) for z in latents.T])
+    change = read.change(latents, code)
+    np.testing.assert_allclose(change, wanted - field(code), rtol=0, atol=2.0 * SINGLE * np.abs(wanted).max())
+    assert np.array_equal(change, read.change(latents, code, threads=3))
+    assert np.array_equal(read.decode(latents), read.decode(latents, threads=3))
+
+
 def test_the_file_is_a_network_by_the_rules_of_onnx(decoder):
     read, _, n_nodes = decoder
     rng = np.random.default_rng(7)
