@@ -196,6 +196,19 @@ def calibrated():
     return mesh, model, calibrate(model, mesh, model.codes(fields[:700]), fields[700:], n_kinds=3, settings=settings)
 
 
+def test_a_rehearsed_truth_is_a_change_from_its_simulation_whatever_the_decoder_misses(calibrated):
+    mesh, model, _ = calibrated
+    rng = np.random.default_rng(9)
+    # Simulations far outside what six components can represent; truths differ from them by what they can.
+    simulations = 3.0 * rng.standard_normal((60, mesh.n_nodes, 3))
+    truths = simulations + model.decode(0.3 * rng.standard_normal((6, 60)))
+    settings = RehearsalSettings(n_markers=8, n_targets=6, std=0.05, n_events=20, n_repeats=1)
+    fields = heavy_tailed(mesh, 60, 8)
+    made = calibrate(model, mesh, model.codes(fields), fields, (simulations, truths), n_kinds=1, settings=settings)
+    # Regions of a change that the decoder knows are about as wide as they are stated.
+    assert made.anchored.widening < 4.0
+
+
 def test_regions_of_heavy_tailed_events_hold_their_share_of_targets(calibrated):
     mesh, model, calibration = calibrated
     import tissuereg as tr
