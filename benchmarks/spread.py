@@ -431,7 +431,7 @@ def measure(
     return {
         "schema": "tissuereg.spread/1",
         "model": {**model.card, "source": model_folder.name},
-        "table2": None if table2 is None else NetworkModel(table2, mesh, threads=1).card,
+        "table2": None if table2 is None else {**NetworkModel(table2, mesh, threads=1).card, "source": table2.name},
         "part": part,
         "n_development_pairs": len(development[0]),
         "sets": sets,
