@@ -183,10 +183,6 @@ class CalibratedPosterior:
         return np.asarray(np.sqrt(self.rehearsal.widening * np.maximum(variance, 0.0)))
 
     @property
-    def _n_used(self) -> int:
-        return len(self.observed) // 3
-
-    @property
     def _n_markers(self) -> int:
         return len(self.order)
 

@@ -105,10 +105,10 @@ class _Ascending:
         ascending, n = np.sort(values), len(values)
         return cls(ascending, float(ascending[n - min(n, max(_TAIL_FEWEST, int(np.ceil(_TAIL_SHARE * n))))]))
 
-    def shares(self, asked: FloatArray, *, among: bool = False) -> FloatArray:
-        """Return the shares, in (0, 1], of values that are at least as large as those asked for.
+    def shares(self, given: FloatArray, *, among: bool = False) -> FloatArray:
+        """Return the shares, in (0, 1], of values that are at least as large as given ones.
 
-        Those asked for are values themselves if they are `among` them; they are then compared with the others.
+        Given ones are values themselves if they are `among` them; they are then compared with the others.
 
         Above the tenth that is largest, where values are few, their excess is taken as exponential: logarithms of
         chances are so if chances are uniform, or a power of what they should be. Of k values with mean excess m, the
@@ -116,11 +116,11 @@ class _Ascending:
         counted with them, so that a tail is known before there is any.
         """
         own = 1 if among else 0
-        # With the one that is asked for, be it among them or not.
-        n, beyond = len(self.values) + 1 - own, asked > self.first
-        shares = (n - np.searchsorted(self.values, asked, side="left")) / n
+        # With the given one, be it among them or not.
+        n, beyond = len(self.values) + 1 - own, given > self.first
+        shares = (n - np.searchsorted(self.values, given, side="left")) / n
         excess = self.values[self.values > self.first] - self.first
-        x = asked[beyond] - self.first
+        x = given[beyond] - self.first
         k, total = max(len(excess) - own, 0) + 1, excess.sum() - own * x + _FIRST_EXCESS
         shares[beyond] = k / n * (1.0 + x / total) ** -float(k)
         return np.asarray(np.clip(shares, _LEAST, 1.0))

@@ -28,14 +28,8 @@ _SIZE_LOG_STD = 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class FittedPrior:
-    """Changes from a simulation as a latent model; made by `fitted_prior`.
-
-    Attributes
-    ----------
-    changes : PcaModel
-        Principal components of the changes.
-    """
+class _Changes:
+    """What a prior of changes and the model of one moment have in common: all of it is of the changes."""
 
     changes: PcaModel
 
@@ -53,62 +47,6 @@ class FittedPrior:
     def card(self) -> dict[str, Any]:
         """Entry `model` of a result."""
         return self.changes.card
-
-    def around(self, simulation: FloatArray) -> "ChangedSimulation":
-        """Return the latent model of changes from a simulation (n_nodes, 3) in mm."""
-        return ChangedSimulation(self.changes, simulation)
-
-    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return changes, one per column of `latents`; see `LatentModel.decode`."""
-        return self.changes.decode(latents, nodes)
-
-    def errors(self, latents: FloatArray | None = None) -> FloatArray:
-        """Return the expected reconstruction errors; see `LatentModel.errors`."""
-        return self.changes.errors(latents)
-
-    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
-        """Return the errors and their factors; see `ScalesErrors`."""
-        return self.changes.error_law(latents)
-
-    def prior(self, simulation: FloatArray | None) -> Gaussian:
-        """Return the unit Gaussian, whatever the simulation."""
-        return self.changes.prior(simulation)
-
-
-@dataclass(frozen=True, eq=False)
-class ChangedSimulation:
-    """``field = simulation + change(z)``; see `FittedPrior`.
-
-    Attributes
-    ----------
-    changes : PcaModel
-        Of the changes.
-    simulation : ndarray of float64, shape (n_nodes, 3)
-        mm.
-    """
-
-    changes: PcaModel
-    simulation: FloatArray
-
-    @property
-    def n_latent(self) -> int:
-        """Number of latents."""
-        return self.changes.n_latent
-
-    @property
-    def n_nodes(self) -> int:
-        """Number of mesh nodes."""
-        return self.changes.n_nodes
-
-    @property
-    def card(self) -> dict[str, Any]:
-        """Entry `model` of a result."""
-        return self.changes.card
-
-    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
-        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
-        simulation = self.simulation if nodes is None else self.simulation[nodes]
-        return np.asarray(simulation + self.changes.decode(latents, nodes))
 
     def errors(self, latents: FloatArray | None = None) -> FloatArray:
         """Return the expected errors of the change; see `LatentModel.errors`."""
@@ -121,6 +59,45 @@ class ChangedSimulation:
     def prior(self, simulation: FloatArray | None) -> Gaussian:
         """Return the unit Gaussian, whatever the simulation."""
         return self.changes.prior(simulation)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPrior(_Changes):
+    """Changes from a simulation as a latent model; made by `fitted_prior`.
+
+    Attributes
+    ----------
+    changes : PcaModel
+        Principal components of the changes.
+    """
+
+    def around(self, simulation: FloatArray) -> "ChangedSimulation":
+        """Return the latent model of changes from a simulation (n_nodes, 3) in mm."""
+        return ChangedSimulation(self.changes, simulation)
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return changes, one per column of `latents`; see `LatentModel.decode`."""
+        return self.changes.decode(latents, nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedSimulation(_Changes):
+    """``field = simulation + change(z)``; see `FittedPrior`.
+
+    Attributes
+    ----------
+    changes : PcaModel
+        Of the changes.
+    simulation : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    """
+
+    simulation: FloatArray
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        simulation = self.simulation if nodes is None else self.simulation[nodes]
+        return np.asarray(simulation + self.changes.decode(latents, nodes))
 
 
 def fitted_prior(

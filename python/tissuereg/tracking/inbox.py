@@ -13,11 +13,6 @@ class Inbox:
         self._skipped = 0
         self.dropped = 0
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether no frame waits."""
-        return self._frame is None
-
     def push(self, frame: Any) -> None:
         """Put a frame in; one that waits is dropped."""
         with self._lock:
