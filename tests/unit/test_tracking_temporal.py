@@ -52,6 +52,14 @@ def test_a_simulated_motion_much_smaller_than_the_noise_is_no_motion():
     assert np.allclose(found, still + np.cumsum(changes, axis=0), rtol=0.0, atol=1e-2 * STD)
 
 
+def test_a_simulated_change_is_doubted_by_a_part_of_itself_at_once():
+    steps = 5.0 * STD * np.ones((2, N))
+    moving, still = (filtered(np.cumsum(changes, axis=0) + noise(4, 2), changes)[1] for changes in (steps, 0.0 * steps))
+    # Half of five deviations has a variance of 6.25 times the noise's; so has every rate a gain of 7.25 / 8.25 or more.
+    assert moving[1] >= 7.25 / 8.25
+    assert still[1] < 0.8
+
+
 def test_a_simulation_that_is_off_by_a_part_of_every_change_leaves_no_lag():
     steps = 5.0 * STD * np.ones((30, N))
     path, answers = np.cumsum(1.25 * steps, axis=0), noise(3, 30)
