@@ -1,7 +1,8 @@
 """Make the rigs that are missing: ``python -m twin`` with ``tests`` and ``benchmarks`` on the path (``make twin``).
 
-``--only NAME``: one rig; ``--list``: their names; ``--corners N``: another mesh, for a comparison, into another
-``--out``. Each rig is one file, written whole: a run that was stopped goes on.
+``--development``: the rigs on which methods are tuned, none of which is reported; ``--only NAME``: one rig; ``--list``:
+their names; ``--corners N``: another mesh, for a comparison, into another ``--out``. Each rig is one file, written
+whole: a run that was stopped goes on.
 """
 
 import argparse
@@ -12,9 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from tissuereg.io.npz import write_npz
-from twin.rig import FRAME_S, SCENARIOS, SEEDS, draw, pushes
+from twin.rig import DEVELOPMENT_SEEDS, FRAME_S, SCENARIOS, SEEDS, draw, pushes
 
-RIGS = Path(__file__).resolve().parent / "rigs"
+FOLDER = Path(__file__).resolve().parent
+RIGS, DEVELOPMENT = FOLDER / "rigs", FOLDER / "development"
 
 
 def main():
@@ -22,19 +24,22 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m twin", description=__doc__)
     parser.add_argument("--only")
     parser.add_argument("--list", action="store_true")
-    parser.add_argument("--out", type=Path, default=RIGS)
+    parser.add_argument("--development", action="store_true")
+    parser.add_argument("--out", type=Path)
     parser.add_argument("--corners", type=int)
     options = parser.parse_args()
-    rigs = [draw(scenario, seed) for seed in SEEDS for scenario in SCENARIOS]
+    seeds, place = (DEVELOPMENT_SEEDS, DEVELOPMENT) if options.development else (SEEDS, RIGS)
+    out = options.out or place
+    rigs = [draw(scenario, seed) for seed in seeds for scenario in SCENARIOS]
     names = [rig.name for rig in rigs]
     if options.list:
         print("\n".join(names))
         return
     if options.only and options.only not in names:
         parser.error(f"--only must be one of {', '.join(names)}, got {options.only}")
-    options.out.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
     for rig in rigs:
-        path = options.out / f"{rig.name}.npz"
+        path = out / f"{rig.name}.npz"
         if path.exists() or options.only not in (None, rig.name):
             continue
         make(rig, path, options.corners)

@@ -9,8 +9,8 @@ from tissuereg.phantom.breast import RADIUS, inside_breast
 #: Actuators by scenario: along x; along x and y.
 SCENARIOS = {1: ("x",), 2: ("x", "y")}
 
-#: Rigs a scenario.
-SEEDS = range(11)
+#: Rigs a scenario: those that are reported, and others on which every method is tuned.
+SEEDS, DEVELOPMENT_SEEDS = range(11), range(100, 106)
 
 N_MARKERS, N_INNER = 15, 200
 
