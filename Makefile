@@ -14,7 +14,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model table2-model small-model demo-figures clean paper phantom twin spread spread-data
+.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model table2-model small-model demo-figures clean paper phantom twin rig-pairs spread spread-data
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -45,7 +45,8 @@ help:
 	@echo "                     spread-data: shapes with physics that the model never saw (an hour; resumable)"
 	@echo "make paper           the paper's simulation studies -> docs/paper.md (TABLE2=folder: also with a network of Table II)"
 	@echo "make phantom         the paper's phantom experiment (section IV) on a virtual twin of its rig, every method -> "
-	@echo "                     docs/phantom-experiment.md (FIELDS=folder); make twin: the twin's rigs, by another solver"
+	@echo "                     docs/phantom-experiment.md (FIELDS=folder); make twin: the twin's rigs, by another solver;"
+	@echo "                     make rig-pairs: pairs of simulation and truth of other rigs, by ours, that calibrate the model"
 	@echo "make phantom-model   data set and shipped model of the phantom, anew (hours; resumable); make table2-model: the paper's"
 	@echo "                     network on the same data; make small-model: that of tests, on the small phantom (half an hour)"
 	@echo "make demo-figures    what the README shows of the demo, after a change of model or phantom"
@@ -231,9 +232,16 @@ spread: $(VENV)/.installed-dev
 spread-data: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --make-foreign $(FOREIGN)
 
-# Rigs that are missing, by scikit-fem (and pypardiso, where it is there): a minute or two each; ONE=name: one.
+# Rigs that are missing, by scikit-fem (and pypardiso, where it is there): a minute or two each; ONE=name: one;
+# DEVELOPMENT=yes: those on which methods are tuned.
 twin: $(VENV)/.installed-dev
-	PYTHONPATH=tests:benchmarks OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m twin $(if $(ONE),--only $(ONE))
+	PYTHONPATH=tests:benchmarks OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m twin $(if $(ONE),--only $(ONE)) $(if $(DEVELOPMENT),--development)
+
+# Pairs of simulation and truth of other rigs, by this package's solver, with which models are calibrated: half an hour.
+PRESSED ?= build/pressed
+
+rig-pairs: $(VENV)/.installed-dev
+	PYTHONPATH=tests:benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.pairs $(PRESSED)
 
 # Every method on them; FIELDS=folder: with those that need training fields.
 phantom: $(VENV)/.installed
@@ -247,10 +255,10 @@ paper: $(VENV)/.installed
 phantom-data: $(VENV)/.installed
 	$(BIN)/tissuereg simulate training/recipes/breast.toml --out build/phantom-data
 
-phantom-model: phantom-data spread-data training
+phantom-model: phantom-data spread-data rig-pairs training
 	$(BIN)/tissuereg simulate training/recipes/breast-more.toml --out build/phantom-more
 	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --data build/phantom-more --out build/phantom-model
-	$(BIN)/tissuereg calibrate build/phantom-model --data build/phantom-data --pairs $(FOREIGN)/development
+	$(BIN)/tissuereg calibrate build/phantom-model --data build/phantom-data --pairs $(FOREIGN)/development --pairs $(PRESSED)
 
 table2-model: phantom-data training
 	$(TRAINING_BIN)/tissuereg train training/recipes/table2.toml --data build/phantom-data --out build/table2-model

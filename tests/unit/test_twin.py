@@ -1,6 +1,7 @@
 """The virtual twin of the phantom rig: its solver against closed forms and against this package's own equilibrium."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from support.scripts import REPOSITORY
 
 sys.path.append(str(REPOSITORY / "benchmarks"))
 
+from twin.pairs import pairs_of
 from twin.rig import PUSHES, draw, points, pushes
 from twin.solve import TwinRun, body_of
 
@@ -116,3 +118,31 @@ def test_pushes_grow_to_the_whole_stroke_and_end_at_rest():
     np.testing.assert_allclose(thirds, PUSHES, rtol=1e-12)
     # 40 Hz: no jump between frames is more than a tenth of the stroke.
     assert np.abs(np.diff(motion)).max() < 0.1
+
+
+def as_believed(rig):
+    """Return a rig whose truth is what is believed: one modulus, the base as good as held, pads where they are known."""
+    known = [replace(one, known_centre=one.centre, known_direction=one.direction) for one in rig.actuators]
+    # Ogden's law of exponent 2 is the isochoric neo-Hookean one.
+    same = {"young": 10.0, "poisson": 0.45, "alpha": 2.0, "inclusion_contrast": 1.0, "base_along": 1e5}
+    return replace(rig, actuators=tuple(known), base_across=1e5, **same)
+
+
+def test_a_rig_that_is_as_believed_makes_pairs_that_are_equal():
+    mesh = tr.phantom.phantom_mesh("small")
+    simulations, truths = pairs_of(as_believed(draw(2, 0)), mesh)
+    assert len(truths) == 4
+    moved = np.linalg.norm(truths, axis=2).mean(axis=1)
+    assert moved[-1] > 1.0
+    assert (np.diff(moved) > 0.0).all()
+    # The laws differ in how volume and shape are coupled, by some percent at large strains.
+    assert (np.linalg.norm(simulations - truths, axis=2).mean(axis=1) < 0.05 * moved).all()
+
+
+def test_a_rig_twice_as_stiff_as_believed_is_simulated_to_move_farther():
+    mesh = tr.phantom.phantom_mesh("small")
+    rig = as_believed(draw(1, 0))
+    simulations, truths = pairs_of(replace(rig, young=15.0), mesh)
+    factors = (simulations * truths).sum(axis=(1, 2)) / (truths**2).sum(axis=(1, 2))
+    assert len(factors) >= 3
+    assert (factors[:3] > 1.2).all()

@@ -54,6 +54,7 @@ class KfAdmm(Rival):
 
     name: ClassVar[str] = "KF-ADMM, our reconstruction"
     needs: ClassVar[frozenset[str]] = frozenset({"simulation"})
+    remembers: ClassVar[bool] = True
 
     def __init__(
         self,

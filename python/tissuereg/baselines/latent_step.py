@@ -143,6 +143,7 @@ class LatentFilter(_OneUpdate):
     """
 
     name: ClassVar[str] = "EnKF in latents"
+    remembers: ClassVar[bool] = True
 
     def __init__(self, setting: Setting, *, memory_s: float = 1.0, n_members: int = 100, spread: bool = False) -> None:
         super().__init__(setting, n_members=n_members, spread=spread)

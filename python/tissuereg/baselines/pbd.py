@@ -48,6 +48,7 @@ class PositionBasedDynamics(Rival):
 
     name: ClassVar[str] = "PBD with observations"
     needs: ClassVar[frozenset[str]] = frozenset({"simulation"})
+    remembers: ClassVar[bool] = True
 
     def __init__(
         self, setting: Setting, *, energy_uj: float = 30.0, n_iterations: int = 100, density_g_cm3: float = 1.0

@@ -45,6 +45,7 @@ class LinearResidual(Rival):
 
     name: ClassVar[str] = "linear residual"
     needs: ClassVar[frozenset[str]] = frozenset({"simulation"})
+    remembers: ClassVar[bool] = True
 
     def __init__(self, setting: Setting, *, window: int = 30, memory_s: float = 0.25) -> None:
         super().__init__(setting)

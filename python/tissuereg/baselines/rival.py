@@ -167,6 +167,8 @@ class Rival(ABC):
         As tables print it.
     needs : frozenset of str
         What the method needs, of ``simulation``, ``model``, ``load`` and ``fields``.
+    remembers : bool
+        Whether the answer of a moment depends on the moments just before, so that none may be left out.
     setting : Setting
 
     Raises
@@ -177,6 +179,7 @@ class Rival(ABC):
 
     name: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()
+    remembers: ClassVar[bool] = False
 
     def __init__(self, setting: Setting) -> None:
         self.setting = of_kind("setting", setting, Setting)

@@ -4,6 +4,7 @@ Every method is given the same: markers, the believed simulation, the believed m
 the paper's section IV), and no other truth.
 """
 
+import hashlib
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +16,26 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.baselines import RIVALS, Estimate, Network, Rival, Setting
+from tissuereg.baselines import (
+    RIVALS,
+    Estimate,
+    KfAdmm,
+    LatentFilter,
+    Libr,
+    LinearElastic,
+    LinearResidual,
+    MeanOfMarkers,
+    Network,
+    OneStepSmoother,
+    ParameterInference,
+    PcaEsMda,
+    PhysicsPrior,
+    PositionBasedDynamics,
+    Rigid,
+    Rival,
+    Setting,
+    Spline,
+)
 from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
 from tissuereg.latent.model import LatentModel
 from tissuereg.load import Load
@@ -32,9 +52,6 @@ BELIEVED = Material(10.0, POISSON)
 
 #: Every so many frames one is scored, while the actuators have gone at least this share of their strokes.
 EVERY, LEAST_SHARE = 8, 0.05
-
-#: A method that takes longer a frame, s, is given the scored frames alone.
-TOO_SLOW_S = 0.25
 
 #: A believed body that is softer than the true one is pressed farther than that, up to this share of the strokes.
 _MOST_SHARE = 2.0
@@ -110,6 +127,26 @@ class NetworkAlone(Network):
 #: Every method by its name, the simulation and ours first.
 METHODS: dict[str, type[Rival]] = {method.name: method for method in (Simulated, Network, NetworkAlone)} | RIVALS
 
+#: Short names of the methods, for JSON and the command line.
+KEYS: dict[str, str] = {
+    Simulated.name: "simulation",
+    Network.name: "tissuereg",
+    NetworkAlone.name: "tissuereg-without-simulation",
+    PhysicsPrior.name: "tissuereg-contacts",
+    KfAdmm.name: "kf-admm",
+    PositionBasedDynamics.name: "pbd",
+    ParameterInference.name: "parameters",
+    LinearResidual.name: "linear-residual",
+    Rigid.name: "rigid",
+    Spline.name: "spline",
+    MeanOfMarkers.name: "copy",
+    LinearElastic.name: "compliance",
+    PcaEsMda.name: "pca-esmda",
+    OneStepSmoother.name: "one-step-es",
+    LatentFilter.name: "enkf",
+    Libr.name: "libr",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Path:
@@ -160,7 +197,8 @@ class Believed:
     Notes
     -----
     The surface nodes under a pad, as far as the user knows it, move as one with it; nothing else moves the body. One
-    equilibrium is solved at every stored share of the strokes, and at further ones as far as there is equilibrium;
+    equilibrium is solved at every stored share of the strokes, and at further ones as far as pushes need it and there is
+    equilibrium;
     frames lie on the spline through them, and frames beyond the last one at the last one. Driven by motion, a frame is
     at the actuators' own share; driven by force, at the share at which the believed body pushes back as hard as was
     measured.
@@ -206,7 +244,10 @@ class Believed:
             start += len(nodes)
         simulator = Simulator(self.mesh, held_nodes=held)
         shares, fields, pushes = [0.0], [np.zeros_like(self.mesh.nodes)], [0.0]
+        hardest = float(self.rig.push(self.rig.pad_forces).max())
         for share in (*self.rig.shares, *_further(self.rig.shares)):
+            if share > self.rig.shares[-1] and len(pushes) > 1 and pushes[-2] > hardest:
+                break  # with one equilibrium more than is needed, for the spline
             try:
                 load = Load(prescribed=share * strokes)
                 found = simulator.solve(load, BELIEVED, threads=self._threads, start=fields[-1])
@@ -262,7 +303,7 @@ def measured(rig: Rig, condition: Condition, seed: int) -> FloatArray:
 
 
 def run_method(
-    rival: Rival, believed: Believed, markers: FloatArray, condition: Condition, *, scored_alone: bool = False
+    rival: Rival, believed: Believed, markers: FloatArray, condition: Condition, *, scored_alone: bool | None = None
 ) -> Run:
     """Return what a method does on the frames of a rig, in their order.
 
@@ -276,14 +317,15 @@ def run_method(
         As measured, mm.
     condition : Condition
         Under which they were measured.
-    scored_alone : bool
-        Whether it is given the scored frames alone, however fast it is.
+    scored_alone : bool, optional
+        Whether it is given the scored frames alone; by default if it remembers none.
     """
     scored, rig = believed.scored, believed.rig
     is_scored = np.isin(np.arange(len(markers)), scored)
-    distances, inside, seconds, failed, slow = [], [], [], 0, scored_alone
+    alone = not rival.remembers if scored_alone is None else scored_alone
+    distances, inside, seconds, failed = [], [], [], 0
     for frame, (seen, simulation) in enumerate(zip(markers, believed.simulation_mm(condition.drive), strict=True)):
-        if slow and not is_scored[frame]:
+        if alone and not is_scored[frame]:
             continue
         begun = time.perf_counter()
         try:
@@ -292,8 +334,6 @@ def run_method(
             failed += 1
             found = Estimate(simulation)
         seconds.append(time.perf_counter() - begun)
-        # The first frame may have made what is kept.
-        slow = slow or (len(seconds) > 1 and min(seconds) > TOO_SLOW_S)
         if not is_scored[frame]:
             continue
         off = believed.at_points(found.displacement_mm) - believed.truth_mm[frame]
@@ -314,6 +354,12 @@ def run_method(
         frames=len(seconds),
         failed=failed,
     )
+
+
+def _mark(model: LatentModel | None) -> str:
+    """Return what tells one trained model from another: the digest of its card, which has those of its files."""
+    folder = getattr(model, "folder", None)
+    return "" if folder is None else hashlib.sha256((folder / "model.json").read_bytes()).hexdigest()
 
 
 class Contest:
@@ -354,7 +400,7 @@ class Contest:
         self.methods = {name: method for name, method in methods.items() if method.needs <= given}
         self.left_out = tuple(name for name in methods if name not in self.methods)
         trained = None if fields is None else len(fields)
-        self._kept = KeptRuns(keep, {"seed": seed, "training_fields": trained, **self.facts})
+        self._kept = KeptRuns(keep, {"seed": seed, "training_fields": trained, "model": _mark(model), **self.facts})
         self._believed: dict[str, Believed] = {}
         self._runs: dict[tuple[str, str], list[Run]] = {}
 
@@ -390,7 +436,7 @@ class Contest:
         if run.coverage90 is None and condition in (PLAIN, MOTION) and "spread" in signature(method).parameters:
             # Its spread costs time that its answer does not need: other runs are timed.
             wide: Callable[..., Rival] = method
-            covered = run_method(wide(setting, spread=True), believed, markers, condition, scored_alone=True)
+            covered = run_method(wide(setting, spread=True), believed, markers, condition)
             run = replace(run, coverage90=covered.coverage90)
         self._kept.write(rig, run)
         return run

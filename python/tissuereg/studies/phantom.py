@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray
-from tissuereg.baselines import Network
+from tissuereg.baselines import KfAdmm, Network
 from tissuereg.errors import ArgumentError
 from tissuereg.studies.claims import Agreement, Claim
-from tissuereg.studies.contest import CONDITIONS, PLAIN, Condition, Contest, Simulated
+from tissuereg.studies.contest import CONDITIONS, KEYS, PLAIN, Condition, Contest, Simulated
 from tissuereg.studies.rigs import Rig
 from tissuereg.studies.runs import Run
 
@@ -17,11 +17,11 @@ from tissuereg.studies.runs import Run
 PAPER_REDUCTION, PAPER_AGAINST_KF = 0.72, 0.45
 GOAL_REDUCTION, GOAL_AGAINST_KF = 0.80, 0.55
 
-#: What names of the paper's rival begin with.
-KF_ADMM = "KF-ADMM"
-
 #: Studies, and the scenario that each shows; None: both.
 PHANTOM_STUDIES: dict[str, int | None] = {"fig10": 1, "fig11": 2, "phantom": None}
+
+#: Seeds whose rigs are run under conditions other than the plain one: the lowest of those there are.
+_FURTHER_SEEDS = 4
 
 #: Resamples of an interval, and their seed.
 _RESAMPLES, _SEED = 2000, 27
@@ -45,8 +45,9 @@ def phantom_study(name: str, contest: Contest, progress: Progress | None = None)
     Returns
     -------
     dict
-        ``rows`` (a method under a condition), ``agree``, ``conditions``, ``left_out``; of a figure ``curves``, of
-        ``phantom`` ``goals``.
+        ``rows`` (a method under a condition), ``agree``, ``conditions``, ``left_out``; of a figure ``curves``; of
+        ``phantom`` ``goals`` and, all markers seen, ``methods`` by their short names, ``cut_of_simulation`` and
+        ``better_than_kf_admm`` (shares of ours; None where a method was not run), ``rigs``, ``seeds``.
 
     Raises
     ------
@@ -59,15 +60,13 @@ def phantom_study(name: str, contest: Contest, progress: Progress | None = None)
         message = f"`data` must hold rigs of scenario {scenario} for '{name}', found none"
         raise ArgumentError(message, where="data")
     conditions = CONDITIONS if scenario is None else (PLAIN,)
-    done = 0
+    few = sorted({rig.seed for rig in rigs})[:_FURTHER_SEEDS]
+    order = [(rig, one) for rig in rigs for one in conditions if one is PLAIN or rig.seed in few]
     runs: dict[str, list[Run]] = {condition.name: [] for condition in conditions}
-    in_all = len(rigs) * len(conditions)
-    for rig in rigs:
-        for condition in conditions:
-            runs[condition.name] += contest.runs(rig, condition)
-            done += 1
-            if progress is not None:
-                progress(done, in_all)
+    for done, (rig, condition) in enumerate(order, start=1):
+        runs[condition.name] += contest.runs(rig, condition)
+        if progress is not None:
+            progress(done, len(order))
     rows = [
         {"study": name, "scenario": scenario, **row}
         for condition in conditions
@@ -80,7 +79,7 @@ def phantom_study(name: str, contest: Contest, progress: Progress | None = None)
         "left_out": list(contest.left_out),
     }
     if scenario is None:
-        return {**found, "goals": _goals(rows)}
+        return {**found, "goals": _goals(rows), **_short(rows, rigs)}
     return {**found, "curves": _curves(rigs[0], contest.runs(rigs[0], PLAIN))}
 
 
@@ -136,10 +135,31 @@ def _plain(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return {row["method"]: row for row in rows if row["condition"] == PLAIN.name}
 
 
+def _short(rows: Sequence[dict[str, Any]], rigs: Sequence[Rig]) -> dict[str, Any]:
+    """Return the contest in short: each method with all markers seen, and what the goals are of."""
+    plain = _plain(rows)
+    ours = plain.get(Network.name)
+    return {
+        "methods": {
+            KEYS.get(name, name): {
+                "sensor_mean_mm": row["sensor_mean_mm"],
+                "inner_mean_mm": row["inner_mean_mm"],
+                "inner_95_mm": row["inner_q95_mm"],
+                "ms_a_frame": row["ms"],
+                "coverage90": row["coverage90"],
+            }
+            for name, row in plain.items()
+        },
+        "cut_of_simulation": None if ours is None else ours["reduction"],
+        "better_than_kf_admm": _against_kf(plain),
+        "rigs": len(rigs),
+        "seeds": sorted({rig.seed for rig in rigs}),
+    }
+
+
 def _against_kf(plain: dict[str, dict[str, Any]]) -> float | None:
     """Return by which share our error at the sensor is below that of KF-ADMM; None where that was not run."""
-    rival = next((row for name, row in plain.items() if name.startswith(KF_ADMM)), None)
-    ours = plain.get(Network.name)
+    rival, ours = plain.get(KfAdmm.name), plain.get(Network.name)
     return None if rival is None or ours is None else 1.0 - ours["sensor_mean_mm"] / rival["sensor_mean_mm"]
 
 

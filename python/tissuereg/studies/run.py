@@ -18,7 +18,7 @@ from tissuereg.io.json import dumps
 from tissuereg.latent_registration import as_model
 from tissuereg.phantom import phantom_mesh
 from tissuereg.studies.cases import N_STARTS, N_TARGETS, draw_cases
-from tissuereg.studies.contest import METHODS, Contest, Simulated
+from tissuereg.studies.contest import KEYS, METHODS, Contest, Simulated
 from tissuereg.studies.figures import FIGURES, figure_study
 from tissuereg.studies.phantom import PHANTOM_STUDIES, phantom_study
 from tissuereg.studies.phantom_pages import phantom_csv, phantom_markdown, phantom_picture
@@ -78,7 +78,7 @@ def reproduce(
         Data set of the model's body, for methods of the phantom experiment that need training fields; without it they
         are left out.
     methods : sequence of str, optional
-        Methods of the phantom experiment; by default all.
+        Methods of the phantom experiment, by their names in tables or their short ones in JSON; by default all.
     keep : path-like, optional
         Folder where what each method did on each rig is kept, so that a run that was stopped goes on.
     seed : int
@@ -127,7 +127,8 @@ def reproduce(
     for name, given in (("data", data), ("fields", fields), ("keep", keep)):
         if given is not None:
             place(name, given)
-    chosen = None if methods is None else list(each("methods", methods, str))
+    names_of = {key: name for name, key in KEYS.items()}
+    chosen = None if methods is None else [names_of.get(name, name) for name in each("methods", methods, str)]
     for method in chosen or ():
         check_choice("methods", method, METHODS, ArgumentError)
     clock = Clock()
