@@ -26,6 +26,7 @@ import tissuereg as tr
 from tissuereg._machine import machine, versions
 from tissuereg.assimilate import assimilate
 from tissuereg.io.atomic import atomic_file
+from tissuereg.io.pairs import read_pairs
 from tissuereg.latent.calibrate import RehearsalSettings, calibrate, codes_of
 from tissuereg.latent.model import Gaussian
 from tissuereg.latent.network import NetworkModel
@@ -368,6 +369,7 @@ def measure(
     n_alarms: int,
     part: str,
     table2: Path | None = None,
+    pressed: Path | None = None,
 ) -> dict[str, Any]:
     """Measure everything; `part` is ``test``, or ``valid`` while a method is being made."""
     data = tr.open_dataset(data_folder)
@@ -386,7 +388,8 @@ def measure(
         held = data.displacement[split["test"]]
     if part == "valid" or model.calibration is None:
         codes = codes_of(model, data.displacement, split["train"])
-        model.calibration = calibrate(model, mesh, codes, unseen, development, settings=how)
+        pairs = [development] if pressed is None else [development, read_pairs(pressed, mesh.n_nodes)]
+        model.calibration = calibrate(model, mesh, codes, unseen, pairs, settings=how)
     pca, codes = fitted_pca(data)
     plain_pca = PcaModel(pca.centre, pca.components, pca.error_fields, pca.error_sizes, pca.card)
     pca.calibration = calibrate(pca, mesh, codes, unseen, settings=how)
@@ -434,6 +437,7 @@ def measure(
         "table2": None if table2 is None else {**NetworkModel(table2, mesh, threads=1).card, "source": table2.name},
         "part": part,
         "n_development_pairs": len(development[0]),
+        "kinds_of_change": 0 if model.calibration.change is None else len(model.calibration.change.covariances),
         "sets": sets,
         "alarms": alarms(mesh, model, known[:n_alarms], strange[:n_alarms], 5 if part == "test" else 15),
         "widening": {"alone": model.calibration.alone.widening}
@@ -465,6 +469,9 @@ def main() -> None:
     parser.add_argument("--rivals", type=int, default=200, help="shapes that the other methods register")
     parser.add_argument("--alarms", type=int, default=100, help="shapes spoilt in each way")
     parser.add_argument("--table2", type=Path, help="calibrated model folder of a Table II network, as a further row")
+    parser.add_argument(
+        "--pressed", type=Path, help="pairs of rigs (`make rig-pairs`), where the model is calibrated here"
+    )
     parser.add_argument("--part", choices=("test", "valid"), default="test", help="valid while a method is being made")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--page", action="store_true", help="measure nothing: write the page of what was measured")
@@ -474,7 +481,8 @@ def main() -> None:
         return
     if not options.page:
         counts = options.events, options.rivals, options.alarms
-        found = measure(options.model, options.data, options.foreign, *counts, options.part, options.table2)
+        others = options.table2, options.pressed
+        found = measure(options.model, options.data, options.foreign, *counts, options.part, *others)
         options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     if options.part == "test":
         from spread_page import write_page

@@ -15,7 +15,7 @@ noise, 20 random inner points each. Made by `make spread`; the method is describ
 * **Known physics**: {known} shapes of the test split, without a simulation. *Before* is the undeformed body.
 * **Foreign physics**: {foreign} shapes of ten-node elements with a stiff inclusion, another Poisson's ratio (0.40 to
   0.48), another modulus and loads that are off, each with the believed model's simulation of the same event. *Before*
-  is that simulation. {development} other pairs were used to calibrate.
+  is that simulation. {development} other pairs{pressed} were used to calibrate.
 
 *ours*: the model with its calibration; the ensemble is decoded before the first and the last update, or before every
 one. *one Gaussian*: the same model without it (its prior and its errors one Gaussian
@@ -58,6 +58,7 @@ def page(found: dict[str, Any]) -> str:
         known=sets["known"]["ours"]["events"],
         foreign=sets["foreign"]["ours"]["events"],
         development=found["n_development_pairs"],
+        pressed=", and pairs of bodies that pads press," if found.get("kinds_of_change", 0) > 1 else "",
     )
     tails = [tail for tail in found.get("tail", {}).values() if tail is not None]
     text += _HEAVY.format(tails=" and ".join(f"{tail:.1f}" for tail in tails)) if tails else _GAUSSIAN

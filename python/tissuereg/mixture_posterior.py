@@ -30,6 +30,26 @@ _DRAWS, _BATCH = 64, 32
 
 
 @dataclass(frozen=True, eq=False)
+class _Anchor:
+    """The simulation of a moment, zero without one.
+
+    Attributes
+    ----------
+    field, rows : ndarray of float64, shapes (n_nodes, 3) and (n_rows,)
+        At nodes, and at markers and targets, mm.
+    size : float
+        Root mean square displacement, mm.
+    forms : tuple of (int, float)
+        Kind of change and variance of the factor on the simulation, of the first components of the prior.
+    """
+
+    field: FloatArray
+    rows: FloatArray
+    size: float
+    forms: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
 class CalibratedPosterior:
     """Moments of the posterior mixture; lengths in mm. What it shares with `tissuereg.posterior.Posterior` is as there.
 
@@ -53,8 +73,8 @@ class CalibratedPosterior:
         Measured displacements, and the covariance of the tracker's noise.
     seed : int
         Of draws.
-    size : float
-        Root mean square displacement of the simulation; 0 without one.
+    anchor : _Anchor
+        The simulation, and what its components say of it.
     rehearsal : Rehearsal
         What it is compared with.
     """
@@ -69,7 +89,7 @@ class CalibratedPosterior:
     observed: FloatArray
     noise: FloatArray
     seed: int
-    size: float
+    anchor: _Anchor
     rehearsal: Rehearsal
 
     @classmethod
@@ -115,8 +135,11 @@ class CalibratedPosterior:
         rows[: 3 * len(order)] = (3 * order[:, None] + np.arange(3)).ravel()
         at = calibration if np.array_equal(order, np.arange(len(order))) else calibration.of(rows)
         size = 0.0 if simulation is None else float(rms_displacement(simulation[None])[0])
-        latent = model.latent
-        prior = at.prior_about(latent.code, latent.rest_code, size) if isinstance(latent, AnchoredModel) else at.prior()
+        latent, simulated = model.latent, np.zeros(len(rows))
+        prior, forms = at.prior(), list[tuple[int, float]]()
+        if isinstance(latent, AnchoredModel) and simulation is not None:
+            simulated = model.at_rows(simulation)[rows]
+            prior, forms = at.prior_about(latent.code, size, simulated)
         observed = markers.displacement[used].ravel()
         noise = np.diag((markers.axis_std[used] ** 2).ravel())
         found, linear = conditioned(
@@ -128,9 +151,10 @@ class CalibratedPosterior:
             spread_of(at.whole.kinds),
             _PASSES,
         )
-        anchored = len(prior) > len(at.whole.kinds.weights)
-        rehearsal = at.rehearsal(anchored)
-        return cls(mesh, model, at, order, prior, linear, found, observed, noise, seed, size, rehearsal)
+        rehearsal = at.rehearsal(bool(forms))
+        field = np.zeros_like(mesh.nodes) if simulation is None else simulation
+        anchor = _Anchor(field, simulated, size, tuple(forms))
+        return cls(mesh, model, at, order, prior, linear, found, observed, noise, seed, anchor, rehearsal)
 
     @cached_property
     def _covariance(self) -> FloatArray:
@@ -145,6 +169,7 @@ class CalibratedPosterior:
     def _correction(self) -> FloatArray:
         """What the markers tell of the model's error at every node (n_nodes, 3)."""
         told: dict[int, tuple[FieldErrors, FloatArray]] = {}
+        factor = 0.0
         for weight, number, scale, pull in zip(
             self.found.weights, self.found.component, self.found.scale, self.found.pulls, strict=True
         ):
@@ -152,8 +177,9 @@ class CalibratedPosterior:
             coefficients = weight * scale**2 * covariance @ (errors.patterns[:, : len(pull)] @ pull)
             _, before = told.get(id(errors), (errors.whole, 0.0))
             told[id(errors)] = errors.whole, before + coefficients
+            factor += weight * scale**2 * self._factor(int(number)) * float(self.anchor.rows[: len(pull)] @ pull)
         fields = (whole.sum(coefficients) for whole, coefficients in told.values())
-        return np.asarray(sum(fields, np.zeros_like(self._decoded)))
+        return np.asarray(sum(fields, factor * self.anchor.field))
 
     @cached_property
     def _whole(self) -> tuple[FloatArray, FloatArray]:
@@ -244,22 +270,20 @@ class CalibratedPosterior:
 
     def signs(self) -> Signs:
         """Return what is compared with honest events."""
-        n_own = 1 if self._anchored else len(self.prior)
-        return signs_of(self.at.whole, self.found, n_own)
+        return signs_of(self.at.whole, self.found, len(self.anchor.forms) or len(self.prior))
 
-    @property
-    def _anchored(self) -> int:
-        """Number of components that are those of the simulated event: one or none."""
-        return len(self.prior) - len(self.at.whole.kinds.weights)
+    def _factor(self, number: int) -> float:
+        """Return the variance of the factor on the simulation in a component."""
+        forms = self.anchor.forms
+        return forms[number][1] if number < len(forms) else 0.0
 
     def _errors(self, number: int) -> tuple[RowErrors, FloatArray]:
         """Return the errors of a component, and the covariance of their coefficients at scale one."""
-        anchored = self._anchored
-        change = self.at.change_errors
-        if anchored and number == 0 and change is not None:
-            square = max(self.size, LEAST_SIZE_MM) ** 2
-            return change, square * change.whole.covariances[0]
-        return self.at.errors, self.at.errors.whole.covariances[number - anchored]
+        forms, change = self.anchor.forms, self.at.change_errors
+        if number < len(forms) and change is not None:
+            square = max(self.anchor.size, LEAST_SIZE_MM) ** 2
+            return change, square * change.whole.covariances[forms[number][0]]
+        return self.at.errors, self.at.errors.whole.covariances[number - len(forms)]
 
     def _drawn(self) -> list[FloatArray]:
         """Return posterior fields, by conditioning draws of the prior (A. G. Journel, C. J. Huijbregts, 1978)."""
@@ -276,13 +300,19 @@ class CalibratedPosterior:
             roots = vectors * np.sqrt(np.maximum(values, 0.0))
             coefficients = scale * roots @ rng.standard_normal(len(roots))
             total = scale**2 * (slopes @ one.covariance @ slopes.T + one.errors[:n_obs, :n_obs]) + self.noise
-            rest = scale**2 * np.maximum(np.diag(one.errors[:n_obs, :n_obs] - seen.T @ covariance @ seen), 0.0)
-            drawn = self.linear.at[:n_obs] + slopes @ (code - self.linear.point) + coefficients @ seen
+            variance, simulated = scale**2 * self._factor(number), self.anchor.rows[:n_obs]
+            factor = np.sqrt(variance) * rng.standard_normal()
+            explained = scale**2 * np.diag(seen.T @ covariance @ seen) + variance * simulated**2
+            rest = np.maximum(scale**2 * np.diag(one.errors[:n_obs, :n_obs]) - explained, 0.0)
+            drawn = (
+                self.linear.at[:n_obs] + slopes @ (code - self.linear.point) + coefficients @ seen + factor * simulated
+            )
             drawn += np.sqrt(rest) * rng.standard_normal(n_obs) + tracker @ rng.standard_normal(n_obs)
             pull = np.linalg.solve(total, self.observed - drawn)
             codes.append(code + scale**2 * one.covariance @ (slopes.T @ pull))
             corrections.append(
                 np.tensordot(coefficients + scale**2 * covariance @ (seen @ pull), errors.whole.basis, 1)
+                + (factor + variance * float(simulated @ pull)) * self.anchor.field
             )
         return [
             self.model.latent.decode(np.array(codes[i : i + _BATCH]).T) + np.array(corrections[i : i + _BATCH])

@@ -7,10 +7,12 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
+from support.small_model import SMALL_MODEL
 from tissuereg.latent.calibrate import _mixing
-from tissuereg.latent.calibration import Calibration, FieldErrors, Rehearsal
+from tissuereg.latent.calibration import Calibration, Change, FieldErrors, Rehearsal
 from tissuereg.latent.honest import Honest
 from tissuereg.latent.kinds import Kinds, probabilities
+from tissuereg.latent.network import NetworkModel
 from tissuereg.latent.pca import PcaModel
 from tissuereg.latent_registration import _against
 
@@ -36,7 +38,7 @@ def calibration(mesh):
     covariances = np.array([0.3 * np.eye(5), 1.5 * np.diag(np.arange(1.0, 6.0))])
     errors = FieldErrors(patterns, covariances, np.zeros((mesh.n_nodes, 3)))
     kinds = Kinds(np.array([0.6, 0.4]), np.zeros((2, 4)), np.array([0.5 * np.eye(4), 3.0 * np.eye(4)]))
-    return Calibration(kinds, errors, Rehearsal(np.array([0.6, 1.8]), np.array([0.5, 0.5])))
+    return Calibration(kinds, errors, Rehearsal(np.array([0.6, 1.8]), np.array([[0.5, 0.5]])))
 
 
 def registered(mesh, calibration):
@@ -61,6 +63,50 @@ def test_the_whole_field_is_that_of_the_points(mesh, calibration):
     assert np.abs(residual).max() > 0
     # A linear decoder and errors in patterns alone: the two are the same sum, up to rounding of the derivatives.
     np.testing.assert_allclose(result.displacement[target], at_target, atol=1e-9 * mesh.extent)
+
+
+def test_a_body_that_moves_more_than_simulated_is_found_by_the_factor(phantom):
+    simulation, result, target = phantom
+    # Exact markers of 1.5 times the simulation; codes and errors may change by 0.1 mm, the factor by 0.3.
+    off = result.displacement - 1.5 * simulation
+    assert np.linalg.norm(off, axis=1).mean() < 0.05 * np.linalg.norm(simulation, axis=1).mean()
+    at_target = result.target("t").mean - result.target("t").reference
+    # The same sum at nodes and at points, up to the decoder's curvature and single precision.
+    assert np.linalg.norm(result.displacement[target] - at_target) < 0.02 * np.linalg.norm(at_target)
+
+
+def test_what_is_not_known_of_the_factor_is_part_of_the_spread(phantom):
+    _, result, target = phantom
+    # Variances of three components from 64 draws: each is known to a sixth, their sum to a tenth or so.
+    assert result.std[target] ** 2 == pytest.approx(np.trace(result.target("t").covariance), rel=0.45)
+
+
+@pytest.fixture(scope="module")
+def phantom():
+    """A simulated push of the small phantom, the registration of a truth of 1.5 times that, and the target's node."""
+    body = tr.phantom.phantom_mesh("small")
+    model = NetworkModel(SMALL_MODEL, body, threads=1)
+    simulation = model.decode(np.full((26, 1), 0.3))[0]
+    size = np.sqrt((simulation**2).sum(axis=1).mean())
+    patterns = 0.1 / size * np.ones((1, body.n_nodes, 3))
+    errors = FieldErrors(patterns, np.ones((1, 1, 1)), np.zeros((body.n_nodes, 3)))
+    change = Change(np.array([0.0, 0.1]), (0.1 / size) ** 2 * np.eye(26)[None], errors)
+    law = Rehearsal(np.ones(1), np.full((2, 1), 0.5))
+    model.calibration = Calibration(
+        Kinds(np.ones(1), np.zeros((1, 26)), np.eye(26)[None]),
+        replace(errors, covariances=np.ones((1, 1, 1))),
+        Rehearsal(np.ones(1), np.ones((1, 1))),
+        change,
+        law,
+    )
+    free = np.setdiff1d(np.unique(body.surface), body.fixed_nodes)
+    chosen = free[:: len(free) // 15][:15]
+    target = int(np.setdiff1d(np.arange(body.n_nodes), np.unique(body.surface))[40])
+    reference = body.nodes[chosen]
+    markers = tr.Markers(reference, reference + 1.5 * simulation[chosen], 0.05)
+    targets = {"t": body.nodes[target]}
+    result = tr.register(body, markers, model=model, simulation=simulation, targets=targets, threads=1)
+    return simulation, result, target
 
 
 def test_covariances_are_multiplied_by_what_the_rehearsals_gave(mesh, calibration):

@@ -204,9 +204,37 @@ def test_a_rehearsed_truth_is_a_change_from_its_simulation_whatever_the_decoder_
     truths = simulations + model.decode(0.3 * rng.standard_normal((6, 60)))
     settings = RehearsalSettings(n_markers=8, n_targets=6, std=0.05, n_events=20, n_repeats=1)
     fields = heavy_tailed(mesh, 60, 8)
-    made = calibrate(model, mesh, model.codes(fields), fields, (simulations, truths), n_kinds=1, settings=settings)
+    made = calibrate(model, mesh, model.codes(fields), fields, [(simulations, truths)], n_kinds=1, settings=settings)
     # Regions of a change that the decoder knows are about as wide as they are stated.
     assert made.anchored.widening < 4.0
+
+
+def test_of_which_kind_a_change_is_and_how_far_its_factor_is_off_pairs_tell(calibrated):
+    mesh, model, _ = calibrated
+    rng = np.random.default_rng(3)
+    latents = rng.standard_normal((6, 80))
+    latents[:2] = 0.0
+    simulations = model.decode(latents)
+    # Half of the pairs differ by a factor alone, half in the first two latents alone, of which simulations have none.
+    few = np.zeros((6, 40))
+    few[:2] = 0.3 * rng.standard_normal((2, 40))
+    pairs = [
+        (simulations[:40], simulations[:40] * (1.0 + 0.3 * rng.standard_normal((40, 1, 1)))),
+        (simulations[40:], simulations[40:] + model.decode(few)),
+    ]
+    settings = RehearsalSettings(n_markers=8, n_targets=6, std=0.01, n_events=20, n_repeats=1)
+    fields = heavy_tailed(mesh, 60, 8)
+    made = calibrate(model, mesh, model.codes(fields), fields, pairs, n_kinds=1, settings=settings)
+    by_factor, by_code = (np.diag(one) for one in made.change.covariances)
+    # A factor is no change of code; the other kind has no change of the last four. What a kind borrows is one in 41.
+    assert by_factor.max() < 0.1 * by_code[:2].min()
+    assert by_code[2:].max() < 0.1 * by_code[:2].min()
+    weights = made.anchored.scale_weights
+    assert weights.shape == (2 * len(made.change.factors), len(made.anchored.scales))
+    of_kind = weights.reshape(2, len(made.change.factors), -1).sum(axis=2)
+    # A standard deviation of 0.3 is a variance of 0.1; of 40 pairs few are nearer to none.
+    assert of_kind[0, 2:].sum() > 0.6 * of_kind[0].sum()
+    assert weights.sum() == pytest.approx(1.0)
 
 
 def test_regions_of_heavy_tailed_events_hold_their_share_of_targets(calibrated):
@@ -253,7 +281,7 @@ def test_a_calibration_is_the_same_after_it_was_written_and_read(calibrated, tmp
     with pytest.raises(FormatError, match="kind_means"):
         Calibration.read(tmp_path / "calibration.npz", 7, mesh.n_nodes)
     np.savez(tmp_path / "older.npz", **{k: v for k, v in calibration.save().items() if k != "version"})
-    with pytest.raises(FormatError, match="version 2, got 1; `tissuereg calibrate"):
+    with pytest.raises(FormatError, match="version 3, got 1; `tissuereg calibrate"):
         Calibration.read(tmp_path / "older.npz", 6, mesh.n_nodes)
 
 
@@ -265,7 +293,7 @@ def test_a_calibration_in_a_models_folder_is_used_and_one_that_was_altered_is_re
     n = mesh.n_nodes
     kinds = Kinds(np.ones(1), np.zeros((1, 26)), np.eye(26)[None])
     errors = FieldErrors(np.ones((2, n, 3)), np.eye(2)[None], np.zeros((n, 3)))
-    write_calibration(folder, Calibration(kinds, errors, Rehearsal(np.ones(1), np.ones(1))))
+    write_calibration(folder, Calibration(kinds, errors, Rehearsal(np.ones(1), np.ones((1, 1)))))
     assert NetworkModel(folder, mesh).calibration is not None
     content = bytearray((folder / "calibration.npz").read_bytes())
     content[len(content) // 2] ^= 1

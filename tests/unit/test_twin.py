@@ -121,7 +121,7 @@ def test_pushes_grow_to_the_whole_stroke_and_end_at_rest():
 
 
 def as_believed(rig):
-    """Return a rig whose truth is what is believed: one modulus, the base as good as held, pads where they are known."""
+    """Return a rig whose truth is what is believed: one modulus, a base as good as held, pads where they are known."""
     known = [replace(one, known_centre=one.centre, known_direction=one.direction) for one in rig.actuators]
     # Ogden's law of exponent 2 is the isochoric neo-Hookean one.
     same = {"young": 10.0, "poisson": 0.45, "alpha": 2.0, "inclusion_contrast": 1.0, "base_along": 1e5}

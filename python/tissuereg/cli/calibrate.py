@@ -12,7 +12,8 @@ _DETAILS = (
     "give the kinds of events, the validation split the model's errors and how honest measurements look: its events "
     "are registered from random markers. Pairs of what is believed and what happens tell how far truths lie from "
     "simulations: those of the data set, if its recipe asked for some, and those of PAIRS, a folder of files "
-    "pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). "
+    "pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). Each is a kind of change of its own: the markers say "
+    "of which kind an event is. "
     "The folder gets calibration.npz; 'tissuereg register --model' uses it."
 )
 
@@ -31,7 +32,8 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("model", metavar="MODEL", help="folder of a trained model")
     parser.add_argument("--data", required=True, metavar="DATA", help="data set that it was trained on")
-    parser.add_argument("--pairs", metavar="PAIRS", help="folder of further pairs of simulation and truth")
+    text = "folder of further pairs of simulation and truth; may be given several times, once for each kind of change"
+    parser.add_argument("--pairs", metavar="PAIRS", action="append", default=[], help=text)
     add_common(parser, seed="seed of kinds, places and noise (default: 0)")
     parser.set_defaults(run=run)
 
@@ -52,7 +54,7 @@ def run(args: argparse.Namespace) -> Outcome:
     import numpy as np
 
     from tissuereg.io.datasets import open_dataset
-    from tissuereg.io.pairs import joined_pairs, read_pairs
+    from tissuereg.io.pairs import read_pairs
     from tissuereg.latent.calibrate import RehearsalSettings, calibrate, codes_of
     from tissuereg.latent.calibration_file import write_calibration
     from tissuereg.latent.network import NetworkModel
@@ -62,7 +64,9 @@ def run(args: argparse.Namespace) -> Outcome:
     # Its calibration may be of an older version.
     model = NetworkModel(args.model, data.mesh, threads=1, calibrated=False)
     unseen = np.asarray(data.displacement[data.split["valid"]], np.float64)
-    pairs = joined_pairs(data.pairs, None if args.pairs is None else read_pairs(args.pairs, data.mesh.n_nodes))
+    own = data.pairs
+    pairs = [] if own is None else [(np.asarray(own[0], np.float64), np.asarray(own[1], np.float64))]
+    pairs += [read_pairs(folder, data.mesh.n_nodes) for folder in args.pairs]
     clock.lap("read")
     codes = codes_of(model, data.displacement, data.split["train"])
     clock.lap("encode")
@@ -75,7 +79,8 @@ def run(args: argparse.Namespace) -> Outcome:
         "schema": "tissuereg.calibrate/1",
         "kinds": len(made.kinds.weights),
         "events": len(unseen),
-        "pairs": 0 if pairs is None else len(pairs[0]),
+        "pairs": sum(len(one[0]) for one in pairs),
+        "kinds_of_change": len(pairs),
         "widening": {
             "alone": made.alone.widening,
             "simulated": None if made.anchored is None else made.anchored.widening,

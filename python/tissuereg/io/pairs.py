@@ -67,12 +67,3 @@ def read_pairs(folder: str | os.PathLike[str], n_nodes: int) -> tuple[FloatArray
             simulations.append(file.floats("simulation_mm", None, n_nodes, 3))
             truths.append(file.floats("truth_mm", len(simulations[-1]), n_nodes, 3))
     return np.concatenate(simulations), np.concatenate(truths)
-
-
-def joined_pairs(*parts: tuple[Any, Any] | None) -> tuple[FloatArray, FloatArray] | None:
-    """Return simulations and truths, each (n_pairs, n_nodes, 3), of several sources in their order; None of none."""
-    known = [part for part in parts if part is not None]
-    if not known:
-        return None
-    simulations, truths = (np.concatenate([part[i] for part in known], dtype=np.float64) for i in (0, 1))
-    return simulations, truths

@@ -4,6 +4,7 @@ The scales of events and the chances of honest measurements come from rehearsals
 registered from random markers, as a user's will be.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.latent.calibration import (
     LEAST_SIZE_MM,
+    UNRELATED,
     Calibration,
     Change,
     FieldErrors,
@@ -33,6 +35,9 @@ _SCALES = np.array([0.2, 0.4, 0.7, 1.2, 2.0, 3.5])
 
 #: Scales of the difference between truth and simulation.
 _CHANGE_SCALES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
+
+#: Variances of the factor by which all moves more or less than simulated: from sure to a factor of two or so.
+_FACTORS = np.array([0.0, 0.02, 0.1, 0.4])
 
 #: Patterns of errors kept, and of errors of changes.
 _PATTERNS, _CHANGE_PATTERNS = 80, 80
@@ -92,7 +97,7 @@ def calibrate(
     mesh: Mesh,
     codes: FloatArray,
     unseen: FloatArray,
-    pairs: tuple[FloatArray, FloatArray] | None = None,
+    pairs: Sequence[tuple[FloatArray, FloatArray]] = (),
     *,
     n_kinds: int = 12,
     settings: RehearsalSettings | None = None,
@@ -109,8 +114,8 @@ def calibrate(
         Encoder's means of fields of the training set.
     unseen : ndarray of float, shape (n_fields, n_nodes, 3)
         Fields that were not used in training, mm.
-    pairs : (ndarray, ndarray), each of shape (n_pairs, n_nodes, 3), optional
-        Simulations and truths of the same events, mm.
+    pairs : sequence of (ndarray, ndarray), each of shape (n_pairs, n_nodes, 3)
+        Simulations and truths of the same events, mm: one entry for each kind of change.
     n_kinds : int
         Kinds of events to start from.
     settings : RehearsalSettings, optional
@@ -127,7 +132,7 @@ def calibrate(
     coded = model.codes(unseen)
     missed = np.concatenate([unseen[i : i + _BATCH] - model.decode(coded[i : i + _BATCH].T) for i in _parts(unseen)])
     shares = kinds.shares(coded)
-    scales = Rehearsal(_SCALES, np.full(len(_SCALES), 1.0 / len(_SCALES)))
+    scales = Rehearsal(_SCALES, _equal(1, len(_SCALES)))
     made = Calibration(kinds, field_errors(missed, shares, _PATTERNS), scales)
     events = []
     for own, others in _folds(len(unseen)):
@@ -135,21 +140,30 @@ def calibrate(
         events += [rehearsal.registered(without, None, unseen[row]) for row in own[own < how.n_events]]
     alone = rehearsal.outcome(events, scales)
     made = replace(made, alone=alone)
-    if pairs is None or not len(pairs[0]):
+    if not pairs:
         return made
-    # Truths of another physics look worse without a simulation too.
+    simulations, truths = (np.concatenate([one[part] for one in pairs]) for part in (0, 1))
+    kind = np.repeat(np.arange(len(pairs)), [len(one[0]) for one in pairs])
     again = range(how.n_repeats)
-    truths = (rehearsal.registered(made, None, truth) for truth in pairs[1] for _ in again)
-    signs = np.array([rehearsal.shown(event, alone.scale_weights)[0] for event in truths])
-    made = replace(made, alone=replace(alone, honest=alone.honest.beside(signs)))
-    differences = _Differences.of(model, *pairs, missed, rehearsal.rest_code)
-    made = replace(made, change=differences.change(np.arange(len(pairs[0]))))
-    scales = Rehearsal(_CHANGE_SCALES, np.full(len(_CHANGE_SCALES), 1.0 / len(_CHANGE_SCALES)))
+    # Truths of another physics look worse without a simulation too.
+    for number in range(len(pairs)):
+        shown = (rehearsal.registered(made, None, truth) for truth in truths[kind == number] for _ in again)
+        signs = np.array([rehearsal.shown(event, alone.scale_weights)[0] for event in shown])
+        made = replace(made, alone=replace(made.alone, honest=made.alone.honest.beside(signs)))
+    differences = _Differences.of(model, simulations, truths, kind, missed)
+    made = replace(made, change=differences.change(np.arange(len(truths))))
+    n_forms = len(pairs) * len(_FACTORS)
+    scales = Rehearsal(_CHANGE_SCALES, _equal(n_forms, len(_CHANGE_SCALES)))
     events = []
-    for own, others in _folds(len(pairs[0])):
+    for own, others in _folds(len(truths)):
         without = replace(made, anchored=scales, change=differences.change(others))
-        events += [rehearsal.registered(without, pairs[0][row], pairs[1][row]) for row in own for _ in again]
+        events += [rehearsal.registered(without, simulations[row], truths[row]) for row in own for _ in again]
     return replace(made, anchored=rehearsal.outcome(events, scales))
+
+
+def _equal(*shape: int) -> FloatArray:
+    """Return equal probabilities."""
+    return np.full(shape, 1.0 / np.prod(shape))
 
 
 def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
@@ -198,40 +212,47 @@ def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> Fie
 
 @dataclass(frozen=True, eq=False)
 class _Differences:
-    """Differences of truths from simulations, each relative to the size of the simulated event, and other errors."""
+    """Differences of truths from simulations, relative to the size of the simulated event, and other errors."""
 
-    stretches: FloatArray
+    kind: IntArray
     codes: FloatArray
     missed: FloatArray
     others: FloatArray
 
     @classmethod
     def of(
-        cls, model: Codes, simulations: FloatArray, truths: FloatArray, others: FloatArray, rest_code: FloatArray
+        cls, model: Codes, simulations: FloatArray, truths: FloatArray, kind: IntArray, others: FloatArray
     ) -> "_Differences":
-        """Return the differences of pairs; `others` are errors of whole fields, in mm."""
-        before, after = model.codes(simulations), model.codes(truths)
+        """Return the differences of pairs of some kinds; `others` are errors of whole fields, in mm."""
+        squares = np.maximum((simulations**2).sum(axis=(1, 2)), 1e-300)
+        factors = ((truths - simulations) * simulations).sum(axis=(1, 2)) / squares
+        # Without what the factor explains.
+        rest = truths - factors[:, None, None] * simulations
+        before, after = model.codes(simulations), model.codes(rest)
         sizes = np.maximum(rms_displacement(simulations), LEAST_SIZE_MM)
-        off, along = after - before, before - rest_code
-        stretch = (off * along).sum(axis=1) / (along**2).sum(axis=1)
-        left = (off - stretch[:, None] * along) / sizes[:, None]
-        missed = (truths - simulations - model.decode(after.T) + model.decode(before.T)) / sizes[:, None, None]
+        off = (after - before) / sizes[:, None]
+        missed = (rest - simulations - model.decode(after.T) + model.decode(before.T)) / sizes[:, None, None]
         scale = np.sqrt(np.mean(missed**2) / np.maximum(np.mean(others**2), 1e-300))
-        return cls(stretch, left, missed, scale * others)
+        return cls(kind, off, missed, scale * others)
 
     def change(self, rows: IntArray) -> Change:
         """Return what some pairs tell."""
-        left, n_latent = self.codes[rows], self.codes.shape[1]
-        covariance = left.T @ left / len(left)
-        keep = len(left) / (len(left) + n_latent)
-        covariance = keep * covariance + np.diag((1.0 - keep) * np.diag(covariance) + 1e-9)
+        n_kinds, n_latent = int(self.kind.max()) + 1, self.codes.shape[1]
+        kind, every = self.kind[rows], self.codes[rows]
+        pooled, covariances = every.T @ every / len(every), np.empty((n_kinds, n_latent, n_latent))
+        for number in range(n_kinds):
+            off = every[kind == number]
+            # One pair of all kinds, for kinds of few or none.
+            covariance = (off.T @ off + pooled) / (len(off) + 1.0)
+            keep = len(off) / (len(off) + n_latent)
+            covariances[number] = keep * covariance + np.diag((1.0 - keep) * np.diag(covariance) + 1e-9)
         # Errors of whole fields lend what errors look like; their size is that of the changes.
         both = np.concatenate([self.missed[rows], self.others])
-        shares = np.repeat(np.eye(2), [len(rows), len(self.others)], axis=0)
+        shares = np.eye(n_kinds + 1)[np.concatenate([kind, np.full(len(self.others), n_kinds)])]
         errors = field_errors(both, shares, _CHANGE_PATTERNS)
         rest = both[: len(rows)] - errors.project(both[: len(rows)])
-        own = FieldErrors(errors.basis, errors.covariances[:1], np.sqrt((rest**2).mean(axis=0)))
-        return Change(float((self.stretches[rows] ** 2).mean()), covariance, own)
+        own = FieldErrors(errors.basis, errors.covariances[:n_kinds], np.sqrt((rest**2).mean(axis=0)))
+        return Change(_FACTORS, covariances, own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,8 +319,6 @@ class _Rehearsal:
         self._model, self._mesh, self._how = model, mesh, how
         self._rng = np.random.default_rng([how.seed, 22])
         self._noise = how.std**2 * np.eye(3 * how.n_markers)
-        kept = getattr(model, "rest_code", None)
-        self.rest_code: FloatArray = model.codes(np.zeros((1, mesh.n_nodes, 3)))[0] if kept is None else kept
 
     def registered(self, made: Calibration, simulation: FloatArray | None, truth: FloatArray) -> _Event:
         """Register one truth."""
@@ -312,9 +331,10 @@ class _Rehearsal:
         prior = at.prior()
         if simulation is not None:
             simulation = simulation.astype(np.float64)
-            start, n_own = model.codes(simulation[None])[0], 1
-            prior = at.prior_about(start, self.rest_code, float(rms_displacement(simulation[None])[0]))
-            anchor = places.rows(simulation[None, places.nodes])[0] - decoded(start[:, None])[0]
+            start, simulated = model.codes(simulation[None])[0], places.rows(simulation[None, places.nodes])[0]
+            prior, forms = at.prior_about(start, float(rms_displacement(simulation[None])[0]), simulated)
+            n_own = len(forms)
+            anchor = simulated - decoded(start[:, None])[0]
         _, linear = conditioned(
             lambda latents: decoded(latents) + anchor,
             prior,
@@ -328,7 +348,11 @@ class _Rehearsal:
 
     def shown(self, event: _Event, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the signs of an event under probabilities of scales, and the misfits of its targets."""
-        own = [replace(one, weights=one.weights.sum() * scale_weights) for one in event.prior[: event.n_own]]
+        own, forms = event.prior[: event.n_own], len(scale_weights)
+        # Of one form the kinds keep their shares.
+        total = np.array([one.weights.sum() for one in own]) if forms == 1 else np.full(forms, 1.0 - UNRELATED)
+        laws = np.broadcast_to(scale_weights, (len(own), scale_weights.shape[1]))
+        own = [replace(one, weights=share * law) for one, share, law in zip(own, total, laws, strict=True)]
         prior, n_obs = [*own, *event.prior[event.n_own :]], len(self._noise)
         found = condition(prior, event.linear, event.observed, self._noise)
         shown = signs_of(event.made, found, event.n_own)
@@ -336,25 +360,29 @@ class _Rehearsal:
 
     def outcome(self, events: list[_Event], law: Rehearsal) -> Rehearsal:
         """Return the likeliest scales, and what registrations with these give."""
-        scale_weights = _mixing(np.array([self._log_evidence(event) for event in events]))
+        n_forms, n_scales = law.scale_weights.shape
+        logs = np.array([self._log_evidence(event, n_forms).ravel() for event in events])
+        scale_weights = _mixing(logs).reshape(n_forms, n_scales)
         signs, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
         widening, tail = _regions(np.concatenate(misfits))
         honest = Honest.none().beside(np.array(signs))
         return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, honest=honest)
 
-    def _log_evidence(self, event: _Event) -> FloatArray:
-        """Return the log-evidence of every scale of the event's own components."""
+    def _log_evidence(self, event: _Event, n_forms: int) -> FloatArray:
+        """Return the log-evidence of every form and scale of the event's own components, (n_forms, n_scales)."""
         prior = event.prior[: event.n_own]
+        logs = log_evidence(prior, event.linear, event.observed, self._noise)
+        if n_forms > 1:
+            return logs
         weights = np.array([one.weights.sum() for one in prior])
-        logs = log_evidence(prior, event.linear, event.observed, self._noise) + np.log(weights)[:, None]
-        return np.asarray(np.logaddexp.reduce(logs, axis=0))
+        return np.asarray(np.logaddexp.reduce(logs + np.log(weights)[:, None], axis=0, keepdims=True))
 
 
 def _mixing(logs: FloatArray) -> FloatArray:
-    """Return the probabilities of scales under which evidences exp(logs) (n_events, n_scales) are likeliest."""
+    """Return the probabilities under which evidences exp(logs) (n_events, n_cases) are likeliest."""
     weights = np.full(logs.shape[1], 1.0 / logs.shape[1])
     for _ in range(200):
-        # One event for each scale, so that none becomes impossible.
+        # One event for each, so that none becomes impossible.
         counts = probabilities(logs + np.log(weights)).sum(axis=0) + 1.0
         weights = counts / counts.sum()
     return weights

@@ -19,7 +19,7 @@ from tissuereg.latent.kinds import Kinds
 from tissuereg.latent.mixture import Component
 
 #: Form of ``calibration.npz``.
-VERSION = 2
+VERSION = 3
 
 #: Fields (n_fields, n_nodes, 3) to their rows at markers and targets, (n_fields, n_rows).
 RowsOf = Callable[[FloatArray], FloatArray]
@@ -96,20 +96,23 @@ class RowErrors:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """How truths differ from simulations of the same event, relative to the size of the simulated event.
+    """How truths differ from simulations of the same event.
+
+    A truth is ``(1 + a)`` times the simulation, and a change of its code and of what the decoder misses besides, both
+    relative to the size of the simulated event: forces or modulus may be off, so that all moves more or less.
 
     Attributes
     ----------
-    stretch : float
-        Variance of the truth's code along the simulation's, as a share of its square.
-    covariance : ndarray of float64, shape (n_latent, n_latent)
-        Of the rest of the difference of codes, 1/mm^2.
+    factors : ndarray of float64, shape (n_factors,)
+        Variances of ``a``, of which one holds; from none on.
+    covariances : ndarray of float64, shape (n_kinds, n_latent, n_latent)
+        Of the difference of codes for each kind of change, 1/mm^2.
     errors : FieldErrors
-        What the decoder misses of the change, of one kind; per mm of the event's size.
+        What the decoder misses of the change, by kind; per mm of the event's size.
     """
 
-    stretch: float
-    covariance: FloatArray
+    factors: FloatArray
+    covariances: FloatArray
     errors: FieldErrors
 
 
@@ -119,8 +122,11 @@ class Rehearsal:
 
     Attributes
     ----------
-    scales, scale_weights : ndarray of float64, shape (n_scales,)
-        Factors on the standard deviations of a kind, and their probabilities.
+    scales : ndarray of float64, shape (n_scales,)
+        Factors on the standard deviations of a kind.
+    scale_weights : ndarray of float64, shape (n_forms, n_scales)
+        Probabilities, which sum to one: without a simulation of one form, whatever the kind; with one, of each kind of
+        change with each variance of its factor.
     widening : float
         Factor on covariances with which 90 % regions hold 90 % of the targets.
     tail : float or None
@@ -187,8 +193,8 @@ class Calibration:
             **_rehearsal_arrays("alone", self.alone),
         }
         if self.change is not None and self.anchored is not None:
-            arrays["change_stretch"] = np.array(self.change.stretch)
-            arrays["change_covariance"] = self.change.covariance
+            arrays["change_factors"] = self.change.factors
+            arrays["change_covariances"] = self.change.covariances
             arrays |= _error_arrays("change_error", self.change.errors)
             arrays |= _rehearsal_arrays("anchored", self.anchored)
         return arrays
@@ -217,15 +223,15 @@ class Calibration:
                 file.floats("kind_means", n_kinds, n_latent),
                 file.floats("kind_covariances", n_kinds, n_latent, n_latent),
             )
-            errors, alone = _errors_in(file, "error", n_kinds, n_nodes), _rehearsal_in(file, "alone")
-            if "change_stretch" not in file:
+            errors, alone = _errors_in(file, "error", n_kinds, n_nodes), _rehearsal_in(file, "alone", 1)
+            if "change_factors" not in file:
                 return cls(kinds, errors, alone)
-            change = Change(
-                float(file.floats("change_stretch")),
-                file.floats("change_covariance", n_latent, n_latent),
-                _errors_in(file, "change_error", 1, n_nodes),
+            factors, covariances = (
+                file.floats("change_factors", None),
+                file.floats("change_covariances", None, n_latent, n_latent),
             )
-            return cls(kinds, errors, alone, change, _rehearsal_in(file, "anchored"))
+            change = Change(factors, covariances, _errors_in(file, "change_error", len(covariances), n_nodes))
+            return cls(kinds, errors, alone, change, _rehearsal_in(file, "anchored", len(factors) * len(covariances)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +245,7 @@ class PointCalibration:
     errors : RowErrors
         Of each kind.
     change_errors : RowErrors or None
-        Of the change from a simulation, of one kind; per mm of the event's size.
+        Of the change from a simulation, by kind; per mm of the event's size.
     """
 
     whole: Calibration
@@ -260,40 +266,51 @@ class PointCalibration:
         """Return the components of an event that is not simulated, one a kind, all `share` probable."""
         kinds, law = self.whole.kinds, self.whole.alone
         return [
-            Component(share * weight * law.scale_weights, law.scales, mean, covariance, errors)
+            Component(share * weight * law.scale_weights[0], law.scales, mean, covariance, errors)
             for weight, mean, covariance, errors in zip(
                 kinds.weights, kinds.means, kinds.covariances, self.errors.covariances, strict=True
             )
         ]
 
-    def prior_about(self, code: FloatArray, rest_code: FloatArray, size: float) -> list[Component]:
+    def prior_about(
+        self, code: FloatArray, size: float, simulated: FloatArray
+    ) -> tuple[list[Component], list[tuple[int, float]]]:
         """Return the components of the truth of an event that is simulated.
 
         Parameters
         ----------
-        code, rest_code : ndarray of float64, shape (n_latent,)
-            Of the simulation and of the undeformed body.
+        code : ndarray of float64, shape (n_latent,)
+            Of the simulation.
         size : float
             Root mean square displacement of the simulation, mm.
+        simulated : ndarray of float64, shape (n_rows,)
+            The simulation at markers and targets, mm.
 
         Returns
         -------
         list of Component
-            The simulation's first; then those of an unrelated event.
+            The simulated event's first, all variances of a factor for one kind of change after those of another; then
+            those of an unrelated event.
+        list of (int, float)
+            Kind of change, and variance of its factor, of the first ones; none where the model knows no changes.
         """
         change, law = self.whole.change, self.whole.anchored
         if change is None or law is None or self.change_errors is None:
-            return self.prior()
-        along, square = code - rest_code, max(size, LEAST_SIZE_MM) ** 2
-        covariance = change.stretch * np.outer(along, along) + square * change.covariance
-        about = Component(
-            (1.0 - UNRELATED) * law.scale_weights,
-            law.scales,
-            code,
-            covariance,
-            square * self.change_errors.covariances[0],
-        )
-        return [about, *self.prior(UNRELATED)]
+            return self.prior(), []
+        square = max(size, LEAST_SIZE_MM) ** 2
+        forms = [(kind, float(factor)) for kind in range(len(change.covariances)) for factor in change.factors]
+        of_factor = np.outer(simulated, simulated)
+        about = [
+            Component(
+                (1.0 - UNRELATED) * weights,
+                law.scales,
+                code,
+                square * change.covariances[kind],
+                square * self.change_errors.covariances[kind] + factor * of_factor,
+            )
+            for (kind, factor), weights in zip(forms, law.scale_weights, strict=True)
+        ]
+        return [*about, *self.prior(UNRELATED)], forms
 
 
 def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
@@ -321,12 +338,12 @@ def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
     }
 
 
-def _rehearsal_in(file: Archive, name: str) -> Rehearsal:
+def _rehearsal_in(file: Archive, name: str, n_forms: int) -> Rehearsal:
     scales = file.floats(f"{name}_scales", None)
     signs, tail = file.floats(f"{name}_signs", None, len(SIGNS)), float(file.floats(f"{name}_tail"))
     return Rehearsal(
         scales,
-        file.floats(f"{name}_scale_weights", len(scales)),
+        file.floats(f"{name}_scale_weights", n_forms, len(scales)),
         float(file.floats(f"{name}_widening")),
         tail or None,
         Honest(signs, file.indices(f"{name}_groups", len(signs))),

@@ -158,11 +158,6 @@ class NetworkModel:
         )
         return np.asarray(mean[0], np.float64), np.exp(np.asarray(log_variance[0], np.float64))
 
-    @cached_property
-    def rest_code(self) -> FloatArray:
-        """Code of the undeformed body, (n_latent,)."""
-        return np.asarray(self.codes(np.zeros((1, self.n_nodes, 3)))[0])
-
     def codes(self, fields: FloatArray) -> FloatArray:
         """Return the means (n_fields, n_latent) of q(z | field) of fields (n_fields, n_nodes, 3) in mm."""
         parts = [np.asarray(fields[i : i + _BATCH], np.float32) for i in range(0, len(fields), _BATCH)]
@@ -296,11 +291,6 @@ class AnchoredModel:
     def n_nodes(self) -> int:
         """Number of mesh nodes."""
         return self._network.n_nodes
-
-    @property
-    def rest_code(self) -> FloatArray:
-        """Code of the undeformed body, (n_latent,)."""
-        return self._network.rest_code
 
     def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""

@@ -190,6 +190,10 @@ class PointsAround:
         """Return components of displacements of points; see `PointModel.components`."""
         return self._at.components(moved)
 
+    def at_rows(self, field: FloatArray) -> FloatArray:
+        """Return a field (n_nodes, 3) as components (3 (n_markers + n_targets),)."""
+        return np.asarray(self._at.components(self._at.at_points(field)[None])[0])
+
     def markers(self, moved: FloatArray) -> FloatArray:
         """Return displacements (..., n_markers, 3) of markers from those of points."""
         return self._at.markers(moved)

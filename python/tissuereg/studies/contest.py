@@ -197,8 +197,8 @@ class Believed:
     Notes
     -----
     The surface nodes under a pad, as far as the user knows it, move as one with it; nothing else moves the body. One
-    equilibrium is solved at every stored share of the strokes, and at further ones as far as pushes need it and there is
-    equilibrium;
+    equilibrium is solved at every stored share of the strokes, and at further ones as far as pushes need them and there
+    is equilibrium;
     frames lie on the spline through them, and frames beyond the last one at the last one. Driven by motion, a frame is
     at the actuators' own share; driven by force, at the share at which the believed body pushes back as hard as was
     measured.
