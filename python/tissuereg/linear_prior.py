@@ -14,15 +14,16 @@ likelihood, D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4, 415
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from tissuereg._arguments import real
 from tissuereg._arrays import FloatArray, IntArray, float_array
 
-#: Signal over noise of the strongest direction, ``s l_max``, between which the scale is sought, as powers of ten, and
-#: the number of scales tried; the best is refined by a parabola.
-_LOWEST, _HIGHEST, _N_TRIED = -4.0, 16.0, 161
+#: Signal over noise of the strongest direction, ``s l_max``, that are tried, as powers of ten; the best is refined by a
+#: parabola.
+_POWERS = np.linspace(-4.0, 16.0, 161)
 
 #: Sets of seen markers whose eigenvectors are kept.
 _KEPT = 64
@@ -54,6 +55,30 @@ class _Directions:
     rows: IntArray
     values: FloatArray
     vectors: FloatArray
+
+    @cached_property
+    def _largest(self) -> float:
+        return float(self.values.max(initial=0.0))
+
+    @cached_property
+    def _tried(self) -> tuple[FloatArray, FloatArray]:
+        """Of the cost of the scales tried, ``sum_k log(1 + s l_k)``, and the squares' factors ``1 / (1 + s l_k)``."""
+        grown = 1.0 + 10.0 ** _POWERS[:, None] * (self.values / self._largest)
+        return np.log(grown).sum(axis=1), np.asarray(1.0 / grown)
+
+    def best_scale(self, squares: FloatArray) -> float:
+        """Return the scale of the highest evidence for squared coordinates (n_obs,); 0 if nothing can move."""
+        if self._largest <= 0.0:
+            return 0.0
+        logs, shares = self._tried
+        cost = logs + _product(shares, squares)
+        at = int(np.argmin(cost))
+        power = float(_POWERS[at])
+        if 0 < at < len(_POWERS) - 1:
+            before, here, after = (float(one) for one in cost[at - 1 : at + 2])
+            bend = before - 2.0 * here + after
+            power += 0.5 * float(_POWERS[1] - _POWERS[0]) * (before - after) / bend if bend > 0.0 else 0.0
+        return float(10.0**power / self._largest)
 
 
 class LinearPrior:
@@ -113,18 +138,18 @@ class LinearPrior:
         """
         here = self._kept_directions(seen) if std_mm is None else self._directions(seen, np.repeat(std_mm, 3))
         observed = float_array("displacement_mm", displacement_mm, (len(seen), 3)).ravel()
-        y = observed @ here.vectors
+        y = _product(here.vectors.T, observed)
         if scale is None:
-            scale = _best_scale(here.values, y * y)
+            scale = here.best_scale(y * y)
         grown = 1.0 + real("scale", scale, least=0.0) * here.values
         weights = np.zeros(len(self._std))
-        weights[here.rows] = here.vectors @ (scale * y / grown)
+        weights[here.rows] = _product(here.vectors, scale * y / grown)
         evidence = -0.5 * float(np.sum(np.log(grown) + y * y / grown + np.log(2.0 * np.pi)))
         return scale, evidence, weights
 
     def field(self, weights: FloatArray) -> FloatArray:
         """Return the field (n_nodes, 3) with these weights (3 n_markers,) on the columns of U, mm."""
-        return np.asarray((self._to_nodes @ weights).reshape(self._n_nodes, 3))
+        return _product(self._to_nodes, weights).reshape(self._n_nodes, 3)
 
     def answer(self, displacement_mm: FloatArray, seen: IntArray, scale: float | None = None) -> LinearAnswer:
         """Return the most probable field; arguments as in `scaled`. Cost: a product with U in addition."""
@@ -155,18 +180,6 @@ def most_probable(
     return best, LinearAnswer(priors[best].field(weights), scale, evidence)
 
 
-def _best_scale(values: FloatArray, squares: FloatArray) -> float:
-    """Return the scale of the highest evidence for eigenvalues and squared coordinates; 0 if nothing can move."""
-    largest = float(values.max(initial=0.0))
-    if largest <= 0.0:
-        return 0.0
-    powers = np.linspace(_LOWEST, _HIGHEST, _N_TRIED)
-    grown = 1.0 + 10.0 ** powers[:, None] * (values / largest)
-    cost = (np.log(grown) + squares / grown).sum(axis=1)
-    at = int(np.argmin(cost))
-    power = powers[at]
-    if 0 < at < len(powers) - 1:
-        before, here, after = cost[at - 1 : at + 2]
-        bend = before - 2.0 * here + after
-        power += 0.5 * (powers[1] - powers[0]) * (before - after) / bend if bend > 0.0 else 0.0
-    return float(10.0**power / largest)
+def _product(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return ``matrix @ vector`` by one thread: on busy cores, waking another takes far longer than the product."""
+    return np.asarray(np.einsum("ij,j->i", matrix, vector))

@@ -173,3 +173,34 @@ def test_the_scale_is_that_of_the_highest_evidence():
     assert evidence == pytest.approx(direct, rel=1e-12)
     # A parabola through tries an eighth of a power of ten apart misses the maximum by far less than two percent.
     assert all(prior.scaled(moved, seen, scale * factor)[1] < evidence for factor in (0.9, 1.1))
+
+
+def test_what_is_kept_of_earlier_moments_changes_no_scale():
+    rng = np.random.default_rng(8)
+    root = rng.standard_normal((12, 12))
+    prior = LinearPrior(root @ root.T, rng.standard_normal((5, 3, 12)), np.full(4, 0.3))
+    values, vectors = np.linalg.eigh(root @ root.T / 0.09)
+    tried = 10.0 ** np.linspace(-4.0, 16.0, 161) / values.max()
+    for size in (1e-2, 1.0, 30.0):
+        moved = size * rng.standard_normal((4, 3))
+        squares = (vectors.T @ moved.ravel() / 0.3) ** 2
+        cost = [np.sum(np.log1p(s * values) + squares / (1.0 + s * values)) for s in tried]
+        at = int(np.argmin(cost))
+        if at > 0:
+            before, here, after = cost[at - 1 : at + 2]
+            shift = 0.5 * (before - after) / (before - 2.0 * here + after)
+            expected = tried[at] * (tried[1] / tried[0]) ** shift
+        else:
+            expected = tried[0]
+        # Rounding of sums of a hundred, over the bend of the cost, a tenth.
+        assert prior.scaled(moved, np.arange(4))[0] == pytest.approx(expected, rel=1e-11)
+
+
+def test_markers_that_were_seen_together_before_take_no_new_eigenvalues(block_mesh, monkeypatch):
+    made, counted, eigh = LinearElastic(setting(block_mesh)), [], np.linalg.eigh
+    monkeypatch.setattr(np.linalg, "eigh", lambda matrix: counted.append(len(matrix)) or eigh(matrix))
+    rng, some = np.random.default_rng(9), PLACES.copy()
+    some[2] = np.nan
+    for measured in (PLACES, PLACES, some, PLACES, some):
+        made.register(measured + rng.standard_normal(PLACES.shape))
+    assert sorted(counted) == sorted([21, 18] * len(made.priors))
