@@ -5,8 +5,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tissuereg as tr
-from tissuereg.baselines import RIVALS, Estimate, MeanOfMarkers, Rigid, Rival, Setting, Spline
+from tissuereg.baselines import (
+    RIVALS,
+    Estimate,
+    MeanAbout,
+    MeanOfMarkers,
+    Rigid,
+    RigidAbout,
+    Rival,
+    Setting,
+    Spline,
+    SplineAbout,
+    spline_displacement,
+)
 from tissuereg.errors import ArgumentError, MarkerError, ShapeError
+from tissuereg.observe import MarkerObservation
 
 PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0], [15.0, 20.0, 35.0], [30.0, 5.0, 20.0]])
 
@@ -64,6 +77,38 @@ def test_two_markers_give_the_rigid_motion_without_rotation(block_mesh):
     np.testing.assert_allclose(found.displacement_mm, np.tile([0.0, 0.0, 1.0], (block_mesh.n_nodes, 1)), atol=1e-13)
 
 
+def test_a_smoothed_spline_passes_markers_by(block_mesh):
+    moved = np.random.default_rng(0).standard_normal(PLACES.shape)
+
+    def misfit(smoothing):
+        alone = spline_displacement(PLACES, PLACES + moved, PLACES, smoothing * np.full(len(PLACES), 0.01))
+        rival = Spline(setting(block_mesh), smoothing=smoothing).register(PLACES + moved)
+        again = spline_displacement(PLACES, PLACES + moved, block_mesh.nodes, smoothing * 0.01)
+        np.testing.assert_allclose(rival.displacement_mm, again, atol=1e-12)  # rounding at 50 mm
+        return np.linalg.norm(alone - moved)
+
+    # Kernel values at 50 mm are about 1e4.
+    assert misfit(0.0) < 1e-10 < misfit(1e3) < misfit(1e6)
+
+
+@pytest.mark.parametrize(
+    ("about", "alone", "constants"),
+    [(MeanAbout, MeanOfMarkers, {}), (RigidAbout, Rigid, {}), (SplineAbout, Spline, {"smoothing": 1e5})],
+)
+def test_a_simple_method_about_the_simulation_carries_on_what_that_leaves(block_mesh, about, alone, constants):
+    simulation = 1e-3 * block_mesh.nodes[:, [1, 2, 0]] ** 2
+    made, rest = about(setting(block_mesh), **constants), np.random.default_rng(1).standard_normal(PLACES.shape)
+    observed = MarkerObservation(block_mesh, PLACES, tuple("abcde"))
+    there = PLACES + observed.predict(simulation[observed.nodes])
+    there[2] = np.nan
+    np.testing.assert_allclose(made.register(there, simulation).displacement_mm, simulation, atol=1e-12)
+    changed = made.register(there + rest, simulation).displacement_mm - simulation
+    seen = PLACES + rest
+    seen[2] = np.nan
+    expected = alone(setting(block_mesh), **constants).register(seen)
+    np.testing.assert_allclose(changed, expected.displacement_mm, atol=1e-10)  # rounding over the kernel's condition
+
+
 @pytest.mark.parametrize("rival", [MeanOfMarkers, Rigid, Spline])
 def test_a_moment_without_markers_is_refused(block_mesh, rival):
     with pytest.raises(MarkerError, match="at least one of 5 markers must be seen"):
@@ -94,6 +139,8 @@ def test_a_moment_without_simulation_is_refused_where_one_is_needed(block_mesh):
         ({"model": 1.0}, ArgumentError, "`model` must know the mesh's 120 nodes"),
         ({"fields": np.zeros((2, 3, 3))}, ShapeError, "`fields`"),
         ({"fields": np.full((2, 120, 3), np.nan)}, ShapeError, "field 0 is not"),
+        ({"driven": [1.5]}, ShapeError, "`driven`"),
+        ({"driven": [3, 120]}, ShapeError, "`driven` must name nodes from 0 to 119, got 3 to 120"),
         ({"frame_s": 0.0}, ArgumentError, "`frame_s`"),
         ({"seed": -1}, ArgumentError, "`seed`"),
         ({"threads": 1.5}, ArgumentError, "`threads`"),

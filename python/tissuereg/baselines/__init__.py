@@ -1,5 +1,6 @@
 """The methods that registration is compared with, one file each, all with the one call of `Rival`."""
 
+from tissuereg.baselines.about import MeanAbout, RigidAbout, SplineAbout
 from tissuereg.baselines.copy import MeanOfMarkers, copied_displacement
 from tissuereg.baselines.elastic import LinearElastic
 from tissuereg.baselines.kf_admm import KfAdmm
@@ -21,6 +22,9 @@ RIVALS: dict[str, type[Rival]] = {
         MeanOfMarkers,
         Rigid,
         Spline,
+        MeanAbout,
+        RigidAbout,
+        SplineAbout,
         LinearElastic,
         Libr,
         LinearResidual,
@@ -43,6 +47,7 @@ __all__ = [
     "Libr",
     "LinearElastic",
     "LinearResidual",
+    "MeanAbout",
     "MeanOfMarkers",
     "Moment",
     "Network",
@@ -52,9 +57,11 @@ __all__ = [
     "PhysicsPrior",
     "PositionBasedDynamics",
     "Rigid",
+    "RigidAbout",
     "Rival",
     "Setting",
     "Spline",
+    "SplineAbout",
     "copied_displacement",
     "rigid_displacement",
     "spline_displacement",

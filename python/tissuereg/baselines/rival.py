@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissuereg._arguments import check_running, maybe, named, of_kind, real
-from tissuereg._arrays import BoolArray, FloatArray, IntArray, float_array, frozen, optional_array
+from tissuereg._arrays import BoolArray, FloatArray, IntArray, float_array, frozen, index_array, optional_array
 from tissuereg.errors import ArgumentError, MarkerError, ShapeError
 from tissuereg.latent.model import LatentModel
 from tissuereg.load import Load
@@ -40,6 +40,8 @@ class Setting:
         Trained model of the mesh.
     fields : ndarray of float64, shape (n_fields, n_nodes, 3), optional
         Training fields: displacements in mm, simulated beforehand.
+    driven : ndarray of int64, shape (n_driven,)
+        Nodes that the actuators move, as far as they are known; by default none.
     frame_s : float
         Time between moments, s.
     seed : int
@@ -50,7 +52,7 @@ class Setting:
     Raises
     ------
     ShapeError
-        If an array has another shape, or a training field is not finite.
+        If an array has another shape, a training field is not finite, or there is no such node.
     MarkerError
         If a reference place is not finite, or a standard deviation not positive and finite.
     ArgumentError
@@ -64,6 +66,7 @@ class Setting:
     load: Load | None = None
     model: LatentModel | None = None
     fields: FloatArray | None = None
+    driven: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     frame_s: float = 0.025
     seed: int = 0
     threads: int = 0
@@ -80,6 +83,12 @@ class Setting:
             wrong = int(np.argmin(np.isfinite(fields).all(axis=(1, 2))))
             message = f"`fields` must be finite displacements in mm; field {wrong} is not"
             raise ShapeError(message, where="fields")
+        driven = index_array("driven", self.driven, (None,))
+        if len(driven) and not (driven.min() >= 0 and driven.max() < self.mesh.n_nodes):
+            message = (
+                f"`driven` must name nodes from 0 to {self.mesh.n_nodes - 1}, got {driven.min()} to {driven.max()}"
+            )
+            raise ShapeError(message, where="driven")
         real("frame_s", self.frame_s, above=0.0, unit="s")
         check_running(seed=self.seed, threads=self.threads)
         _check_rows("reference_mm", reference, np.asarray(np.isfinite(reference).all(axis=1)), "finite, in mm")
@@ -87,6 +96,12 @@ class Setting:
         object.__setattr__(self, "reference_mm", frozen(reference))
         object.__setattr__(self, "std_mm", frozen(std))
         object.__setattr__(self, "fields", fields)
+        object.__setattr__(self, "driven", frozen(np.setdiff1d(driven, self.mesh.fixed_nodes)))
+
+    @property
+    def held(self) -> IntArray:
+        """Nodes whose motion a simulation prescribes: those that are held, and those that the actuators move."""
+        return np.union1d(self.mesh.fixed_nodes, self.driven)
 
     @property
     def n_markers(self) -> int:

@@ -4,13 +4,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tissuereg._arguments import real
 from tissuereg._arrays import FloatArray, float_array
 from tissuereg.baselines.copy import copied_displacement
-from tissuereg.baselines.rival import Estimate, Rival
+from tissuereg.baselines.rival import Estimate, Rival, Setting
 
 
-def spline_displacement(reference: Any, measured: Any, points: Any) -> FloatArray:
-    """Return the displacement of points under a thin-plate spline through the markers.
+def spline_displacement(reference: Any, measured: Any, points: Any, smoothing: Any = 0.0) -> FloatArray:
+    """Return the displacement of points under a thin-plate spline through the markers, or near them.
 
     Parameters
     ----------
@@ -18,6 +19,8 @@ def spline_displacement(reference: Any, measured: Any, points: Any) -> FloatArra
         Markers before and after, mm.
     points : array_like of float, shape (n_points, 3)
         Points at which the displacement is evaluated, mm.
+    smoothing : float or array_like of float, shape (n_markers,)
+        What is added to the diagonal of the kernel's matrix ``r^2 log r`` for each marker, mm^2: 0 interpolates.
 
     Returns
     -------
@@ -33,16 +36,31 @@ def spline_displacement(reference: Any, measured: Any, points: Any) -> FloatArra
         return copied_displacement(before, after, wanted)
     from scipy.interpolate import RBFInterpolator
 
-    return np.asarray(RBFInterpolator(before, after - before, kernel="thin_plate_spline")(wanted))
+    given = RBFInterpolator(before, after - before, kernel="thin_plate_spline", smoothing=smoothing)
+    return np.asarray(given(wanted))
 
 
 class Spline(Rival):
-    """The thin-plate spline through the markers that were seen; see `spline_displacement`."""
+    """The thin-plate spline through the markers that were seen, or near them; see `spline_displacement`.
+
+    Parameters
+    ----------
+    setting : Setting
+        Body, markers, beliefs.
+    smoothing : float
+        Smoothing of a marker over the variance of its noise: the noisier, the smoother.
+    """
 
     name: ClassVar[str] = "thin-plate spline"
+
+    def __init__(self, setting: Setting, *, smoothing: float = 0.0) -> None:
+        super().__init__(setting)
+        self._smoothing: FloatArray = real("smoothing", smoothing, least=0.0) * setting.std_mm**2
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
         """Return the spline's displacement of the nodes; see `Rival.register`."""
         moment = self.moment(measured_mm, simulation_mm)
-        reference, nodes = self.setting.reference_mm[moment.seen], self.setting.mesh.nodes
-        return Estimate(spline_displacement(reference, moment.measured_mm[moment.seen], nodes))
+        seen, nodes = moment.seen, self.setting.mesh.nodes
+        return Estimate(
+            spline_displacement(self.setting.reference_mm[seen], moment.measured_mm[seen], nodes, self._smoothing[seen])
+        )
