@@ -8,7 +8,7 @@ from support.meshes import block
 from tissuereg.baselines import KfAdmm, Setting
 from tissuereg.baselines.modal_filter import ModalFilter
 from tissuereg.baselines.modes import vibration_modes
-from tissuereg.errors import ArgumentError
+from tissuereg.errors import ArgumentError, LoadError
 from tissuereg.simulate.solve import Simulator
 
 DT = 0.025
@@ -145,6 +145,37 @@ def test_a_marker_that_is_not_seen_is_left_out_and_reset_begins_anew(seen):
     half = Setting(setting.mesh, setting.reference_mm[::2], setting.std_mm[::2], setting.material)
     alone = KfAdmm(half).register(measured[::2], simulation)
     np.testing.assert_allclose(alone.displacement_mm, first.displacement_mm, atol=1e-12)
+
+
+def test_driven_nodes_go_on_from_where_the_filter_left_them(seen):
+    setting, nodes = seen
+    driven = np.flatnonzero(setting.mesh.nodes[:, 2] > 20.0 - 1e-9)
+    pressed = Setting(setting.mesh, setting.reference_mm, setting.std_mm, setting.material, driven=driven)
+    simulation, truth = pulled(setting.mesh, 10.0), pulled(setting.mesh, 7.0)
+    rival, blind = KfAdmm(pressed), setting.reference_mm.copy()
+    for _ in range(3):
+        before = rival.register(setting.reference_mm + truth[nodes], simulation).displacement_mm
+    assert np.abs((before - simulation)[driven]).mean() > 0.5  # of some 2 mm that the truth moves farther
+    blind[1:], blind[0] = np.nan, setting.reference_mm[0] + before[nodes[0]]
+    after = rival.register(blind, 1.1 * simulation).displacement_mm
+    # One marker that is where it was corrects little; the simulation moves the top by a tenth of 4 mm.
+    moved, expected = (after - before)[driven].mean(axis=0), 0.1 * simulation[driven].mean(axis=0)
+    assert np.linalg.norm(moved - expected) < 0.5 * np.linalg.norm(expected)
+
+
+def test_a_moment_whose_simulation_is_inside_out_is_held_by_the_forces_before(seen):
+    setting, nodes = seen
+    simulation = pulled(setting.mesh, 10.0)
+    measured = setting.reference_mm + simulation[nodes]
+    spoilt = simulation.copy()
+    spoilt[setting.mesh.tets[-1, 0]] += 40.0
+    with pytest.raises(LoadError):
+        KfAdmm(setting).register(measured, spoilt)
+    rival, whole = KfAdmm(setting), KfAdmm(setting)
+    for one in (rival, whole):
+        one.register(measured, simulation)
+    found, expected = rival.register(measured, spoilt), whole.register(measured, simulation)
+    np.testing.assert_array_equal(found.displacement_mm, expected.displacement_mm)
 
 
 @pytest.mark.parametrize("given", [{"n_modes": 0}, {"noise_mm": 0.0}, {"density_g_cm3": -1.0}, {"n_iterations": 0.5}])

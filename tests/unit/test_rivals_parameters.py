@@ -70,6 +70,22 @@ def test_without_weight_only_the_quotient_of_load_and_stiffness_is_found(block_m
     assert np.sqrt(product @ covariance @ product) > 0.3  # the prior's: sqrt(0.6^2 + 0.3^2) less what the data bind
 
 
+def test_how_far_an_actuator_drives_a_body_is_found(block_mesh):
+    top = np.flatnonzero(block_mesh.nodes[:, 2] == 40.0)
+    held = np.union1d(block_mesh.fixed_nodes, top)
+    simulator = tr.Simulator(block_mesh, element="tet4-averaged", held_nodes=held)
+
+    def driven(factor):
+        moved = np.where(np.isin(held, top)[:, None], factor * np.array([3.0, 0.0, -6.0]), 0.0)
+        return simulator.solve(tr.Load(prescribed=moved), BELIEVED, threads=1).displacement
+
+    truth, simulation = driven(0.7), driven(1.0)
+    rival = ParameterInference(setting(block_mesh, load=None, driven=top))
+    found = rival.register(measured(block_mesh, truth), simulation)
+    assert found.kept["load"] == pytest.approx(0.7, rel=0.01)  # noise of 0.02 at five markers that move by 4 mm
+    assert np.linalg.norm(found.displacement_mm - truth, axis=1).max() < 5.0 * STD_MM
+
+
 def test_the_same_markers_again_halve_the_variance_where_nothing_drifts(block_mesh, truth):
     rival = ParameterInference(setting(block_mesh), drift=0.0)
     places = measured(block_mesh, truth)

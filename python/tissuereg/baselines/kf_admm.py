@@ -10,6 +10,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg.baselines.modal_filter import ModalFilter
 from tissuereg.baselines.modes import vibration_modes
 from tissuereg.baselines.rival import Estimate, Rival, Setting
+from tissuereg.errors import LoadError
 from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.solve import Simulator
 
@@ -22,10 +23,11 @@ class KfAdmm(Rival):
     elasticity (`ModalFilter`), with the markers' feet on the surface as observation; afterwards the local variables
     of ADMM start from the corrected shape.
 
-    The method has a simulation of its own, which is to feel the actuator as the simulation does that all methods are
-    given. It is therefore driven by the nodal forces that hold that simulation's field in equilibrium, taken anew every
-    moment, and by its displacement of held nodes: left alone, ADMM comes to rest in that field, and what
-    the filter corrects is carried on from moment to moment.
+    The method has a simulation of its own, which is to feel the actuators as the simulation does that all methods are
+    given. Nodes that they move (`Setting.driven`) go on from where the filter left them by what that simulation moves
+    them from moment to moment, and so do held nodes. All others feel the nodal forces that hold its field in
+    equilibrium. Without a correction, ADMM comes to rest in that field. If the simulation turns a tet inside out, the
+    forces of the moment before act.
 
     Parameters
     ----------
@@ -61,9 +63,9 @@ class KfAdmm(Rival):
         setting: Setting,
         *,
         n_modes: int = 150,
-        noise_mm: float = 1.0,
+        noise_mm: float = 0.3,
         density_g_cm3: float = 1.0,
-        n_iterations: int = 30,
+        n_iterations: int = 5,
     ) -> None:
         super().__init__(setting)
         whole("n_modes", n_modes, least=1)
@@ -74,7 +76,8 @@ class KfAdmm(Rival):
         self._simulator = Simulator(mesh)
         self._moduli = self._simulator.moduli(setting.material)
         held = mesh.fixed_nodes
-        self._body = _core.AdmmBody(mesh.nodes, mesh.tets, held, *self._moduli, density=float(density_g_cm3))
+        self._held = setting.held
+        self._body = _core.AdmmBody(mesh.nodes, mesh.tets, self._held, *self._moduli, density=float(density_g_cm3))
         modes = vibration_modes(mesh, setting.material, self._body.masses, n_modes, setting.threads)
         self._shapes: FloatArray = modes.shapes.reshape(len(modes.shapes), -1)
         reach = dt * dt / (1.0 + dt * dt * modes.squares)
@@ -87,11 +90,13 @@ class KfAdmm(Rival):
         by_node = modes.shapes.transpose(1, 2, 0).reshape(mesh.n_nodes, -1)
         #: Displacement of the markers' feet by amplitudes, (n_markers, 3, n_modes).
         self._sensitivity: FloatArray = (weights @ by_node).reshape(setting.n_markers, 3, -1)
-        self._begun = False
+        self.reset()
 
     def reset(self) -> None:
         """Forget earlier moments."""
         self._begun = False
+        self._forces: FloatArray | None = None
+        self._last: FloatArray | None = None
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
         """Return the corrected state of one moment; see `Rival.register`.
@@ -123,11 +128,19 @@ class KfAdmm(Rival):
         return Estimate(moved, spread.reshape(mesh.nodes.shape), kept)
 
     def _predict(self, simulation: FloatArray) -> float:
-        """Let one moment pass under the forces that hold the simulation; return the gap of ADMM."""
-        forces = self._simulator.body.internal_forces(simulation, *self._moduli)
-        held = np.ascontiguousarray(simulation[self.setting.mesh.fixed_nodes])
+        """Let one moment pass under what moves the simulation; return the gap of ADMM."""
+        try:
+            forces = self._simulator.body.internal_forces(simulation, *self._moduli)
+        except LoadError:
+            if self._forces is None:
+                raise
+            forces = self._forces
+        forces[self._held] = 0.0
+        before = simulation if self._last is None else self._last
+        prescribed = (self._body.displacement + simulation - before)[self._held]
         gap, _ = self._body.step(
-            self.setting.frame_s, self._n_iterations, forces=forces, prescribed=held, threads=self.setting.threads
+            self.setting.frame_s, self._n_iterations, forces=forces, prescribed=prescribed, threads=self.setting.threads
         )
+        self._forces, self._last = forces, simulation
         self._filter.predict()
         return gap

@@ -18,6 +18,7 @@ from tissuereg.latent.model import Gaussian
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.observe import MarkerObservation
+from tissuereg.simulate.solve import Simulator
 
 #: Residual over load at which an equilibrium is good enough for markers with noise.
 _TOLERANCE = 1e-6
@@ -32,8 +33,10 @@ class ParameterInference(Rival):
     The logarithms of both factors have a Gaussian prior; ES-MDA updates an ensemble of them, each member a solve with
     the full law. The load is what holds the simulation in equilibrium, or without one the load of the setting; its
     weight (`Load.body_force`), known from the density, keeps its size. Without weight only the quotient of the factors
-    matters, and the prior says how it is shared out. From moment to moment the parameters stay the same but for a small
-    drift: the posterior is the next prior.
+    matters, and the prior says how it is shared out. Of nodes that actuators move (`Setting.driven`) the load's factor
+    is one on their displacement: a body of another stiffness under the same push is pressed deeper or less deep, and
+    forces that do not follow it would let a soft one buckle. From moment to moment the parameters stay the same but for
+    a small drift: the posterior is the next prior.
 
     Parameters
     ----------
@@ -83,6 +86,9 @@ class ParameterInference(Rival):
         self._spread = flag("spread", spread)
         element = fitting_element(setting.mesh, setting.material)
         self._body = ContactBody.of(setting.mesh, Supports.of(setting.mesh, "sure"), element)
+        self._simulator = self._body.simulator
+        if len(setting.driven):
+            self._simulator = Simulator(setting.mesh, element=element, held_nodes=setting.held)
         markers = setting.markers(np.full_like(setting.reference_mm, np.nan))
         self._observed = MarkerObservation.of(setting.mesh, markers)
         self.reset()
@@ -117,7 +123,7 @@ class ParameterInference(Rival):
             loads = [of(float(np.exp(member[1]))) for member in logs.T]
             materials = [self._material(float(np.exp(member[0]))) for member in logs.T]
             how = {"start": start, "tolerance": _TOLERANCE, "threads": self.setting.threads}
-            return self._body.simulator.solve_many(loads, materials, **how).displacement
+            return self._simulator.solve_many(loads, materials, **how).displacement
 
         def predict(logs: FloatArray) -> FloatArray:
             moved = self._observed.predict(fields(logs)[:, self._observed.nodes])
@@ -140,7 +146,7 @@ class ParameterInference(Rival):
         self._known = Gaussian(found.mean, np.cov(found.latents))
         spread = np.nanstd(fields(found.latents), axis=0, ddof=1) if self._spread else None
         stiffness, load = np.exp(found.mean)
-        answer = self._body.simulator.solve(
+        answer = self._simulator.solve(
             of(float(load)), self._material(float(stiffness)), start=start, threads=self.setting.threads
         )
         kept = {"stiffness": float(stiffness), "load": float(load), "log_covariance": self._known.covariance}
@@ -156,7 +162,7 @@ class ParameterInference(Rival):
 
     def _load_of(self, moment: Moment) -> Callable[[float], Load]:
         """Return the load as a function of its factor."""
-        believed, simulator = self.setting.load, self._body.simulator
+        believed, simulator = self.setting.load, self._simulator
         weight = None if believed is None or believed.body_force is None else believed.body_force
         if moment.simulation_mm is not None:
             forces = simulator.internal_forces(moment.simulation_mm, self.setting.material)

@@ -284,6 +284,7 @@ class Believed:
             material=BELIEVED,
             model=model,
             fields=fields,
+            driven=np.unique(np.concatenate(self._pressed)),
             frame_s=self.rig.frame_s,
             seed=seed,
             threads=self._threads,
