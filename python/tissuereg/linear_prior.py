@@ -110,6 +110,22 @@ class LinearPrior:
         self._std = np.repeat(std, 3)
         self._known: dict[bytes, _Directions] = {}
 
+    def plus(self, fields: FloatArray, seen: FloatArray, share: float) -> "LinearPrior":
+        """Return this prior with random multiples of further fields added, independent of it and equally likely.
+
+        Parameters
+        ----------
+        fields : ndarray of float64, shape (n_fields, n_nodes, 3)
+        seen : ndarray of float64, shape (n_fields, 3 n_markers)
+            The same at the markers.
+        share : float
+            Their variance at the markers over that of this prior, both as means over the markers.
+        """
+        variance = share * np.trace(self._at_markers) / float(np.sum(seen * seen))
+        to_nodes = self._to_nodes + variance * fields.reshape(len(fields), -1).T @ seen
+        both = self._at_markers + variance * seen.T @ seen
+        return LinearPrior(both, to_nodes.reshape(self._n_nodes, 3, -1), self._std[::3])
+
     def scaled(
         self,
         displacement_mm: FloatArray,

@@ -58,7 +58,7 @@ def traction(mesh, size):
 
 @pytest.fixture(scope="module")
 def points(block_mesh):
-    return LinearElastic(setting(block_mesh), smooth=False)
+    return LinearElastic(setting(block_mesh), smooth=False, rigid=0.0)
 
 
 def test_least_energy_is_the_minimum_of_misfit_and_strain_energy(block_mesh, points):
@@ -88,7 +88,7 @@ def test_without_noise_the_markers_are_reproduced(block_mesh, rival):
 
 
 def test_a_small_deformation_by_forces_at_the_markers_is_found(block_mesh):
-    made = LinearElastic(setting(block_mesh, std=1e-9), smooth=False)
+    made = LinearElastic(setting(block_mesh, std=1e-9), smooth=False, rigid=0.0)
     forces = np.zeros((1, block_mesh.n_nodes, 3))
     for (nodes, weights), size in zip(made.body.rows, np.random.default_rng(2).standard_normal(21), strict=True):
         np.add.at(forces[0], nodes, size * weights)
@@ -98,7 +98,7 @@ def test_a_small_deformation_by_forces_at_the_markers_is_found(block_mesh):
 
 
 def test_a_deformation_by_loads_on_few_cells_is_found_by_libr(block_mesh):
-    made = Libr(setting(block_mesh, std=1e-9), n_cells=4)
+    made = Libr(setting(block_mesh, std=1e-9), n_cells=4, rigid=0.0)
     field = made._prior.field(np.random.default_rng(3).standard_normal(21))
     found = made.register(PLACES + seen_by(made, field))
     # Twelve loads, 21 coordinates: only the noise over the size, times the spread of the compliance, is left.
@@ -106,7 +106,7 @@ def test_a_deformation_by_loads_on_few_cells_is_found_by_libr(block_mesh):
 
 
 def test_libr_with_a_cell_a_node_is_the_least_energy(block_mesh, points):
-    made = Libr(setting(block_mesh), n_cells=block_mesh.n_nodes)
+    made = Libr(setting(block_mesh), n_cells=block_mesh.n_nodes, rigid=0.0)
     moved = np.random.default_rng(4).standard_normal(PLACES.shape)
     found, expected = made.register(PLACES + moved), points.register(PLACES + moved)
     # All forces on the surface are among the loads; the energies of all pairs lose four digits.
@@ -119,7 +119,7 @@ def test_a_small_push_by_the_fem_is_found_better_than_by_nothing_and_by_a_spline
 
     load = tr.Load(forces=traction(block_mesh, 0.02))
     truth = tr.simulate(block_mesh, load, MATERIAL, element="tet4-averaged", threads=1).displacement
-    made = rival(setting(block_mesh, std=1e-3))
+    made = rival(setting(block_mesh, std=1e-3), rigid=0.0)
     measured = PLACES + made.body.observed.predict(truth[made.body.observed.nodes])
 
     def error(one):
@@ -136,9 +136,10 @@ def test_a_marker_that_is_not_seen_has_no_say(block_mesh, rival):
     some = moved.copy()
     some[[1, 4]] = np.nan
     few = np.setdiff1d(np.arange(len(PLACES)), [1, 4])
-    alone = rival(setting(block_mesh, reference_mm=PLACES[few], std_mm=np.full(len(few), 0.1)))
+    # How far rigid motions go is told by all markers, seen or not.
+    alone = rival(setting(block_mesh, reference_mm=PLACES[few], std_mm=np.full(len(few), 0.1)), rigid=0.0)
     expected = alone.register((PLACES + moved)[few]).displacement_mm
-    found = rival(setting(block_mesh)).register(PLACES + some).displacement_mm
+    found = rival(setting(block_mesh), rigid=0.0).register(PLACES + some).displacement_mm
     np.testing.assert_allclose(found, expected, atol=1e-9)  # rounding of other sums
 
 
@@ -155,7 +156,7 @@ def test_an_energy_weight_is_used_as_given(block_mesh, points):
     moved = np.random.default_rng(6).standard_normal(PLACES.shape)
     weight = Libr(setting(block_mesh)).register(PLACES + moved).kept["energy_weight"]
     again = Libr(setting(block_mesh), energy_weight=weight).register(PLACES + moved)
-    stiff = Libr(setting(block_mesh), energy_weight=1e12).register(PLACES + moved)
+    stiff = Libr(setting(block_mesh), energy_weight=1e12, rigid=0.0).register(PLACES + moved)
     assert again.kept["energy_weight"] == pytest.approx(weight, rel=1e-12)
     assert np.abs(stiff.displacement_mm).max() < 1e-6  # that weight allows no strain
 
@@ -204,3 +205,18 @@ def test_markers_that_were_seen_together_before_take_no_new_eigenvalues(block_me
     for measured in (PLACES, PLACES, some, PLACES, some):
         made.register(measured + rng.standard_normal(PLACES.shape))
     assert sorted(counted) == sorted([21, 18] * len(made.priors))
+
+
+@pytest.mark.parametrize("rival", [LinearElastic, Libr])
+def test_a_base_that_gives_is_found_with_rigid_motions_alone(block_mesh, rival):
+    turn = np.array([0.01, -0.02, 0.015])
+    truth = np.array([1.0, -0.5, 0.3]) + np.cross(turn, block_mesh.nodes)
+
+    def error(rigid):
+        made = rival(setting(block_mesh, std=0.01), rigid=rigid)
+        found = made.register(PLACES + seen_by(made, truth))
+        return np.linalg.norm(found.displacement_mm - truth, axis=1).max()
+
+    # All markers lie a millimetre from where they were; what elasticity alone makes of that leaves the base behind.
+    assert error(1e6) < 0.01
+    assert error(0.0) > 0.5

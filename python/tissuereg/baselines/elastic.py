@@ -49,7 +49,9 @@ class LinearElastic(Rival):
         Body, markers, beliefs.
     smooth : bool
         Whether smooth tractions on patches of several radii are tried beside the strain energy. The penalty's weight,
-        and which of the penalties it is, are those of the highest evidence at each moment: nothing is left to tune.
+        and which of the penalties it is, are those of the highest evidence at each moment.
+    rigid : float
+        Variance of the markers by rigid motions of the whole body over that by elasticity: a base may give.
 
     Notes
     -----
@@ -61,7 +63,7 @@ class LinearElastic(Rival):
 
     name: ClassVar[str] = "linear elastic"
 
-    def __init__(self, setting: Setting, *, smooth: bool = True) -> None:
+    def __init__(self, setting: Setting, *, smooth: bool = True, rigid: float = 1.0) -> None:
         super().__init__(setting)
         self.body = elastic_body(setting)
         self.priors: dict[str, LinearPrior] = {"least energy": self.body.least_energy()}
@@ -69,6 +71,7 @@ class LinearElastic(Rival):
             for level in range(int(self.body.patches.level.max()) + 1):
                 radius = float(self.body.patches.radii[self.body.patches.level == level][0])
                 self.priors[f"patches of {radius:.3g} mm"] = self.body.patch_loads(level)
+        self.priors = {name: self.body.given_way(prior, rigid) for name, prior in self.priors.items()}
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
         """Return the simulation and the most probable linear change; see `Rival.register`."""

@@ -65,7 +65,7 @@ class KfAdmm(Rival):
         n_modes: int = 150,
         noise_mm: float = 0.3,
         density_g_cm3: float = 1.0,
-        n_iterations: int = 5,
+        n_iterations: int = 10,
     ) -> None:
         super().__init__(setting)
         whole("n_modes", n_modes, least=1)

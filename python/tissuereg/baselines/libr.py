@@ -21,21 +21,25 @@ class Libr(Rival):
         Cells of the free surface, each with loads along three axes; the paper takes 45 control points.
     energy_weight : float, optional
         The weight w, per mN mm. By default the one of the highest evidence at each moment.
+    rigid : float
+        Variance of the markers by rigid motions of the whole body over that by the loads.
 
     Notes
     -----
     J. S. Heiselman, W. R. Jarnagin and M. I. Miga, "Intraoperative correction of liver deformation using sparse surface
     and vascular features via linearized iterative boundary reconstruction", IEEE Transactions on Medical Imaging 39,
-    2223-2234, 2020. Markers have known counterparts and the base is held here, so that neither iterations for closest
-    points nor a rigid motion are needed: the minimum is found in closed form.
+    2223-2234, 2020. The body's rigid motion is among the unknowns there, too. Markers have known counterparts here and
+    turns are small, so that no iterations are needed: the minimum is found in closed form.
     """
 
     name: ClassVar[str] = "LIBR"
 
-    def __init__(self, setting: Setting, *, n_cells: int = 45, energy_weight: float | None = None) -> None:
+    def __init__(
+        self, setting: Setting, *, n_cells: int = 30, energy_weight: float | None = None, rigid: float = 1.0
+    ) -> None:
         super().__init__(setting)
         self.body = elastic_body(setting)
-        self._prior = self.body.control_loads(whole("n_cells", n_cells, least=1))
+        self._prior = self.body.given_way(self.body.control_loads(whole("n_cells", n_cells, least=1)), rigid)
         self._scale = None if energy_weight is None else 1.0 / real("energy_weight", energy_weight, above=0.0)
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:

@@ -7,13 +7,15 @@ With the stiffness K of the body at rest and C what the markers see of a field, 
 * `patch_loads`: ``P = K^-1 B B' K^-1``, independent loads on patches of the surface that overlap: smooth tractions.
 * `control_loads`: ``P = F E^-1 F'`` with the responses F to unit loads on cells of the surface and their strain
   energies E: the field of least strain energy among their combinations.
+
+A body whose support gives moves as a whole, too: `ElasticBody.given_way` adds that to any of them.
 """
 
 from functools import cached_property
 
 import numpy as np
 
-from tissuereg._arguments import whole
+from tissuereg._arguments import real, whole
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.contacts.patches import Patches, make_patches, surface_of_nodes
 from tissuereg.contacts.places import gathered
@@ -143,3 +145,18 @@ class ElasticBody:
         seen = self.seen(moved)
         best = np.linalg.solve(0.5 * (energies + energies.T), seen)
         return LinearPrior(seen.T @ best, np.einsum("lnx,lo->nxo", moved, best, optimize=True), self._std)
+
+    def given_way(self, prior: LinearPrior, share: float) -> LinearPrior:
+        """Return a prior with small rigid motions of the whole body, held nodes included, added.
+
+        Parameters
+        ----------
+        prior : LinearPrior
+            Of this body.
+        share : float
+            Variance of the markers by these motions over that by `prior`; 0 adds none.
+        """
+        off = self.mesh.nodes - self.mesh.nodes.mean(axis=0)
+        turns = np.cross(np.eye(3)[:, None], off) / np.sqrt(np.mean(off**2))
+        motions = np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns])
+        return prior.plus(motions, self.seen(motions), real("share", share, least=0.0))
