@@ -131,8 +131,7 @@ class LatentFilter(_OneUpdate):
     setting : Setting
         Body, markers, beliefs, with a model.
     memory_s : float
-        Time after which an error of the simulation is forgotten, s. By default 1: pushes and the errors that they cause
-        last for seconds, forty moments take one.
+        Time after which an error of the simulation is forgotten, s.
     n_members, spread
         As of `OneStepSmoother`.
 
@@ -145,7 +144,7 @@ class LatentFilter(_OneUpdate):
     name: ClassVar[str] = "EnKF in latents"
     remembers: ClassVar[bool] = True
 
-    def __init__(self, setting: Setting, *, memory_s: float = 1.0, n_members: int = 100, spread: bool = False) -> None:
+    def __init__(self, setting: Setting, *, memory_s: float = 0.1, n_members: int = 100, spread: bool = False) -> None:
         super().__init__(setting, n_members=n_members, spread=spread)
         self._kept_share = float(np.exp(-setting.frame_s / real("memory_s", memory_s, above=0.0, unit="s")))
         self._errors: tuple[FloatArray, bool] | None = None
