@@ -24,6 +24,7 @@ from tissuereg.baselines import (
     Libr,
     LinearElastic,
     LinearResidual,
+    MeanAbout,
     MeanOfMarkers,
     Network,
     OneStepSmoother,
@@ -32,9 +33,11 @@ from tissuereg.baselines import (
     PhysicsPrior,
     PositionBasedDynamics,
     Rigid,
+    RigidAbout,
     Rival,
     Setting,
     Spline,
+    SplineAbout,
 )
 from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
 from tissuereg.latent.model import LatentModel
@@ -140,6 +143,9 @@ KEYS: dict[str, str] = {
     Rigid.name: "rigid",
     Spline.name: "spline",
     MeanOfMarkers.name: "copy",
+    RigidAbout.name: "simulation-rigid",
+    SplineAbout.name: "simulation-spline",
+    MeanAbout.name: "simulation-copy",
     LinearElastic.name: "compliance",
     PcaEsMda.name: "pca-esmda",
     OneStepSmoother.name: "one-step-es",
