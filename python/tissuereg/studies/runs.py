@@ -34,7 +34,7 @@ class Run:
     coverage90 : float or None
         Share of the components of inner points whose 90 % interval holds the truth, where the method gives a spread.
     ms : float
-        Median time of a frame.
+        Median processor time of a frame.
     frames, failed : int
         Frames that it was given, and those among them that it could not register: the simulation counts there.
     """
