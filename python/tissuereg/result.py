@@ -103,6 +103,19 @@ class Target:
         radii = np.sqrt(np.maximum(values, 0.0) * squared_radius(share, self.tail))
         return Region(self.mean, vectors.T, radii, share)
 
+    def to_json(self) -> dict[str, Any]:
+        """Return its entry in ``registration.json``: plain numbers, lists and strings."""
+        return {
+            "reference_mm": self.reference.tolist(),
+            "mean_mm": self.mean.tolist(),
+            "covariance_mm2": self.covariance.tolist(),
+            "region90_radii_mm": self.region(0.90).radii.tolist(),
+            "simulation_mm": None if self.simulation is None else self.simulation.tolist(),
+            "constrained": self.constrained,
+            "flag": self.flag,
+            "tail_degrees_of_freedom": self.tail,
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class MarkerFit:
@@ -285,8 +298,8 @@ class Registration:
                 "residual_mm": {name: _row_json(row) for name, row in fit.residual_mm.items()},
             },
             "surface": None if self.surface is None else self.surface.to_json(),
-            "targets": {name: _target_json(target) for name, target in self.targets.items()},
-            "unseen_markers": {name: _target_json(target) for name, target in self.unseen.items()},
+            "targets": {name: target.to_json() for name, target in self.targets.items()},
+            "unseen_markers": {name: target.to_json() for name, target in self.unseen.items()},
             "body": {
                 "min_det_f": self.min_det_f,
                 "inverted_tets": self.inverted_tets,
@@ -370,16 +383,3 @@ class Registration:
 def _row_json(row: FloatArray) -> list[float | None]:
     """Return a row with None where nothing was seen."""
     return [float(value) if np.isfinite(value) else None for value in row]
-
-
-def _target_json(target: Target) -> dict[str, Any]:
-    return {
-        "reference_mm": target.reference.tolist(),
-        "mean_mm": target.mean.tolist(),
-        "covariance_mm2": target.covariance.tolist(),
-        "region90_radii_mm": target.region(0.90).radii.tolist(),
-        "simulation_mm": None if target.simulation is None else target.simulation.tolist(),
-        "constrained": target.constrained,
-        "flag": target.flag,
-        "tail_degrees_of_freedom": target.tail,
-    }

@@ -21,7 +21,7 @@ from tissuereg.io.experiment_keys import FORCES_CSV
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_problem, read_simulation
 
-COMMANDS = ("mesh", "solve", "simulate", "train", "calibrate", "register", "demo", "bench")
+COMMANDS = ("mesh", "solve", "simulate", "train", "calibrate", "register", "track", "demo", "bench")
 ENVELOPE = {"schema", "seconds", "threads", "machine", "versions"}
 
 
@@ -114,6 +114,8 @@ def test_the_module_runs_as_a_command():
         ["register", "a.vtu", "b.csv", "c.csv", "--out", "b"],
         ["register", "a.vtu", "b.csv", "--out", "b", "--time", "3"],
         ["register", "a.vtu", "b.csv", "--out", "b", "--seed", "1.5"],
+        ["track", "a.vtu", "b.csv", "--out", "c"],
+        ["track", "a.vtu", "b.csv", "--reference", "c.csv", "--out", "d", "--live", "twice"],
         ["bench", "everything"],
         ["mesh", "a.stl", "--out", "b.vtu"],
         ["mesh", "a.stl", "--size", "-1", "--out", "b.vtu"],

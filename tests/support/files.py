@@ -36,6 +36,9 @@ def write_problem(path: Path, **changes) -> Path:
 MARKERS_HEADER = "marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm\n"
 GOOD_MARKERS = MARKERS_HEADER + "P1,30,10,40,31,10,40\nP2,0,10,40,1,10,40\nP3,15,0,20,,,\n"
 
+#: Two frames of two of these markers, one of them not seen in the second.
+GOOD_RECORDING = "time_s,marker,x_mm,y_mm,z_mm\n0.0,P1,30,10,40\n0.0,P2,0,10,40\n0.1,P1,31,10,40\n0.1,P2,,,\n"
+
 #: Points of 3D Slicer where three markers sit.
 FIDUCIALS = """\
 # Markups fiducial file version = 4.11

@@ -16,14 +16,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import tissuereg as tr
-from support.files import EXPERIMENT, FIDUCIALS, GOOD_MARKERS, TABLES, write_experiment, write_problem
+from support.files import EXPERIMENT, FIDUCIALS, GOOD_MARKERS, GOOD_RECORDING, TABLES, write_experiment, write_problem
 from support.meshes import block
 from tissuereg.errors import TissueRegError
 from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
-from tissuereg.io.problems import read_problem, read_simulation
+from tissuereg.io.problems import read_problem, read_simulation, read_simulations
+from tissuereg.io.recordings import read_recording
 from tissuereg.io.surfaces import read_triangles
+from tissuereg.io.tables import read_reference
 from tissuereg.latent.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
 from tissuereg.simulate.dataset import make_dataset
 from tissuereg.simulate.recipe import read_recipe
@@ -244,7 +246,9 @@ def good(tmp_path_factory) -> Path:
     np.savez(folder / "mesh.npz", nodes_mm=mesh.nodes, tets=mesh.tets, fixed_nodes=mesh.fixed_nodes)
     write_problem(folder / "problem.npz")
     np.savez(folder / "simulation.npz", displacement_mm=np.zeros((3, 3)))
+    np.savez(folder / "simulations.npz", times_s=[0.0, 1.0], displacement_mm=np.zeros((2, 3, 3)))
     np.savez(folder / "recording.npz", **RECORDING)
+    (folder / "recording.csv").write_text(GOOD_RECORDING)
     (folder / "markers.csv").write_text(GOOD_MARKERS)
     (folder / "targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,1,2,3\ndeep,4,5,6\n")
     (folder / "surface.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n4,5,6\n7,8,9\n")
@@ -333,7 +337,10 @@ READERS = [
     pytest.param(tr.read_mesh, "mesh.npz", id="mesh.npz"),
     pytest.param(read_problem, "problem.npz", id="problem.npz"),
     pytest.param(read_simulation, "simulation.npz", id="simulation.npz"),
+    pytest.param(read_simulations, "simulations.npz", id="simulations.npz"),
     pytest.param(read_rig, "recording.npz", id="recording.npz"),
+    pytest.param(lambda path: read_recording(path, ("P1", "P2")), "recording.csv", id="recording.csv"),
+    pytest.param(read_reference, "wide.csv", id="reference"),
     pytest.param(tr.read_markers, "markers.csv", id="markers.csv"),
     pytest.param(tr.read_targets, "targets.csv", id="targets.csv"),
     pytest.param(tr.read_surface, "surface.csv", id="surface.csv"),

@@ -288,6 +288,24 @@ def test_a_recording_is_replayed_at_its_rate_and_the_newest_frame_is_next(cost_s
     found = list(tracker.run(frames, clock=clock, wait=clock.wait))
     assert [round(frame.time_s / FRAME_S) for frame in found] == kept
     assert tracker.dropped == dropped == sum(frame.skipped for frame in found)
+    # Alone on its clock a frame waits only for those before it.
+    for frame, before in zip(found, [None, *found], strict=False):
+        free_s = frame.time_s if before is None else max(frame.time_s, before.time_s + before.latency_s)
+        assert frame.latency_s == pytest.approx(free_s + cost_s - frame.time_s)
+
+
+def test_a_replay_goes_on_after_a_frame_that_cannot_be_registered_if_it_is_told_where_to_say_so():
+    clock, rng, told = Time(), np.random.default_rng(15), []
+    frames = [(FRAME_S * k, measured(1.0, rng)) for k in range(3)]
+    frames[1][1][:] = np.nan
+    tracker = tr.Tracker(registrar())
+    found = list(tracker.run(frames, failed=lambda *what: told.append(what), clock=clock, wait=clock.wait))
+    assert [frame.time_s for frame in found] == [0.0, 2 * FRAME_S]
+    assert [time_s for time_s, _ in told] == [FRAME_S]
+    assert isinstance(told[0][1], MarkerError)
+    tracker.reset()
+    with pytest.raises(MarkerError, match="must have been seen"):
+        list(tracker.run(frames, clock=clock, wait=clock.wait))
 
 
 def test_contacts_go_on_from_the_last_frame_with_less_work():

@@ -423,7 +423,7 @@ CALLS = {
     ),
     "Tracker.run": (
         lambda **given: list(tracker().run(**{"frames": [], **given})),
-        {"frames": [(0.0, markers().measured)]},
+        {"frames": [(0.0, markers().measured)], "failed": print},
     ),
     "FemPhysics": (
         tr.tracking.FemPhysics,

@@ -22,6 +22,7 @@ from tissuereg.cli import (
     reproduce,
     simulate,
     solve,
+    track,
     train,
 )
 from tissuereg.cli.common import Outcome, envelope, paragraph, warnings_as_lines
@@ -31,7 +32,7 @@ from tissuereg.errors import ConvergenceError, TissueRegError
 from tissuereg.io.atomic import check_file_target
 from tissuereg.io.json import dumps, write_json
 
-_COMMANDS = (mesh, new, solve, simulate, train, calibrate, register, advise, diagnose, demo, bench, reproduce)
+_COMMANDS = (mesh, new, solve, simulate, train, calibrate, register, track, advise, diagnose, demo, bench, reproduce)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -78,7 +79,7 @@ def build_parser() -> Parser:
         epilog=(
             "'tissuereg COMMAND --help' explains a command. Lengths mm, forces mN, stresses kPa, times s.\n"
             "Exit codes: 0 done, 2 bad usage or input, 3 it could not be done, 4 answered and written but not to be\n"
-            "trusted (register), 130 interrupted, 1 a bug."
+            "trusted (register, track), 130 interrupted, 1 a bug."
         ),
     )
     parser.add_argument("--version", action="version", version=f"tissuereg {__version__}")

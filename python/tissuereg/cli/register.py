@@ -1,18 +1,17 @@
 """``tissuereg register``: one moment of a body, from mesh and markers or from an experiment."""
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg.cli.body_input import add_method_options, method_of
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope
-from tissuereg.cli.options import add_common, command_parser, refuse_overwriting, whole_number
+from tissuereg.cli.options import add_common, command_parser, refuse_overwriting
 from tissuereg.cli.register_input import add_input_options, registration_input
 from tissuereg.cli.register_words import summary
 from tissuereg.cli.stages import Stages, stage_lines
 
 if TYPE_CHECKING:
-    from tissuereg.registration import RegisterSettings
     from tissuereg.result import Registration
 
 _DETAILS = (
@@ -50,19 +49,7 @@ def add_parser(commands: Any) -> None:
     text = "write registered_deformed.vtu too, its nodes where they are now"
     parser.add_argument("--deformed", action="store_true", help=text)
     add_input_options(parser)
-    how = parser.add_argument_group("method")
-    text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
-    how.add_argument("--model", metavar="DIR", help=text)
-    text = "elements of the simulations (default: auto, those that suit the mesh)"
-    choices = ["auto", "tet4", "tet4-averaged", "tet10"]
-    how.add_argument("--element", choices=choices, default="auto", help=text)
-    how.add_argument("--polish", action="store_true", help="with a model: make its answer an equilibrium")
-    text = "with a model: an ensemble, or the most probable answer with its Gaussian (default: esmda)"
-    how.add_argument("--update", choices=["esmda", "gauss-newton"], help=text)
-    how.add_argument(
-        "--members", type=whole_number(8), metavar="N", help="ensemble members, with a model (default: 200)"
-    )
-    how.add_argument("--steps", type=whole_number(1), metavar="N", help="assimilation steps, with a model (default: 5)")
+    add_method_options(parser.add_argument_group("method"))
     add_common(parser, seed="seed of all random numbers (default: 0)")
     parser.set_defaults(run=run, late="markers", room=1)
 
@@ -91,16 +78,10 @@ def run(args: argparse.Namespace) -> Outcome:
     clock = Stopwatch()
     given = registration_input(args)
     reading = clock.lap("read")
-    chosen = {"held": args.held, "frame": args.tracker, "stiffness": args.stiffness}
     with stage_lines(quiet=args.quiet) as shown:
         result = register(
             **{"element": args.element, **given},
-            model=args.model,
-            polish=args.polish,
-            **{name: value for name, value in chosen.items() if value is not None},
-            seed=args.seed or 0,
-            threads=args.threads,
-            settings=_settings(args),
+            **method_of(args),
             progress=shown.progress,
             tell=shown.tell,
         )
@@ -128,11 +109,3 @@ def _write(result: "Registration", args: argparse.Namespace, extra: dict[str, An
 
 def _total(clock: Stopwatch) -> dict[str, float]:
     return {"total": clock.seconds["total"]}
-
-
-def _settings(args: argparse.Namespace) -> "RegisterSettings":
-    from tissuereg.registration import RegisterSettings
-
-    settings = RegisterSettings()
-    chosen = {"update": args.update, "n_members": args.members, "n_steps": args.steps}
-    return replace(settings, **{name: value for name, value in chosen.items() if value is not None})

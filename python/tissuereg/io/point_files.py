@@ -123,14 +123,44 @@ def markers_of(
     sit, seen = read_points(reference), read_points(measured or "")
     _refuse_strangers(sit, seen)
     where = frame or sit.frame
-    found = dict(zip(seen.names, seen.places_in(where), strict=True))
+    return _markers(sit, dict(zip(seen.names, seen.places_in(where), strict=True)), std, where)
+
+
+def reference_of(path: str | os.PathLike[str], std: float, frame: str | None) -> Markers:
+    """Read markers from where they sit alone.
+
+    Parameters
+    ----------
+    path : path-like
+        A file of points.
+    std, frame
+        As in `markers_of`.
+
+    Returns
+    -------
+    Markers
+        None of them seen; one without a place is left out, with a warning.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read.
+    MarkerError
+        If `std` is not positive.
+    """
+    sit = read_points(path)
+    return _markers(sit, {}, std, frame or sit.frame)
+
+
+def _markers(sit: NamedPoints, seen: dict[str, FloatArray], std: float, frame: str) -> Markers:
+    """Return the markers that sit somewhere, with the places where they were seen."""
     names = [name for name, known in zip(sit.names, sit.defined, strict=True) if known]
     if len(names) < len(sit.names):
         lost = ", ".join(name for name in sit.names if name not in names)
-        warnings.warn(f"{sit.file}: {lost} left out, where it sits is not defined", stacklevel=3)
-    places = [found.get(name, np.full(3, np.nan)) for name in names]
+        warnings.warn(f"{sit.file}: {lost} left out, where it sits is not defined", stacklevel=4)
+    places = [seen.get(name, np.full(3, np.nan)) for name in names]
     try:
-        return Markers(sit.places_in(where)[sit.defined], np.reshape(places, (-1, 3)), std, names)
+        return Markers(sit.places_in(frame)[sit.defined], np.reshape(places, (-1, 3)), std, names)
     except MarkerError as error:
         error.args = (f"{sit.file}: {error}",)
         raise

@@ -122,6 +122,52 @@ def read_simulation(path: str | os.PathLike[str], n_nodes: int | None = None) ->
         return archive.floats("displacement_mm", n_nodes, 3)
 
 
+def read_simulations(path: str | os.PathLike[str], n_nodes: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """Read a simulation's displacement fields at several moments.
+
+    Parameters
+    ----------
+    path : path-like
+        An .npz with ``times_s (k,)``, ascending, and ``displacement_mm (k, n, 3)``.
+    n_nodes : int, optional
+        How many nodes it must have.
+
+    Returns
+    -------
+    times : ndarray of float64, shape (k,)
+        s.
+    fields : ndarray of float64, shape (k, n_nodes, 3)
+        mm.
+
+    Raises
+    ------
+    FormatError
+        If an array is missing, has another shape or a value that is not finite, or there are not two ascending times.
+    """
+    with open_npz(path) as archive:
+        times = archive.floats("times_s", None)
+        fields = archive.floats("displacement_mm", len(times), n_nodes, 3)
+        if len(times) < 2 or not (np.diff(times) > 0.0).all():
+            message = f"array 'times_s' in {archive.path} must hold two or more ascending times, got {len(times)}"
+            raise FormatError(message, where=f"{archive.path}:times_s")
+    return times, fields
+
+
+def write_simulations(path: str | os.PathLike[str], times: Any, fields: Any) -> None:
+    """Write displacement fields at several moments as `read_simulations` reads them, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        The .npz.
+    times : array_like of float, shape (k,)
+        s.
+    fields : array_like of float, shape (k, n_nodes, 3)
+        mm.
+    """
+    write_npz(path, {"times_s": np.asarray(times, np.float64), "displacement_mm": np.asarray(fields, np.float64)})
+
+
 def _floats_if_there(archive: Archive, name: str, *shape: int) -> FloatArray | None:
     return archive.floats(name, *shape) if name in archive else None
 

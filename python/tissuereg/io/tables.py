@@ -1,7 +1,7 @@
 """Markers and targets as comma-separated tables, lengths in mm; readers take the files of 3D Slicer as well."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg._choice import check_choice
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.csv import Row, read_table, write_table
-from tissuereg.io.point_files import is_point_file, markers_of, targets_of
+from tissuereg.io.point_files import is_point_file, markers_of, reference_of, targets_of
 from tissuereg.io.points import turned
 from tissuereg.markers import Markers
 from tissuereg.mesh import PATIENT_FRAMES
@@ -84,6 +84,51 @@ def read_markers(
     moved = np.array([row.numbers(_MOVED, may_miss=True) for row in rows])
     try:
         return Markers(turned(reference, table_frame, frame), turned(moved, table_frame, frame), spread, names)
+    except MarkerError as error:
+        error.args = (f"{rows[0].file}: {error}",)
+        raise
+
+
+def read_reference(
+    path: str | os.PathLike[str],
+    std: float | None = None,
+    *,
+    frame: str | None = None,
+    table_frame: str | None = None,
+) -> Markers:
+    """Read where markers sit on the undeformed body, without a moment at which they were seen.
+
+    Parameters
+    ----------
+    path : path-like
+        Table ``marker,x_mm,y_mm,z_mm[,std_mm]``, or that of `read_markers`, whose measured places are left aside. Or
+        points of 3D Slicer (``.mrk.json``, ``.fcsv``).
+    std : float, optional
+        Standard deviation in mm of a measured coordinate, for markers without their own; 0.1 where absent.
+    frame, table_frame : {"LPS", "RAS"}, optional
+        As in `read_markers`.
+
+    Returns
+    -------
+    Markers
+        In file order, none of them seen.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or a marker stands in it twice; the message names the line.
+    MarkerError
+        If a standard deviation is not positive, a frame none of the two, or `table_frame` given without `frame`.
+    """
+    _check_frames(frame, table_frame)
+    usual = DEFAULT_STD if std is None else std
+    if is_point_file(path):
+        return reference_of(path, usual, frame)
+    rows = read_table(path, ("marker", *_PLACE), ("std_mm", *_STD, *_MOVED), most_rows=MOST_POINTS)
+    names = _unique_names(rows, "marker")
+    places = turned(np.array([row.numbers(_PLACE) for row in rows]), table_frame, frame)
+    try:
+        return Markers(places, np.full_like(places, np.nan), [_own_std(row, usual) for row in rows], names)
     except MarkerError as error:
         error.args = (f"{rows[0].file}: {error}",)
         raise
@@ -198,6 +243,22 @@ def write_targets(path: str | os.PathLike[str], targets: Mapping[str, Mapping[st
     """
     header = ("target", *_PLACE, *_MOVED, *_COVARIANCE, *_RADII, *_SIMULATED)
     write_table(path, header, [(name, *_target_cells(values)) for name, values in targets.items()])
+
+
+def write_tracked_targets(
+    path: str | os.PathLike[str], moments: Iterable[tuple[float, Mapping[str, Mapping[str, Any]]]]
+) -> None:
+    """Write registered targets of many moments as one table, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to. The columns are ``time_s`` and those of `write_targets`.
+    moments : iterable of (float, mapping)
+        Time in s, and the targets as `write_targets` takes them.
+    """
+    rows = ((float(time_s), name, *_target_cells(one)) for time_s, all_of in moments for name, one in all_of.items())
+    write_table(path, ("time_s", "target", *_PLACE, *_MOVED, *_COVARIANCE, *_RADII, *_SIMULATED), rows)
 
 
 _COVARIANCE = ("cov_xx_mm2", "cov_xy_mm2", "cov_xz_mm2", "cov_yy_mm2", "cov_yz_mm2", "cov_zz_mm2")

@@ -30,6 +30,8 @@ class TrackedFrame:
         Factor on the frame's own covariances: the errors of the registered states that were carried on.
     skipped : int
         Frames that were dropped just before this one, because a newer one was there.
+    latency_s : float
+        From when it was handed over, in a replay from when it was measured, to its answer.
     """
 
     time_s: float
@@ -39,6 +41,7 @@ class TrackedFrame:
     gain: float
     widening: float = 1.0
     skipped: int = 0
+    latency_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,14 @@ import inspect
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import flag, found, real
+from tissuereg._arguments import called, flag, found, real
 from tissuereg._choice import check_choice
-from tissuereg.errors import ArgumentError, MarkerError
+from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, MarkerError, TissueRegError
 from tissuereg.inputs import finite_field
 from tissuereg.mesh import Mesh
 from tissuereg.registrar import Registrar
@@ -27,7 +28,20 @@ _OPTIONS = tuple(
     name for name in inspect.signature(Registrar).parameters if name not in ("mesh", "reference_mm", "model", "targets")
 )
 
+#: Errors of one frame that leave the tracker as it was: no marker was seen, or no equilibrium or ensemble was found.
+CANNOT_BE_REGISTERED = (MarkerError, ConvergenceError, EnsembleError)
+
 _A_FRAME = "(time_s, measured_mm) or (time_s, measured_mm, actuator)"
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """A frame before it is registered: what was measured, what the actuators did, and since when it waits."""
+
+    measured_mm: Any
+    time_s: Any
+    actuator: Any
+    since: float
 
 
 class Tracker:
@@ -164,7 +178,8 @@ class Tracker:
         MarkerError, ShapeError, ConvergenceError, EnsembleError
             As `Registrar.register`. The tracker is then as before this frame.
         """
-        return self._tracked(measured_mm, time_s, actuator, 0).registration
+        frame = _Measured(measured_mm, time_s, actuator, time.perf_counter())
+        return self._tracked(frame, 0, time.perf_counter).registration
 
     def update(self, time_s: float, measured_mm: Any, actuator: Any = None) -> Registration:
         """Register the next frame; `step` with the time first."""
@@ -180,7 +195,7 @@ class Tracker:
         measured_mm, time_s, actuator
             As in `step`. They are checked when they are registered.
         """
-        self._inbox.push((measured_mm, time_s, actuator))
+        self._inbox.push(_Measured(measured_mm, time_s, actuator, time.perf_counter()))
 
     def poll(self) -> TrackedFrame | None:
         """Register the newest frame that was pushed; None if there is none.
@@ -196,15 +211,13 @@ class Tracker:
             As `step`; the frame is gone.
         """
         taken = self._inbox.take()
-        if taken is None:
-            return None
-        (measured, time_s, actuator), skipped = taken
-        return self._tracked(measured, time_s, actuator, skipped)
+        return None if taken is None else self._tracked(*taken, time.perf_counter)
 
     def run(
         self,
         frames: Iterable[tuple[Any, ...]],
         *,
+        failed: Callable[[float, TissueRegError], None] | None = None,
         clock: Callable[[], float] = time.perf_counter,
         wait: Callable[[float], None] = time.sleep,
     ) -> Iterator[TrackedFrame]:
@@ -217,6 +230,9 @@ class Tracker:
         ----------
         frames : iterable of (time_s, measured_mm) or (time_s, measured_mm, actuator)
             In the order of time.
+        failed : callable of (float, TissueRegError), optional
+            Called with the time of a frame that cannot be registered and the reason; the replay goes on. Without it the
+            error is raised.
         clock : callable
             Returns the time now, s.
         wait : callable of float
@@ -232,23 +248,36 @@ class Tracker:
         ArgumentError, MarkerError, ShapeError, ConvergenceError, EnsembleError
             As `step`.
         """
+        called("failed", failed)
         offset: float | None = None
         for time_s, measured_mm, actuator in _each(frames):
             offset = clock() - time_s if offset is None else offset
             due = offset + time_s
             if clock() < due:
-                registered = self.poll()
-                if registered is not None:
-                    yield registered
+                yield from self._answer(clock, failed)
                 if (remaining := due - clock()) > 0.0:
                     wait(remaining)
-            self.push(measured_mm, time_s, actuator=actuator)
-        registered = self.poll()
-        if registered is not None:
-            yield registered
+            self._inbox.push(_Measured(measured_mm, time_s, actuator, due))
+        yield from self._answer(clock, failed)
 
-    def _tracked(self, measured_mm: Any, time_s: float, actuator: Any, skipped: int) -> TrackedFrame:
-        moment = real("time_s", time_s, unit="s")
+    def _answer(
+        self, clock: Callable[[], float], failed: Callable[[float, TissueRegError], None] | None
+    ) -> Iterator[TrackedFrame]:
+        """Register the frame that waits, if there is one and it can be registered."""
+        taken = self._inbox.take()
+        if taken is None:
+            return
+        try:
+            tracked = self._tracked(*taken, clock)
+        except CANNOT_BE_REGISTERED as error:
+            if failed is None:
+                raise
+            failed(taken[0].time_s, error)
+        else:
+            yield tracked
+
+    def _tracked(self, frame: "_Measured", skipped: int, clock: Callable[[], float]) -> TrackedFrame:
+        moment, actuator = real("time_s", frame.time_s, unit="s"), frame.actuator
         elapsed = math.inf
         if self._last is not None:
             elapsed = moment - self._last.time_s
@@ -258,11 +287,12 @@ class Tracker:
         simulated = self._simulated(actuator)
         field = None if simulated is None else finite_field(simulated.field, self._registrar.mesh)
         after = None if self._last is None else self._last.alone
-        alone = self._registrar.register(measured_mm, field, after=after)
+        alone = self._registrar.register(frame.measured_mm, field, after=after)
         result, gain = self._combined(alone, simulated, elapsed)
         widening = self._lineage.widening(self._layout.variance(alone), simulated)
         result = self._layout.widened(result, widening)
-        self._last = TrackedFrame(moment, result, alone, field, gain, widening, skipped)
+        latency_s = clock() - frame.since
+        self._last = TrackedFrame(moment, result, alone, field, gain, widening, skipped, latency_s)
         if self._restart is not None and simulated is not None:
             moved_on = self._restart.registered(simulated, result.displacement, actuator)
             if moved_on and not self._lineage.goes_on(self._layout.variance(alone), simulated):

@@ -1,0 +1,273 @@
+"""What every command that registers a body takes: its mesh, frames, targets and beliefs, and how to register."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+
+from tissuereg.cli.common import note
+from tissuereg.cli.options import UsageError, finite_number, positive_number, whole_number
+from tissuereg.errors import MeshError
+
+if TYPE_CHECKING:
+    from tissuereg.inputs import RegisterSettings
+    from tissuereg.load import Load
+    from tissuereg.material import Material
+    from tissuereg.mesh import Mesh
+
+#: Accelerations below this, in mm/s^2, are refused: they were probably given in m/s^2.
+_LEAST_GRAVITY = 20.0
+
+
+class _FrameOption(argparse.Action):
+    """``--frame``: frame of the mesh; with its former values ``known`` and ``drifts`` it sets ``--tracker`` instead."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> None:
+        setattr(namespace, "tracker" if values in ("known", "drifts") else "frame", values)
+
+
+def add_body_options(more: Any, tables: str) -> None:
+    """Add the options for frames, targets, held nodes and noise.
+
+    Parameters
+    ----------
+    more : argparse argument group
+        Of the command.
+    tables : str
+        The tables that ``--tables-frame`` is of.
+    """
+    text = (
+        "LPS or RAS: frame of MESH, of tables and of the answer; points of 3D Slicer in the other one are converted "
+        "(default: numbers as they are, and the frame of the first such file); the values of --tracker are accepted too"
+    )
+    choices = ["LPS", "RAS", "known", "drifts"]
+    more.add_argument("--frame", action=_FrameOption, choices=choices, metavar="LPS|RAS", help=text)
+    text = f"frame of the tables {tables}, where it is not --frame"
+    more.add_argument("--tables-frame", choices=["LPS", "RAS"], help=text)
+    text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
+    more.add_argument("--targets", metavar="FILE", help=text)
+    text = (
+        "held nodes: 'plane nx ny nz d [tol]' (within tol mm of n . x = d mm), 'ball x y z r' (of the surface, "
+        "within r mm), or the name of a node set"
+    )
+    more.add_argument("--fixed", metavar="RULE", help=text)
+    text = "noise of a marker coordinate without its own std_mm, in mm (default: 0.1)"
+    more.add_argument("--std", type=positive_number, metavar="MM", help=text)
+
+
+def add_belief_options(what: Any) -> None:
+    """Add the options for what is believed of the body and its load.
+
+    Parameters
+    ----------
+    what : argparse argument group
+        Of the command.
+    """
+    text = "whether the node set 'fixed' is held for sure, perhaps, or not at all (default: sure)"
+    what.add_argument("--held", choices=["sure", "perhaps", "free"], help=text)
+    text = "whether the tracker is known to have kept its place relative to the supports, or drifts (default: known)"
+    what.add_argument("--tracker", choices=["known", "drifts"], help=text)
+    text = "graded: softer towards one side, by an amount that is estimated from the markers (default: believed)"
+    what.add_argument("--stiffness", choices=["believed", "graded"], help=text)
+    text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body (default: 10)"
+    what.add_argument("--young", type=positive_number, metavar="KPA", help=text)
+    what.add_argument("--poisson", type=finite_number, metavar="NU", help="Poisson's ratio (default: 0.45)")
+    text = (
+        "acceleration in mm/s^2, in the frame of MESH, that acts now and did not on MESH, e.g. '0 0 -9810'; of a body "
+        "that was imaged in gravity, the difference"
+    )
+    what.add_argument("--gravity", type=_acceleration, metavar="'GX GY GZ'", help=text)
+    text = "density in g/cm^3, with --gravity (default: 1)"
+    what.add_argument("--density", type=positive_number, metavar="RHO", help=text)
+
+
+def add_method_options(how: Any) -> None:
+    """Add the options for the model and the method.
+
+    Parameters
+    ----------
+    how : argparse argument group
+        Of the command.
+    """
+    text = "folder of a trained model, or 'phantom' for the one that is shipped (default: unknown contacts)"
+    how.add_argument("--model", metavar="DIR", help=text)
+    text = "elements of the simulations (default: auto, those that suit the mesh)"
+    choices = ["auto", "tet4", "tet4-averaged", "tet10"]
+    how.add_argument("--element", choices=choices, default="auto", help=text)
+    how.add_argument("--polish", action="store_true", help="with a model: make its answer an equilibrium")
+    text = "with a model: an ensemble, or the most probable answer with its Gaussian (default: esmda)"
+    how.add_argument("--update", choices=["esmda", "gauss-newton"], help=text)
+    how.add_argument(
+        "--members", type=whole_number(8), metavar="N", help="ensemble members, with a model (default: 200)"
+    )
+    how.add_argument("--steps", type=whole_number(1), metavar="N", help="assimilation steps, with a model (default: 5)")
+
+
+def method_of(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of `register`, and of `Registrar`, that say how to register.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    dict
+        By name; those that were not given are left out.
+    """
+    chosen = {"held": args.held, "frame": args.tracker, "stiffness": args.stiffness}
+    return {
+        "model": args.model,
+        "polish": args.polish,
+        **{name: value for name, value in chosen.items() if value is not None},
+        "seed": args.seed or 0,
+        "threads": args.threads,
+        "settings": _settings(args),
+    }
+
+
+def _settings(args: argparse.Namespace) -> "RegisterSettings":
+    from tissuereg.inputs import RegisterSettings
+
+    settings = RegisterSettings()
+    chosen = {"update": args.update, "n_members": args.members, "n_steps": args.steps}
+    return replace(settings, **{name: value for name, value in chosen.items() if value is not None})
+
+
+def frames_of(args: argparse.Namespace, files: Sequence[str | Path | None]) -> dict[str, str | None]:
+    """Return the frame of the answer and that of tables; note the first if it is that of a file of 3D Slicer.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+    files : sequence of path-like or None
+        Files that may be points of 3D Slicer; the first one that is counts.
+
+    Returns
+    -------
+    dict
+        ``frame`` and ``table_frame``, as readers take them.
+
+    Raises
+    ------
+    UsageError
+        If options do not go together.
+    """
+    from tissuereg.io.point_files import frame_of_files
+
+    if args.tables_frame is not None and args.frame is None:
+        refuse("--tables-frame must come with --frame", "--tables-frame")
+    if args.frame is not None:
+        return {"frame": args.frame, "table_frame": args.tables_frame}
+    chosen = frame_of_files([path for path in files if path is not None])
+    if chosen is None:
+        return {"frame": None, "table_frame": None}
+    note(f"MESH is taken to be in {chosen[0]}, the frame of {chosen[1]}; set --frame to change that")
+    return {"frame": chosen[0], "table_frame": None}
+
+
+def read_body(args: argparse.Namespace, path: str) -> "Mesh":
+    """Return the body, of which something is held if something must be.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+    path : str
+        The mesh file.
+
+    Returns
+    -------
+    Mesh
+        In the frame of the file.
+
+    Raises
+    ------
+    FormatError, MeshError
+        If the file cannot be used, or nothing is held.
+    """
+    from tissuereg.io.meshes import read_mesh
+
+    mesh = read_mesh(path, fixed=args.fixed)
+    if args.model is None and (args.held == "free" or "perhaps_fixed" in mesh.node_sets):
+        return mesh
+    try:
+        _ = mesh.fixed_nodes  # raises at once if nothing is held
+    except MeshError as error:
+        error.args = (f"{path}: {error}; name the held nodes with --fixed, or use --held free",)
+        raise
+    return mesh
+
+
+def beliefs_of(args: argparse.Namespace, simulation: str) -> dict[str, Any]:
+    """Return the believed material and load, as far as they are given.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+    simulation : str
+        Name of the option for a simulation, which gravity must not come with.
+
+    Returns
+    -------
+    dict
+        ``material`` and ``load``, or less.
+
+    Raises
+    ------
+    UsageError
+        If options do not go together.
+    MaterialError
+        If a modulus or a density is out of its range.
+    """
+    if args.density is not None and args.gravity is None:
+        refuse("--density must come with --gravity", "--density")
+    if args.gravity is not None and getattr(args, simulation.strip("-")) is not None:
+        refuse(f"--gravity must be left out with {simulation}, which holds what acts", "--gravity")
+    material = _material(args)
+    beliefs: dict[str, Any] = {} if material is None else {"material": material}
+    if args.gravity is not None and material is not None:
+        beliefs["load"] = _weight(material, args.gravity)
+    return beliefs
+
+
+def refuse(message: str, where: str) -> NoReturn:
+    """Raise a `UsageError`."""
+    raise UsageError(message, where=where)
+
+
+def _acceleration(text: str) -> tuple[float, ...]:
+    numbers = tuple(finite_number(word) for word in text.split())
+    if len(numbers) != 3:
+        message = f"must be three numbers, 'gx gy gz', got '{text}'"
+        raise argparse.ArgumentTypeError(message)
+    if np.linalg.norm(numbers) < _LEAST_GRAVITY:
+        message = f"must be in mm/s^2, of {_LEAST_GRAVITY:g} or more (that of the earth is 9810), got '{text}'"
+        raise argparse.ArgumentTypeError(message)
+    return numbers
+
+
+def _material(args: argparse.Namespace) -> "Material | None":
+    from tissuereg.material import Material
+
+    given = {"young": args.young, "poisson": args.poisson, "density": args.density}
+    known = {name: value for name, value in given.items() if value is not None}
+    return Material(**known) if known or args.gravity is not None else None
+
+
+def _weight(material: "Material", gravity: tuple[float, ...]) -> "Load":
+    from tissuereg.load import Load
+
+    return Load(body_force=material.weight(gravity, float(np.linalg.norm(gravity))))

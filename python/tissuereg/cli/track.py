@@ -1,0 +1,263 @@
+"""``tissuereg track``: a body frame after frame, from mesh and a recording of its markers."""
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tissuereg.cli.body_input import (
+    add_belief_options,
+    add_body_options,
+    add_method_options,
+    beliefs_of,
+    frames_of,
+    method_of,
+    read_body,
+)
+from tissuereg.cli.common import UNTRUSTED, Outcome, Progress, Stopwatch, progress_bar
+from tissuereg.cli.options import add_common, command_parser, refuse_overwriting
+from tissuereg.cli.track_words import summary
+
+if TYPE_CHECKING:
+    from tissuereg._arrays import FloatArray
+    from tissuereg.errors import TissueRegError
+    from tissuereg.io.recordings import Recording
+    from tissuereg.tracking import TablePhysics, TrackedFrame, Tracker
+
+_DETAILS = (
+    "Registers a body frame after frame: each frame starts from what the last ones said. Input: MESH, as of "
+    "'register'; MARKERS (csv: time_s,marker,x_mm,y_mm,z_mm, in the order of time; a marker without a row, or with "
+    "empty cells, was not seen); and --reference, where the markers sit on the undeformed body (csv: "
+    "marker,x_mm,y_mm,z_mm[,std_mm], or points of 3D Slicer). Every frame is registered, as fast as possible; with "
+    "--live the recording is replayed at its own rate, and frames that come too fast are dropped for the newest one. "
+    "A frame in which no marker was seen is left out. DIR gets targets.csv and track.json, with --fields fields.npz "
+    "too, all or none. Exit code 0: nothing speaks against any frame; 4: written, but some frames are not to be "
+    "trusted or could not be registered; 2: bad usage or input; 3: no frame could be registered."
+)
+_EXAMPLE = """tissuereg track breast.vtu recording.csv --reference markers.csv --out tracked
+  tissuereg track breast.vtu recording.csv --reference sit.csv --model phantom --live --out tracked"""
+
+_TARGETS, _ANSWER, _FIELDS = "targets.csv", "track.json", "fields.npz"
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command's parser.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers action
+        Where to.
+    """
+    purpose = "register a body frame after frame, from a recording of its markers"
+    parser = command_parser(commands, "track", purpose, _DETAILS, _EXAMPLE)
+    parser.add_argument("path", metavar="MESH", help="mesh file")
+    parser.add_argument("recording", metavar="MARKERS.csv", help="table of the markers, frame after frame")
+    parser.add_argument(
+        "--reference", required=True, metavar="FILE", help="where the markers sit on the undeformed body"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument("--live", action="store_true", help="replay at the recorded rate (default: every frame)")
+    text = "write fields.npz too: times_s (k,), displacement_mm (k, n, 3) of the frames"
+    parser.add_argument("--fields", action="store_true", help=text)
+    more = parser.add_argument_group("more input")
+    text = "times_s (k,), displacement_mm (k, n, 3), predicted by any simulator; linear in time between them"
+    more.add_argument("--simulations", metavar="U.npz", help=text)
+    add_body_options(more, "MARKERS, --reference and --targets")
+    add_belief_options(parser.add_argument_group("what is believed"))
+    add_method_options(parser.add_argument_group("method"))
+    add_common(parser, seed="seed of all random numbers (default: 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Track and write.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed command line.
+
+    Returns
+    -------
+    Outcome
+        Schema ``tissuereg.track/1``; exit code 4 where a frame is not to be trusted or could not be registered.
+
+    Raises
+    ------
+    UsageError
+        If options do not go together, or an output would replace an input.
+    FormatError, MeshError, MarkerError, MaterialError
+        If a file cannot be used.
+    MarkerError, ConvergenceError, EnsembleError
+        Of the first frame, if no frame can be registered.
+    """
+    from tissuereg.io.atomic import check_folder_target
+
+    inputs = [args.path, args.recording, args.reference, args.simulations, args.targets]
+    refuse_overwriting([Path(args.out) / name for name in (_TARGETS, _ANSWER, _FIELDS)], inputs)
+    check_folder_target(args.out)
+    clock = Stopwatch()
+    tracker, recording, simulations = _read(args)
+    clock.lap("read")
+    if args.live:
+        _warm_up(tracker, recording, simulations)
+    clock.lap("prepare")
+    tracked = _Tracked(keeps_fields=args.fields)
+    with progress_bar("frames", quiet=args.quiet) as progress:
+        for frame in _answers(tracker, _moments(recording, simulations), args, tracked.failed):
+            tracked.add(frame)
+            _tell(progress, tracked, tracker, len(recording))
+    spent = clock.lap("track")
+    if not tracked.frames:
+        raise tracked.errors[0]
+    content = {
+        "schema": "tissuereg.track/1",
+        "seed": args.seed or 0,
+        "live": args.live,
+        "frames": tracked.frames,
+        "failed": tracked.failures,
+        "hz": len(tracked.frames) / spent,
+        "dropped_frames": tracker.dropped,
+    }
+    seconds = clock.seconds
+    _write(Path(args.out), {**content, "seconds": seconds}, tracked)
+    clock.lap("write")
+    content["seconds"] = clock.seconds
+    return Outcome(content, summary(content, args.out), args.threads, 0 if tracked.all_trusted else UNTRUSTED)
+
+
+def _read(args: argparse.Namespace) -> "tuple[Tracker, Recording, TablePhysics | None]":
+    from tissuereg.io.recordings import read_recording
+    from tissuereg.io.tables import read_reference, read_targets
+    from tissuereg.tracking import Tracker
+
+    frames = frames_of(args, [args.reference, args.targets])
+    beliefs = beliefs_of(args, "--simulations")
+    mesh = read_body(args, args.path)
+    if frames["frame"] is not None:
+        mesh = mesh.in_frame(frames["frame"])
+    markers = read_reference(args.reference, args.std, **frames)
+    recording = read_recording(args.recording, markers.names, **frames)
+    targets = None if args.targets is None else read_targets(args.targets, **frames)
+    simulations = None if args.simulations is None else _simulations(args, mesh.n_nodes, recording)
+    how = {"element": args.element, **beliefs, **method_of(args)}
+    return Tracker(mesh, markers, targets=targets, simulator=simulations, **how), recording, simulations
+
+
+def _simulations(args: argparse.Namespace, n_nodes: int, recording: "Recording") -> "TablePhysics":
+    from tissuereg.errors import FormatError
+    from tissuereg.io.problems import read_simulations
+    from tissuereg.tracking import TablePhysics
+
+    times, fields = read_simulations(args.simulations, n_nodes)
+    first, last = recording.times[0], recording.times[-1]
+    if not times[0] <= first <= last <= times[-1]:
+        message = (
+            f"the times of {args.simulations} must cover the recording, from {first:g} to {last:g} s; they go from "
+            f"{times[0]:g} to {times[-1]:g} s"
+        )
+        raise FormatError(message, where=args.simulations)
+    return TablePhysics(times, fields)
+
+
+def _moments(
+    recording: "Recording", simulations: "TablePhysics | None"
+) -> "Iterator[tuple[float, FloatArray, float | None]]":
+    """Return the frames of a recording; the state of a table's actuator is the time."""
+    for time_s, measured in recording:
+        yield time_s, measured, None if simulations is None else time_s
+
+
+def _warm_up(tracker: "Tracker", recording: "Recording", simulations: "TablePhysics | None") -> None:
+    """Register one frame and forget it: what a first frame makes for all is not part of a replay."""
+    from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
+
+    time_s, measured, actuator = next(_moments(recording, simulations))
+    with suppress(*CANNOT_BE_REGISTERED):
+        tracker.step(measured, time_s, actuator=actuator)
+    tracker.reset()
+
+
+def _answers(
+    tracker: "Tracker", moments: Any, args: argparse.Namespace, failed: "Callable[[float, TissueRegError], None]"
+) -> "Iterator[TrackedFrame]":
+    if args.live:
+        yield from tracker.run(moments, failed=failed)
+        return
+    for moment in moments:
+        if _registered(tracker, moment, failed) and tracker.last is not None:
+            yield tracker.last
+
+
+def _registered(
+    tracker: "Tracker",
+    moment: "tuple[float, FloatArray, float | None]",
+    failed: "Callable[[float, TissueRegError], None]",
+) -> bool:
+    """Register one frame; return whether it could be registered."""
+    from tissuereg.tracking.tracker import CANNOT_BE_REGISTERED
+
+    time_s, measured, actuator = moment
+    try:
+        tracker.step(measured, time_s, actuator=actuator)
+    except CANNOT_BE_REGISTERED as error:
+        failed(time_s, error)
+        return False
+    return True
+
+
+@dataclass
+class _Tracked:
+    """What was found, as it is written."""
+
+    keeps_fields: bool
+    frames: list[dict[str, Any]] = field(default_factory=list)
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    errors: "list[TissueRegError]" = field(default_factory=list)
+    fields: "list[FloatArray]" = field(default_factory=list)
+
+    def add(self, frame: "TrackedFrame") -> None:
+        result = frame.registration
+        trust = result.trust
+        self.frames.append(
+            {
+                "time_s": frame.time_s,
+                "targets": {name: target.to_json() for name, target in result.targets.items()},
+                "markers_rms_mm": result.markers.after_rms_mm,
+                "markers_used": len(result.markers.used),
+                "trust": {"ok": trust.ok, "p_value": trust.p_value, "reasons": list(trust.reasons)},
+                "latency_ms": 1e3 * frame.latency_s,
+                "skipped": frame.skipped,
+            }
+        )
+        if self.keeps_fields:
+            self.fields.append(result.displacement)
+
+    def failed(self, time_s: float, error: "TissueRegError") -> None:
+        self.failures.append({"time_s": time_s, "reason": str(error)})
+        self.errors.append(error)
+
+    @property
+    def all_trusted(self) -> bool:
+        return not self.failures and all(frame["trust"]["ok"] for frame in self.frames)
+
+
+def _tell(progress: Progress | None, tracked: _Tracked, tracker: "Tracker", in_all: int) -> None:
+    if progress is not None:
+        progress(len(tracked.frames) + len(tracked.failures) + tracker.dropped, in_all)
+
+
+def _write(out: Path, content: dict[str, Any], tracked: _Tracked) -> None:
+    """Write all files or none."""
+    from tissuereg.io.atomic import atomic_folder
+    from tissuereg.io.json import write_json
+    from tissuereg.io.problems import write_simulations
+    from tissuereg.io.tables import write_tracked_targets
+
+    with atomic_folder(out) as draft:
+        write_json(draft / _ANSWER, content)
+        write_tracked_targets(draft / _TARGETS, [(frame["time_s"], frame["targets"]) for frame in tracked.frames])
+        if tracked.keeps_fields:
+            write_simulations(draft / _FIELDS, [frame["time_s"] for frame in tracked.frames], tracked.fields)

@@ -1,0 +1,296 @@
+"""``tissuereg track``: a recording frame after frame, what it writes, and what it refuses."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import tissuereg as tr
+from support.files import run, run_json
+from support.meshes import block
+from support.slicer import write_mrk
+from support.small_model import SMALL_MODEL
+from tissuereg.errors import EnsembleError
+from tissuereg.io import tables
+from tissuereg.io.atomic import OutputError
+from tissuereg.io.meshes import write_vtu
+from tissuereg.io.problems import read_simulations, write_simulations
+from tissuereg.tracking import TablePhysics
+
+BODY = tr.phantom.phantom_mesh("small")
+PLACES = BODY.nodes[np.setdiff1d(BODY.surface_nodes, BODY.fixed_nodes)[::60]]
+NAMES = [f"P{i + 1}" for i in range(len(PLACES))]
+TIMES = [0.0, 0.025, 0.05, 0.1]
+HEADER = "time_s,marker,x_mm,y_mm,z_mm\n"
+
+
+def leaning(time_s):
+    """A field that grows with time and vanishes where the body is held."""
+    return np.c_[0.2 * (1.0 + 10.0 * time_s) * BODY.nodes[:, 2] / 10.0, np.zeros((BODY.n_nodes, 2))]
+
+
+def measured(time_s):
+    held = np.setdiff1d(BODY.surface_nodes, BODY.fixed_nodes)[::60]
+    return PLACES + leaning(time_s)[held]
+
+
+def rows_of(time_s, places, names=NAMES):
+    return [f"{time_s},{name},{x},{y},{z}\n" for name, (x, y, z) in zip(names, places.tolist(), strict=True)]
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    """A body, a recording in which two markers are not seen at the second time, and simulations."""
+    write_vtu(tmp_path / "body.vtu", BODY)
+    reference = [f"{name},{x},{y},{z}\n" for name, (x, y, z) in zip(NAMES, PLACES.tolist(), strict=True)]
+    (tmp_path / "reference.csv").write_text("marker,x_mm,y_mm,z_mm\n" + "".join(reference))
+    rows = [row for time_s in TIMES for row in rows_of(time_s, measured(time_s))]
+    second = len(NAMES)
+    rows[second] = f"{TIMES[1]},{NAMES[0]},,,\n"
+    del rows[second + 1]
+    (tmp_path / "recording.csv").write_text(HEADER + "".join(rows))
+    (tmp_path / "targets.csv").write_text("target,x_mm,y_mm,z_mm\nlesion,5,5,20\n")
+    write_simulations(tmp_path / "simulations.npz", [0.0, 0.06, 0.1], [0.8 * leaning(t) for t in (0.0, 0.06, 0.1)])
+    return tmp_path
+
+
+def track(capsys, folder, *words, out="out"):
+    files = [folder / "body.vtu", folder / "recording.csv", "--reference", folder / "reference.csv"]
+    return run_json(capsys, "track", *files, "--out", folder / out, "--quiet", *words)
+
+
+def with_model(folder):
+    return ["--model", SMALL_MODEL, "--members", 40, "--targets", folder / "targets.csv"]
+
+
+def recorded():
+    """Return the frames of the recording, those that were not seen NaN."""
+    frames = [measured(time_s) for time_s in TIMES]
+    frames[1][:2] = np.nan
+    return frames
+
+
+def tracker(**changed):
+    settings = tr.RegisterSettings(n_members=40)
+    how = {"names": NAMES, "settings": settings, **changed}
+    return tr.Tracker(BODY, PLACES, SMALL_MODEL, {"lesion": (5.0, 5.0, 20.0)}, **how)
+
+
+def test_the_answers_are_those_of_a_tracker(inputs, capsys):
+    code, said, _ = track(capsys, inputs, *with_model(inputs))
+    assert code in (0, 4)
+    plain = tracker()
+    for frame, time_s, seen in zip(said["frames"], TIMES, recorded(), strict=True):
+        result = plain.step(seen, time_s)
+        assert frame["time_s"] == time_s
+        # The table has as many digits as a float.
+        assert frame["targets"]["lesion"]["mean_mm"] == result.target("lesion").mean.tolist()
+        assert frame["markers_rms_mm"] == result.markers.after_rms_mm
+        assert frame["trust"] == {
+            "ok": result.trust.ok,
+            "p_value": result.trust.p_value,
+            "reasons": list(result.trust.reasons),
+        }
+        assert frame["skipped"] == 0
+        assert frame["latency_ms"] > 0.0
+    assert [frame["markers_used"] for frame in said["frames"]] == [len(NAMES), len(NAMES) - 2, len(NAMES), len(NAMES)]
+
+
+def test_it_tells_and_writes_all(inputs, capsys):
+    code, said, err = track(capsys, inputs, *with_model(inputs), "--fields", out="deep/out")
+    assert err == ""
+    assert set(said) >= {"schema", "seconds", "threads", "machine", "versions", "seed"}
+    assert said["schema"] == "tissuereg.track/1"
+    assert said["dropped_frames"] == 0
+    assert said["failed"] == []
+    assert said["hz"] == pytest.approx(len(TIMES) / said["seconds"]["track"])
+    assert code == (0 if all(frame["trust"]["ok"] for frame in said["frames"]) else 4)
+    out = inputs / "deep" / "out"
+    assert {file.name for file in out.iterdir()} == {"track.json", "targets.csv", "fields.npz"}
+    assert json.loads((out / "track.json").read_text())["frames"] == said["frames"]
+    with (out / "targets.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["time_s"]) for row in rows] == TIMES
+    assert {row["target"] for row in rows} == {"lesion"}
+    # A cell has nine digits.
+    found = [[float(row[f"moved_{axis}_mm"]) for axis in "xyz"] for row in rows]
+    np.testing.assert_allclose(found, [frame["targets"]["lesion"]["mean_mm"] for frame in said["frames"]], rtol=1e-8)
+    times, fields = read_simulations(out / "fields.npz", BODY.n_nodes)
+    assert times.tolist() == TIMES
+    assert fields.shape == (len(TIMES), BODY.n_nodes, 3)
+
+
+def test_simulations_are_linear_in_time(inputs, capsys):
+    words = [*with_model(inputs), "--simulations", inputs / "simulations.npz"]
+    _, said, _ = track(capsys, inputs, *words)
+    table = TablePhysics([0.0, 0.06, 0.1], [0.8 * leaning(t) for t in (0.0, 0.06, 0.1)])
+    known = tracker(simulator=table)
+    for frame, time_s, seen in zip(said["frames"], TIMES, recorded(), strict=True):
+        result = known.step(seen, time_s, actuator=time_s)
+        assert frame["targets"]["lesion"]["mean_mm"] == result.target("lesion").mean.tolist()
+        assert frame["targets"]["lesion"]["simulation_mm"] is not None
+
+
+def test_a_replay_drops_what_comes_too_fast_and_counts_it(inputs, capsys):
+    rows = [row for k in range(400) for row in rows_of(1e-5 * k, measured(1e-5 * k))]
+    (inputs / "recording.csv").write_text(HEADER + "".join(rows))
+    _, said, _ = track(capsys, inputs, *with_model(inputs), "--live")
+    # No computer registers within a hundredth of a millisecond; first and last frame are always registered.
+    assert said["dropped_frames"] > 0
+    assert said["live"] is True
+    assert len(said["frames"]) + said["dropped_frames"] == 400
+    assert sum(frame["skipped"] for frame in said["frames"]) == said["dropped_frames"]
+    assert said["frames"][-1]["time_s"] == pytest.approx(1e-5 * 399)
+
+
+def test_a_replay_takes_as_long_as_the_recording(inputs, capsys):
+    _, said, _ = track(capsys, inputs, *with_model(inputs), "--live")
+    assert said["seconds"]["track"] >= TIMES[-1]
+    assert said["hz"] <= len(TIMES) / TIMES[-1]
+
+
+def test_a_frame_without_any_marker_is_left_out_and_told(inputs, capsys):
+    unseen = [f"0.025,{name},,,\n" for name in NAMES]
+    seen = [rows_of(time_s, measured(time_s)) for time_s in (0.0, 0.05)]
+    # A replay never drops its first and last frames.
+    for words, rows in (([], [*seen[0], *unseen, *seen[1]]), (["--live"], [*seen[0], *unseen])):
+        (inputs / "recording.csv").write_text(HEADER + "".join(rows))
+        code, said, _ = track(capsys, inputs, *with_model(inputs), *words)
+        assert code == 4
+        assert [frame["time_s"] for frame in said["frames"]] == ([0.0] if words else [0.0, 0.05])
+        assert [frame["time_s"] for frame in said["failed"]] == [0.025]
+        assert "must have been seen" in said["failed"][0]["reason"]
+
+
+def test_if_no_frame_can_be_registered_nothing_is_written(inputs, capsys, monkeypatch):
+    (inputs / "recording.csv").write_text(HEADER + "".join(f"0.0,{name},,,\n" for name in NAMES))
+    code, said, _ = track(capsys, inputs, *with_model(inputs))
+    assert (code, said["error"]) == (2, "MarkerError")
+
+    def lost(*_, **__):
+        message = "two or more members must survive, one did"
+        raise EnsembleError(message, where="ensemble")
+
+    (inputs / "recording.csv").write_text(HEADER + "".join(rows_of(0.0, measured(0.0))))
+    monkeypatch.setattr(tr.Registrar, "register", lost)
+    code, said, _ = track(capsys, inputs, *with_model(inputs))
+    assert (code, said["error"]) == (3, "EnsembleError")
+    assert not (inputs / "out").exists()
+
+
+def test_a_fault_while_writing_leaves_nothing(inputs, capsys, monkeypatch):
+    def full(*_):
+        message = "no room"
+        raise OutputError(message, where="disk")
+
+    monkeypatch.setattr(tables, "write_tracked_targets", full)
+    code, said, _ = track(capsys, inputs, *with_model(inputs))
+    assert (code, said["error"]) == (2, "OutputError")
+    assert not (inputs / "out").exists()
+
+
+def test_without_a_model_contacts_are_searched(tmp_path, capsys):
+    mesh = block()
+    write_vtu(tmp_path / "body.vtu", mesh)
+    (tmp_path / "reference.csv").write_text("marker,x_mm,y_mm,z_mm\nP1,30,10,40\nP2,0,10,40\n")
+    rows = [f"{0.1 * k},P1,{30 + k},10,40\n{0.1 * k},P2,{k},10,40\n" for k in range(2)]
+    (tmp_path / "recording.csv").write_text(HEADER + "".join(rows))
+    code, said, _ = track(capsys, tmp_path)
+    assert code in (0, 4)
+    assert len(said["frames"]) == 2
+    assert said["frames"][-1]["markers_rms_mm"] < 0.5
+    assert said["frames"][-1]["targets"] == {}
+
+
+def test_the_reference_may_be_points_of_slicer_or_the_table_of_register(inputs, capsys):
+    _, table, _ = track(capsys, inputs, *with_model(inputs), "--frame", "LPS")
+    places = {name: tuple(place) for name, place in zip(NAMES, PLACES.tolist(), strict=True)}
+    write_mrk(inputs / "reference.mrk.json", places, "LPS")
+    rows = [f"{name},{x},{y},{z},,,,0.1\n" for name, (x, y, z) in places.items()]
+    (inputs / "moved.csv").write_text("marker,x_mm,y_mm,z_mm,moved_x_mm,moved_y_mm,moved_z_mm,std_mm\n" + "".join(rows))
+    for name in ("reference.mrk.json", "moved.csv"):
+        words = ["--reference", inputs / name, "--frame", "LPS"]
+        _, said, _ = track(capsys, inputs, *with_model(inputs), *words, out=f"{name}-out")
+        assert [frame["targets"] for frame in said["frames"]] == [frame["targets"] for frame in table["frames"]]
+
+
+def test_a_recording_in_the_other_frame_is_turned(inputs, capsys):
+    _, plain, _ = track(capsys, inputs, *with_model(inputs), "--frame", "LPS")
+    for name in ("reference.csv", "recording.csv", "targets.csv"):
+        with (inputs / name).open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        for row in rows:
+            row.update({axis: repr(-float(row[axis])) for axis in ("x_mm", "y_mm") if row[axis]})
+        with (inputs / name).open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+    _, turned, _ = track(capsys, inputs, *with_model(inputs), "--frame", "LPS", "--tables-frame", "RAS")
+    assert [frame["targets"] for frame in turned["frames"]] == [frame["targets"] for frame in plain["frames"]]
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([], "at least one row below its header"),
+        (["0,P1,1,2,3\n", "0,Q,1,2,3\n"], "got 'Q' at"),
+        (["1,P1,1,2,3\n", "0.5,P1,1,2,3\n"], "time must not go back; 0.5 s at"),
+        (["0,P1,1,2,3\n", "0,P2,1,2,3\n", "0,P1,1,2,3\n"], "'P1' at"),
+        (["0,P1,1,2,three\n"], "must hold a finite number or empty"),
+        ([",P1,1,2,3\n"], "column 'time_s' must hold a finite number"),
+        (["0,P1,1,2\n"], "every row must have 5 cells"),
+    ],
+    ids=["empty", "unknown marker", "back in time", "twice", "no number", "no time", "short row"],
+)
+def test_a_spoilt_recording_is_refused_by_its_line(inputs, capsys, rows, message):
+    (inputs / "recording.csv").write_text(HEADER + "".join(rows))
+    code, said, err = track(capsys, inputs)
+    assert (code, said["error"]) == (2, "FormatError")
+    assert message in said["message"]
+    assert "recording.csv" in said["where"]
+    assert "Traceback" not in err
+    assert not (inputs / "out").exists()
+
+
+def test_simulations_must_cover_the_recording_and_ascend(inputs, capsys):
+    for times, message in (
+        ([0.0, 0.03, 0.06], "must cover the recording, from 0 to 0.1 s; they go from 0 to 0.06 s"),
+        ([0.0, 0.2, 0.1], "two or more ascending times"),
+    ):
+        write_simulations(inputs / "short.npz", times, [leaning(t) for t in times])
+        code, said, _ = track(capsys, inputs, "--simulations", inputs / "short.npz")
+        assert (code, said["error"]) == (2, "FormatError")
+        assert message in said["message"]
+
+
+def test_bad_words_exit_with_two(inputs, capsys):
+    files = [inputs / "body.vtu", inputs / "recording.csv"]
+    code, said, _ = run_json(capsys, "track", *files, "--out", inputs / "out")
+    assert (code, said["error"]) == (2, "UsageError")
+    assert "--reference" in said["message"]
+    gravity = ["--simulations", inputs / "simulations.npz", "--gravity", "0 0 -9810"]
+    for words, message in (
+        (["--reference", inputs / "none.csv"], "no such file"),
+        (gravity, "--gravity must be left out with --simulations"),
+        (["--tables-frame", "LPS"], "--tables-frame must come with --frame"),
+        (["--time", "3"], "--time"),
+    ):
+        code, said, _ = track(capsys, inputs, *words)
+        assert code == 2, words
+        assert message in said["message"]
+    (inputs / "out").mkdir()
+    (inputs / "recording.csv").rename(inputs / "out" / "targets.csv")
+    words = [inputs / "body.vtu", inputs / "out" / "targets.csv", "--reference", inputs / "reference.csv"]
+    code, said, _ = run_json(capsys, "track", *words, "--out", inputs / "out")
+    assert code == 2
+    assert "must not replace an input" in said["message"]
+
+
+def test_without_json_it_prints_a_summary(inputs, capsys):
+    files = [inputs / "body.vtu", inputs / "recording.csv", "--reference", inputs / "reference.csv"]
+    code, out, _ = run(capsys, "track", *files, *with_model(inputs), "--out", inputs / "out", "--quiet")
+    lines = out.splitlines()
+    assert lines[0].startswith("4 frames registered, 0 dropped, 0 failed, ")
+    assert lines[3].startswith("target lesion at 0.1 s: at (")
+    assert lines[-1].startswith("Nothing speaks against any frame." if code == 0 else "Not to be trusted: ")
