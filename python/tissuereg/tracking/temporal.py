@@ -13,7 +13,9 @@ simulated change may be off by a share k of itself, in frame after frame; d is i
 The rate of motion r and the size W of the noise are unknown: filters for many rates run side by side, and each counts
 by how well it has predicted the last frames (R. G. Brown and P. Y. C. Hwang, Introduction to Random Signals and
 Applied Kalman Filtering, 1992, section 9.3). A rate too small shows in innovations that keep their sign, one too
-large in innovations that change it.
+large in innovations that change it. Rates do not count by their probability alone, but by what it costs to miss them:
+the squared lag behind a motion grows with its rate, so each counts by probability times rate. Until the frames show
+that the body stands still, they count for themselves.
 
 On a body that is still, d_t = 0 and every filtered answer is a weighted mean of answers of single frames, with weights
 that are not negative and add up to one.
@@ -38,7 +40,7 @@ _MEMORY = 0.9
 _TOGETHER = 3.0
 
 #: So many frames does the stated noise of the tracker count as in the estimate of the noise.
-_STATED = 0.2
+_STATED = 0.5
 
 #: A filter less probable than this is of no use any more: it goes on from the mean of all.
 _LOST = 1e-6
@@ -117,10 +119,10 @@ class TemporalPrior:
 
     @property
     def weights(self) -> FloatArray:
-        """Probability of each of `RATES`, shape (n_rates,)."""
+        """How much each of `RATES` counts: probability times rate, adding up to one, shape (n_rates,)."""
         stated = _STATED * max(self._per_frame, 1.0)
         logs = -0.5 * (self._logs + (self._count + stated) * np.log(self._squares + stated * self.variance))
-        weights = np.exp(logs - logs.max())
+        weights = RATES * np.exp(logs - logs.max())
         return np.asarray(weights / weights.sum())
 
     def _weigh(self, innovations: FloatArray, total: FloatArray) -> None:
