@@ -419,7 +419,7 @@ def _rotations(correlation: FloatArray) -> FloatArray:
                 break
         half = 0.5 * (total * total - squares)
         below = half * total - det
-        cubic = np.einsum("ij...,kj...,kl...->il...", c, c, c, optimize=True)
+        cubic = np.einsum("ik...,kl...->il...", np.einsum("ij...,kj...->ik...", c, c), c)
         turned = ((half + squares) * c + total * cofactors - cubic) / below
         # Rounding grows with the inverse of this: below the limit singular values are closer.
         poor: BoolArray = np.asarray(~(below > _LEAST_BELOW * squares * total))

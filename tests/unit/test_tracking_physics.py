@@ -114,6 +114,38 @@ def test_a_first_guess_changes_no_answer():
     assert np.abs(cold.simulated(1.1).field - warm.simulated(1.1).field).max() < 1e-7
 
 
+class Straight:
+    """A simulation in proportion to the actuator, moved on by dead loads; it notes its first guesses."""
+
+    def __init__(self):
+        self.guesses = []
+
+    def field(self, actuator, *, start=None):
+        self.guesses.append(start)
+        return actuator * np.ones((4, 3))
+
+    def holding(self, displacement, actuator):
+        return displacement - actuator * np.ones((4, 3))
+
+    def held_field(self, actuator, forces, start):
+        self.guesses.append(start)
+        return actuator * np.ones((4, 3)) + forces
+
+
+def test_first_guesses_are_the_answers_where_actuators_move_evenly():
+    solver = Straight()
+    restart = Restart(solver, "forces", 0.1)
+    for share in (0.5, 1.0, 1.5, 1.55, 1.6):
+        solver.guesses.clear()
+        found = restart.simulated(share)
+        restart.registered(found, found.field + 0.3 * (share == 1.0), share)
+    # The last frame moved as the one before it, and the one before it too little for another registered state.
+    plain, held = solver.guesses
+    assert np.allclose(plain, 1.6, rtol=0.0, atol=1e-12)
+    assert np.allclose(held, found.field, rtol=0.0, atol=1e-12)
+    assert np.allclose(found.field, 1.9, rtol=0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize("how", ["forces", "displacement", "guess", "reference"])
 def test_the_change_is_that_of_the_actuators_alone(how):
     solver = physics()

@@ -103,6 +103,7 @@ class Restart:
         self._last_field: FloatArray | None = None
         self._last_shape: FloatArray | None = None
         self._last_plain: FloatArray | None = None
+        self._plain_before: FloatArray | None = None
 
     def simulated(self, actuator: Any) -> Simulated:
         """Return the simulation of the next frame; nothing is remembered of it before `registered`.
@@ -122,7 +123,7 @@ class Restart:
         ConvergenceError
             If the simulation finds no equilibrium.
         """
-        start = {"reference": None, "guess": self._last_shape}.get(self.how, self._last_plain)
+        start = {"reference": None, "guess": self._last_shape}.get(self.how, self._expected_plain())
         plain = self._physics.field(actuator, start=start)
         field = plain if self._carried is None else self._carried_on(self._carried, actuator, plain)
         before = field if self._last_field is None else self._last_field
@@ -145,6 +146,7 @@ class Restart:
         bool
             Whether this frame's registered state is carried on from now on.
         """
+        self._plain_before = self._last_plain
         self._last_field, self._last_shape, self._last_plain = simulated.field, displacement, simulated.plain
         self._origin = simulated.field if self._origin is None else self._origin
         moved = _rms(simulated.field - self._origin)
@@ -159,6 +161,18 @@ class Restart:
         self._carried = None
         self._origin = self._last_field = self._last_plain
 
+    def _expected_plain(self) -> FloatArray | None:
+        """Return a first guess with nothing carried on: the actuators move on as they did."""
+        if self._last_plain is None or self._plain_before is None:
+            return self._last_plain
+        return 2.0 * self._last_plain - self._plain_before
+
+    def _expected(self, carried: _Carried, plain: FloatArray) -> FloatArray:
+        """Return a first guess from a registered state: it changes as the simulation with nothing carried on does."""
+        if self._last_field is None or self._last_plain is None:
+            return np.asarray(carried.displacement + plain - carried.plain)
+        return np.asarray(self._last_field + plain - self._last_plain)
+
     def _carried_on(self, carried: _Carried, actuator: Any, plain: FloatArray) -> FloatArray:
         """Return the simulation from a registered state, given the one with nothing carried on."""
         moved = plain - carried.plain
@@ -166,8 +180,7 @@ class Restart:
             try:
                 if carried.forces is None:
                     carried.forces = self._physics.holding(carried.displacement, carried.actuator)
-                start = carried.displacement if self._last_field is None else self._last_field
-                held = self._physics.held_field(actuator, carried.forces, start)
+                held = self._physics.held_field(actuator, carried.forces, self._expected(carried, plain))
             except (ConvergenceError, LoadError):
                 held = None
             if held is not None and _rms(held - carried.displacement - moved) <= max(self._noise_mm, _rms(moved)):
