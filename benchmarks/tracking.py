@@ -1,10 +1,13 @@
-"""What restarts a tracked simulation, what the frames before are worth -> results/tracking.json, docs/tracked.md.
+"""What restarts a tracked simulation, what the frames before are worth, and how fast it is -> docs/tracked.md.
 
-    python benchmarks/tracking.py [--seeds N] [--contacts-seeds N] [--truth FILE] [--threads N] [--page]
+    python benchmarks/tracking.py [--seeds N] [--contacts-seeds N] [--truth FILE] [--threads N]
+    python benchmarks/tracking.py --rate [--truth FILE] [--threads N]
+    python benchmarks/tracking.py --page
 
 The phantom is pushed in equal steps and then held. Its truth is that of `solve_truth`: ten-node elements, another
 modulus, a stiff lesion, pushes larger and rotated. ``--truth`` names a file in which the true fields are kept between
-runs; ``--page`` writes the page again from the archive.
+runs. ``--rate`` replays a push, a rest and a release in real time, which needs a machine that does nothing else;
+``--page`` writes the page again from the archives.
 """
 
 import argparse
@@ -19,13 +22,15 @@ from typing import Any
 import numpy as np
 
 import tissuereg as tr
+from tissuereg._machine import machine, n_cores, versions
 from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom import event as phantom_event
-from tissuereg.tracking import FemPhysics, TablePhysics
+from tissuereg.tracking import FemPhysics, TablePhysics, fitted_prior
 from tissuereg.tracking.restart import RESTARTS
 
 ROOT = Path(__file__).resolve().parents[1]
 ARCHIVE = ROOT / "benchmarks" / "results" / "tracking.json"
+RATE_ARCHIVE = ROOT / "benchmarks" / "results" / "tracking-rate.json"
 PAGE = ROOT / "docs" / "tracked.md"
 
 #: Frames in motion and at rest, frames a second, values of the push at which truth and tables are solved.
@@ -35,32 +40,39 @@ N_MOVING, N_STILL, HZ, N_KNOTS = 10, 10, 40, 9
 N_CONTACTS_MOVING = 5
 STD_MM = 0.1
 
+#: Frames of the replay: pushed, held, released.
+N_REPLAYED = (40, 40, 40)
+
+#: Largest node displacement of a usual change of the fitted prior, mm: about what the simulation is off by at last.
+LARGEST_CHANGE_MM = 3.0
+
 #: Sets of markers with which choices were made; figures of the page are of the later ones.
 N_DEVELOPMENT = 3
 LESION = np.asarray(phantom_event.LESION_MM)
 
 HEAD = """# Tracking: what the frames before are worth
 
-Written by `python benchmarks/tracking.py` from `benchmarks/results/tracking.json`; edit neither. How it works:
-[tracking](tracking.md).
+Written by `python benchmarks/tracking.py` from `benchmarks/results/tracking.json` and `tracking-rate.json`; edit none.
+How it works: [tracking](tracking.md).
 
 The phantom is pushed in {n_moving} equal steps at {hz} Hz and then held for {n_still} frames. The believed simulation
 has four-node elements, a wrong modulus, no lesion, and pushes that are too small and rotated; the truth has ten-node
 elements and a stiff lesion. 15 markers with noise of {std} mm. Errors are distances in mm, means over frames and
 random sets of markers: at the lesion, and at the nodes of the body. The filter and the default restart were chosen with
-sets 0 to {last_development}; tables are of the sets after them, where they do not say otherwise. *Alone*: the answers of the frames before
-the temporal prior. *90 %*: share of frames whose 90 % region holds the lesion.
+sets 0 to {last_development}; tables are of the sets after them, where they do not say otherwise. *Alone*: the answers
+of the frames before the temporal prior. *90 %*: share of frames whose 90 % region holds the lesion.
 """
 
 
 class Motion:
     """The phantom in motion: truth, measurements, and the believed simulation, all by the share of the push."""
 
-    def __init__(self, truth: tuple[Any, Any], seed: int, threads: int) -> None:
+    def __init__(self, truth: tuple[Any, Any], seed: int, threads: int, shares: Any = None) -> None:
         from scipy.interpolate import CubicSpline
 
         fine, self.mesh = phantom_event.truth_mesh(), phantom_event.phantom_mesh()
-        self.shares = np.r_[np.linspace(1.0 / N_MOVING, 1.0, N_MOVING), np.ones(N_STILL)]
+        steps = np.r_[np.linspace(1.0 / N_MOVING, 1.0, N_MOVING), np.ones(N_STILL)]
+        self.shares = steps if shares is None else shares
         knots = np.linspace(0.0, 1.0, N_KNOTS)
         fields, bodies = (CubicSpline(knots, one)(self.shares) for one in truth)
         self.bodies = bodies
@@ -186,8 +198,104 @@ def contacts(truth: tuple[Any, Any], seed: int, threads: int, tell: Callable[[st
     return {"frame by frame": single, "tracked": tracked(motion, tracker, frames)}
 
 
-def page(answer: dict[str, Any]) -> str:
-    """Return the page of an archive."""
+def replayed_trackers(motion: Motion, threads: int) -> dict[str, Callable[[], tr.Tracker]]:
+    """Return makers of the trackers that are timed, by name."""
+    targets = {"lesion": LESION}
+    how = {"std": STD_MM, "threads": threads}
+    few = {**how, "settings": tr.RegisterSettings(n_members=100)}
+
+    def of(model: Any, simulator: Any) -> tr.Tracker:
+        registrar = tr.Registrar(motion.mesh, motion.places, model, targets, **few)
+        return tr.Tracker(registrar, simulator=simulator)
+
+    def fitted() -> Any:
+        return fitted_prior(motion.mesh, motion.material, largest_mm=LARGEST_CHANGE_MM, threads=threads)
+
+    return {
+        "network, FEM": lambda: of("phantom", motion.fem),
+        "network, table": lambda: of("phantom", table_of(motion)),
+        "fitted prior, FEM": lambda: of(fitted(), motion.fem),
+        "fitted prior, table": lambda: of(fitted(), table_of(motion)),
+        "contacts": lambda: tr.Tracker(motion.mesh, motion.places, None, targets, material=motion.material, **how),
+    }
+
+
+def replayed(motion: Motion, tracker: tr.Tracker, **clock: Any) -> dict[str, Any]:
+    """Return latencies, drops and errors of a tracker on a replay at the recorded rate.
+
+    What the first frames make for all is made before. ``clock`` are the clock and the wait of `Tracker.run`.
+    """
+    known = tracker.simulator is not None
+    frames = [
+        (k / HZ, seen, float(share) if known else None)
+        for k, (seen, share) in enumerate(zip(motion.measured, motion.shares, strict=True))
+    ]
+    for time_s, seen, share in frames[:3]:
+        tracker.step(seen, time_s, actuator=share)
+    tracker.reset()
+    found = list(tracker.run(frames, **clock))
+    latency = np.array([frame.latency_s for frame in found])
+    lesion = [motion.of(round(frame.time_s * HZ), frame.registration)[0] for frame in found]
+    return {
+        "registered": len(found),
+        "dropped": tracker.dropped,
+        "hz": len(found) / (found[-1].time_s + found[-1].latency_s),
+        "latency_median_ms": 1e3 * float(np.median(latency)),
+        "latency_p99_ms": 1e3 * float(np.percentile(latency, 99)),
+        "lesion_mm": float(np.mean(lesion)),
+        "latency_ms": (1e3 * latency).tolist(),
+    }
+
+
+def rate(truth: tuple[Any, Any], threads: int, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Return the archive of all replays."""
+    pushed, held, released = N_REPLAYED
+    shares = np.r_[np.linspace(0.0, 1.0, pushed), np.ones(held), np.linspace(1.0, 0.0, released)]
+    motion = Motion(truth, 0, threads, shares)
+    load, rows = os.getloadavg()[0], {}
+    for name, make in replayed_trackers(motion, threads).items():
+        tell(f"replay: {name}")
+        rows[name] = replayed(motion, make())
+    return {
+        "schema": "tissuereg.tracking-rate/1",
+        "hz": HZ,
+        "frames": len(shares),
+        "std_mm": STD_MM,
+        "threads": threads or n_cores(),
+        "load_before": load,
+        "machine": machine(),
+        "versions": versions(),
+        "rows": rows,
+    }
+
+
+RATE_HEAD = """## In real time
+
+A push, a rest and a release, {frames} frames at {hz} Hz, replayed at that rate by `python benchmarks/tracking.py
+--rate` with `Tracker.run`. *Latency*: from a frame's time to its answer. *A second*: frames registered a second.
+*Lesion*: mean error at the frames' own times. *FEM*: simulated frame by frame from the registered state; *table*:
+precomputed fields.
+"""
+
+
+def rate_section(answer: dict[str, Any]) -> str:
+    """Return the part of the page on replays."""
+    lines = [
+        RATE_HEAD.format(**answer),
+        "| | latency, median | latency, 99 % | registered | dropped | a second | lesion |",
+        "|---|---|---|---|---|---|---|",
+        *(
+            f"| {name} | {row['latency_median_ms']:.1f} ms | {row['latency_p99_ms']:.1f} ms | {row['registered']} "
+            f"| {row['dropped']} | {row['hz']:.1f} | {row['lesion_mm']:.3f} mm |"
+            for name, row in answer["rows"].items()
+        ),
+        f"\n{_machine(answer)}\n",
+    ]
+    return "\n".join(lines)
+
+
+def page(answer: dict[str, Any], replays: dict[str, Any]) -> str:
+    """Return the page of the two archives."""
     head = HEAD.format(
         n_moving=answer["n_moving"],
         n_still=answer["n_still"],
@@ -210,7 +318,7 @@ def page(answer: dict[str, Any]) -> str:
         lines += _contacts(reported, n_moving)
         if reported is not development:
             lines += [f"\n{_sets(development)}, with which choices were made:\n", *_contacts(development, n_moving)]
-    lines.append(f"\n{_machine(answer)}\n")
+    lines += [f"\n{_machine(answer)}\n", rate_section(replays)]
     return "\n".join(lines)
 
 
@@ -248,8 +356,8 @@ def _work(studies: list[Any], n_moving: int) -> list[str]:
         seconds = np.median([one[name]["cpu_s"] for one in studies])
         lost = sum(one[name]["fallbacks"] for one in studies)
         lines.append(
-            f"| {name.removeprefix('restart: ')} | {gains[:, 1:n_moving].mean():.2f} | {gains[:, n_moving:].mean():.2f} "
-            f"| {lost} | {seconds:.3f} |"
+            f"| {name.removeprefix('restart: ')} | {gains[:, 1:n_moving].mean():.2f} "
+            f"| {gains[:, n_moving:].mean():.2f} | {lost} | {seconds:.3f} |"
         )
     return lines
 
@@ -285,7 +393,7 @@ def _row(title: str, parts: list[Any]) -> str:
 
 def _machine(answer: dict[str, Any]) -> str:
     busy = answer["load_before"] > 0.5
-    words = " The machine was busy with other work: processor times are too long." if busy else ""
+    words = " The machine was busy with other work: times are too long." if busy else ""
     return f"{answer['threads']} thread(s).{words}"
 
 
@@ -297,13 +405,17 @@ def main() -> None:
     parser.add_argument("--truth", type=Path)
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--page", action="store_true", help="write the page again from the archive")
+    parser.add_argument("--rate", action="store_true", help="replay in real time")
     given = parser.parse_args()
+
+    def tell(words: str) -> None:
+        print(words, file=sys.stderr, flush=True)
+
     if not given.page:
         load, truth = os.getloadavg()[0], true_fields(given.truth, given.threads)
-
-        def tell(words: str) -> None:
-            print(words, file=sys.stderr, flush=True)
-
+    if given.rate and not given.page:
+        _write(RATE_ARCHIVE, rate(truth, given.threads, tell))
+    elif not given.page:
         answer = {
             "schema": "tissuereg.tracking/1",
             "n_moving": N_MOVING,
@@ -322,8 +434,12 @@ def main() -> None:
                 answer["model"].append(study(truth, seed, given.threads, tell))
             if seed < given.contacts_seeds:
                 answer["contacts"].append(contacts(truth, seed, given.threads, tell))
-            ARCHIVE.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(page(json.loads(ARCHIVE.read_text(encoding="utf-8"))), encoding="utf-8")
+            _write(ARCHIVE, answer)
+    PAGE.write_text(page(*(json.loads(file.read_text(encoding="utf-8")) for file in (ARCHIVE, RATE_ARCHIVE))), "utf-8")
+
+
+def _write(path: Path, answer: dict[str, Any]) -> None:
+    path.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

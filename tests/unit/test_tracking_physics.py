@@ -114,6 +114,37 @@ def test_a_first_guess_changes_no_answer():
     assert np.abs(cold.simulated(1.1).field - warm.simulated(1.1).field).max() < 1e-7
 
 
+def test_a_load_that_stands_still_is_solved_once(monkeypatch):
+    solved = []
+    plain = tr.Simulator.solve
+    monkeypatch.setattr(tr.Simulator, "solve", lambda *a, **k: solved.append(1) or plain(*a, **k))
+    solver = physics()
+    first = solver.field(1.0)
+    forces = solver.holding(first, 0.9)
+    held = solver.held_field(1.0, forces, first)
+    assert len(solved) == 2
+    assert np.array_equal(solver.field(1.0, start=first), first)
+    assert np.array_equal(solver.held_field(1.0, forces, first), held)
+    assert len(solved) == 2
+    # Another load, dead load or start from rest is solved anew; what is returned may be changed.
+    solver.field(1.0, start=first)[:] = 0.0
+    assert np.array_equal(solver.field(1.0, start=first), first)
+    solver.field(1.1, start=first)
+    solver.held_field(1.0, 0.5 * forces, first)
+    solver.field(1.1)
+    assert len(solved) == 5
+
+
+def test_a_load_that_is_changed_in_place_is_another_one():
+    prescribed = np.zeros((len(MESH.fixed_nodes), 3))
+    load = tr.Load(prescribed=prescribed)
+    solver = FemPhysics(MESH, MATERIAL, threads=1, tolerance=1e-10)
+    before = solver.field(load)
+    prescribed[:, 0] = 0.5
+    # A body whose support is shifted is shifted.
+    assert np.allclose(solver.field(load, start=before), [0.5, 0.0, 0.0], rtol=0.0, atol=1e-6)
+
+
 class Straight:
     """A simulation in proportion to the actuator, moved on by dead loads; it notes its first guesses."""
 
