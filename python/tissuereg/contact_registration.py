@@ -136,7 +136,7 @@ def register_by_contacts(
     with clock.stage("spread"):
         spread = Spread(found.fit, found.material, settings, given.threads, found.further)
         known = known_of(given, found.fit, spread)
-    draw = Draws(found.fit, spread, found.material, given.seed, given.threads, found.further)
+    draw = Draws(found.fit, spread, found.material, given.seed, given.threads, found.further, found.moments)
     fields = None
     if believed.ensemble:
         with clock.stage("ensemble"):
@@ -148,12 +148,13 @@ def register_by_contacts(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A fit with the state from which its passes began, and the material and supports estimated before."""
+    """A fit with the state from which its passes began, the material and supports estimated before, and its moments."""
 
     fit: ContactFit
     start: Moment
     material: Material
     further: list[tuple[Cause, float]]
+    moments: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,8 +217,10 @@ class _Search:
         columns = carried.columns_for(passes.columns)
         if columns is None:
             return None
+        # Chains that go on do not repeat their random numbers: what they miss in one moment they find in a later one.
+        rng = np.random.default_rng([self.given.seed, 7, carried.moments])
         passes = replace(
-            passes, columns=columns, material=carried.material, before=carried.samples, kept=carried.tangent
+            passes, columns=columns, material=carried.material, rng=rng, before=carried.samples, kept=carried.tangent
         )
 
         def solve(coefficients: FloatArray) -> FloatArray:
@@ -238,7 +241,7 @@ class _Search:
         if min(fit.residual_rms) > max(self.settings.fit_limit, _MUCH_MORE * carried.residual):
             # The contacts of the moment before lead nowhere: look everywhere.
             return None
-        return _Found(fit, start, carried.material, carried.further)
+        return _Found(fit, start, carried.material, carried.further, carried.moments + 1)
 
 
 def fitting_element(mesh: Mesh, material: Material) -> str:

@@ -308,6 +308,21 @@ def test_a_replay_goes_on_after_a_frame_that_cannot_be_registered_if_it_is_told_
         list(tracker.run(frames, clock=clock, wait=clock.wait))
 
 
+def test_chains_that_go_on_do_not_repeat_their_random_numbers():
+    how = {"threads": 1, "settings": quick_contacts(), "std": STD, "material": BELIEVED}
+    alone = tr.Registrar(MESH, PLACES, None, TARGETS, **how)
+    seen, places = measured(1.0, np.random.default_rng(16)), []
+    for _ in range(2):
+        result, path = None, []
+        for _ in range(8):
+            result = alone.register(seen, after=result)
+            path.append(result.target("deep").mean)
+        places.append(path)
+    # The same from the same seed; and where one set of random numbers, again and again, would end, they go on.
+    assert np.array_equal(*places)
+    assert len(np.unique(np.round(places[0][3:], 9), axis=0)) == 5
+
+
 def test_contacts_go_on_from_the_last_frame_with_less_work():
     rng = np.random.default_rng(14)
     how = {"threads": 1, "settings": quick_contacts(), "std": STD, "material": BELIEVED}

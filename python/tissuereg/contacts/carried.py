@@ -39,6 +39,8 @@ class Carried:
         Other uncertain parameters, each with its standard deviation.
     residual : float
         Root mean square residual over standard deviations that was left.
+    moments : int
+        Moments through which the samples have gone on.
     """
 
     columns: Columns
@@ -48,6 +50,7 @@ class Carried:
     material: Material
     further: list[tuple[Cause, float]]
     residual: float
+    moments: int
 
     @classmethod
     def of(cls, draw: Draws, before: BoolArray, now: BoolArray) -> "Carried":
@@ -70,8 +73,9 @@ class Carried:
         every = np.zeros((len(wrong), len(before)), wrong.dtype)
         every[:, before] = wrong
         samples = (slots, levels, np.ascontiguousarray(every[:, now]))
+        left = min(fit.residual_rms)
         return cls(
-            fit.columns, fit.moment, samples, fit.tangent, draw.material, list(draw.further), min(fit.residual_rms)
+            fit.columns, fit.moment, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments
         )
 
     def columns_for(self, columns: Columns) -> Columns | None:

@@ -30,6 +30,8 @@ class Draws:
         Of the registration.
     further : sequence of (Cause, float)
         Uncertain parameters of the model beside the moduli, each with its standard deviation.
+    moments : int
+        Moments through which the samples have gone on, this one included.
     """
 
     fit: ContactFit
@@ -38,6 +40,7 @@ class Draws:
     seed: int
     threads: int
     further: Sequence[tuple[Cause, float]] = ()
+    moments: int = 1
 
     def __call__(self, count: int) -> FloatArray:
         """Return fields (count, n_nodes, 3) in the tracker's frame, mm.

@@ -33,8 +33,8 @@ RATES = 10.0 ** np.arange(-2.0, 7.0)
 #: Share by which a simulated change may be off.
 _CHANGE_OFF = 0.5
 
-#: Each frame, the record of past innovations counts by this factor: about ten frames are remembered.
-_MEMORY = 0.9
+#: Each frame, the record of past innovations counts by this factor: about five frames are remembered.
+_MEMORY = 0.8
 
 #: Registered places move together: so many of their components count as one independent number.
 _TOGETHER = 3.0
