@@ -21,7 +21,8 @@ class PositionBasedDynamics(Rival):
 
     The simulated shape of the moment is the one at rest: edges and tets keep its lengths and volumes, so that known
     loads need no counterpart in this model and markers that agree with the simulation change nothing. Nodes start
-    from the simulation plus the correction of the moment before, and constraints are met in turn (`_core.Pbd`).
+    from the simulation plus the correction of the moment before, go on by a share of its last change, as bodies with
+    mass do, and constraints are met in turn (`_core.Pbd`).
 
     Compliances follow from the material: ``L^2 / (E V_e)`` for an edge of length ``L`` with the volume ``V_e`` (a
     sixth of each tet around it), and ``V / K`` for a tet with the bulk modulus ``K``. A marker's is its variance over
@@ -36,7 +37,10 @@ class PositionBasedDynamics(Rival):
     n_iterations : int
         Rounds over all constraints a moment.
     density_g_cm3 : float
-        Density; masses hold nodes back a little from where they start.
+        Density that gives nodes their masses. It is a number of the method, not of the tissue: constraints of heavier
+        nodes are met in fewer rounds, but hold them back more from where the markers are.
+    momentum : float
+        Share of the correction's last change by which nodes go on, below 1.
 
     References
     ----------
@@ -51,12 +55,19 @@ class PositionBasedDynamics(Rival):
     remembers: ClassVar[bool] = True
 
     def __init__(
-        self, setting: Setting, *, energy_uj: float = 30.0, n_iterations: int = 100, density_g_cm3: float = 1.0
+        self,
+        setting: Setting,
+        *,
+        energy_uj: float = 30.0,
+        n_iterations: int = 100,
+        density_g_cm3: float = 30.0,
+        momentum: float = 0.9,
     ) -> None:
         super().__init__(setting)
         real("energy_uj", energy_uj, above=0.0, unit="uJ")
         real("density_g_cm3", density_g_cm3, above=0.0, unit="g/cm^3")
         self._n_iterations = whole("n_iterations", n_iterations, least=1)
+        self._momentum = real("momentum", momentum, least=0.0, below=1.0)
         mesh = setting.mesh
         young, poisson = (np.broadcast_to(v, mesh.n_tets) for v in Simulator(mesh).moduli(setting.material))
         inverse = 1.0 / (_KG_PER_MM3 * density_g_cm3 * _node_volumes(mesh))
@@ -72,17 +83,18 @@ class PositionBasedDynamics(Rival):
         self._particles: IntArray = feet.indices.reshape(setting.n_markers, -1).astype(np.int64)
         self._weights: FloatArray = feet.data.reshape(setting.n_markers, -1)
         self._compliance: FloatArray = setting.std_mm**2 / energy_uj
-        self._correction: FloatArray = np.zeros_like(mesh.nodes)
+        self.reset()
 
     def reset(self) -> None:
         """Forget earlier moments."""
-        self._correction = np.zeros_like(self._correction)
+        self._correction: FloatArray = np.zeros_like(self.setting.mesh.nodes)
+        self._change: FloatArray = np.zeros_like(self._correction)
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
         """Return the places that meet the constraints of one moment; see `Rival.register`."""
         moment = self.moment(measured_mm, simulation_mm)
         simulation, mesh, seen = moment.start_mm, self.setting.mesh, moment.seen
-        start = simulation + self._correction
+        start = simulation + self._correction + self._momentum * self._change
         # What a marker off the surface moves by besides its foot.
         besides = self._observation.predict(start[self._observation.nodes]) - self._feet @ start
         feet = (self._feet @ mesh.nodes)[seen] + moment.displacement_mm - besides[seen]
@@ -96,7 +108,8 @@ class PositionBasedDynamics(Rival):
             self.setting.frame_s,
             self._n_iterations,
         )
-        self._correction = places - mesh.nodes - simulation
+        correction = places - mesh.nodes - simulation
+        self._change, self._correction = correction - self._correction, correction
         return Estimate(places - mesh.nodes)
 
 
