@@ -185,3 +185,28 @@ def test_the_page_of_the_spread_is_that_of_its_archive():
     assert archive["sets"]["foreign"]["ours"]["coverage"]["0.90"][0] >= 0.80
     ours["coverage"]["0.90"][0] = 0.123
     assert script.page(archive) != kept
+
+
+def test_the_page_of_the_rivals_is_that_of_its_archive_and_of_their_defaults():
+    pages, script = loaded("tune_rivals_page"), loaded("tune_rivals")
+    answer = json.loads((BENCHMARKS / "results" / "rivals-tuning.json").read_text(encoding="utf-8"))
+    kept = (BENCHMARKS.parent / "docs" / "rivals-tuning.md").read_text(encoding="utf-8")
+    assert pages.page(answer) == kept
+    known = {}
+    for sweep in answer["sweeps"]:
+        key = sweep["method"], sweep["constant"]
+        known[key] = sweep["default"]
+        errors = dict(zip(sweep["values"], pages.errors_of(sweep), strict=True))
+        best = min(errors, key=errors.get)
+        chosen = errors[sweep["default"]]
+        assert chosen <= (1.0 + pages.TIE) * errors[best] or key in pages.REASONS, key
+        at_an_end = sweep["default"] in (sweep["values"][0], sweep["values"][-1])
+        flat = max(errors.values()) <= (1.0 + pages.TIE) * chosen
+        assert not at_an_end or flat or sweep["default"] == 0.0 or key in pages.REASONS, key
+    for method in script.b.RIVALS.values():
+        for constant, default in script.constants_of(method).items():
+            key = method.name, constant
+            assert key in known or key in pages.FIXED or constant == "spread", key
+            assert known.get(key, default) == default, key
+    answer["sweeps"][0]["sensor_mm"][0][0] += 1.0
+    assert pages.page(answer) != kept
