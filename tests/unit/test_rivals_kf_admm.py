@@ -5,9 +5,10 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
+from tissuereg import _core
 from tissuereg.baselines import KfAdmm, Setting
 from tissuereg.baselines.modal_filter import ModalFilter
-from tissuereg.baselines.modes import vibration_modes
+from tissuereg.baselines.modes import admm_modes, vibration_modes
 from tissuereg.errors import ArgumentError, LoadError
 from tissuereg.simulate.solve import Simulator
 
@@ -85,11 +86,30 @@ def test_modes_are_orthonormal_and_solve_their_equation(small):
     assert (modes.shapes[:, small.fixed_nodes] == 0.0).all()
 
 
-def test_few_modes_of_lanczos_are_the_first_of_all_modes(small):
+@pytest.mark.parametrize("modes", [vibration_modes, admm_modes])
+def test_few_modes_of_lanczos_are_the_first_of_all_modes(small, modes):
     material, masses = tr.Material(10.0, 0.45), masses_of(small)
-    few, every = vibration_modes(small, material, masses, 8), vibration_modes(small, material, masses, 10_000)
+    few, every = modes(small, material, masses, 8), modes(small, material, masses, 10_000)
     assert len(every.squares) == len(free_components(small))
     np.testing.assert_allclose(few.squares, every.squares[:8], rtol=1e-9)
+
+
+def test_modes_of_admm_are_those_of_its_global_step(small):
+    material, masses, dt = tr.Material(10.0, 0.45), masses_of(small), 0.01
+    modes = admm_modes(small, material, masses, 10_000)
+    weighted = modes.shapes * masses[None, :, None]
+    gram = np.einsum("jnx,knx->jk", weighted, modes.shapes)
+    np.testing.assert_allclose(gram, np.eye(len(gram)), atol=1e-10)
+    # One iteration from rest: z stays the rest shape, so that a small force moves x by (M + dt^2 D'W^2D)^-1 dt^2 f.
+    held = small.fixed_nodes
+    body = _core.AdmmBody(small.nodes, small.tets, held, *Simulator(small).moduli(material), density=1.0)
+    force = np.random.default_rng(5).standard_normal(small.nodes.shape)
+    body.set_state(np.zeros_like(small.nodes), np.zeros_like(small.nodes))
+    body.step(dt, 1, forces=1e-3 * force, prescribed=np.zeros((len(held), 3)))
+    amplitudes = dt**2 / (1.0 + dt**2 * modes.squares) * np.einsum("jnx,nx->j", modes.shapes, 1e-3 * force)
+    expected = np.einsum("j,jnx->nx", amplitudes, modes.shapes)
+    # The local step leaves the rest shape by what the small force moves.
+    np.testing.assert_allclose(body.displacement, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def pulled(mesh: tr.Mesh, young: float) -> np.ndarray:
@@ -178,7 +198,9 @@ def test_a_moment_whose_simulation_is_inside_out_is_held_by_the_forces_before(se
     np.testing.assert_array_equal(found.displacement_mm, expected.displacement_mm)
 
 
-@pytest.mark.parametrize("given", [{"n_modes": 0}, {"noise_mm": 0.0}, {"density_g_cm3": -1.0}, {"n_iterations": 0.5}])
+@pytest.mark.parametrize(
+    "given", [{"modes": "other"}, {"n_modes": 0}, {"noise_mm": 0.0}, {"density_g_cm3": -1.0}, {"n_iterations": 0.5}]
+)
 def test_a_tuning_constant_out_of_its_range_is_refused(seen, given):
     with pytest.raises(ArgumentError, match=next(iter(given))):
         KfAdmm(seen[0], **given)

@@ -7,12 +7,16 @@ import numpy as np
 from tissuereg import _core
 from tissuereg._arguments import real, whole
 from tissuereg._arrays import FloatArray
+from tissuereg._choice import check_choice
 from tissuereg.baselines.modal_filter import ModalFilter
-from tissuereg.baselines.modes import vibration_modes
+from tissuereg.baselines.modes import admm_modes, vibration_modes
 from tissuereg.baselines.rival import Estimate, Rival, Setting
-from tissuereg.errors import LoadError
+from tissuereg.errors import ArgumentError, LoadError
 from tissuereg.observe import MarkerObservation
 from tissuereg.simulate.solve import Simulator
+
+#: Modes by name.
+_MODES = {"admm": admm_modes, "elastic": vibration_modes}
 
 
 class KfAdmm(Rival):
@@ -33,6 +37,9 @@ class KfAdmm(Rival):
     ----------
     setting : Setting
         Body, markers, beliefs.
+    modes : {"admm", "elastic"}
+        Whether the filter's body is linear as ADMM's global step has it, ``M + dt^2 D' W^2 D``, or by the stiffness at
+        rest.
     n_modes : int
         Vibration modes that hold the covariance.
     noise_mm : float
@@ -46,6 +53,8 @@ class KfAdmm(Rival):
     ------
     SupportError
         If the body can move freely.
+    ArgumentError
+        If a constant is out of its range.
 
     References
     ----------
@@ -62,12 +71,14 @@ class KfAdmm(Rival):
         self,
         setting: Setting,
         *,
+        modes: str = "admm",
         n_modes: int = 150,
         noise_mm: float = 0.3,
         density_g_cm3: float = 1.0,
         n_iterations: int = 10,
     ) -> None:
         super().__init__(setting)
+        check_choice("modes", modes, tuple(_MODES), ArgumentError)
         whole("n_modes", n_modes, least=1)
         real("noise_mm", noise_mm, above=0.0, unit="mm")
         real("density_g_cm3", density_g_cm3, above=0.0, unit="g/cm^3")
@@ -78,16 +89,16 @@ class KfAdmm(Rival):
         held = mesh.fixed_nodes
         self._held = setting.held
         self._body = _core.AdmmBody(mesh.nodes, mesh.tets, self._held, *self._moduli, density=float(density_g_cm3))
-        modes = vibration_modes(mesh, setting.material, self._body.masses, n_modes, setting.threads)
-        self._shapes: FloatArray = modes.shapes.reshape(len(modes.shapes), -1)
-        reach = dt * dt / (1.0 + dt * dt * modes.squares)
+        slowest = _MODES[modes](mesh, setting.material, self._body.masses, n_modes, setting.threads)
+        self._shapes: FloatArray = slowest.shapes.reshape(len(slowest.shapes), -1)
+        reach = dt * dt / (1.0 + dt * dt * slowest.squares)
         # Mean square displacement of a node for forces of one.
         square = float(np.sum((reach[:, None] * self._shapes) ** 2)) / (mesh.n_nodes - len(held))
-        self._filter = ModalFilter(modes.squares, dt, noise_mm / np.sqrt(square))
+        self._filter = ModalFilter(slowest.squares, dt, noise_mm / np.sqrt(square))
         names = tuple(str(k) for k in range(setting.n_markers))
         self._observation = MarkerObservation(mesh, setting.reference_mm, names)
         weights = self._observation.points(mesh.n_nodes)[: setting.n_markers]
-        by_node = modes.shapes.transpose(1, 2, 0).reshape(mesh.n_nodes, -1)
+        by_node = slowest.shapes.transpose(1, 2, 0).reshape(mesh.n_nodes, -1)
         #: Displacement of the markers' feet by amplitudes, (n_markers, 3, n_modes).
         self._sensitivity: FloatArray = (weights @ by_node).reshape(setting.n_markers, 3, -1)
         self.reset()
