@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from support.meshes import block
 from support.small_model import SMALL_MODEL
 from tissuereg.errors import FormatError, ModelError, NoiseError
-from tissuereg.latent.calibrate import RehearsalSettings, calibrate, field_errors
+from tissuereg.latent.calibrate import RehearsalSettings, _folds, calibrate, field_errors
 from tissuereg.latent.calibration import Calibration, FieldErrors, Rehearsal
 from tissuereg.latent.calibration_file import write_calibration
 from tissuereg.latent.kinds import Kinds
@@ -314,3 +314,17 @@ def test_covariances_of_errors_are_those_of_the_fields_of_a_kind():
     # 400 x 12 numbers of variance 0.01 and 1: exact to 2 %; a twentieth is borrowed from both, in the size of each.
     assert np.trace(found[0]) / 12 == pytest.approx(0.01, rel=0.15)
     assert np.trace(found[1]) / 12 == pytest.approx(1.0, rel=0.10)
+
+
+def test_parts_of_rehearsals_are_runs_of_each_kind_and_hold_every_event_once():
+    kind = np.repeat([0, 1], [10, 43])
+    parts = _folds(kind)
+    assert sorted(np.concatenate([own for own, _ in parts])) == list(range(53))
+    for own, others in parts:
+        assert sorted([*own, *others]) == list(range(53))
+        for number, count in ((0, 2), (1, 43 / 5)):
+            rows = own[kind[own] == number]
+            assert abs(len(rows) - count) < 1.0
+            assert (np.diff(rows) == 1).all()
+    ((own, others),) = _folds(np.zeros(1, int))
+    assert own.tolist() == others.tolist() == [0]

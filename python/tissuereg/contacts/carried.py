@@ -74,9 +74,7 @@ class Carried:
         every[:, before] = wrong
         samples = (slots, levels, np.ascontiguousarray(every[:, now]))
         left = min(fit.residual_rms)
-        return cls(
-            fit.columns, fit.moment, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments
-        )
+        return cls(fit.columns, fit.moment, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments)
 
     def columns_for(self, columns: Columns) -> Columns | None:
         """Return the columns of the next moment with what was found; None if body or causes are others."""

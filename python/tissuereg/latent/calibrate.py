@@ -135,7 +135,7 @@ def calibrate(
     scales = Rehearsal(_SCALES, _equal(1, len(_SCALES)))
     made = Calibration(kinds, field_errors(missed, shares, _PATTERNS), scales)
     events = []
-    for own, others in _folds(len(unseen)):
+    for own, others in _folds(np.zeros(len(unseen), np.int64)):
         without = replace(made, errors=field_errors(missed[others], shares[others], _PATTERNS))
         events += [rehearsal.registered(without, None, unseen[row]) for row in own[own < how.n_events]]
     alone = rehearsal.outcome(events, scales)
@@ -155,7 +155,7 @@ def calibrate(
     n_forms = len(pairs) * len(_FACTORS)
     scales = Rehearsal(_CHANGE_SCALES, _equal(n_forms, len(_CHANGE_SCALES)))
     events = []
-    for own, others in _folds(len(truths)):
+    for own, others in _folds(kind):
         without = replace(made, anchored=scales, change=differences.change(others))
         events += [rehearsal.registered(without, simulations[row], truths[row]) for row in own for _ in again]
     return replace(made, anchored=rehearsal.outcome(events, scales))
@@ -424,10 +424,17 @@ def _regions(misfits: FloatArray) -> tuple[float, float | None]:
     return widening, low if excess(low) <= 0.0 else float(brentq(excess, low, high))
 
 
-def _folds(n_events: int) -> list[tuple[IntArray, IntArray]]:
-    """Return parts of events, each with the others: a covariance knows the events that it was made of too well."""
-    rows = np.arange(n_events)
-    parts = [(rows[rows % _FOLDS == part], rows[rows % _FOLDS != part]) for part in range(_FOLDS)]
+def _folds(kind: IntArray) -> list[tuple[IntArray, IntArray]]:
+    """Return parts of events of some kinds (n_events,), each with the others, in equal shares of every kind.
+
+    A covariance knows the events that it was made of too well. Parts are runs of consecutive events of a kind: those of
+    one body or one rig follow each other, and are in one part but where it ends.
+    """
+    part = np.empty(len(kind), np.int64)
+    for number in np.unique(kind):
+        own = np.flatnonzero(kind == number)
+        part[own] = np.arange(len(own)) * _FOLDS // len(own)
+    parts = [(np.flatnonzero(part == number), np.flatnonzero(part != number)) for number in range(_FOLDS)]
     # A single event has no others.
     return [(own, others if len(others) else own) for own, others in parts if len(own)]
 

@@ -406,8 +406,7 @@ class Contest:
         given |= {name for name, value in (("model", model), ("fields", fields)) if value is not None}
         self.methods = {name: method for name, method in methods.items() if method.needs <= given}
         self.left_out = tuple(name for name in methods if name not in self.methods)
-        trained = None if fields is None else len(fields)
-        self._kept = KeptRuns(keep, {"seed": seed, "training_fields": trained, "model": _mark(model), **self.facts})
+        self._kept = KeptRuns(keep, self._key_of)
         self._believed: dict[str, Believed] = {}
         self._runs: dict[tuple[str, str], list[Run]] = {}
 
@@ -418,6 +417,16 @@ class Contest:
         latents = 0 if self._model is None else self._model.n_latent
         facts = {name: card.get(name, "none") for name in ("kind", "source")}
         return {**facts, "n_nodes": self._mesh.n_nodes, "n_latent": latents}
+
+    def _key_of(self, name: str) -> dict[str, Any]:
+        """Return what the runs of a method depend on besides rig and condition."""
+        needs = self.methods[name].needs
+        key: dict[str, Any] = {"seed": self._seed, "n_nodes": self._mesh.n_nodes}
+        if "model" in needs:
+            key["model"] = _mark(self._model)
+        if "fields" in needs:
+            key["training_fields"] = len(self._fields)
+        return key
 
     def runs(self, rig: Rig, condition: Condition) -> list[Run]:
         """Return what every method did on a rig under a condition."""

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,14 +63,14 @@ class KeptRuns:
     ----------
     folder : path-like, optional
         Made where it is missing; without one nothing is kept.
-    key : mapping of str to object
-        What a run depends on besides rig, condition and method; a file of another key, or of other software, is not
-        taken.
+    key_of : callable of str -> mapping of str to object
+        What the runs of a method depend on besides rig and condition; a file of another key, or of other software, is
+        not taken.
     """
 
-    def __init__(self, folder: str | os.PathLike[str] | None, key: Mapping[str, Any]) -> None:
+    def __init__(self, folder: str | os.PathLike[str] | None, key_of: Callable[[str], Mapping[str, Any]]) -> None:
         self._folder = None if folder is None else place("keep", folder)
-        self._key = {**key, "version": __version__}
+        self._key_of_method = key_of
 
     def read(self, rig: Rig, condition: str, method: str) -> Run | None:
         """Return a run that is kept, or None."""
@@ -80,7 +80,7 @@ class KeptRuns:
         try:
             with open_npz(path) as file:
                 kept = json.loads(str(file.raw("facts")[()]))
-                if kept.pop("key") != self._key_of(rig):
+                if kept.pop("key") != self._key_of(rig, method):
                     return None
                 away = file.floats("inner_mm", None, None)
                 return Run(
@@ -98,7 +98,7 @@ class KeptRuns:
         if path is None:
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        facts = {name: getattr(run, name) for name in _FACTS} | {"key": self._key_of(rig)}
+        facts = {name: getattr(run, name) for name in _FACTS} | {"key": self._key_of(rig, run.method)}
         arrays = {name: getattr(run, name) for name in ("times_s", "sensor_mm", "inner_mm")}
         write_npz(path, {**arrays, "facts": json.dumps(facts)})
 
@@ -106,7 +106,8 @@ class KeptRuns:
         words = "".join(c if c.isalnum() else "-" for c in method)
         return None if self._folder is None else self._folder / f"{rig.name}--{condition}--{words}.npz"
 
-    def _key_of(self, rig: Rig) -> dict[str, Any]:
+    def _key_of(self, rig: Rig, method: str) -> dict[str, Any]:
         parts = (rig.reference_mm, rig.motion, rig.marker_levels_mm, rig.sensor_levels_mm, rig.inner_levels_mm)
         data = b"".join(np.ascontiguousarray(part).tobytes() for part in (*parts, rig.pad_forces, rig.strokes_mm))
-        return {**self._key, "rig_digest": hashlib.sha256(data).hexdigest()[:16]}
+        digest = hashlib.sha256(data).hexdigest()[:16]
+        return {**self._key_of_method(method), "version": __version__, "rig_digest": digest}

@@ -176,7 +176,7 @@ class FemPhysics:
     def _solved(self, which: str, load: Load, start: FloatArray | None) -> FloatArray:
         """Return the equilibrium under a load, or the last one of the same kind if that was the same load."""
         if which in self._kept and start is not None and _same(self._kept[which][0], load):
-            return self._kept[which][1].copy()
+            return np.array(self._kept[which][1])
         settings: dict[str, Any] = {"tolerance": self._tolerance, "threads": self._threads}
         try:
             found = self._simulator.solve(load, self._material, start=start, **settings).displacement
