@@ -54,9 +54,13 @@ class MarkerAdvice:
     def to_json(self) -> dict[str, Any]:
         """Return it as plain data."""
         rows = zip(self.targets, self.expected_mm.T, strict=True)
+        left = np.sqrt((self.expected_mm[1:] ** 2).mean(axis=1))
         return {
             "chosen": self.chosen.tolist(),
-            "places_mm": self.places_mm.tolist(),
+            "places": [
+                {**dict(zip(("x_mm", "y_mm", "z_mm"), map(float, place), strict=True)), "expected_std_mm": float(std)}
+                for place, std in zip(self.places_mm, left, strict=True)
+            ],
             "expected_mm": {name: errors.tolist() for name, errors in rows},
         }
 

@@ -254,19 +254,6 @@ def test_a_method_that_remembers_is_given_every_frame_and_others_the_scored_ones
     np.testing.assert_allclose(remembers.sensor_mm, [0.1, 0.9, 1.7], atol=0.03)
 
 
-class Remembers(Rigid):
-    """A method that lives on consecutive frames."""
-
-    name = "remembers"
-    remembers = True
-
-
-def test_a_method_that_lives_on_consecutive_frames_is_given_all_of_them(rig, mesh, monkeypatch):
-    monkeypatch.setattr(contests, "TOO_SLOW_S", -1.0)
-    contest = Contest([rig], mesh, methods={Remembers.name: Remembers}, threads=1)
-    assert contest.runs(rig, PLAIN)[0].frames == len(SHARES)
-
-
 def test_without_a_simulation_the_registrar_is_given_none(rig, mesh):
     model = NetworkModel(SMALL_MODEL, mesh, threads=1)
     believed = Believed(rig, mesh, 1)

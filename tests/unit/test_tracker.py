@@ -155,8 +155,8 @@ def test_a_table_needs_no_solver():
 
 def test_a_fitted_prior_is_made_once_for_all_frames_and_markers(monkeypatch):
     made = []
-    plain = fitted.linear_answers
-    monkeypatch.setattr(fitted, "linear_answers", lambda *a, **k: made.append(1) or plain(*a, **k))
+    plain = fitted.random_changes
+    monkeypatch.setattr(fitted, "random_changes", lambda *a, **k: made.append(1) or plain(*a, **k))
     model = fitted_prior(MESH, BELIEVED, largest_mm=3.0, n_events=20, n_latent=6, threads=1)
     tracker = tr.Tracker(MESH, PLACES, model, TARGETS, simulator=physics(), threads=1)
     rng = np.random.default_rng(5)

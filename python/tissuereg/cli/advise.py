@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg.cli.body_input import refuse
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
 from tissuereg.cli.options import (
-    UsageError,
     add_common,
     command_parser,
     positive_number,
@@ -22,9 +22,17 @@ if TYPE_CHECKING:
 _DETAILS = (
     "Chooses, of the places where a marker may sit, those that shrink the expected error at the targets most: one "
     "after another, each given those before it. What may happen is an ensemble of displacement fields: members of a "
-    "data set (--data), or draws of a trained model (--model). OUT.csv lists the places, the most telling first, with "
-    "the error that is expected once they are measured."
+    "data set (--data), draws of a trained model (--model), or else random pushes and pulls of MESH. DIR gets "
+    "markers.csv, the places, the most telling first, with the error that is expected once they are measured, and "
+    "advise.json, both or none."
 )
+
+
+#: Files of the answer.
+_TABLE, _ANSWER = "markers.csv", "advise.json"
+
+#: Largest displacement of a usual random push, mm, where none is given.
+_LARGEST_MM = 5.0
 
 
 def add_parser(commands: Any) -> None:
@@ -35,17 +43,23 @@ def add_parser(commands: Any) -> None:
     commands : argparse sub-parsers action
         Where to.
     """
-    example = "tissuereg advise markers --model phantom --targets targets.csv --out markers.csv"
+    example = "tissuereg advise markers body.vtu --targets targets.csv --out advice"
     parser = command_parser(commands, "advise", "say where the next markers should go", _DETAILS, example)
     parser.add_argument("what", metavar="markers", choices=["markers"], help="what is asked: markers")
+    text = "mesh file; with --data left out, with --model the phantom's by default"
+    parser.add_argument("path", metavar="MESH", nargs="?", help=text)
     text = "table target,x_mm,y_mm,z_mm, or points of 3D Slicer: inner points in the undeformed body"
     parser.add_argument("--targets", metavar="FILE", required=True, help=text)
-    parser.add_argument("--out", metavar="OUT.csv", required=True, help="table of the chosen places")
-    fields = parser.add_argument_group("what may happen").add_mutually_exclusive_group(required=True)
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
+    happens = parser.add_argument_group("what may happen")
+    fields = happens.add_mutually_exclusive_group()
     fields.add_argument("--data", metavar="DATA", help="data set of the body, with its mesh")
     fields.add_argument("--model", metavar="FOLDER", help="folder of a trained model, or phantom for the shipped one")
+    text = "of random pushes and pulls: how far a usual one moves the body at most, in mm (default: 5)"
+    happens.add_argument("--largest", type=positive_number, metavar="MM", help=text)
     more = parser.add_argument_group("more")
-    more.add_argument("--mesh", metavar="MESH", help="mesh of --model (default: the phantom's)")
+    text = "held nodes of MESH; see `tissuereg register --help`"
+    more.add_argument("--fixed", metavar="RULE", help=text)
     more.add_argument("--members", type=whole_number(2), default=1000, metavar="N", help="fields (default: 1000)")
     more.add_argument("--number", type=whole_number(1), default=15, metavar="N", help="markers to choose (default: 15)")
     text = "table x_mm,y_mm,z_mm of places where a marker may sit (default: free surface nodes)"
@@ -75,21 +89,22 @@ def run(args: argparse.Namespace) -> Outcome:
     Raises
     ------
     UsageError
-        If a mesh is given with a data set, or the table would replace an input.
+        If options do not go together, or an output would replace an input.
     """
     from tissuereg.advise import advise_markers
-    from tissuereg.io.atomic import check_file_target
+    from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.tables import read_surface, read_targets
 
-    if args.data is not None and args.mesh is not None:
-        message = "--mesh must come with --model, since a data set has its own"
-        raise UsageError(message, where="--mesh")
-    refuse_overwriting([Path(args.out)], [args.targets, args.candidates, args.placed, args.mesh])
-    check_file_target(args.out)
+    out = Path(args.out)
+    _check(args)
+    refuse_overwriting(
+        [out / name for name in (_TABLE, _ANSWER)], [args.targets, args.candidates, args.placed, args.path]
+    )
+    check_folder_target(out)
     clock = Stopwatch()
     targets = read_targets(args.targets)
     candidates, placed = (None if f is None else read_surface(f) for f in (args.candidates, args.placed))
-    mesh, fields = _of_data(args) if args.model is None else _of_model(args)
+    mesh, fields = _what_may_happen(args)
     clock.lap("fields")
     advice = advise_markers(
         mesh,
@@ -102,8 +117,6 @@ def run(args: argparse.Namespace) -> Outcome:
         apart_mm=args.apart,
     )
     clock.lap("choose")
-    _write(Path(args.out), advice)
-    clock.lap("write")
     content = {
         "schema": "tissuereg.advise/1",
         "members": len(fields),
@@ -113,11 +126,44 @@ def run(args: argparse.Namespace) -> Outcome:
         **advice.to_json(),
         "seconds": clock.seconds,
     }
+    _write(out, advice, content)
     lines = [
         f"{name}: expected error {errors[0]:.2f} mm before, {errors[-1]:.2f} mm with {args.number} markers"
         for name, errors in content["expected_mm"].items()
     ]
     return Outcome(content, "\n".join([*lines, seconds_line(clock.seconds), f"written: {args.out}"]), args.threads)
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together."""
+    if args.data is not None and args.path is not None:
+        refuse("MESH must be left out with --data, which has its own", "MESH")
+    if args.data is None and args.model is None and args.path is None:
+        refuse("MESH, --model or --data must be given, got none", "MESH")
+    if args.path is None and args.fixed is not None:
+        refuse("--fixed must come with MESH", "--fixed")
+    if args.largest is not None and (args.data is not None or args.model is not None):
+        refuse("--largest must be left out with --data and --model, whose fields have their sizes", "--largest")
+
+
+def _what_may_happen(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
+    if args.data is not None:
+        return _of_data(args)
+    return _of_model(args) if args.model is not None else _of_pushes(args)
+
+
+def _of_pushes(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
+    import numpy as np
+
+    from tissuereg.io.meshes import read_mesh
+    from tissuereg.material import Material
+    from tissuereg.simulate.sampling import random_changes
+
+    mesh = read_mesh(args.path, fixed=args.fixed)
+    largest = _LARGEST_MM if args.largest is None else args.largest
+    rng = np.random.default_rng(args.seed or 0)
+    how = {"largest_mm": largest, "n_events": args.members, "rng": rng, "threads": args.threads}
+    return mesh, random_changes(mesh, Material(), **how)
 
 
 def _of_data(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
@@ -139,19 +185,23 @@ def _of_model(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
     from tissuereg.latent_registration import as_model
     from tissuereg.phantom import phantom_mesh
 
-    mesh = phantom_mesh() if args.mesh is None else read_mesh(args.mesh)
+    mesh = phantom_mesh() if args.path is None else read_mesh(args.path, fixed=args.fixed)
     model = as_model(args.model, mesh, args.threads)
     family = model.prior(None)
     draws = np.random.default_rng(args.seed or 0).multivariate_normal(family.mean, family.covariance, args.members)
     return mesh, np.asarray(model.decode(draws.T), np.float64)
 
 
-def _write(path: Path, advice: "MarkerAdvice") -> None:
+def _write(out: Path, advice: "MarkerAdvice", content: dict[str, Any]) -> None:
+    from tissuereg.io.atomic import atomic_folder
     from tissuereg.io.csv import write_table
+    from tissuereg.io.json import dumps
 
     names = [f"expected_{name}_mm" for name in advice.targets]
     rows = [
         (f"M{k}", *map(float, place), *map(float, errors))
         for k, (place, errors) in enumerate(zip(advice.places_mm, advice.expected_mm[1:], strict=True), start=1)
     ]
-    write_table(path, ("marker", "x_mm", "y_mm", "z_mm", *names), rows)
+    with atomic_folder(out) as draft:
+        write_table(draft / _TABLE, ("marker", "x_mm", "y_mm", "z_mm", *names), rows)
+        (draft / _ANSWER).write_text(dumps(content), encoding="utf-8")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.errors import MeshError
+from tissuereg.errors import EnsembleError, MeshError
 from tissuereg.load import Load
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
@@ -24,6 +24,10 @@ _SMALL = 1e-4
 
 #: Range of a plate's depth as a share of its radius.
 _DEPTH_SHARE = (0.05, 0.4)
+
+
+#: Standard deviation of the logarithm of a random change's size.
+_SIZE_LOG_STD = 0.7
 
 
 @dataclass(frozen=True)
@@ -305,6 +309,58 @@ def linear_answers(
     largest[lost] = np.inf  # such an event gets no load and is counted as failed by its size 0
     displacement = np.where(lost[:, None, None], 0.0, found.displacement) / largest[:, None, None]
     return displacement, scale / largest
+
+
+def random_changes(
+    mesh: Mesh,
+    material: Material,
+    *,
+    largest_mm: float,
+    n_events: int,
+    rng: np.random.Generator,
+    held_nodes: Any = None,
+    threads: int = 0,
+) -> FloatArray:
+    """Return fields of random pushes and pulls, linear about the undeformed body.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    material : Material
+        Believed material.
+    largest_mm : float
+        Largest node displacement of a usual event, mm; sizes are log-normal about it.
+    n_events : int
+        Events drawn.
+    rng : numpy.random.Generator
+        Source of places, directions and sizes.
+    held_nodes : array_like of int, optional
+        Nodes that are held; by default the node set ``fixed``.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, n_nodes, 3)
+        Of the events with an equilibrium, mm. Cost: a nearly linear solve each.
+
+    Raises
+    ------
+    MeshError, SupportError
+        If nothing of the surface is free, or the body can move freely.
+    EnsembleError
+        If half of the events find no equilibrium.
+    """
+    simulator = Simulator(mesh, held_nodes=held_nodes)
+    sampler = EventSampler(mesh, held_nodes=held_nodes)
+    fields, scale = linear_answers(simulator, [sampler.draw(rng) for _ in range(n_events)], material, threads=threads)
+    fields = fields[scale > 0.0]
+    if len(fields) < max(4, n_events // 2):
+        message = f"half of {n_events} events or more must find an equilibrium, {len(fields)} did"
+        raise EnsembleError(message, where="n_events")
+    fields *= largest_mm * np.exp(_SIZE_LOG_STD * rng.standard_normal(len(fields)))[:, None, None]
+    return fields
 
 
 def _direction(rng: np.random.Generator) -> FloatArray:

@@ -12,19 +12,14 @@ import numpy as np
 
 from tissuereg._arguments import check_running, of_kind, real, whole
 from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.errors import EnsembleError
 from tissuereg.latent.model import Gaussian, ScaledErrors
 from tissuereg.latent.pca import PcaModel
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
-from tissuereg.simulate.sampling import EventSampler, linear_answers
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulate.sampling import random_changes
 
 #: Share of the events that measures the reconstruction error.
 _HELD_OUT = 0.2
-
-#: Standard deviation of the logarithm of an event's size.
-_SIZE_LOG_STD = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,14 +156,15 @@ def fitted_prior(
     whole("n_events", n_events, least=4)
     whole("n_latent", n_latent, least=1)
     check_running(seed=seed, threads=threads)
-    simulator = Simulator(mesh, held_nodes=held_nodes)
-    sampler, rng = EventSampler(mesh, held_nodes=held_nodes), np.random.default_rng([seed, 15])
-    fields, scale = linear_answers(simulator, [sampler.draw(rng) for _ in range(n_events)], believed, threads=threads)
-    fields = fields[scale > 0.0]
-    if len(fields) < max(4, n_events // 2):
-        message = f"half of {n_events} events or more must find an equilibrium, {len(fields)} did"
-        raise EnsembleError(message, where="n_events")
-    fields *= largest_mm * np.exp(_SIZE_LOG_STD * rng.standard_normal(len(fields)))[:, None, None]
+    fields = random_changes(
+        mesh,
+        believed,
+        largest_mm=largest_mm,
+        n_events=n_events,
+        rng=np.random.default_rng([seed, 15]),
+        held_nodes=held_nodes,
+        threads=threads,
+    )
     n_held_out = max(1, int(_HELD_OUT * len(fields)))
     card = {"kind": "pca", "source": "fitted here", "members": len(fields) - n_held_out}
     none = np.zeros((mesh.n_nodes, 3))
