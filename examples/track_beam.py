@@ -1,6 +1,6 @@
 """A real silicone beam that is released and vibrates: tracked by two motion-capture markers, tested at a third.
 
-    python examples/track_beam.py --data DIR [--from-s T] [--to-s T] [--every N] [--no-replay] [--json FILE]
+    python examples/track_beam.py --data DIR [--from-s T] [--to-s T] [--every N] [--seed N] [--no-replay] [--json FILE]
 
 DIR holds ``beam.stl`` and recordings ``own_weight_*.csv``, ``load_52g_*.csv`` at 100 Hz (as for ``beam.py``). The beam
 is held level until t = 0, then released. Nothing is told of its weight, of the load or of its motion: contacts that
@@ -39,7 +39,7 @@ def read_recording(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return times, np.array([[[float(cell or "nan") for cell in place] for place in frame] for frame in cells])
 
 
-def track(mesh: tr.Mesh, path: Path, begin_s: float, end_s: float, every: int, *, replay: bool) -> dict:
+def track(mesh: tr.Mesh, path: Path, begin_s: float, end_s: float, every: int, *, seed: int, replay: bool) -> dict:
     """Return the errors at Tip-3 of one recording, frame after frame, by method, and how a replay went."""
     times, places = read_recording(path)
     reference = np.nanmedian(places[times < LEVEL_S], axis=0)
@@ -51,6 +51,7 @@ def track(mesh: tr.Mesh, path: Path, begin_s: float, end_s: float, every: int, *
         mesh,
         tr.Markers(reference, np.full((3, 3), np.nan), MARKER_STD_MM, NAMES),
         material=tr.Material(YOUNG_KPA, POISSON, density=DENSITY_G_PER_CM3),
+        seed=seed,
     )
     tracker = tr.Tracker(registrar)
     frames = []
@@ -119,6 +120,7 @@ def main() -> int:
     parser.add_argument("--from-s", type=float, default=-0.1, help="first time in s (default -0.1)")
     parser.add_argument("--to-s", type=float, default=np.inf, help="last time in s (default: the end)")
     parser.add_argument("--every", type=int, default=1, help="take each Nth frame only, but for the replay (default 1)")
+    parser.add_argument("--seed", type=int, default=0, help="of the search for contacts (default 0)")
     parser.add_argument("--no-replay", action="store_true", help="leave the replay at the recorded rate out")
     parser.add_argument("--json", type=Path, help="file for the answer")
     options = parser.parse_args()
@@ -127,7 +129,9 @@ def main() -> int:
     pattern = options.trial or "*"
     trials = []
     for path in sorted(options.data.glob(f"{pattern}.csv")):
-        row = track(mesh, path, options.from_s, options.to_s, options.every, replay=not options.no_replay)
+        row = track(
+            mesh, path, options.from_s, options.to_s, options.every, seed=options.seed, replay=not options.no_replay
+        )
         trials.append(row)
         for part in ("moving_mm", "rest_mm"):
             if row[part] is not None:

@@ -46,6 +46,15 @@ def test_the_page_of_tracking_is_that_of_its_archive():
         assert script.page(answer, replays) != kept
 
 
+def test_the_page_of_the_tracked_beam_is_that_of_its_archive():
+    script = loaded("tracked_beam")
+    answer = json.loads((BENCHMARKS / "results" / "tracked-beam.json").read_text(encoding="utf-8"))
+    kept = (BENCHMARKS.parent / "docs" / "tracked-beam.md").read_text(encoding="utf-8")
+    assert script.page(answer) == kept
+    answer["trials"][0]["by_seed"][0]["rest_mm"]["tracked"] += 0.1
+    assert script.page(answer) != kept
+
+
 def test_a_replay_counts_what_it_drops_and_times_what_it_registers():
     benchmark, mesh = loaded("tracking"), block(cells=(2, 2, 3))
     places = mesh.nodes[np.setdiff1d(mesh.surface_nodes, mesh.fixed_nodes)][::3]

@@ -41,7 +41,8 @@ def test_a_released_beam_is_followed_through_its_swing(shared_data, tmp_path):
 
 def test_at_rest_tracking_is_not_worse_than_frame_by_frame_and_a_replay_counts_all_frames(shared_data, tmp_path):
     trial = told(shared_data, tmp_path, "--from-s", "3.9", "--every", "6")
-    assert trial["rest_mm"]["tracked"] <= trial["rest_mm"]["alone"]
+    # The samples and the mesh, which is not the same in every run, change either by 0.005 mm (standard deviation).
+    assert trial["rest_mm"]["tracked"] <= trial["rest_mm"]["alone"] + 0.02
     assert trial["rest_mm"]["tracked"] < 0.5 * trial["rest_mm"]["copied"]
     # Every frame of the recording at 100 Hz, from 3.9 s on, whatever --every says.
     replay = trial["replay"]
