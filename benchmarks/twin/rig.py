@@ -10,7 +10,7 @@ from tissuereg.phantom.breast import RADIUS, inside_breast
 SCENARIOS = {1: ("x",), 2: ("x", "y")}
 
 #: Rigs a scenario: those that are reported, and others on which every method is tuned.
-SEEDS, DEVELOPMENT_SEEDS = range(11), range(101, 107)
+SEEDS, DEVELOPMENT_SEEDS = range(12), range(101, 107)
 
 #: Rigs whose pairs of simulation and truth calibrate a model (`twin.pairs`).
 PAIR_SEEDS = range(1000, 1050)

@@ -235,6 +235,8 @@ def test_of_which_kind_a_change_is_and_how_far_its_factor_is_off_pairs_tell(cali
     # A standard deviation of 0.3 is a variance of 0.1; of 40 pairs few are nearer to none.
     assert of_kind[0, 2:].sum() > 0.6 * of_kind[0].sum()
     assert weights.sum() == pytest.approx(1.0)
+    # Honest events of each kind are a group: how few may look worse is counted in the one that looks worst.
+    assert np.bincount(made.anchored.honest.groups).tolist() == [40, 40]
 
 
 def test_regions_of_heavy_tailed_events_hold_their_share_of_targets(calibrated):

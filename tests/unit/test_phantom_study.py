@@ -25,6 +25,7 @@ from tissuereg.studies.contest import (
     measured,
 )
 from tissuereg.studies.phantom import _rows, phantom_study
+from tissuereg.studies.phantom_pages import phantom_markdown
 from tissuereg.studies.rigs import Pad, Rig, read_rig, read_rigs
 from tissuereg.studies.run import _delivered, run_contest
 from tissuereg.studies.runs import Run
@@ -337,8 +338,21 @@ def test_the_reduction_is_the_mean_over_rigs_of_each_rigs_own():
 
 
 def test_a_figure_without_rigs_of_its_scenario_is_refused(made):
-    with pytest.raises(ArgumentError, match="must hold rigs of scenario 2 for 'fig11'"):
+    with pytest.raises(ArgumentError, match="must hold rigs of scenario 2 for 'fig11' that can"):
         phantom_study("fig11", made)
+
+
+def test_a_rig_whose_believed_body_has_no_equilibrium_is_left_out_and_named(rig, mesh):
+    # Pads that would be pushed through the body.
+    pads = tuple(replace(pad, stroke_mm=40.0 * pad.stroke_mm) for pad in rig.pads)
+    impossible = replace(rig, name="scenario1-99", pads=pads)
+    contest = Contest([rig, impossible], mesh, methods=METHODS, threads=1)
+    found = phantom_study("phantom", contest)
+    assert found["rigs_left_out"] == ["scenario1-99"]
+    assert found["rigs"] == 1
+    assert "scenario1-99" in phantom_markdown({**found, "rows": found["rows"]})
+    with pytest.raises(ArgumentError, match="that can be simulated"):
+        phantom_study("phantom", Contest([impossible], mesh, methods=METHODS, threads=1))
 
 
 def test_studies_are_written_with_every_method_and_condition(made, tmp_path):

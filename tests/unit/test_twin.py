@@ -139,6 +139,18 @@ def test_a_rig_that_is_as_believed_makes_pairs_that_are_equal():
     assert (np.linalg.norm(simulations - truths, axis=2).mean(axis=1) < 0.05 * moved).all()
 
 
+def test_a_base_that_gives_moves_along_its_plane_and_across():
+    mesh = tr.phantom.phantom_mesh("small")
+    rig = as_believed(draw(1, 0))
+    base = mesh.fixed_nodes
+    for soft, moving in (("base_along", (0, 1)), ("base_across", (2,))):
+        truths = pairs_of(replace(rig, **{soft: 0.5}), mesh)[1]
+        moved = np.abs(truths[-1][base]).max(axis=0)
+        for axis in range(3):
+            # The other stiffness is 1e5 kPa/mm; a push of 15 mm moves a soft base by some tenths of a millimetre.
+            assert (moved[axis] > 0.1) == (axis in moving), (soft, moved)
+
+
 def test_a_rig_twice_as_stiff_as_believed_is_simulated_to_move_farther():
     mesh = tr.phantom.phantom_mesh("small")
     rig = as_believed(draw(1, 0))

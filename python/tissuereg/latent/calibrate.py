@@ -154,11 +154,12 @@ def calibrate(
     made = replace(made, change=differences.change(np.arange(len(truths))))
     n_forms = len(pairs) * len(_FACTORS)
     scales = Rehearsal(_CHANGE_SCALES, _equal(n_forms, len(_CHANGE_SCALES)))
-    events = []
+    events, of_event = [], []
     for own, others in _folds(kind):
+        of_event += [number for number in kind[own] for _ in again]
         without = replace(made, anchored=scales, change=differences.change(others))
         events += [rehearsal.registered(without, simulations[row], truths[row]) for row in own for _ in again]
-    return replace(made, anchored=rehearsal.outcome(events, scales))
+    return replace(made, anchored=rehearsal.outcome(events, scales, np.array(of_event)))
 
 
 def _equal(*shape: int) -> FloatArray:
@@ -358,14 +359,17 @@ class _Rehearsal:
         shown = signs_of(event.made, found, event.n_own)
         return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
 
-    def outcome(self, events: list[_Event], law: Rehearsal) -> Rehearsal:
-        """Return the likeliest scales, and what registrations with these give."""
+    def outcome(self, events: list[_Event], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
+        """Return the likeliest scales, and what registrations with these give; honest ones of each kind are a group."""
         n_forms, n_scales = law.scale_weights.shape
         logs = np.array([self._log_evidence(event, n_forms).ravel() for event in events])
         scale_weights = _mixing(logs).reshape(n_forms, n_scales)
         signs, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
         widening, tail = _regions(np.concatenate(misfits))
-        honest = Honest.none().beside(np.array(signs))
+        shown, group = np.array(signs), np.zeros(len(events), np.int64) if kind is None else kind
+        honest = Honest.none()
+        for number in np.unique(group):
+            honest = honest.beside(shown[group == number])
         return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, honest=honest)
 
     def _log_evidence(self, event: _Event, n_forms: int) -> FloatArray:

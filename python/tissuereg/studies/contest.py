@@ -418,6 +418,18 @@ class Contest:
         facts = {name: card.get(name, "none") for name in ("kind", "source")}
         return {**facts, "n_nodes": self._mesh.n_nodes, "n_latent": latents}
 
+    def simulated(self, rig: Rig) -> bool:
+        """Return whether the believed body has equilibria under the rig's pads: without a simulation nothing starts."""
+        try:
+            return len(self._believed_of(rig).path.shares) > 1
+        except ConvergenceError:
+            return False
+
+    def _believed_of(self, rig: Rig) -> Believed:
+        if rig.name not in self._believed:
+            self._believed = {rig.name: Believed(rig, self._mesh, self._threads)}  # one rig's fields at a time
+        return self._believed[rig.name]
+
     def _key_of(self, name: str) -> dict[str, Any]:
         """Return what the runs of a method depend on besides rig and condition."""
         needs = self.methods[name].needs
@@ -443,9 +455,7 @@ class Contest:
         return [run for run in runs.values() if run is not None]
 
     def _run_anew(self, rig: Rig, condition: Condition, name: str) -> Run:
-        if rig.name not in self._believed:
-            self._believed = {rig.name: Believed(rig, self._mesh, self._threads)}  # one rig's fields at a time
-        believed, method = self._believed[rig.name], self.methods[name]
+        believed, method = self._believed_of(rig), self.methods[name]
         setting = believed.setting(condition, self._model, self._fields, self._seed)
         markers = measured(rig, condition, self._seed)
         run = replace(run_method(method(setting), believed, markers, condition), method=name)

@@ -45,7 +45,8 @@ def phantom_study(name: str, contest: Contest, progress: Progress | None = None)
     Returns
     -------
     dict
-        ``rows`` (a method under a condition), ``agree``, ``conditions``, ``left_out``; of a figure ``curves``; of
+        ``rows`` (a method under a condition), ``agree``, ``conditions``, ``left_out``, and ``rigs_left_out``, under
+        whose pads the believed body has no equilibrium; of a figure ``curves``; of
         ``phantom`` ``goals`` and, all markers seen, ``methods`` by their short names, ``cut_of_simulation`` and
         ``better_than_kf_admm`` (shares of ours; None where a method was not run), ``rigs``, ``seeds``.
 
@@ -56,8 +57,10 @@ def phantom_study(name: str, contest: Contest, progress: Progress | None = None)
     """
     scenario = PHANTOM_STUDIES[name]
     rigs = [rig for rig in contest.rigs if scenario in (None, rig.scenario)]
+    without = [rig.name for rig in rigs if not contest.simulated(rig)]
+    rigs = [rig for rig in rigs if rig.name not in without]
     if not rigs:
-        message = f"`data` must hold rigs of scenario {scenario} for '{name}', found none"
+        message = f"`data` must hold rigs of scenario {scenario} for '{name}' that can be simulated, found none"
         raise ArgumentError(message, where="data")
     conditions = CONDITIONS if scenario is None else (PLAIN,)
     few = sorted({rig.seed for rig in rigs})[:_FURTHER_SEEDS]
@@ -77,6 +80,7 @@ def phantom_study(name: str, contest: Contest, progress: Progress | None = None)
         "agree": {name: _agreement(rows).to_json()},
         "conditions": {condition.name: condition.words for condition in conditions},
         "left_out": list(contest.left_out),
+        "rigs_left_out": without,
     }
     if scenario is None:
         return {**found, "goals": _goals(rows), **_short(rows, rigs)}

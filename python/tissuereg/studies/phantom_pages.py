@@ -20,6 +20,9 @@ def phantom_markdown(content: dict[str, Any]) -> str:
         lines += [f"**{words[0].upper()}{words[1:]}**, {rows[0]['rigs']} rigs:", "", *_table(rows), ""]
     if content["left_out"]:
         lines += [f"Not run, since a model or training fields were not given: {', '.join(content['left_out'])}.", ""]
+    if content["rigs_left_out"]:
+        names = ", ".join(content["rigs_left_out"])
+        lines += [f"Left out, since the believed body has no equilibrium under the pads of the rig: {names}.", ""]
     return "\n".join(lines)
 
 
