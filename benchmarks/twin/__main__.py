@@ -28,9 +28,9 @@ def main():
     parser.add_argument("--out", type=Path)
     parser.add_argument("--corners", type=int)
     options = parser.parse_args()
-    seeds, place = (DEVELOPMENT_SEEDS, DEVELOPMENT) if options.development else (SEEDS, RIGS)
-    out = options.out or place
-    rigs = [draw(scenario, seed) for seed in seeds for scenario in SCENARIOS]
+    seeds = DEVELOPMENT_SEEDS if options.development else dict.fromkeys(SCENARIOS, SEEDS)
+    out = options.out or (DEVELOPMENT if options.development else RIGS)
+    rigs = [draw(scenario, seed) for scenario in SCENARIOS for seed in seeds[scenario]]
     names = [rig.name for rig in rigs]
     if options.list:
         print("\n".join(names))

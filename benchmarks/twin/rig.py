@@ -9,8 +9,8 @@ from tissuereg.phantom.breast import RADIUS, inside_breast
 #: Actuators by scenario: along x; along x and y.
 SCENARIOS = {1: ("x",), 2: ("x", "y")}
 
-#: Rigs a scenario: those that are reported, and others on which every method is tuned.
-SEEDS, DEVELOPMENT_SEEDS = range(12), range(101, 107)
+#: Seeds of the rigs that are reported, and by scenario of those on which every method is tuned.
+SEEDS, DEVELOPMENT_SEEDS = range(12), {1: range(101, 106), 2: range(101, 105)}
 
 #: Rigs whose pairs of simulation and truth calibrate a model (`twin.pairs`).
 PAIR_SEEDS = range(1000, 1050)
