@@ -2,8 +2,12 @@
 
 from typing import Any
 
-from tissuereg.studies.contest import PLAIN
+from tissuereg.baselines import KfAdmm, Network, PhysicsPrior
+from tissuereg.studies.contest import PLAIN, Simulated
 from tissuereg.studies.tables import claim_lines, csv_lines
+
+#: Methods that a figure names: the simulation, ours, and the paper's rival.
+_NAMED = (Simulated.name, Network.name, PhysicsPrior.name, KfAdmm.name)
 
 
 def phantom_markdown(content: dict[str, Any]) -> str:
@@ -88,9 +92,14 @@ def _curves(figure: Any, content: dict[str, Any]) -> None:
     number, scenario = study.removeprefix("fig"), content["rows"][0]["scenario"]
     figure.suptitle(f"Fig. {number}: error at the buried sensor, scenario {scenario}, {curves['rig']}", fontsize=11)
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-    for place, (method, errors) in enumerate(curves["sensor_mm"].items()):
-        # The simulation and ours, which come first, are drawn thicker.
-        axes.plot(curves["times_s"], errors, "o-", markersize=2.5, linewidth=2.2 if place < 2 else 1.0, label=method)
+    others = "others, see the table"
+    for method, errors in curves["sensor_mm"].items():
+        if method not in _NAMED:
+            axes.plot(curves["times_s"], errors, color="0.8", linewidth=0.8, label=others)
+            others = "_"
+    for method in _NAMED:
+        if method in curves["sensor_mm"]:
+            axes.plot(curves["times_s"], curves["sensor_mm"][method], "o-", markersize=2.5, linewidth=1.8, label=method)
     axes.set_ylabel("error at the sensor, mm")
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3)
