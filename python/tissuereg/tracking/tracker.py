@@ -102,7 +102,7 @@ class Tracker:
         targets: Mapping[str, Any] | None = None,
         *,
         simulator: Any = None,
-        restart: str = "forces",
+        restart: str = "guess",
         temporal: bool = True,
         **options: Any,
     ) -> None:
