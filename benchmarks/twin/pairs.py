@@ -14,7 +14,7 @@ import tissuereg as tr
 from tissuereg.errors import ConvergenceError
 from tissuereg.io.npz import write_npz
 from tissuereg.phantom import phantom_mesh
-from tissuereg.studies.contest import Believed
+from tissuereg.studies.contest import Believed, moved_by_pads
 from tissuereg.studies.rigs import Pad
 from tissuereg.studies.rigs import Rig as Recording
 from twin.rig import FRAME_S, PAIR_SEEDS, SCENARIOS, draw
@@ -30,12 +30,8 @@ def true_path(rig, mesh, threads=1):
     """Return displacements (n, n_nodes, 3) in mm and forces of the pads (n, n_pads, 3) in mN, as far as there are."""
     base = mesh.surface[np.isin(mesh.surface, mesh.fixed_nodes).all(axis=1)]
     pads = [mesh.surface_nodes_within(one.centre, one.radius) for one in rig.actuators]
-    held, which = np.unique(np.concatenate(pads), return_inverse=True)
-    strokes, of_pad, start = np.zeros((len(held), 3)), np.empty(len(held), int), 0
-    for number, (nodes, one) in enumerate(zip(pads, rig.actuators, strict=True)):
-        rows = which[start : start + len(nodes)]
-        strokes[rows], of_pad[rows] = one.stroke * one.direction, number
-        start += len(nodes)
+    whole = np.array([one.stroke * one.direction for one in rig.actuators])
+    held, strokes, of_pad = moved_by_pads(pads, whole, np.zeros(0, np.int64))
     springs = [(base, np.array([rig.base_across, rig.base_along]))]
     simulator = tr.Simulator(mesh, held_nodes=held, springs=springs)
     young = rig.young * rig.contrast(mesh.nodes[mesh.tets].mean(axis=1))

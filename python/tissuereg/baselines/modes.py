@@ -89,10 +89,9 @@ def vibration_modes(mesh: Mesh, material: Material, masses: FloatArray, n_modes:
         values, vectors = eigsh(operator, k=count, which="LA", v0=start)
         order = np.argsort(values)[::-1]
         values, vectors = values[order], vectors[:, order]
-    vectors = vectors / roots[:, None]
-    largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(count)]
+    vectors = _upright(vectors / roots[:, None])
     shapes = np.zeros((count, mesh.n_nodes, 3))
-    shapes[:, free] = (vectors * np.sign(largest)).T.reshape(count, -1, 3)
+    shapes[:, free] = vectors.T.reshape(count, -1, 3)
     return Modes(frozen(shapes), frozen(1.0 / values))
 
 
@@ -135,10 +134,15 @@ def admm_modes(mesh: Mesh, material: Material, masses: FloatArray, n_modes: int,
     else:
         start = np.random.default_rng(0).standard_normal(len(free))
         squares, vectors = eigsh(sparse.csc_array(scaled), k=count, sigma=0.0, which="LM", v0=start)
-    vectors = vectors / roots[:, None]
-    largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(count)]
+    vectors = _upright(vectors / roots[:, None])
     shapes = np.zeros((count, 3, mesh.n_nodes, 3))
     for axis in range(3):
-        shapes[:, axis, free, axis] = (vectors * np.sign(largest)).T
+        shapes[:, axis, free, axis] = vectors.T
     last = min(n_modes, 3 * len(free))
     return Modes(frozen(shapes.reshape(-1, mesh.n_nodes, 3)[:last]), frozen(np.repeat(squares, 3)[:last]))
+
+
+def _upright(vectors: FloatArray) -> FloatArray:
+    """Return columns with the sign that makes the largest component positive: eigenvectors have none of their own."""
+    largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(vectors.shape[1])]
+    return np.asarray(vectors * np.sign(largest))

@@ -183,6 +183,37 @@ class Path:
         return np.asarray(np.interp(pushes, along, fine))
 
 
+def moved_by_pads(
+    pressed: Sequence[IntArray], strokes_mm: FloatArray, fixed: IntArray
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Return the nodes whose displacement is given, that at whole strokes, and the pads that move them.
+
+    Parameters
+    ----------
+    pressed : sequence of ndarray of int64
+        Nodes under each pad; of a node under two, the last one's stroke counts.
+    strokes_mm : ndarray of float64, shape (n_pads, 3)
+        Their strokes.
+    fixed : ndarray of int64, shape (n_fixed,)
+        Nodes that do not move.
+
+    Returns
+    -------
+    held : ndarray of int64, shape (n_held,)
+        Ascending.
+    displacement : ndarray of float64, shape (n_held, 3)
+        mm.
+    of_pad : ndarray of int64, shape (n_held,)
+        Number of the pad, or -1.
+    """
+    held = np.unique(np.concatenate([fixed, *pressed]))
+    displacement, of_pad = np.zeros((len(held), 3)), np.full(len(held), -1)
+    for number, (nodes, stroke) in enumerate(zip(pressed, strokes_mm, strict=True)):
+        rows = np.searchsorted(held, nodes)
+        displacement[rows], of_pad[rows] = stroke, number
+    return held, displacement, of_pad
+
+
 def _further(shares: FloatArray) -> FloatArray:
     """Return shares beyond the last one, as far apart as the last two."""
     step = shares[-1] - shares[-2]
@@ -240,14 +271,7 @@ class Believed:
     @cached_property
     def path(self) -> "Path":
         """The believed body along the strokes."""
-        fixed = self.mesh.fixed_nodes
-        held, which = np.unique(np.concatenate([fixed, *self._pressed]), return_inverse=True)
-        strokes, of_pad = np.zeros((len(held), 3)), np.full(len(held), -1)
-        start = len(fixed)
-        for number, (nodes, pad) in enumerate(zip(self._pressed, self.rig.pads, strict=True)):
-            rows = which[start : start + len(nodes)]
-            strokes[rows], of_pad[rows] = pad.stroke_mm, number
-            start += len(nodes)
+        held, strokes, of_pad = moved_by_pads(self._pressed, self.rig.strokes_mm, self.mesh.fixed_nodes)
         simulator = Simulator(self.mesh, held_nodes=held)
         shares, fields, pushes = [0.0], [np.zeros_like(self.mesh.nodes)], [0.0]
         hardest = float(self.rig.push(self.rig.pad_forces).max())
@@ -408,6 +432,7 @@ class Contest:
         self.left_out = tuple(name for name in methods if name not in self.methods)
         self._kept = KeptRuns(keep, self._key_of)
         self._believed: dict[str, Believed] = {}
+        self._has_simulation: dict[str, bool] = {}
         self._runs: dict[tuple[str, str], list[Run]] = {}
 
     @property
@@ -420,10 +445,14 @@ class Contest:
 
     def simulated(self, rig: Rig) -> bool:
         """Return whether the believed body has equilibria under the rig's pads: without a simulation nothing starts."""
-        try:
-            return len(self._believed_of(rig).path.shares) > 1
-        except ConvergenceError:
-            return False
+        if rig.name not in self._has_simulation:
+            try:
+                _ = self._believed_of(rig).path
+            except ConvergenceError:
+                self._has_simulation[rig.name] = False
+            else:
+                self._has_simulation[rig.name] = True
+        return self._has_simulation[rig.name]
 
     def _believed_of(self, rig: Rig) -> Believed:
         if rig.name not in self._believed:
