@@ -14,7 +14,7 @@ REFERENCE ?= ../shared/reference
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model table2-model small-model demo-figures clean paper phantom twin rig-pairs spread spread-data
+.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model table2-model small-model demo-figures clean paper phantom twin rig-pairs rig-variants spread spread-data
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -46,7 +46,8 @@ help:
 	@echo "make paper           the paper's simulation studies -> docs/paper.md (TABLE2=folder: also with a network of Table II)"
 	@echo "make phantom         the paper's phantom experiment (section IV) on a virtual twin of its rig, every method -> "
 	@echo "                     docs/phantom-experiment.md (FIELDS=folder); make twin: the twin's rigs, by another solver;"
-	@echo "                     make rig-pairs: pairs of simulation and truth of other rigs, by ours, that calibrate the model"
+	@echo "                     make rig-pairs: pairs of simulation and truth of other rigs, by ours, that calibrate the model;"
+	@echo "                     make rig-variants: variants of the rigs' simulations, by ours"
 	@echo "make phantom-model   data set and shipped model of the phantom, anew (hours; resumable); make table2-model: the paper's"
 	@echo "                     network on the same data; make small-model: that of tests, on the small phantom (half an hour)"
 	@echo "make demo-figures    what the README shows of the demo, after a change of model or phantom"
@@ -243,9 +244,15 @@ PRESSED ?= build/pressed
 rig-pairs: $(VENV)/.installed-dev
 	PYTHONPATH=tests:benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.pairs $(PRESSED)
 
+# Variants of the rigs' simulations, by this package's solver: forty minutes.
+VARIANTS ?= build/variants
+
+rig-variants: $(VENV)/.installed-dev
+	PYTHONPATH=tests:benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.variants $(VARIANTS)
+
 # Every method on them; FIELDS=folder: with those that need training fields.
-phantom: $(VENV)/.installed
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/phantom.py $(if $(FIELDS),--fields $(FIELDS))
+phantom: $(VENV)/.installed rig-variants
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/phantom.py --variants $(VARIANTS) $(if $(FIELDS),--fields $(FIELDS))
 
 # The studies of the seed paper; with TABLE2=FOLDER, a trained network of Table II, also with that one.
 paper: $(VENV)/.installed

@@ -30,6 +30,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", default=HERE / "twin" / "rigs")
     parser.add_argument("--fields")
+    parser.add_argument("--variants")
     parser.add_argument("--keep", default="build/phantom-experiment")
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--page", action="store_true")
@@ -42,6 +43,7 @@ def main():
                 out,
                 data=options.data,
                 fields=options.fields,
+                variants=options.variants,
                 keep=options.keep,
                 threads=options.threads,
             )

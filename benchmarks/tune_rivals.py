@@ -1,11 +1,13 @@
 """The constants of the compared methods, on rigs that are not reported -> results/rivals-tuning.json, its page.
 
-    python benchmarks/tune_rivals.py [--data RIGS] [--fields DATA] [--keep FOLDER] [--only WORD] [--page]
+    python benchmarks/tune_rivals.py [--data RIGS] [--fields DATA] [--variants FOLDER] [--keep FOLDER]
+        [--only WORD] [--add WORD] [--kept] [--page]
 
 Every constant is varied by itself, the others at their defaults; a default is right when it is the best of its own
 sweep. After a change of a default the command is run again: what was run before with the same constants is kept.
 ``--only`` runs the sweeps of methods whose name holds the word and writes neither archive nor page, so that several
-processes share the work; ``--kept`` writes archive and page of what was run so far, ``--page`` the page alone.
+processes share the work; ``--add`` runs those and lets them take the place of what the archive has of these methods;
+``--kept`` writes archive and page of what was run so far, ``--page`` the page alone.
 """
 
 import argparse
@@ -31,6 +33,7 @@ from tissuereg.phantom import phantom_mesh
 from tissuereg.studies.contest import METHODS, PLAIN, Believed, Simulated, measured, run_method
 from tissuereg.studies.contest import Path as BelievedPath
 from tissuereg.studies.rigs import Rig, read_rigs
+from tissuereg.studies.variants import read_variants
 
 ROOT = Path(__file__).resolve().parents[1]
 ARCHIVE = ROOT / "benchmarks" / "results" / "rivals-tuning.json"
@@ -86,11 +89,12 @@ SWEEPS = (
     Sweep(b.PositionBasedDynamics, "n_iterations", (30, 100, 300), seeds=1, last=True),
     Sweep(b.PositionBasedDynamics, "density_g_cm3", (10.0, 30.0, 100.0), seeds=1, last=True, others=ROUNDS),
     Sweep(b.PositionBasedDynamics, "momentum", (0.0, 0.9, 0.95), seeds=1, last=True, others=ROUNDS),
-    Sweep(b.KfAdmm, "modes", ("admm", "elastic"), seeds=1, last=True),
-    Sweep(b.KfAdmm, "noise_mm", (0.1, 0.3, 1.0), seeds=1, last=True),
-    Sweep(b.KfAdmm, "n_iterations", (5, 10, 20), seeds=1, last=True),
-    Sweep(b.KfAdmm, "density_g_cm3", (0.1, 1.0, 10.0), seeds=1, last=True),
-    Sweep(b.KfAdmm, "n_modes", (75, 150, 300), seeds=1, last=True),
+    Sweep(b.KfAdmm, "carried", (0.0, 0.5, 1.0), seeds=1),
+    Sweep(b.KfAdmm, "modes", ("admm", "elastic"), seeds=1),
+    Sweep(b.KfAdmm, "noise_mm", (0.1, 0.3, 1.0), seeds=1),
+    Sweep(b.KfAdmm, "n_iterations", (5, 10, 20), seeds=1),
+    Sweep(b.KfAdmm, "density_g_cm3", (0.1, 1.0, 10.0), seeds=1),
+    Sweep(b.KfAdmm, "n_modes", (75, 150, 300), seeds=1),
     Sweep(b.ParameterInference, "load_std", (0.1, 0.3, 0.6), seeds=1, last=True),
     Sweep(b.ParameterInference, "n_members", (4, 8), seeds=1, last=True),
     Sweep(b.ParameterInference, "later_steps", (1, 2), seeds=1, last=True),
@@ -98,13 +102,21 @@ SWEEPS = (
     Sweep(b.OneStepSmoother, "n_members", (50, 100, 200), seeds=3),
     Sweep(b.LatentFilter, "memory_s", (0.01, 0.1, 0.3), seeds=2),
     Sweep(b.LatentFilter, "n_members", (50, 100, 200), seeds=2),
+    Sweep(b.EnsembleOfSimulations, "error_mm", (0.0, 0.05, 0.1, 0.2, 0.4), seeds=4),
 )
 
 #: Not in the table of all methods: takes seconds a frame, and has no constant.
 LEFT_OUT = (b.PhysicsPrior,)
 
 #: Rigs of each scenario in the table of all methods, where it is not all of them.
-FEWER = {b.ParameterInference: 1, b.KfAdmm: 1, b.PositionBasedDynamics: 1, b.LatentFilter: 2}
+FEWER = {
+    b.ParameterInference: 1,
+    b.KfAdmm: 1,
+    b.PositionBasedDynamics: 1,
+    b.LatentFilter: 2,
+    b.EnsembleOfSimulations: 4,
+    b.VariedNetwork: 4,
+}
 
 
 def constants_of(method: type[Rival]) -> dict[str, Any]:
@@ -123,12 +135,22 @@ class Bench:
         Folder of believed fields and of runs.
     fields : path-like, optional
         Data set of training fields.
+    variants : path-like, optional
+        Folder of variants of the rigs' simulations.
     kept_only : bool
         Whether nothing is run: what was not kept raises `LookupError`.
     """
 
-    def __init__(self, rigs: Iterable[Rig], keep: Path, fields: Path | None, kept_only: bool = False) -> None:
-        self.rigs, self._keep, self._fields, self._kept_only = list(rigs), keep, fields, kept_only
+    def __init__(
+        self,
+        rigs: Iterable[Rig],
+        keep: Path,
+        fields: Path | None,
+        variants: Path | None = None,
+        kept_only: bool = False,
+    ) -> None:
+        self.rigs, self._keep, self._fields, self._variants = list(rigs), keep, fields, variants
+        self._kept_only = kept_only
         self._mesh = phantom_mesh()
         self._model: Any = None
         self._trained: Any = None
@@ -203,7 +225,10 @@ class Bench:
         key = rig.name, last
         if key not in self._believed:
             cut = replace(rig, motion=rig.motion[-N_LAST:]) if last else rig
-            believed, path = Believed(cut, self._mesh, 1), self._keep / f"path-{rig.name}.npz"
+            known = None
+            if self._variants is not None and (self._variants / f"{rig.name}.npz").exists():
+                known = read_variants(self._variants, rig, self._mesh.n_nodes)
+            believed, path = Believed(cut, self._mesh, 1, known), self._keep / f"path-{rig.name}.npz"
             if path.exists():
                 with np.load(path) as file:
                     kept = BelievedPath(file["shares"], file["fields_mm"], file["pushes"])
@@ -246,9 +271,17 @@ def gathered(bench: Bench, methods: list[type[Rival]]) -> dict[str, Any]:
     return found
 
 
-def methods_of(word: str, fields: Path | None) -> list[type[Rival]]:
-    """Return the methods whose name holds a word; without training fields those that need none."""
-    return [one for one in METHODS.values() if word in one.name and (fields is not None or "fields" not in one.needs)]
+def methods_of(word: str, without: set[str]) -> list[type[Rival]]:
+    """Return the methods whose name holds a word and that need nothing that is not given."""
+    return [one for one in METHODS.values() if word in one.name and not one.needs & without]
+
+
+def added(archive: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
+    """Return an archive in which what was found of some methods takes the place of what it had of them."""
+    new = {row["method"] for row in [*found["sweeps"], *found["methods"]]} | {words[0] for words in found["pending"]}
+    parts = {part: [one for one in archive[part] if one["method"] not in new] for part in ("sweeps", "methods")}
+    pending = [words for words in archive["pending"] if words[0] not in new]
+    return {**archive, **{part: parts[part] + found[part] for part in parts}, "pending": pending + found["pending"]}
 
 
 def main() -> None:
@@ -258,24 +291,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Tune the compared methods.")
     parser.add_argument("--data", type=Path, default=ROOT / "benchmarks" / "twin" / "development")
     parser.add_argument("--fields", type=Path)
+    parser.add_argument("--variants", type=Path)
     parser.add_argument("--keep", type=Path, default=ROOT / "build" / "rivals-tuning")
     parser.add_argument("--only", default="")
+    parser.add_argument("--add", default="", help="methods whose sweeps take the place of the archive's")
     parser.add_argument("--kept", action="store_true", help="archive and page of what is kept; run nothing")
     parser.add_argument("--page", action="store_true", help="write the page again from the archive")
     given = parser.parse_args()
     if not given.page:
-        bench = Bench(read_rigs(given.data), given.keep, given.fields, given.kept)
-        methods = methods_of(given.only, given.fields)
+        bench = Bench(read_rigs(given.data), given.keep, given.fields, given.variants, given.kept)
+        without = {name for name in ("fields", "variants") if getattr(given, name) is None}
+        methods = methods_of(given.only or given.add, without)
         with threadpool_limits(limits=1, user_api="blas"):
             found = gathered(bench, methods)
         if given.only:
             return
-        answer = {
-            "schema": "tissuereg.rivals-tuning/1",
-            "rigs": [rig.name for rig in bench.rigs],
-            "training_fields": 0 if given.fields is None else N_FIELDS,
-            **found,
-        }
+        if given.add:
+            answer = added(json.loads(ARCHIVE.read_text(encoding="utf-8")), found)
+        else:
+            answer = {
+                "schema": "tissuereg.rivals-tuning/1",
+                "rigs": [rig.name for rig in bench.rigs],
+                "training_fields": 0 if given.fields is None else N_FIELDS,
+                **found,
+            }
         ARCHIVE.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
     PAGE.write_text(page(json.loads(ARCHIVE.read_text(encoding="utf-8"))), encoding="utf-8")
 

@@ -17,7 +17,7 @@ LAYERS: tuple[tuple[str, str], ...] = (
     ("ready-made runs", "baselines bench bench_network bench_step demo frames registrations skeleton studies"),
     (
         "public calls",
-        "contact_answer contact_registration diagnose latent_registration registrar registration tracking",
+        "contact_answer contact_registration diagnose fallback latent_registration registrar registration tracking",
     ),
     ("answers", "report result"),
     ("parts of the calls", "advise contacts inputs meshing samples"),

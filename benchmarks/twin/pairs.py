@@ -26,7 +26,7 @@ SHARES, PAIRED = np.arange(1, 9) / 8.0, (1, 3, 5, 7)
 _MOST_POISSON = 0.47
 
 
-def true_path(rig, mesh, threads=1):
+def true_path(rig, mesh, threads=1, shares=SHARES):
     """Return displacements (n, n_nodes, 3) in mm and forces of the pads (n, n_pads, 3) in mN, as far as there are."""
     base = mesh.surface[np.isin(mesh.surface, mesh.fixed_nodes).all(axis=1)]
     pads = [mesh.surface_nodes_within(one.centre, one.radius) for one in rig.actuators]
@@ -38,7 +38,7 @@ def true_path(rig, mesh, threads=1):
     shape = {"alpha": [rig.alpha], "weight": [1.0]}
     material = tr.Material(young, min(rig.poisson, _MOST_POISSON), law="ogden", shape=shape)
     fields, forces = [], []
-    for share in SHARES:
+    for share in shares:
         load = tr.Load(prescribed=share * strokes)
         try:
             found = simulator.solve(load, material, start=fields[-1] if fields else None, threads=threads)

@@ -1,6 +1,6 @@
 """What a rig is: everything that differs from the believed model, drawn from a scenario and a seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -138,18 +138,30 @@ def _actuator(rng, axis, scenario):
     out = np.array([np.cos(angle), np.sin(angle), 0.0])
     known = _skin_point(out, rng.uniform(16.0, 26.0))
     direction = -np.eye(3)["xy".index(axis)]
-    turn = np.deg2rad(_ANGLE_DEG) * rng.standard_normal(3)
-    true_direction = direction + np.cross(turn, direction)
-    off = known + _PLACE_MM * rng.standard_normal(3)
-    true = _skin_point(off * [1, 1, 0] / np.hypot(*off[:2]), off[2])
+    true, true_direction = _off_pose(rng, known, direction)
     return Actuator(
         true,
-        true_direction / np.linalg.norm(true_direction),
+        true_direction,
         known,
         direction,
         radius=float(rng.uniform(13.0, 17.0)),
         stroke=float(rng.uniform(15.0, 20.0) if scenario == 1 else rng.uniform(12.0, 17.0)),
     )
+
+
+def about_known_pose(actuator, rng):
+    """Return an actuator whose true pose is drawn anew about the known one."""
+    centre, direction = _off_pose(rng, actuator.known_centre, actuator.known_direction)
+    return replace(actuator, centre=centre, direction=direction)
+
+
+def _off_pose(rng, known, direction):
+    """Return a place on the skin and a direction as far from known ones as poses are uncertain."""
+    turn = np.deg2rad(_ANGLE_DEG) * rng.standard_normal(3)
+    turned = direction + np.cross(turn, direction)
+    off = known + _PLACE_MM * rng.standard_normal(3)
+    place = _skin_point(off * [1, 1, 0] / np.hypot(*off[:2]), off[2])
+    return place, turned / np.linalg.norm(turned)
 
 
 def _skin_point(out, height):

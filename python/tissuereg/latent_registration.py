@@ -16,11 +16,12 @@ from tissuereg._arguments import found, place
 from tissuereg._arrays import FloatArray, IntArray, frozen
 from tissuereg._clock import Clock
 from tissuereg.assimilate import Assimilation, Between, FirstEnsemble, assimilate, balanced_draws, gauss_newton
-from tissuereg.errors import ModelError
+from tissuereg.errors import ArgumentError, ModelError
 from tissuereg.inputs import RegisterInput, rms_length
 from tissuereg.latent.model import Gaussian, LatentModel
 from tissuereg.latent.network import kept_network
 from tissuereg.latent.points import PointModel, PointsAround
+from tissuereg.latent.variants import Variants
 from tissuereg.mesh import Mesh
 from tissuereg.mixture_posterior import CalibratedPosterior
 from tissuereg.posterior import Posterior
@@ -44,7 +45,11 @@ _N_DRAWS = 100
 
 
 def register_by_model(
-    given: RegisterInput, points: PointModel, simulation: FloatArray | None, clock: Clock
+    given: RegisterInput,
+    points: PointModel,
+    simulation: FloatArray | None,
+    clock: Clock,
+    variants: Variants | None = None,
 ) -> Registration:
     """Register one moment with a trained model.
 
@@ -58,6 +63,9 @@ def register_by_model(
         Displacement of the moment by a simulation, mm.
     clock : Clock
         Records the times of the stages: ``encode``, ``assimilate``, ``decode``, ``judge``.
+    variants : Variants, optional
+        Variants of the simulation, about whose mean the prior then is. The answer is compared with the simulation, or
+        without one with that mean.
 
     Returns
     -------
@@ -71,11 +79,17 @@ def register_by_model(
     ------
     EnsembleError
         If too few ensemble members survive, or the decoder fails where the search for the most probable code begins.
+    ArgumentError
+        If variants are given and the model knows no changes from simulations.
     ConvergenceError
         If that search finds no minimum.
     """
+    if variants is not None and not points.knows_changes:
+        message = "`variants` must be left out: the model was not calibrated with pairs of simulation and truth"
+        raise ArgumentError(message, where="variants")
+    anchor = simulation if variants is None else variants.mean
     with clock.stage("encode"):
-        model = points.around(simulation)
+        model = points.around(anchor)
     seen = np.flatnonzero(given.markers.seen)
     with clock.stage("assimilate"):
         drawn = _Drawn.of(model, given)
@@ -88,10 +102,11 @@ def register_by_model(
             posterior = Posterior.of(given.mesh, model, fit.ensemble)
         else:
             posterior = CalibratedPosterior.of(
-                given.mesh, model, calibration, used, given.markers, fit.ensemble.mean, simulation, given.seed
+                given.mesh, model, calibration, used, given.markers, fit.ensemble.mean, anchor, given.seed, variants
             )
     with clock.stage("judge"):
-        return _result(given, used, wrong, simulation, points.model, fit, posterior, clock)
+        before = anchor if simulation is None else simulation
+        return _result(given, used, wrong, before, points.model, fit, posterior, clock)
 
 
 @dataclass(frozen=True, eq=False)

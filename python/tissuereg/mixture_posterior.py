@@ -11,7 +11,14 @@ from functools import cached_property
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.latent.calibration import LEAST_SIZE_MM, FieldErrors, PointCalibration, Rehearsal, RowErrors
+from tissuereg.latent.calibration import (
+    BESIDE_VARIANTS,
+    LEAST_SIZE_MM,
+    FieldErrors,
+    PointCalibration,
+    Rehearsal,
+    RowErrors,
+)
 from tissuereg.latent.mixture import Component, Linear, MixturePosterior
 from tissuereg.latent.model import rms_displacement
 from tissuereg.latent.network import AnchoredModel
@@ -19,6 +26,7 @@ from tissuereg.latent.points import PointsAround
 from tissuereg.latent.relinearise import conditioned, spread_of
 from tissuereg.latent.signs import Signs, signs_of
 from tissuereg.latent.untangle import untangled
+from tissuereg.latent.variants import Variants
 from tissuereg.markers import Markers
 from tissuereg.mesh import Mesh
 
@@ -41,12 +49,15 @@ class _Anchor:
         Root mean square displacement, mm.
     forms : tuple of (int, float)
         Kind of change and variance of the factor on the simulation, of the first components of the prior.
+    variants : RowErrors or None
+        Covariance of its variants, where it is the mean of some.
     """
 
     field: FloatArray
     rows: FloatArray
     size: float
     forms: tuple[tuple[int, float], ...]
+    variants: RowErrors | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +114,7 @@ class CalibratedPosterior:
         start: FloatArray,
         simulation: FloatArray | None,
         seed: int,
+        variants: Variants | None = None,
     ) -> "CalibratedPosterior":
         """Return the posterior.
 
@@ -124,6 +136,8 @@ class CalibratedPosterior:
             Simulated displacement, mm.
         seed : int
             Of the draws for the spread of nodes.
+        variants : Variants, optional
+            Whose mean the simulation is.
 
         Returns
         -------
@@ -137,9 +151,10 @@ class CalibratedPosterior:
         size = 0.0 if simulation is None else float(rms_displacement(simulation[None])[0])
         latent, simulated = model.latent, np.zeros(len(rows))
         prior, forms = at.prior(), list[tuple[int, float]]()
+        varied = None if variants is None else variants.spread.at(model.all_rows).of(rows)
         if isinstance(latent, AnchoredModel) and simulation is not None:
             simulated = model.at_rows(simulation)[rows]
-            prior, forms = at.prior_about(latent.code, size, simulated)
+            prior, forms = at.prior_about(latent.code, size, simulated, varied)
         observed = markers.displacement[used].ravel()
         noise = np.diag((markers.axis_std[used] ** 2).ravel())
         found, linear = conditioned(
@@ -153,7 +168,7 @@ class CalibratedPosterior:
         )
         rehearsal = at.rehearsal(bool(forms))
         field = np.zeros_like(mesh.nodes) if simulation is None else simulation
-        anchor = _Anchor(field, simulated, size, tuple(forms))
+        anchor = _Anchor(field, simulated, size, tuple(forms), varied)
         return cls(mesh, model, at, order, prior, linear, found, observed, noise, seed, anchor, rehearsal)
 
     @cached_property
@@ -173,10 +188,10 @@ class CalibratedPosterior:
         for weight, number, scale, pull in zip(
             self.found.weights, self.found.component, self.found.scale, self.found.pulls, strict=True
         ):
-            errors, covariance = self._errors(int(number))
-            coefficients = weight * scale**2 * covariance @ (errors.patterns[:, : len(pull)] @ pull)
-            _, before = told.get(id(errors), (errors.whole, 0.0))
-            told[id(errors)] = errors.whole, before + coefficients
+            for errors, covariance in self._errors(int(number)):
+                coefficients = weight * scale**2 * covariance @ (errors.patterns[:, : len(pull)] @ pull)
+                _, before = told.get(id(errors), (errors.whole, 0.0))
+                told[id(errors)] = errors.whole, before + coefficients
             factor += weight * scale**2 * self._factor(int(number)) * float(self.anchor.rows[: len(pull)] @ pull)
         fields = (whole.sum(coefficients) for whole, coefficients in told.values())
         return np.asarray(sum(fields, factor * self.anchor.field))
@@ -277,13 +292,16 @@ class CalibratedPosterior:
         forms = self.anchor.forms
         return forms[number][1] if number < len(forms) else 0.0
 
-    def _errors(self, number: int) -> tuple[RowErrors, FloatArray]:
-        """Return the errors of a component, and the covariance of their coefficients at scale one."""
-        forms, change = self.anchor.forms, self.at.change_errors
-        if number < len(forms) and change is not None:
-            square = max(self.anchor.size, LEAST_SIZE_MM) ** 2
-            return change, square * change.whole.covariances[forms[number][0]]
-        return self.at.errors, self.at.errors.whole.covariances[number - len(forms)]
+    def _errors(self, number: int) -> list[tuple[RowErrors, FloatArray]]:
+        """Return the errors of a component, and the covariance of the coefficients of each at scale one."""
+        forms, change, variants = self.anchor.forms, self.at.change_errors, self.anchor.variants
+        if number >= len(forms) or change is None:
+            return [(self.at.errors, self.at.errors.whole.covariances[number - len(forms)])]
+        square = max(self.anchor.size, LEAST_SIZE_MM) ** 2
+        general = change.whole.covariances[forms[number][0]]
+        if variants is None:
+            return [(change, square * general)]
+        return [(change, BESIDE_VARIANTS * square * general), (variants, variants.whole.covariances[0])]
 
     def _drawn(self) -> list[FloatArray]:
         """Return posterior fields, by conditioning draws of the prior (A. G. Journel, C. J. Huijbregts, 1978)."""
@@ -293,28 +311,60 @@ class CalibratedPosterior:
         codes, corrections = [], []
         for pair in chosen:
             number, scale = int(found.component[pair]), float(found.scale[pair])
-            one, (errors, covariance) = self.prior[number], self._errors(number)
-            seen, slopes = errors.patterns[:, :n_obs], self.linear.slopes[:n_obs]
+            one, slopes = self.prior[number], self.linear.slopes[:n_obs]
             code = one.mean + scale * np.linalg.cholesky(one.covariance) @ rng.standard_normal(len(one.mean))
-            values, vectors = np.linalg.eigh(covariance)
-            roots = vectors * np.sqrt(np.maximum(values, 0.0))
-            coefficients = scale * roots @ rng.standard_normal(len(roots))
+            sources = [_Source.drawn(errors, scale**2 * known, n_obs, rng) for errors, known in self._errors(number)]
             total = scale**2 * (slopes @ one.covariance @ slopes.T + one.errors[:n_obs, :n_obs]) + self.noise
             variance, simulated = scale**2 * self._factor(number), self.anchor.rows[:n_obs]
             factor = np.sqrt(variance) * rng.standard_normal()
-            explained = scale**2 * np.diag(seen.T @ covariance @ seen) + variance * simulated**2
+            explained = variance * simulated**2 + sum(source.variance for source in sources)
             rest = np.maximum(scale**2 * np.diag(one.errors[:n_obs, :n_obs]) - explained, 0.0)
-            drawn = (
-                self.linear.at[:n_obs] + slopes @ (code - self.linear.point) + coefficients @ seen + factor * simulated
-            )
+            drawn = self.linear.at[:n_obs] + slopes @ (code - self.linear.point) + factor * simulated
+            drawn += sum(source.coefficients @ source.seen for source in sources)
             drawn += np.sqrt(rest) * rng.standard_normal(n_obs) + tracker @ rng.standard_normal(n_obs)
             pull = np.linalg.solve(total, self.observed - drawn)
             codes.append(code + scale**2 * one.covariance @ (slopes.T @ pull))
-            corrections.append(
-                np.tensordot(coefficients + scale**2 * covariance @ (seen @ pull), errors.whole.basis, 1)
-                + (factor + variance * float(simulated @ pull)) * self.anchor.field
-            )
+            changed = (factor + variance * float(simulated @ pull)) * self.anchor.field
+            corrections.append(sum((source.given(pull) for source in sources), changed))
         return [
             self.model.latent.decode(np.array(codes[i : i + _BATCH]).T) + np.array(corrections[i : i + _BATCH])
             for i in range(0, _DRAWS, _BATCH)
         ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """Drawn coefficients of the patterns of one source of errors, with their covariance.
+
+    Attributes
+    ----------
+    errors : RowErrors
+        The source.
+    covariance : ndarray of float64, shape (n_patterns, n_patterns)
+        Of the coefficients.
+    seen : ndarray of float64, shape (n_patterns, n_obs)
+        Patterns at the used markers, mm.
+    coefficients : ndarray of float64, shape (n_patterns,)
+        Drawn.
+    """
+
+    errors: RowErrors
+    covariance: FloatArray
+    seen: FloatArray
+    coefficients: FloatArray
+
+    @classmethod
+    def drawn(cls, errors: RowErrors, covariance: FloatArray, n_obs: int, rng: np.random.Generator) -> "_Source":
+        """Return a draw."""
+        values, vectors = np.linalg.eigh(covariance)
+        roots = vectors * np.sqrt(np.maximum(values, 0.0))
+        return cls(errors, covariance, errors.patterns[:, :n_obs], roots @ rng.standard_normal(len(roots)))
+
+    @property
+    def variance(self) -> FloatArray:
+        """Variance (n_obs,) of the markers' components by it, mm^2."""
+        return np.asarray(np.einsum("po,pq,qo->o", self.seen, self.covariance, self.seen, optimize=True))
+
+    def given(self, pull: FloatArray) -> FloatArray:
+        """Return the field (n_nodes, 3) of the draw conditioned on the markers, mm."""
+        return np.tensordot(self.coefficients + self.covariance @ (self.seen @ pull), self.errors.whole.basis, 1)

@@ -13,16 +13,18 @@ from tissuereg._arrays import FloatArray, float_array
 from tissuereg._choice import check_choice
 from tissuereg._clock import Clock
 from tissuereg.contact_registration import ContactInput, fitting_element, register_by_contacts
-from tissuereg.errors import ArgumentError, MarkerError
+from tissuereg.errors import ArgumentError, MarkerError, SupportError
+from tissuereg.fallback import ElasticFallback
 from tissuereg.inputs import Attachment, RegisterSettings, finite_field
 from tissuereg.latent.model import LatentModel
 from tissuereg.latent.points import PointModel
+from tissuereg.latent.variants import Variants
 from tissuereg.latent_registration import as_model, register_by_model
 from tissuereg.load import Load
 from tissuereg.markers import Markers
 from tissuereg.material import Material
 from tissuereg.mesh import Mesh
-from tissuereg.result import Registration
+from tissuereg.result import Fallback, Registration
 from tissuereg.simulate.solve import ELEMENTS, Simulator
 from tissuereg.surface import SurfacePoints
 
@@ -161,6 +163,7 @@ class Registrar:
         measured_mm: Any,
         simulation: Any = None,
         *,
+        variants: Any = None,
         after: Registration | None = None,
         progress: Callable[[int, int], None] | None = None,
         tell: Callable[[str, str], None] | None = None,
@@ -174,6 +177,8 @@ class Registrar:
             well; they must have the same names and reference places.
         simulation : array_like of float, shape (n_nodes, 3), optional
             Displacement of this moment by any simulator, mm.
+        variants : array_like of float, shape (n_variants, n_nodes, 3), optional
+            The same moment simulated with other values of what is uncertain, mm; see `register`.
         after : Registration, optional
             Of a moment shortly before, by this registrar. Without a model its contacts are where the search begins, and
             the stiffness of doubtful supports and of a graded body is kept: what was fitted once is not fitted again.
@@ -190,7 +195,9 @@ class Registrar:
         MarkerError
             If no marker was seen, or markers with other names or reference places are given.
         ShapeError
-            If an array has another shape, or `simulation` is not finite.
+            If an array has another shape, or `simulation` or `variants` are not finite.
+        ArgumentError
+            If there are `variants`, and no model that was calibrated with pairs of simulation and truth.
         ConvergenceError, EnsembleError
             If no equilibrium is found, or too few ensemble members survive.
         """
@@ -205,7 +212,8 @@ class Registrar:
         called("tell", tell)
         clock = Clock(tell)
         with clock.stage("total"):
-            return self.moment(measured_mm, simulation, None, clock, progress, maybe("after", after, Registration))
+            after = maybe("after", after, Registration)
+            return self.moment(measured_mm, simulation, None, clock, progress, after, variants)
 
     def made_for(self, markers: Markers) -> "Registrar":
         """Return a registrar for other markers of the same body; this one if they are its own."""
@@ -217,6 +225,7 @@ class Registrar:
         targets = dict(zip(own.targets.names, own.targets.reference, strict=True))
         other._attached = Attachment.of(own.mesh, markers, targets, own.settings, own.seed, own.threads, own.held)
         other._points = self._points_of(other._attached)
+        other.__dict__.pop("_elastic", None)
         return other
 
     def _points_of(self, attached: Attachment) -> PointModel | None:
@@ -230,6 +239,7 @@ class Registrar:
         clock: Clock,
         progress: Callable[[int, int], None] | None = None,
         after: Registration | None = None,
+        variants: Any = None,
     ) -> Registration:
         """Register one moment whose markers are those of this registrar; see `register`.
 
@@ -247,34 +257,56 @@ class Registrar:
             Called with passes finished and passes at most.
         after : Registration, optional
             Of a moment shortly before.
+        variants : array_like of float, shape (n_variants, n_nodes, 3), optional
+            Of the simulation, mm.
 
         Returns
         -------
         Registration
             The result.
         """
+        varied = None if variants is None else Variants.of(variants, self.mesh.n_nodes)
+        field = None if simulation is None else finite_field(simulation, self.mesh)
         with self._blas.limit(limits=1):
-            with clock.stage("attach"):
-                always = self._examines and (after is None or self._points is not None)
-                examined = always or not self._plausible
-                given = self._attached.measured(markers, surface, examined)
-                self._plausible = self._plausible or not given.suspicions
-                field = None if simulation is None else finite_field(simulation, given.mesh)
-            if self._points is None:
-                found = register_by_contacts(given, self._contacts(self._load, field, progress), clock, after)
-                return found if examined else self._judged(found, markers, clock)
-            if field is None and self._load is not None:
+            if field is None and varied is None and self._points is not None and self._load is not None:
                 with clock.stage("simulate"):
-                    field = self._simulator.solve(self._load, self._material, threads=given.threads).displacement
-            if not given.suspicions and self._attached.astray:
-                given = replace(given, suspicions=self._attached.astray)
-            result = register_by_model(given, self._points, field, clock)
-            if not examined:
-                result = self._judged(result, markers, clock)
-            if not self._polish:
-                return result
-            polished = register_by_contacts(given, self._contacts(None, result.displacement, progress), clock)
-            return replace(polished, model={**result.model, "polished": True})
+                    solved = self._simulator.solve(self._load, self._material, threads=self._attached.threads)
+                    field = solved.displacement
+            found = self._registered(markers, field, varied, surface, clock, progress, after)
+        start = field if field is not None or varied is None else varied.mean
+        return replace(found, linear=lambda: self._linear(markers, found.markers.used, start))
+
+    def _registered(
+        self,
+        markers: Markers,
+        field: FloatArray | None,
+        varied: Variants | None,
+        surface: SurfacePoints | None,
+        clock: Clock,
+        progress: Callable[[int, int], None] | None,
+        after: Registration | None,
+    ) -> Registration:
+        """Return the registration of a moment; see `moment`."""
+        with clock.stage("attach"):
+            always = self._examines and (after is None or self._points is not None)
+            examined = always or not self._plausible
+            given = self._attached.measured(markers, surface, examined)
+            self._plausible = self._plausible or not given.suspicions
+        if self._points is None:
+            if varied is not None:
+                message = "`variants` are of a registration with a trained model; there is none"
+                raise ArgumentError(message, where="variants")
+            found = register_by_contacts(given, self._contacts(self._load, field, progress), clock, after)
+            return found if examined else self._judged(found, markers, clock)
+        if not given.suspicions and self._attached.astray:
+            given = replace(given, suspicions=self._attached.astray)
+        result = register_by_model(given, self._points, field, clock, varied)
+        if not examined:
+            result = self._judged(result, markers, clock)
+        if not self._polish:
+            return result
+        polished = register_by_contacts(given, self._contacts(None, result.displacement, progress), clock)
+        return replace(polished, model={**result.model, "polished": True})
 
     def _judged(self, result: Registration, markers: Markers, clock: Clock) -> Registration:
         """Return a result whose markers were not examined, with the reasons that an examination gives if it fails."""
@@ -300,6 +332,21 @@ class Registrar:
             progress,
             self._ensemble,
         )
+
+    def _linear(self, markers: Markers, used: tuple[str, ...], start: FloatArray | None) -> Fallback | None:
+        """Return where linear elasticity alone has the body; None where it can move freely."""
+        with self._blas.limit(limits=1):
+            return None if self._elastic is None else self._elastic.about(markers, used, start)
+
+    @cached_property
+    def _elastic(self) -> ElasticFallback | None:
+        own = self._attached
+        if not len(own.mesh.node_sets.get("fixed", ())):
+            return None
+        try:
+            return ElasticFallback.of(own.mesh, self._material, own.places, own.targets, own.threads)
+        except SupportError:
+            return None
 
     @cached_property
     def _simulator(self) -> Simulator:

@@ -33,6 +33,7 @@ def register(
     surface_std: float = 0.1,
     model: "str | os.PathLike[str] | LatentModel | None" = None,
     simulation: Any = None,
+    variants: Any = None,
     targets: Mapping[str, Any] | None = None,
     load: Load | None = None,
     material: Material | None = None,
@@ -73,6 +74,10 @@ def register(
     simulation : array_like of float, shape (n_nodes, 3), optional
         Displacement of this moment by any simulator, mm. Without a model, the nodal forces that hold it in equilibrium
         are the believed load.
+    variants : array_like of float, shape (n_variants, n_nodes, 3), optional
+        With a model: this moment simulated with other values of what is uncertain, mm: moduli, supports, loads, poses
+        of tools. Two dozen or more say how this body may differ from its simulation, where a model knows how bodies in
+        general do. Registration starts from their mean; `simulation` is then what the answer is compared with.
     targets : mapping of str to array_like of float, shape (3,), optional
         Inner points of the undeformed body, mm.
     load : Load, optional
@@ -188,4 +193,4 @@ def register(
                 polish=polish,
                 ensemble=ensemble,
             )
-        return registrar.moment(measured, simulation, points, clock, progress)
+        return registrar.moment(measured, simulation, points, clock, progress, None, variants)

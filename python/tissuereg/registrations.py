@@ -144,15 +144,17 @@ class _Moments:
     def register(self, markers: Markers) -> Registration:
         """Return the registration of one moment, by a registrar that is kept while the markers' places are the same."""
         if self._registrar is None:
-            options = {name: value for name, value in self.options.items() if name != "simulation"}
+            options = {name: value for name, value in self.options.items() if name not in ("simulation", "variants")}
             self._registrar = Registrar(self.mesh, markers, readings="always", **options)
         self._registrar = self._registrar.made_for(markers)
-        return self._registrar.register(markers, self.options.get("simulation"))
+        simulation, variants = self.options.get("simulation"), self.options.get("variants")
+        return self._registrar.register(markers, simulation, variants=variants)
 
     def __call__(self, markers: Markers) -> Registration:
         """Return a registration without its mesh, and without what only this process can hold."""
         result = self.register(markers)
-        return replace(result, mesh=cast("Mesh", None), nodes=_Computed(result.nodes()), draw=None)
+        linear = _Computed(result.fallback)
+        return replace(result, mesh=cast("Mesh", None), nodes=_Computed(result.nodes()), draw=None, linear=linear)
 
     def completed(self, result: Registration, markers: Markers) -> Registration:
         """Return a registration with its mesh, and with draws where it has a load to draw."""
@@ -162,11 +164,11 @@ class _Moments:
 
 @dataclass(frozen=True)
 class _Computed:
-    """The spread of the nodes, computed already."""
+    """What is computed when it is read, computed already."""
 
-    values: FloatArray
+    values: Any
 
-    def __call__(self) -> FloatArray:
+    def __call__(self) -> Any:
         return self.values
 
 

@@ -141,6 +141,26 @@ class MarkerFit:
 
 
 @dataclass(frozen=True, eq=False)
+class Fallback:
+    """Where the body is by linear elasticity alone, of which nothing more is claimed.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    targets : dict of str to ndarray of float64, shape (3,)
+        Places of the inner points, mm.
+    """
+
+    displacement: FloatArray
+    targets: dict[str, FloatArray]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its entry in ``registration.json``."""
+        return {"method": "linear elastic", "targets_mm": {name: at.tolist() for name, at in self.targets.items()}}
+
+
+@dataclass(frozen=True, eq=False)
 class Registration:
     """The registered body.
 
@@ -187,6 +207,8 @@ class Registration:
         force; None with a trained model.
     draw : callable of int, optional
         Returns posterior displacement fields; see `draws`.
+    linear : callable, optional
+        Returns where linear elasticity alone has the body; see `fallback`.
     """
 
     mesh: Mesh
@@ -209,6 +231,17 @@ class Registration:
     work: dict[str, int] = field(default_factory=dict)
     forces: FloatArray | None = None
     draw: Callable[[int], FloatArray] | None = None
+    linear: Callable[[], Fallback | None] | None = None
+
+    @cached_property
+    def fallback(self) -> Fallback | None:
+        """Where linear elasticity alone has the body, about the simulation or about rest; it has no regions.
+
+        None where the answer can be trusted, where no marker was used, or where the body can move freely.
+
+        Cost: computed when it is first read; the body is linearised for the first such answer of a registrar.
+        """
+        return None if self.trust.ok or self.linear is None else self.linear()
 
     @cached_property
     def node_covariance(self) -> FloatArray | None:
@@ -314,6 +347,7 @@ class Registration:
                 "residual_chi_square": self.trust.residual_chi_square,
                 "n_obs": self.trust.n_obs,
             },
+            "fallback": None if self.fallback is None else self.fallback.to_json(),
             "model": dict(self.model),
             "contacts": [contact.to_json() for contact in self.contacts],
             "work": dict(self.work),

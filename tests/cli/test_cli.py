@@ -20,6 +20,8 @@ from tissuereg.io.cases import read_histories
 from tissuereg.io.experiment_keys import FORCES_CSV
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_problem, read_simulation
+from tissuereg.io.tables import write_markers
+from tissuereg.phantom.event import make_event
 
 COMMANDS = ("mesh", "solve", "simulate", "train", "calibrate", "register", "track", "demo", "bench")
 ENVELOPE = {"schema", "seconds", "threads", "machine", "versions"}
@@ -432,6 +434,25 @@ def test_register_takes_the_update_that_is_named(tmp_path, capsys):
         assert code in (0, 4)
         fits.append(said["markers"]["after_rms_mm"])
     assert fits[0] != fits[1]
+
+
+def test_register_takes_variants_of_the_simulation(tmp_path, capsys):
+    event = make_event(seed=0)
+    write_vtu(tmp_path / "mesh.vtu", event.mesh)
+    write_markers(tmp_path / "markers.csv", event.markers)
+    height = event.mesh.nodes[:, 2:] / event.mesh.extent
+    about = np.array([[1.0, 0.2, -2.0], [2.0, 0.1, -1.0], [1.5, -0.4, -1.5], [0.5, 0.3, -1.2], [1.2, 0.0, -0.8]])
+    fields = height * about[:, None] + height**2 * about[::-1, None]
+    np.savez(tmp_path / "variants.npz", displacement_mm=fields)
+    words = ["register", tmp_path / "mesh.vtu", tmp_path / "markers.csv", "--model", "phantom"]
+    code, said, _ = run_json(capsys, *words, "--variants", tmp_path / "variants.npz", "--out", tmp_path / "out")
+    assert code in (0, 4)
+    expected = tr.register(event.mesh, event.markers, model="phantom", variants=fields)
+    assert said["markers"]["after_rms_mm"] == pytest.approx(expected.markers.after_rms_mm, rel=1e-4)
+    assert (said["fallback"] is None) is said["trust"]["ok"]
+    code, said, _ = run_json(capsys, *words[:3], "--variants", tmp_path / "variants.npz", "--out", tmp_path / "other")
+    assert code == 2
+    assert "a registration with a trained model" in json.dumps(said)
 
 
 def test_register_writes_its_files_and_tells_all(inputs, capsys):

@@ -196,6 +196,22 @@ def test_the_page_of_the_spread_is_that_of_its_archive():
     assert script.page(archive) != kept
 
 
+@pytest.mark.parametrize(
+    ("name", "page"), [("variants", "decisions/variants-of-a-simulation"), ("fallback", "decisions/fallback")]
+)
+def test_tables_of_decisions_are_those_of_their_archives(name, page):
+    made, readme = loaded(name), loaded("readme")
+    content = json.loads((BENCHMARKS / "results" / f"{name}.json").read_text(encoding="utf-8"))
+    begin, end = readme.marks(name)
+    kept = (BENCHMARKS.parent / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    assert kept.split(begin)[1].split(end)[0] == made.table(content)
+    if name == "variants":
+        content["rows"][0]["rigs"]["scenario1-101"]["inner_mm"] += 1.0
+    else:
+        next(row for row in content["rows"] if not row["trusted"])["errors_mm"][0] += 1e3
+    assert kept.split(begin)[1].split(end)[0] != made.table(content)
+
+
 def test_the_page_of_the_rivals_is_that_of_its_archive_and_of_their_defaults():
     pages, script = loaded("tune_rivals_page"), loaded("tune_rivals")
     answer = json.loads((BENCHMARKS / "results" / "rivals-tuning.json").read_text(encoding="utf-8"))

@@ -22,7 +22,7 @@ from tissuereg.errors import TissueRegError
 from tissuereg.io.cache import keep_entry, read_entry
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.mrk_json import write_mrk_json
-from tissuereg.io.problems import read_problem, read_simulation, read_simulations
+from tissuereg.io.problems import read_problem, read_simulation, read_simulations, read_variants
 from tissuereg.io.recordings import read_recording
 from tissuereg.io.surfaces import read_triangles
 from tissuereg.io.tables import read_reference
@@ -247,6 +247,7 @@ def good(tmp_path_factory) -> Path:
     write_problem(folder / "problem.npz")
     np.savez(folder / "simulation.npz", displacement_mm=np.zeros((3, 3)))
     np.savez(folder / "simulations.npz", times_s=[0.0, 1.0], displacement_mm=np.zeros((2, 3, 3)))
+    np.savez(folder / "variants.npz", displacement_mm=np.zeros((4, 3, 3)))
     np.savez(folder / "recording.npz", **RECORDING)
     (folder / "recording.csv").write_text(GOOD_RECORDING)
     (folder / "markers.csv").write_text(GOOD_MARKERS)
@@ -338,6 +339,7 @@ READERS = [
     pytest.param(read_problem, "problem.npz", id="problem.npz"),
     pytest.param(read_simulation, "simulation.npz", id="simulation.npz"),
     pytest.param(read_simulations, "simulations.npz", id="simulations.npz"),
+    pytest.param(read_variants, "variants.npz", id="variants.npz"),
     pytest.param(read_rig, "recording.npz", id="recording.npz"),
     pytest.param(lambda path: read_recording(path, ("P1", "P2")), "recording.csv", id="recording.csv"),
     pytest.param(read_reference, "wide.csv", id="reference"),

@@ -9,7 +9,16 @@ import pytest
 import tissuereg as tr
 from support.small_model import SMALL_MODEL
 from tissuereg._clock import Clock
-from tissuereg.baselines import Estimate, MeanOfMarkers, Rigid, Rival
+from tissuereg.baselines import (
+    EnsembleOfSimulations,
+    Estimate,
+    KfAdmm,
+    MeanOfMarkers,
+    Network,
+    Rigid,
+    Rival,
+    VariedNetwork,
+)
 from tissuereg.errors import ArgumentError, FormatError, MarkerError
 from tissuereg.io.npz import write_npz
 from tissuereg.latent.network import NetworkModel
@@ -24,11 +33,12 @@ from tissuereg.studies.contest import (
     Simulated,
     measured,
 )
-from tissuereg.studies.phantom import _rows, phantom_study
+from tissuereg.studies.phantom import _goals, _rows, _short, phantom_study
 from tissuereg.studies.phantom_pages import phantom_markdown
 from tissuereg.studies.rigs import Pad, Rig, read_rig, read_rigs
 from tissuereg.studies.run import _delivered, run_contest
 from tissuereg.studies.runs import Run
+from tissuereg.studies.variants import read_variants
 
 SHARES = np.concatenate([np.linspace(0.1, 1.0, 12), np.linspace(0.9, 0.0, 12)])
 
@@ -322,6 +332,39 @@ def test_a_kept_run_that_is_spoilt_is_made_anew(rig, mesh, tmp_path):
     np.testing.assert_array_equal(run().inner_mm, first.inner_mm)
 
 
+def test_methods_are_given_the_variants_of_each_frame_and_are_run_anew_for_others(rig, mesh, tmp_path):
+    # Bodies that move in proportion to their push, of which some go too far.
+    fields = np.arange(1.0, 7.0)[:, None, None, None] * np.array([0.5, 1.0])[:, None, None] * mesh.nodes / 100.0
+    pushes = np.outer(np.ones(6), rig.push(rig.pad_forces))
+    seen = []
+
+    class Asked(EnsembleOfSimulations):
+        def register(self, measured_mm, simulation_mm=None, variants_mm=None):
+            seen.append(variants_mm)
+            return super().register(measured_mm, simulation_mm, variants_mm)
+
+    def runs(fields):
+        write_npz(tmp_path / "variants" / f"{rig.name}.npz", {"field_mm": fields, "push_mN": pushes})
+        methods = {Simulated.name: Simulated, Asked.name: Asked}
+        keep = tmp_path / "kept"
+        return Contest([rig], mesh, methods=methods, threads=1, variants=tmp_path / "variants", keep=keep).runs(
+            rig, PLAIN
+        )
+
+    (tmp_path / "variants").mkdir()
+    _, run = runs(fields)
+    believed, known = Believed(rig, mesh, 1), read_variants(tmp_path / "variants", rig, mesh.n_nodes)
+    pushed = rig.at_frames(rig.push(rig.pad_forces))[believed.scored]
+    assert len(seen) == run.frames == 3
+    for given, push in zip(seen, pushed, strict=True):
+        np.testing.assert_array_equal(given, known.at(float(push)))
+    runs(fields)
+    assert len(seen) == 3
+    runs(1.1 * fields)
+    assert len(seen) == 6
+    assert Contest([rig], mesh, methods={Asked.name: Asked}, threads=1).left_out == (Asked.name,)
+
+
 # --- what is summed up and written ---
 
 
@@ -367,7 +410,7 @@ def test_studies_are_written_with_every_method_and_condition(made, tmp_path):
         assert len(kept["rows"]) == 5 * conditions == len([r for r in answer["rows"] if r["study"] == study])
         page = (tmp_path / "out" / f"{study}.md").read_text()
         assert page.count("| off |") == conditions
-        assert "Not run, since a model or training fields were not given: needs fields." in page
+        assert "Not run, since a model, training fields or variants were not given: needs fields." in page
         assert len((tmp_path / "out" / f"{study}.csv").read_text().splitlines()) == 1 + 5 * conditions
         assert (tmp_path / "out" / f"{study}.png").stat().st_size > 10_000
     assert set(json.loads((tmp_path / "out" / "fig10.json").read_text())["curves"]["sensor_mm"]) == names
@@ -383,7 +426,31 @@ def test_studies_are_written_with_every_method_and_condition(made, tmp_path):
     }
     # Neither ours nor KF-ADMM was run.
     assert (short["cut_of_simulation"], short["better_than_kf_admm"]) == (None, None)
+    assert short["with_variants"] == {"cut_of_simulation": None, "better_than_kf_admm": None}
     assert (short["rigs"], short["seeds"]) == (1, [0])
+
+
+def test_goals_are_counted_for_the_network_and_with_variants():
+    def run(method, error):
+        errors = np.full(2, error)
+        return Run(method, "plain", "a", 1, np.arange(2.0), errors, 2.0 * errors[:, None], None, 1.0, 2, 0)
+
+    errors = {Simulated.name: 1.0, Network.name: 0.4, VariedNetwork.name: 0.1, KfAdmm.name: 0.5, "other": 0.3}
+    rows = _rows(PLAIN, [run(method, error) for method, error in errors.items()])
+    goals = {one["goal"]: (one["found"], one["met"]) for one in _goals(rows)}
+    assert goals["simulation's error lowered by 80%, mean over rigs"] == ("60%", False)
+    assert goals["simulation's error lowered by 80%, of the mean errors at inner points, with variants"] == (
+        "90%",
+        True,
+    )
+    assert goals["55% better than KF-ADMM"] == ("20%", False)
+    assert goals["55% better than KF-ADMM, with variants"] == ("80%", True)
+    # Ours are not counted against each other.
+    assert goals["better than every other method"] == ("other (0.30 mm)", False)
+    assert goals["better than every other method, with variants"] == ("none is better", True)
+    short = _short(rows, [])
+    assert (short["cut_of_simulation"], short["better_than_kf_admm"]) == pytest.approx((0.6, 0.2))
+    assert short["with_variants"] == pytest.approx({"cut_of_simulation": 0.9, "better_than_kf_admm": 0.8})
 
 
 def test_every_method_has_a_short_name_of_its_own():

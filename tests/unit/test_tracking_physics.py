@@ -216,12 +216,11 @@ def test_simulations_that_cannot_hold_a_shape_add_its_displacement():
 
 
 def test_any_function_is_a_simulation_and_nothing_else_is_one():
-    wrapped = as_physics(lambda stroke: stroke * np.ones((4, 3)))
+    wrapped = as_physics(lambda stroke: stroke * np.ones((4, 3)), "simulator")
     assert isinstance(wrapped, CalledPhysics)
     assert np.array_equal(wrapped.field(2.0), np.full((4, 3), 2.0))
-    assert as_physics(None) is None
     for wrong in (3.0, "table", TablePhysics):
         with pytest.raises(ArgumentError, match="simulator"):
-            as_physics(wrong)
+            as_physics(wrong, "simulator")
     with pytest.raises(ShapeError, match="simulation"):
         CalledPhysics(lambda _: [1.0, 2.0]).field(0.0)

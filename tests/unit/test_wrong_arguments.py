@@ -333,6 +333,7 @@ CALLS = {
             "surface": None,
             "model": None,
             "simulation": None,
+            "variants": None,
             "targets": {},
             "load": None,
             "material": tr.Material(),
@@ -391,7 +392,14 @@ CALLS = {
     ),
     "Registrar.register": (
         lambda **given: registrar().register(**{"measured_mm": markers().measured, **given}),
-        {"measured_mm": markers().measured, "simulation": None, "after": None, "progress": None, "tell": None},
+        {
+            "measured_mm": markers().measured,
+            "simulation": None,
+            "variants": None,
+            "after": None,
+            "progress": None,
+            "tell": None,
+        },
     ),
     "Tracker": (
         lambda **given: tr.Tracker(
@@ -403,6 +411,7 @@ CALLS = {
             "model": None,
             "targets": {},
             "simulator": None,
+            "variants": [],
             "restart": "forces",
             "temporal": True,
             "std": 0.1,
@@ -634,6 +643,7 @@ CALLS = {
             "model": None,
             "data": "rigs",
             "fields": None,
+            "variants": None,
             "methods": ["rigid"],
             "keep": None,
             "seed": 0,

@@ -14,6 +14,7 @@ from tissuereg.baselines.residual import LinearResidual
 from tissuereg.baselines.rigid import Rigid, rigid_displacement
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
 from tissuereg.baselines.spline import Spline, spline_displacement
+from tissuereg.baselines.varied import EnsembleOfSimulations, Varied, VariedNetwork
 
 #: Every method by the name that tables print.
 RIVALS: dict[str, type[Rival]] = {
@@ -36,11 +37,14 @@ RIVALS: dict[str, type[Rival]] = {
         LatentFilter,
         PhysicsPrior,
         Network,
+        EnsembleOfSimulations,
+        VariedNetwork,
     )
 }
 
 __all__ = [
     "RIVALS",
+    "EnsembleOfSimulations",
     "Estimate",
     "KfAdmm",
     "LatentFilter",
@@ -62,6 +66,8 @@ __all__ = [
     "Setting",
     "Spline",
     "SplineAbout",
+    "Varied",
+    "VariedNetwork",
     "copied_displacement",
     "rigid_displacement",
     "spline_displacement",

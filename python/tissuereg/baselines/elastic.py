@@ -66,12 +66,7 @@ class LinearElastic(Rival):
     def __init__(self, setting: Setting, *, smooth: bool = True, rigid: float = 1.0) -> None:
         super().__init__(setting)
         self.body = elastic_body(setting)
-        self.priors: dict[str, LinearPrior] = {"least energy": self.body.least_energy()}
-        if flag("smooth", smooth):
-            for level in range(int(self.body.patches.level.max()) + 1):
-                radius = float(self.body.patches.radii[self.body.patches.level == level][0])
-                self.priors[f"patches of {radius:.3g} mm"] = self.body.patch_loads(level)
-        self.priors = {name: self.body.given_way(prior, rigid) for name, prior in self.priors.items()}
+        self.priors: dict[str, LinearPrior] = self.body.priors(flag("smooth", smooth), rigid)
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
         """Return the simulation and the most probable linear change; see `Rival.register`."""

@@ -28,10 +28,9 @@ class KfAdmm(Rival):
     of ADMM start from the corrected shape.
 
     The method has a simulation of its own, which is to feel the actuators as the simulation does that all methods are
-    given. Nodes that they move (`Setting.driven`) go on from where the filter left them by what that simulation moves
-    them from moment to moment, and so do held nodes. All others feel the nodal forces that hold its field in
-    equilibrium. Without a correction, ADMM comes to rest in that field. If the simulation turns a tet inside out, the
-    forces of the moment before act.
+    given. Nodes that they move (`Setting.driven`) follow that simulation, and so do held nodes. All others feel the
+    nodal forces that hold its field in equilibrium. Without a correction, ADMM comes to rest in that field. If the
+    simulation turns a tet inside out, the forces of the moment before act.
 
     Parameters
     ----------
@@ -48,6 +47,9 @@ class KfAdmm(Rival):
         Density; it sets the time scale on which the body follows its forces.
     n_iterations : int
         Iterations of ADMM a moment.
+    carried : float
+        Share of what the filter corrected at the driven nodes that is carried on to the next moment: with 0 they follow
+        the simulation until the next correction, with 1 errors of one push are there in the next.
 
     Raises
     ------
@@ -76,6 +78,7 @@ class KfAdmm(Rival):
         noise_mm: float = 0.3,
         density_g_cm3: float = 1.0,
         n_iterations: int = 10,
+        carried: float = 0.0,
     ) -> None:
         super().__init__(setting)
         check_choice("modes", modes, tuple(_MODES), ArgumentError)
@@ -83,6 +86,7 @@ class KfAdmm(Rival):
         real("noise_mm", noise_mm, above=0.0, unit="mm")
         real("density_g_cm3", density_g_cm3, above=0.0, unit="g/cm^3")
         self._n_iterations = whole("n_iterations", n_iterations, least=1)
+        self._carried = real("carried", carried, least=0.0, below=1.0 + 1e-9)
         mesh, dt = setting.mesh, setting.frame_s
         self._simulator = Simulator(mesh)
         self._moduli = self._simulator.moduli(setting.material)
@@ -148,7 +152,7 @@ class KfAdmm(Rival):
             forces = self._forces
         forces[self._held] = 0.0
         before = simulation if self._last is None else self._last
-        prescribed = (self._body.displacement + simulation - before)[self._held]
+        prescribed = (simulation + self._carried * (self._body.displacement - before))[self._held]
         gap, _ = self._body.step(
             self.setting.frame_s, self._n_iterations, forces=forces, prescribed=prescribed, threads=self.setting.threads
         )

@@ -6,7 +6,7 @@ import numpy as np
 
 from tissuereg._arguments import flag, maybe
 from tissuereg._arrays import FloatArray
-from tissuereg.baselines.rival import Estimate, Rival, Setting
+from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
 from tissuereg.inputs import RegisterSettings
 from tissuereg.latent.model import LatentModel
 from tissuereg.registrar import Registrar
@@ -24,7 +24,7 @@ def spread_of(found: Registration) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("nii->ni", covariance)))
 
 
-class _Registered(Rival):
+class Registered(Rival):
     """A registration of each moment by itself.
 
     Parameters
@@ -62,13 +62,16 @@ class _Registered(Rival):
 
     def register(self, measured_mm: Any, simulation_mm: Any = None) -> Estimate:
         """Return the registered body; see `Rival.register`. What is kept: ``trusted``, ``reasons``, ``seconds``."""
-        moment = self.moment(measured_mm, simulation_mm)
-        found = self._registrar.register(moment.measured_mm, moment.simulation_mm)
+        return self.registered(self.moment(measured_mm, simulation_mm))
+
+    def registered(self, moment: Moment, variants_mm: Any = None) -> Estimate:
+        """Return the registered body of a checked moment, with variants of its simulation (n, n_nodes, 3) in mm."""
+        found = self._registrar.register(moment.measured_mm, moment.simulation_mm, variants=variants_mm)
         kept = {"trusted": found.trust.ok, "reasons": found.trust.reasons, "seconds": dict(found.seconds)}
         return Estimate(found.displacement, spread_of(found) if self._spread else None, kept)
 
 
-class PhysicsPrior(_Registered):
+class PhysicsPrior(Registered):
     """``tissuereg.Registrar`` without a model: few unknown contacts beside the forces that hold the simulation.
 
     The answer is an equilibrium of the believed body. Without a simulation the load of the setting, if it has one, is
@@ -78,7 +81,7 @@ class PhysicsPrior(_Registered):
     name: ClassVar[str] = "tissuereg, physics prior"
 
 
-class Network(_Registered):
+class Network(Registered):
     """``tissuereg.Registrar`` with the model of the setting: the paper's method with an honest prior."""
 
     name: ClassVar[str] = "tissuereg, network"

@@ -17,7 +17,10 @@ from tissuereg.material import Material
 from tissuereg.mesh import Mesh
 
 #: What a method may need beyond mesh, markers and material.
-NEEDS = frozenset({"simulation", "model", "load", "fields"})
+NEEDS = frozenset({"simulation", "model", "load", "fields", "variants"})
+
+#: Those that come with every moment, not with the setting.
+_OF_A_MOMENT = frozenset({"simulation", "variants"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +184,7 @@ class Rival(ABC):
     name : str
         As tables print it.
     needs : frozenset of str
-        What the method needs, of ``simulation``, ``model``, ``load`` and ``fields``.
+        What the method needs, of ``simulation``, ``model``, ``load``, ``fields`` and ``variants``.
     remembers : bool
         Whether the answer of a moment depends on the moments just before, so that none may be left out.
     setting : Setting
@@ -198,7 +201,7 @@ class Rival(ABC):
 
     def __init__(self, setting: Setting) -> None:
         self.setting = of_kind("setting", setting, Setting)
-        for part in sorted(self.needs - {"simulation"}):
+        for part in sorted(self.needs - _OF_A_MOMENT):
             if getattr(setting, part) is None:
                 message = f"`setting.{part}` must be given for the method '{self.name}', got None"
                 raise ArgumentError(message, where=part)

@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> Outcome:
     from tissuereg.registration import register
     from tissuereg.report.files import DEFORMED, WRITTEN
 
-    given_files = [args.path, *args.markers, args.measured, args.simulation, args.targets, args.surface]
+    given_files = [args.path, *args.markers, args.measured, args.simulation, args.variants, args.targets, args.surface]
     written = [Path(args.out) / name for name in (*WRITTEN, "report.html", DEFORMED)]
     refuse_overwriting(written, [*given_files, Path(args.path) / "targets.csv"])
     check_folder_target(args.out)

@@ -55,7 +55,7 @@ def registration_input(args: argparse.Namespace) -> dict[str, Any]:
         If a modulus or a density is out of its range.
     """
     from tissuereg.io.experiments import is_experiment
-    from tissuereg.io.problems import read_simulation
+    from tissuereg.io.problems import read_simulation, read_variants
     from tissuereg.io.tables import read_surface, read_targets
 
     frames = frames_of(args, [*args.markers, args.targets])
@@ -66,6 +66,8 @@ def registration_input(args: argparse.Namespace) -> dict[str, Any]:
         given["targets"] = {**given["targets"], **read_targets(args.targets, **frames)}
     if args.simulation is not None:
         given["simulation"] = read_simulation(args.simulation, given["mesh"].n_nodes)
+    if args.variants is not None:
+        given["variants"] = read_variants(args.variants, given["mesh"].n_nodes)
     if args.surface is not None:
         given["surface"] = read_surface(args.surface, **frames)
         if args.surface_std is not None:
@@ -80,6 +82,8 @@ def _add_files(more: Any) -> None:
     more.add_argument("--measured", metavar="FILE", help=text)
     text = "displacement_mm (n, 3) of this moment, predicted by any simulator"
     more.add_argument("--simulation", metavar="U.npz", help=text)
+    text = "displacement_mm (k, n, 3): this moment simulated with other values of what is uncertain; with --model"
+    more.add_argument("--variants", metavar="U.npz", help=text)
     text = "table x_mm,y_mm,z_mm of points on the deformed surface, or on a part of it, without labels"
     more.add_argument("--surface", metavar="FILE", help=text)
     text = "noise of such a point along the surface's normal, in mm (default: 0.1)"

@@ -39,6 +39,8 @@ def add_parser(commands: Any) -> None:
     phantom.add_argument("--data", metavar="RIGS", help=text)
     text = "data set of the model's body, for methods that need training fields (default: they are left out)"
     phantom.add_argument("--fields", metavar="DATA", help=text)
+    text = "folder of variants of the rigs' simulations, for methods that need them (default: they are left out)"
+    phantom.add_argument("--variants", metavar="FOLDER", help=text)
     text = "a method to run besides the simulation; may be given several times (default: all)"
     phantom.add_argument("--method", action="append", metavar="NAME", help=text)
     text = "folder that keeps what each method did on each rig: the same command goes on where it was stopped"
@@ -79,6 +81,7 @@ def run(args: argparse.Namespace) -> Outcome:
             model=args.model,
             data=args.data,
             fields=args.fields,
+            variants=args.variants,
             methods=args.method,
             keep=args.keep,
             seed=args.seed or 0,

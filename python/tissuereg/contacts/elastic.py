@@ -146,6 +146,22 @@ class ElasticBody:
         best = np.linalg.solve(0.5 * (energies + energies.T), seen)
         return LinearPrior(seen.T @ best, np.einsum("lnx,lo->nxo", moved, best, optimize=True), self._std)
 
+    def priors(self, smooth: bool = True, rigid: float = 1.0) -> dict[str, LinearPrior]:
+        """Return priors by name of which the one of the highest evidence is to be taken.
+
+        Parameters
+        ----------
+        smooth : bool
+            Whether smooth tractions on patches of several radii are among them beside the strain energy.
+        rigid : float
+            Variance of the markers by rigid motions of the whole body over that by elasticity: a base may give.
+        """
+        found = {"least energy": self.least_energy()}
+        for level in range(int(self.patches.level.max()) + 1 if smooth else 0):
+            radius = float(self.patches.radii[self.patches.level == level][0])
+            found[f"patches of {radius:.3g} mm"] = self.patch_loads(level)
+        return {name: self.given_way(prior, rigid) for name, prior in found.items()}
+
     def given_way(self, prior: LinearPrior, share: float) -> LinearPrior:
         """Return a prior with small rigid motions of the whole body, held nodes included, added.
 

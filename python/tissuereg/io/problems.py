@@ -122,6 +122,30 @@ def read_simulation(path: str | os.PathLike[str], n_nodes: int | None = None) ->
         return archive.floats("displacement_mm", n_nodes, 3)
 
 
+def read_variants(path: str | os.PathLike[str], n_nodes: int | None = None) -> FloatArray:
+    """Read displacement fields of one moment, simulated with several values of what is uncertain.
+
+    Parameters
+    ----------
+    path : path-like
+        An .npz with ``displacement_mm (k, n, 3)``.
+    n_nodes : int, optional
+        How many nodes they must have.
+
+    Returns
+    -------
+    ndarray of float64, shape (k, n_nodes, 3)
+        mm.
+
+    Raises
+    ------
+    FormatError
+        If there is no such array, or it has another shape or a value that is not finite.
+    """
+    with open_npz(path) as archive:
+        return archive.floats("displacement_mm", None, n_nodes, 3)
+
+
 def read_simulations(path: str | os.PathLike[str], n_nodes: int | None = None) -> tuple[FloatArray, FloatArray]:
     """Read a simulation's displacement fields at several moments.
 

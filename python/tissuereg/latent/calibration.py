@@ -30,6 +30,9 @@ LEAST_SIZE_MM = 0.3
 #: Probability that a simulation is not of this event at all.
 UNRELATED = 0.02
 
+#: Share of the variance of changes from simulations in general that stays where variants of the simulation are given.
+BESIDE_VARIANTS = 0.25
+
 
 @dataclass(frozen=True, eq=False)
 class FieldErrors:
@@ -273,7 +276,7 @@ class PointCalibration:
         ]
 
     def prior_about(
-        self, code: FloatArray, size: float, simulated: FloatArray
+        self, code: FloatArray, size: float, simulated: FloatArray, variants: RowErrors | None = None
     ) -> tuple[list[Component], list[tuple[int, float]]]:
         """Return the components of the truth of an event that is simulated.
 
@@ -285,6 +288,9 @@ class PointCalibration:
             Root mean square displacement of the simulation, mm.
         simulated : ndarray of float64, shape (n_rows,)
             The simulation at markers and targets, mm.
+        variants : RowErrors, optional
+            Covariance of variants of the simulation, which is their mean: changes then have it, a share of what they
+            have in general, and no factor.
 
         Returns
         -------
@@ -297,18 +303,23 @@ class PointCalibration:
         change, law = self.whole.change, self.whole.anchored
         if change is None or law is None or self.change_errors is None:
             return self.prior(), []
-        square = max(size, LEAST_SIZE_MM) ** 2
-        forms = [(kind, float(factor)) for kind in range(len(change.covariances)) for factor in change.factors]
+        square, known = max(size, LEAST_SIZE_MM) ** 2, 0.0
+        factors, weights = change.factors, law.scale_weights.reshape(len(change.covariances), -1, len(law.scales))
+        if variants is not None:
+            # Variants say by which factor all may move more or less.
+            factors, weights = np.zeros(1), weights.sum(axis=1, keepdims=True)
+            square, known = BESIDE_VARIANTS * square, variants.covariances[0]
+        forms = [(kind, float(factor)) for kind in range(len(change.covariances)) for factor in factors]
         of_factor = np.outer(simulated, simulated)
         about = [
             Component(
-                (1.0 - UNRELATED) * weights,
+                (1.0 - UNRELATED) * of_form,
                 law.scales,
                 code,
                 square * change.covariances[kind],
-                square * self.change_errors.covariances[kind] + factor * of_factor,
+                square * self.change_errors.covariances[kind] + factor * of_factor + known,
             )
-            for (kind, factor), weights in zip(forms, law.scale_weights, strict=True)
+            for (kind, factor), of_form in zip(forms, weights.reshape(len(forms), -1), strict=True)
         ]
         return [*about, *self.prior(UNRELATED)], forms
 

@@ -120,6 +120,11 @@ class PointModel:
         whole = getattr(self.model, "calibration", None)
         return None if whole is None else whole.at(lambda fields: self.components(self.at_points(fields)))
 
+    @property
+    def knows_changes(self) -> bool:
+        """Whether it is measured how truths differ from simulations."""
+        return self.calibration is not None and self.calibration.change_errors is not None
+
     def errors(self, law: ScaledErrors, scale: FloatArray) -> ErrorsAt:
         """Return errors that are scaled by a factor a field; at the points they are found once."""
         if id(law) not in self._errors:
@@ -192,7 +197,11 @@ class PointsAround:
 
     def at_rows(self, field: FloatArray) -> FloatArray:
         """Return a field (n_nodes, 3) as components (3 (n_markers + n_targets),)."""
-        return np.asarray(self._at.components(self._at.at_points(field)[None])[0])
+        return np.asarray(self.all_rows(field[None])[0])
+
+    def all_rows(self, fields: FloatArray) -> FloatArray:
+        """Return fields (n_fields, n_nodes, 3) as components (n_fields, 3 (n_markers + n_targets))."""
+        return self._at.components(self._at.at_points(fields))
 
     def markers(self, moved: FloatArray) -> FloatArray:
         """Return displacements (..., n_markers, 3) of markers from those of points."""

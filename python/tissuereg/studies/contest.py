@@ -18,6 +18,7 @@ import numpy as np
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.baselines import (
     RIVALS,
+    EnsembleOfSimulations,
     Estimate,
     KfAdmm,
     LatentFilter,
@@ -38,6 +39,8 @@ from tissuereg.baselines import (
     Setting,
     Spline,
     SplineAbout,
+    Varied,
+    VariedNetwork,
 )
 from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
 from tissuereg.latent.model import LatentModel
@@ -49,6 +52,7 @@ from tissuereg.phantom.event import POISSON
 from tissuereg.simulate.solve import Simulator
 from tissuereg.studies.rigs import Rig, on_spline
 from tissuereg.studies.runs import KeptRuns, Run
+from tissuereg.studies.variants import RigVariants, digest, read_variants
 
 #: What everyone believes: the paper's modulus.
 BELIEVED = Material(10.0, POISSON)
@@ -128,14 +132,18 @@ class NetworkAlone(Network):
 
 
 #: Every method by its name, the simulation and ours first.
-METHODS: dict[str, type[Rival]] = {method.name: method for method in (Simulated, Network, NetworkAlone)} | RIVALS
+METHODS: dict[str, type[Rival]] = {
+    method.name: method for method in (Simulated, VariedNetwork, Network, NetworkAlone)
+} | RIVALS
 
 #: Short names of the methods, for JSON and the command line.
 KEYS: dict[str, str] = {
     Simulated.name: "simulation",
+    VariedNetwork.name: "tissuereg-variants",
     Network.name: "tissuereg",
     NetworkAlone.name: "tissuereg-without-simulation",
     PhysicsPrior.name: "tissuereg-contacts",
+    EnsembleOfSimulations.name: "ensemble",
     KfAdmm.name: "kf-admm",
     PositionBasedDynamics.name: "pbd",
     ParameterInference.name: "parameters",
@@ -230,6 +238,8 @@ class Believed:
         Of the user; its node set ``fixed`` is held.
     threads : int
         Of the solver.
+    variants : RigVariants, optional
+        Of the simulation.
 
     Notes
     -----
@@ -241,8 +251,8 @@ class Believed:
     measured.
     """
 
-    def __init__(self, rig: Rig, mesh: Mesh, threads: int = 0) -> None:
-        self.rig, self.mesh, self._threads = rig, mesh, threads
+    def __init__(self, rig: Rig, mesh: Mesh, threads: int = 0, variants: RigVariants | None = None) -> None:
+        self.rig, self.mesh, self._threads, self._variants = rig, mesh, threads, variants
         self._simulated: dict[str, FloatArray] = {}
         points = {"sensor": rig.sensor_mm} | {str(k): place for k, place in enumerate(rig.inner_mm)}
         self._points = TargetObservation(mesh, points)
@@ -294,10 +304,17 @@ class Believed:
     def simulation_mm(self, drive: str) -> FloatArray:
         """Return the believed displacement of the nodes, shape (n_frames, n_nodes, 3)."""
         if drive not in self._simulated:
-            pushed = self.rig.at_frames(self.rig.push(self.rig.pad_forces))
-            shares = self.rig.motion if drive == "motion" else self.path.shares_of(pushed)
+            shares = self.rig.motion if drive == "motion" else self.path.shares_of(self._pushes)
             self._simulated[drive] = self.path.fields_at(shares)
         return self._simulated[drive]
+
+    def variants_mm(self, frame: int) -> FloatArray | None:
+        """Return variants of the simulation that the measured push of a frame drives, (n, n_nodes, 3) in mm."""
+        return None if self._variants is None else self._variants.at(float(self._pushes[frame]))
+
+    @cached_property
+    def _pushes(self) -> FloatArray:
+        return self.rig.at_frames(self.rig.push(self.rig.pad_forces))
 
     @property
     def scored(self) -> IntArray:
@@ -360,7 +377,10 @@ def run_method(
             continue
         begun = time.process_time()
         try:
-            found = rival.register(seen, simulation)
+            if isinstance(rival, Varied):
+                found = rival.register(seen, simulation, believed.variants_mm(frame))
+            else:
+                found = rival.register(seen, simulation)
         except TissueRegError:
             failed += 1
             found = Estimate(simulation)
@@ -407,6 +427,8 @@ class Contest:
         Training fields, mm.
     methods : mapping of str to type of Rival
         Those that lack what they need are left out.
+    variants : path-like, optional
+        Folder of variants of the rigs' simulations.
     seed, threads : int
         Of the noise and the methods; of the solver and the methods.
     keep : path-like, optional
@@ -423,13 +445,16 @@ class Contest:
         seed: int = 0,
         threads: int = 0,
         keep: str | os.PathLike[str] | None = None,
+        variants: str | os.PathLike[str] | None = None,
     ) -> None:
         self.rigs, self._mesh, self._model, self._fields = tuple(rigs), mesh, model, fields
         self._seed, self._threads = seed, threads
         given = {"simulation"}
-        given |= {name for name, value in (("model", model), ("fields", fields)) if value is not None}
+        parts = {"model": model, "fields": fields, "variants": variants}
+        given |= {name for name, value in parts.items() if value is not None}
         self.methods = {name: method for name, method in methods.items() if method.needs <= given}
         self.left_out = tuple(name for name in methods if name not in self.methods)
+        self._variants = variants
         self._kept = KeptRuns(keep, self._key_of)
         self._believed: dict[str, Believed] = {}
         self._has_simulation: dict[str, bool] = {}
@@ -456,17 +481,21 @@ class Contest:
 
     def _believed_of(self, rig: Rig) -> Believed:
         if rig.name not in self._believed:
-            self._believed = {rig.name: Believed(rig, self._mesh, self._threads)}  # one rig's fields at a time
+            variants = None if self._variants is None else read_variants(self._variants, rig, self._mesh.n_nodes)
+            # One rig's fields at a time.
+            self._believed = {rig.name: Believed(rig, self._mesh, self._threads, variants)}
         return self._believed[rig.name]
 
-    def _key_of(self, name: str) -> dict[str, Any]:
-        """Return what the runs of a method depend on besides rig and condition."""
+    def _key_of(self, rig: Rig, name: str) -> dict[str, Any]:
+        """Return what the run of a method on a rig depends on besides rig and condition."""
         needs = self.methods[name].needs
         key: dict[str, Any] = {"seed": self._seed, "n_nodes": self._mesh.n_nodes}
         if "model" in needs:
             key["model"] = _mark(self._model)
         if "fields" in needs:
             key["training_fields"] = len(self._fields)
+        if "variants" in needs and self._variants is not None:
+            key["variants"] = digest(self._variants, rig)
         return key
 
     def runs(self, rig: Rig, condition: Condition) -> list[Run]:

@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from tissuereg.baselines import KfAdmm, Network, PhysicsPrior
+from tissuereg.baselines import KfAdmm, Network, PhysicsPrior, VariedNetwork
 from tissuereg.studies.contest import PLAIN, Simulated
 from tissuereg.studies.tables import claim_lines, csv_lines
 
 #: Methods that a figure names: the simulation, ours, and the paper's rival.
-_NAMED = (Simulated.name, Network.name, PhysicsPrior.name, KfAdmm.name)
+_NAMED = (Simulated.name, Network.name, VariedNetwork.name, PhysicsPrior.name, KfAdmm.name)
 
 
 def phantom_markdown(content: dict[str, Any]) -> str:
@@ -23,7 +23,10 @@ def phantom_markdown(content: dict[str, Any]) -> str:
         rows = [row for row in content["rows"] if row["condition"] == name]
         lines += [f"**{words[0].upper()}{words[1:]}**, {rows[0]['rigs']} rigs:", "", *_table(rows), ""]
     if content["left_out"]:
-        lines += [f"Not run, since a model or training fields were not given: {', '.join(content['left_out'])}.", ""]
+        lines += [
+            f"Not run, since a model, training fields or variants were not given: {', '.join(content['left_out'])}.",
+            "",
+        ]
     if content["rigs_left_out"]:
         names = ", ".join(content["rigs_left_out"])
         lines += [f"Left out, since the believed body has no equilibrium under the pads of the rig: {names}.", ""]

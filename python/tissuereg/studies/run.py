@@ -55,6 +55,7 @@ def reproduce(
     model: str | os.PathLike[str] | None = None,
     data: str | os.PathLike[str] | None = None,
     fields: str | os.PathLike[str] | None = None,
+    variants: str | os.PathLike[str] | None = None,
     methods: Sequence[str] | None = None,
     keep: str | os.PathLike[str] | None = None,
     seed: int = 0,
@@ -74,6 +75,9 @@ def reproduce(
         phantom experiment takes one of ``phantom_mesh()``.
     data : path-like, optional
         Rigs of the phantom experiment (``*.npz``); by default ``benchmarks/twin/rigs`` below the current folder.
+    variants : path-like, optional
+        Folder of variants of the rigs' simulations (``make rig-variants``), for methods that need them; without it
+        they are left out.
     fields : path-like, optional
         Data set of the model's body, for methods of the phantom experiment that need training fields; without it they
         are left out.
@@ -124,7 +128,7 @@ def reproduce(
     called("progress", progress)
     folder = place("out", out, error=OutputError)
     check_folder_target(folder)
-    for name, given in (("data", data), ("fields", fields), ("keep", keep)):
+    for name, given in (("data", data), ("fields", fields), ("keep", keep), ("variants", variants)):
         if given is not None:
             place(name, given)
     names_of = {key: name for name, key in KEYS.items()}
@@ -137,7 +141,7 @@ def reproduce(
     phantom = [name for name in dict.fromkeys(names) if name in PHANTOM_STUDIES]
     if phantom:
         with clock.stage("rigs"):
-            contest = _contest(data, model, fields, chosen, keep, seed, threads)
+            contest = _contest(data, model, fields, chosen, keep, seed, threads, variants)
     if simulated:
         with clock.stage("model"):
             subject = subject_of(model)
@@ -179,7 +183,14 @@ def run_contest(
 
 
 def _contest(
-    data: Any, model: Any, fields: Any, methods: list[str] | None, keep: Any, seed: int, threads: int
+    data: Any,
+    model: Any,
+    fields: Any,
+    methods: list[str] | None,
+    keep: Any,
+    seed: int,
+    threads: int,
+    variants: Any,
 ) -> Contest:
     rigs = read_rigs(RIGS if data is None else data)
     mesh = phantom_mesh()
@@ -191,7 +202,7 @@ def _contest(
         members = members[np.sort(np.random.default_rng(seed).permutation(len(members))[:_MOST_FIELDS])]
         trained = np.asarray(dataset.displacement[members], np.float64)
     wanted = METHODS if methods is None else {name: METHODS[name] for name in (Simulated.name, *methods)}
-    return Contest(rigs, mesh, known, trained, wanted, seed, threads, keep)
+    return Contest(rigs, mesh, known, trained, wanted, seed, threads, keep, variants)
 
 
 def _simulated(

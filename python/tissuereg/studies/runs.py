@@ -63,14 +63,14 @@ class KeptRuns:
     ----------
     folder : path-like, optional
         Made where it is missing; without one nothing is kept.
-    key_of : callable of str -> mapping of str to object
-        What the runs of a method depend on besides rig and condition; a file of another key, or of other software, is
-        not taken.
+    key_of : callable of (Rig, str) -> mapping of str to object
+        What the run of a method on a rig depends on besides the recording and the condition; a file of another key, or
+        of other software, is not taken.
     """
 
-    def __init__(self, folder: str | os.PathLike[str] | None, key_of: Callable[[str], Mapping[str, Any]]) -> None:
+    def __init__(self, folder: str | os.PathLike[str] | None, key_of: Callable[[Rig, str], Mapping[str, Any]]) -> None:
         self._folder = None if folder is None else place("keep", folder)
-        self._key_of_method = key_of
+        self._key_of_run = key_of
 
     def read(self, rig: Rig, condition: str, method: str) -> Run | None:
         """Return a run that is kept, or None."""
@@ -110,4 +110,4 @@ class KeptRuns:
         parts = (rig.reference_mm, rig.motion, rig.marker_levels_mm, rig.sensor_levels_mm, rig.inner_levels_mm)
         data = b"".join(np.ascontiguousarray(part).tobytes() for part in (*parts, rig.pad_forces, rig.strokes_mm))
         digest = hashlib.sha256(data).hexdigest()[:16]
-        return {**self._key_of_method(method), "version": __version__, "rig_digest": digest}
+        return {**self._key_of_run(rig, method), "version": __version__, "rig_digest": digest}

@@ -226,19 +226,17 @@ class CalledPhysics:
         return float_array("simulation", self._function(actuator), (None, 3))
 
 
-def as_physics(simulator: Any) -> Physics | None:
-    """Return a physics simulation; functions are wrapped, None stays None.
+def as_physics(given: Any, name: str) -> Physics:
+    """Return a physics simulation that is given as the argument `name`; functions are wrapped.
 
     Raises
     ------
     ArgumentError
         If it is neither a `Physics` nor a function.
     """
-    if simulator is None:
-        return None
-    if isinstance(simulator, Physics) and not isinstance(simulator, type):
-        return simulator
-    if callable(simulator) and not isinstance(simulator, type):
-        return CalledPhysics(simulator)
-    message = f"`simulator` must have a method `field` or be a function of the actuators, got {found(simulator)}"
-    raise ArgumentError(message, where="simulator")
+    if isinstance(given, Physics) and not isinstance(given, type):
+        return given
+    if callable(given) and not isinstance(given, type):
+        return CalledPhysics(given)
+    message = f"`{name}` must have a method `field` or be a function of the actuators, got {found(given)}"
+    raise ArgumentError(message, where=name)

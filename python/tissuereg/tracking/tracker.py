@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import called, flag, found, real
+from tissuereg._arguments import called, each, flag, found, real
+from tissuereg._arrays import FloatArray, float_array
 from tissuereg._choice import check_choice
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, MarkerError, TissueRegError
 from tissuereg.inputs import finite_field
@@ -63,6 +64,9 @@ class Tracker:
         Inner points of the undeformed body, mm.
     simulator : Physics or callable of actuator -> array_like of float, shape (n_nodes, 3), optional
         The physics simulation. Without it frames are registered from rest, as `Registrar.register` does.
+    variants : sequence of Physics or callable, optional
+        The same simulation with other values of what is uncertain, each given the same actuators: four or more, of a
+        model that was calibrated with pairs. A frame is registered from their mean; see `register`.
     restart : {"forces", "displacement", "guess", "reference"}
         How the registered state restarts the simulation; see `tissuereg.tracking.restart`. Without a model ``forces``
         and ``displacement`` are ``guess``: the contacts of the last frame are the forces that hold its shape.
@@ -102,6 +106,7 @@ class Tracker:
         targets: Mapping[str, Any] | None = None,
         *,
         simulator: Any = None,
+        variants: Any = (),
         restart: str = "guess",
         temporal: bool = True,
         **options: Any,
@@ -110,7 +115,8 @@ class Tracker:
             check_choice("option", name, _OPTIONS, ArgumentError)
         check_choice("restart", restart, RESTARTS, ArgumentError)
         self._registrar = _registrar(body, reference_mm, model, targets, options)
-        self._physics = physics = as_physics(simulator)
+        self._physics = physics = None if simulator is None else as_physics(simulator, "simulator")
+        self._variants = [as_physics(one, "variants") for one in each("variants", variants, object)]
         self._noise_mm = float(np.sqrt(np.mean(self._registrar.markers.axis_std**2)))
         # Contacts are the forces that hold the last shape already.
         how = "guess" if self._registrar.by_contacts and restart != "reference" else restart
@@ -287,7 +293,8 @@ class Tracker:
         simulated = self._simulated(actuator)
         field = None if simulated is None else finite_field(simulated.field, self._registrar.mesh)
         after = None if self._last is None else self._last.alone
-        alone = self._registrar.register(frame.measured_mm, field, after=after)
+        variants = self._varied(actuator)
+        alone = self._registrar.register(frame.measured_mm, field, variants=variants, after=after)
         result, gain = self._combined(alone, simulated, elapsed)
         widening = self._lineage.widening(self._layout.variance(alone), simulated)
         result = self._layout.widened(result, widening)
@@ -299,9 +306,15 @@ class Tracker:
                 self._restart.renew()
         return self._last
 
+    def _varied(self, actuator: Any) -> FloatArray | None:
+        """Return the variants of a frame (n_variants, n_nodes, 3); None without any."""
+        shape = self._registrar.mesh.nodes.shape
+        fields = [float_array("variants", one.field(actuator), shape) for one in self._variants]
+        return np.array(fields) if fields else None
+
     def _simulated(self, actuator: Any) -> Simulated | None:
         if self._restart is None:
-            if actuator is not None:
+            if actuator is not None and not self._variants:
                 message = "an `actuator` needs a `simulator` that knows it; the tracker has none"
                 raise ArgumentError(message, where="actuator")
             return None
