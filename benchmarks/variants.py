@@ -59,8 +59,11 @@ def measure(data, folder):
             for module in (tissuereg.latent.calibration, tissuereg.mixture_posterior):
                 module.BESIDE_VARIANTS = share
             wide = {"spread": True} if method in (Network, VariedNetwork) else {}
-            run = run_method(method(believed.setting(PLAIN, model, None, 0), **wide), believed, markers, PLAIN)
+            rival, trusted = method(believed.setting(PLAIN, model, None, 0), **wide), []
+            noted(rival, trusted)
+            run = run_method(rival, believed, markers, PLAIN)
             row["rigs"][rig.name] = {
+                "trusted": trusted,
                 "sensor_mm": float(run.sensor_mm.mean()),
                 "inner_mm": float(run.inner_mm.mean()),
                 "coverage90": run.coverage90,
@@ -70,20 +73,34 @@ def measure(data, folder):
     return rows
 
 
+def noted(rival, trusted):
+    """Let a method note whether each of its answers can be trusted, where it says so."""
+    register = rival.register
+
+    def registered(*given):
+        found = register(*given)
+        trusted.extend([found.kept["trusted"]] if "trusted" in found.kept else [])
+        return found
+
+    rival.register = registered
+
+
 def table(content):
     """Return the lines of the table."""
     names = list(content["rows"][0]["rigs"])
     lines = [
         f"Means over {len(names)} development rigs ({', '.join(names)}), scored frames.",
         "",
-        "| registration | bodies | sensor, mm | inner points, mm | 90 % intervals hold |",
-        "|---|---|---|---|---|",
+        "| registration | bodies | sensor, mm | inner points, mm | 90 % intervals hold | not trusted |",
+        "|---|---|---|---|---|---|",
     ]
     for row in content["rows"]:
         sensor, inner = (np.mean([one[part] for one in row["rigs"].values()]) for part in ("sensor_mm", "inner_mm"))
         covered = [one["coverage90"] for one in row["rigs"].values()]
         hold = "" if None in covered else f"{np.mean(covered):.0%}"
-        lines.append(f"| {row['words']} | {row['bodies'] or ''} | {sensor:.3f} | {inner:.3f} | {hold} |")
+        trusted = [frame for one in row["rigs"].values() for frame in one["trusted"]]
+        alarms = f"{trusted.count(False)} of {len(trusted)}" if trusted else ""
+        lines.append(f"| {row['words']} | {row['bodies'] or ''} | {sensor:.3f} | {inner:.3f} | {hold} | {alarms} |")
     return "\n".join([*lines, ""])
 
 

@@ -273,6 +273,8 @@ class Registrar:
                     solved = self._simulator.solve(self._load, self._material, threads=self._attached.threads)
                     field = solved.displacement
             found = self._registered(markers, field, varied, surface, clock, progress, after)
+        if varied is not None:
+            found = replace(found, model={**found.model, "variants": varied.count})
         start = field if field is not None or varied is None else varied.mean
         return replace(found, linear=lambda: self._linear(markers, found.markers.used, start))
 

@@ -189,7 +189,7 @@ class Registration:
     trust : Trust
         Whether the result can be trusted, and the reasons if not.
     model : dict
-        Kind, source, members and test errors of the latent model.
+        Kind, source, members and test errors of the latent model; ``variants``, how many were given, if any.
     seconds : dict of str to float
         Wall time per stage.
     seed : int

@@ -9,6 +9,7 @@ import tissuereg as tr
 from support.meshes import block
 from tissuereg import fallback as fallbacks
 from tissuereg.baselines import LinearElastic, Setting
+from tissuereg.cli.register_words import summary
 from tissuereg.contacts.elastic import ElasticBody
 
 MATERIAL = tr.Material(young=8.0, poisson=0.4)
@@ -115,7 +116,7 @@ def test_a_body_that_can_move_freely_has_none(mesh, places):
     assert result.fallback is None
 
 
-def test_it_is_in_the_json_and_comes_with_many_moments(mesh, places, moved):
+def test_it_is_in_the_json_and_comes_with_many_moments(mesh, places, moved, tmp_path):
     how = {"material": MATERIAL, "threads": 1, "targets": {"t": TARGET}, "simulation": moved}
     alone = registered(mesh, places, torn(places), simulation=moved)
     said = alone.to_json()["fallback"]
@@ -123,6 +124,10 @@ def test_it_is_in_the_json_and_comes_with_many_moments(mesh, places, moved):
     np.testing.assert_array_equal(said["targets_mm"]["t"], alone.fallback.targets["t"])
     (many,) = tr.register_many(mesh, [tr.Markers(places, torn(places), 0.1)], **how)
     np.testing.assert_array_equal(many.fallback.displacement, alone.fallback.displacement)
+    (line,) = [line for line in summary(alone.to_json(), "out").splitlines() if "linear elasticity" in line]
+    place = ", ".join(f"{x:.2f}" for x in said["targets_mm"]["t"])
+    assert line == f"By linear elasticity alone, without a region: t at ({place}) mm."
+    assert line in alone.report(tmp_path / "report.html").read_text(encoding="utf-8")
     good = registered(mesh, places, places + 0.05 * np.random.default_rng(3).standard_normal(places.shape))
     assert good.trust.ok
     assert good.to_json()["fallback"] is None

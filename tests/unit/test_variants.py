@@ -133,6 +133,8 @@ def test_the_answer_is_compared_with_the_simulation_and_starts_from_the_mean(mes
     _, target = places(mesh)
     how = {"model": calibrated(mesh, 0.3), "targets": {"t": mesh.nodes[target]}, "threads": 1}
     plain = tr.register(mesh, markers, variants=variants, **how)
+    assert plain.model["variants"] == 10
+    assert "variants" not in tr.register(mesh, markers, simulation=variants[0], **how).model
     with_own = tr.register(mesh, markers, variants=variants, simulation=0.5 * variants[0], **how)
     np.testing.assert_array_equal(plain.displacement, with_own.displacement)
     at_mean, at_own = variants.mean(axis=0)[target], 0.5 * variants[0][target]

@@ -21,7 +21,7 @@ def summary(content: dict[str, Any], out: str) -> str:
     str
         Several lines; the last states whether to trust the result.
     """
-    from tissuereg.report.words import start_word
+    from tissuereg.report.words import fallback_lines, start_word
 
     markers, trust, body, model = (content[name] for name in ("markers", "trust", "body", "model"))
     simulated = any(target["simulation_mm"] is not None for target in content["targets"].values())
@@ -39,7 +39,7 @@ def summary(content: dict[str, Any], out: str) -> str:
             seconds_line(content["seconds"]),
             f"written: {out}",
             *(_contact_line(contact) for contact in content["contacts"]),
-            *_fallback_lines(content["fallback"]),
+            *([] if content["fallback"] is None else fallback_lines(content["fallback"]["targets_mm"])),
             *_verdict_lines(content["targets"], trust),
         ]
     )
@@ -77,15 +77,6 @@ def _contact_line(contact: dict[str, Any]) -> str:
         f"contact at ({place}) mm: surface moved by {contact['size_mm']:.1f} mm, {contact['force_mN']:.0f} mN at the "
         f"believed modulus towards ({towards}), probability {contact['probability']:.2f}"
     )
-
-
-def _fallback_lines(fallback: dict[str, Any] | None) -> list[str]:
-    """Return where linear elasticity alone has the targets of an answer that is not to be trusted."""
-    places = {} if fallback is None else fallback["targets_mm"]
-    return [
-        f"by linear elasticity alone, without a region: target {name} at ({', '.join(f'{x:.2f}' for x in place)}) mm"
-        for name, place in places.items()
-    ]
 
 
 def _verdict_lines(targets: dict[str, Any], trust: dict[str, Any]) -> list[str]:

@@ -35,6 +35,11 @@ class Variants:
     mean: FloatArray
     spread: FieldErrors
 
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.spread.basis)
+
     @classmethod
     def of(cls, fields: Any, n_nodes: int) -> "Variants":
         """Return the variants of a moment.

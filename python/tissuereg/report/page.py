@@ -11,7 +11,7 @@ from tissuereg._arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.scene import Surface, contact_verb
-from tissuereg.report.words import counted, silent, start_word, verdict
+from tissuereg.report.words import counted, fallback_lines, silent, start_word, verdict
 
 if TYPE_CHECKING:
     from tissuereg.result import Registration
@@ -62,11 +62,13 @@ def write_page(result: "Registration", path: Path) -> Path:
 def _summary(result: "Registration") -> str:
     trust = result.trust
     reasons = "".join(f"<li>{escape(reason)}</li>" for reason in trust.reasons)
+    left = [] if result.fallback is None else fallback_lines(result.fallback.targets)
     flagged = [name for name, target in result.targets.items() if target.flag]
     return (
         f"<h1>Registration</h1><p class='verdict {'yes' if trust.ok else 'no'}'>{verdict(trust.ok)}</p>"
         + (f"<ul class='no'>{reasons}</ul>" if reasons else "")
         + (f"<p class='silent'>{escape(silent(flagged))}</p>" if flagged else "")
+        + "".join(f"<p>{escape(line)}</p>" for line in left)
         + f"<p>{_met(result)} Misfit {trust.chi_square:.1f} for {trust.n_obs} measured "
         f"coordinates, p = {trust.p_value:.2g}. Smallest volume ratio of a tet {result.min_det_f:.2f}, "
         f"{result.inverted_tets} inverted.</p>"

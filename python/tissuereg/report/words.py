@@ -1,6 +1,6 @@
 """Sentences that picture, page and command line share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 
 def verdict(ok: bool) -> str:
@@ -40,3 +40,17 @@ def silent(names: Sequence[str]) -> str:
     """
     whose = "its region holds" if len(names) == 1 else "their regions hold"
     return f"No marker tells of {', '.join(names)}: {whose} only if nothing else pushes or pulls nearby."
+
+
+def fallback_lines(places: Mapping[str, Iterable[float]]) -> list[str]:
+    """Return where linear elasticity alone has the targets of an answer that is not to be trusted, in mm.
+
+    Examples
+    --------
+    >>> fallback_lines({"lesion": (1.0, 2.5, -3.0)})
+    ['By linear elasticity alone, without a region: lesion at (1.00, 2.50, -3.00) mm.']
+    """
+    return [
+        f"By linear elasticity alone, without a region: {name} at ({', '.join(f'{x:.2f}' for x in place)}) mm."
+        for name, place in places.items()
+    ]
