@@ -1,7 +1,8 @@
 """The phantom experiment on the rigs of ``benchmarks/twin``: every method, and the tables of the page.
 
 ``python benchmarks/phantom.py`` writes ``results/phantom.json``, and tables and pictures of
-``docs/phantom-experiment.md``; ``--page`` writes the page alone. ``tissuereg reproduce`` does the work.
+``docs/phantom-experiment.md``; ``--page`` writes the page alone. ``--add METHOD`` (several times) runs these methods
+alone and lets their rows take the place of those of the archive. ``tissuereg reproduce`` does the work.
 """
 
 import argparse
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import tissuereg as tr
 from tissuereg._machine import machine
-from tissuereg.studies.phantom import PHANTOM_STUDIES
+from tissuereg.studies.phantom import PHANTOM_STUDIES, merged
 from tissuereg.studies.phantom_pages import phantom_markdown, phantom_picture
 
 HERE = Path(__file__).resolve().parent
@@ -33,6 +34,7 @@ def main():
     parser.add_argument("--variants")
     parser.add_argument("--keep", default="build/phantom-experiment")
     parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--add", action="append", metavar="METHOD")
     parser.add_argument("--page", action="store_true")
     options = parser.parse_args()
     if not options.page:
@@ -44,10 +46,14 @@ def main():
                 data=options.data,
                 fields=options.fields,
                 variants=options.variants,
+                methods=options.add,
                 keep=options.keep,
                 threads=options.threads,
             )
             studies = {name: json.loads((out / f"{name}.json").read_text("utf-8")) for name in PHANTOM_STUDIES}
+        if options.add is not None:
+            known = json.loads(RESULTS.read_text(encoding="utf-8"))["studies"]
+            studies = {name: merged(known[name], new) for name, new in studies.items()}
         content = {"machine": machine(), "seconds": answer["seconds"], "studies": studies}
         RESULTS.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     for name, content in json.loads(RESULTS.read_text(encoding="utf-8"))["studies"].items():

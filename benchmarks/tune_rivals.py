@@ -92,7 +92,7 @@ SWEEPS = (
     Sweep(b.KfAdmm, "carried", (0.0, 0.5, 1.0), seeds=1),
     Sweep(b.KfAdmm, "modes", ("admm", "elastic"), seeds=1),
     Sweep(b.KfAdmm, "noise_mm", (0.1, 0.3, 1.0), seeds=1),
-    Sweep(b.KfAdmm, "n_iterations", (5, 10, 20), seeds=1),
+    Sweep(b.KfAdmm, "n_iterations", (3, 5, 10, 20), seeds=1),
     Sweep(b.KfAdmm, "density_g_cm3", (0.1, 1.0, 10.0), seeds=1),
     Sweep(b.KfAdmm, "n_modes", (75, 150, 300), seeds=1),
     Sweep(b.ParameterInference, "load_std", (0.1, 0.3, 0.6), seeds=1, last=True),
@@ -277,11 +277,19 @@ def methods_of(word: str, without: set[str]) -> list[type[Rival]]:
 
 
 def added(archive: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
-    """Return an archive in which what was found of some methods takes the place of what it had of them."""
-    new = {row["method"] for row in [*found["sweeps"], *found["methods"]]} | {words[0] for words in found["pending"]}
-    parts = {part: [one for one in archive[part] if one["method"] not in new] for part in ("sweeps", "methods")}
-    pending = [words for words in archive["pending"] if words[0] not in new]
-    return {**archive, **{part: parts[part] + found[part] for part in parts}, "pending": pending + found["pending"]}
+    """Return an archive in which what was found takes the place of what it had of the same sweeps and methods."""
+    parts = {}
+    for part in ("sweeps", "methods"):
+        new = {_words(one) for one in found[part]}
+        parts[part] = [one for one in archive[part] if _words(one) not in new] + found[part]
+    known = {_words(one) for part in parts.values() for one in part}
+    pending = [words for words in [*archive["pending"], *found["pending"]] if tuple(words) not in known]
+    return {**archive, **parts, "pending": pending}
+
+
+def _words(one: Mapping[str, Any]) -> tuple[str, str]:
+    """Return what a sweep or a row of the archive is of."""
+    return one["method"], one.get("constant", "all defaults")
 
 
 def main() -> None:

@@ -53,8 +53,8 @@ Errors on development rigs also showed what a rival lacked.
 * *KF-ADMM* was driven by the forces that hold the simulation. Forces on the skin do not follow it, and a body that is
   pressed deep buckles under them: on one rig the prediction missed the markers by 8 mm where the simulation missed
   them by 2. Nodes under actuators (`Setting.driven`) now follow the simulation until the next correction. For a time
-  they went on from where the filter had left them: then errors of one push are there in the next, and on a rig of
-  scenario 2 the error over the recording is 1.1 mm in place of 0.15.
+  they went on from where the filter had left them (`carried` of 1): then errors of one push are there in the next, and
+  on a rig of scenario 2 the error over the recording is 1.2 mm in place of 0.12.
 * *Parameter inference* scaled the same forces, and its members buckled. It now scales the motion of those nodes.
 * *LIBR* has the body's rigid motion among its unknowns in the original, and the original of *linear elastic* holds no
   base at all. Both now let the base give, by a share of what elasticity explains.

@@ -20,6 +20,9 @@ from tissuereg.mesh import Mesh
 from tissuereg.observe import TargetObservation
 from tissuereg.result import Fallback
 
+#: Bodies of more nodes get none: their registration itself fills the memory.
+LARGEST = 50_000
+
 
 @dataclass(frozen=True, eq=False)
 class ElasticFallback:

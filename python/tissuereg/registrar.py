@@ -14,7 +14,7 @@ from tissuereg._choice import check_choice
 from tissuereg._clock import Clock
 from tissuereg.contact_registration import ContactInput, fitting_element, register_by_contacts
 from tissuereg.errors import ArgumentError, MarkerError, SupportError
-from tissuereg.fallback import ElasticFallback
+from tissuereg.fallback import LARGEST, ElasticFallback
 from tissuereg.inputs import Attachment, RegisterSettings, finite_field
 from tissuereg.latent.model import LatentModel
 from tissuereg.latent.points import PointModel
@@ -336,14 +336,14 @@ class Registrar:
         )
 
     def _linear(self, markers: Markers, used: tuple[str, ...], start: FloatArray | None) -> Fallback | None:
-        """Return where linear elasticity alone has the body; None where it can move freely."""
+        """Return where linear elasticity alone has the body; None where it can move freely or is too large."""
         with self._blas.limit(limits=1):
             return None if self._elastic is None else self._elastic.about(markers, used, start)
 
     @cached_property
     def _elastic(self) -> ElasticFallback | None:
         own = self._attached
-        if not len(own.mesh.node_sets.get("fixed", ())):
+        if not len(own.mesh.node_sets.get("fixed", ())) or own.mesh.n_nodes > LARGEST:
             return None
         try:
             return ElasticFallback.of(own.mesh, self._material, own.places, own.targets, own.threads)

@@ -237,7 +237,8 @@ class Registration:
     def fallback(self) -> Fallback | None:
         """Where linear elasticity alone has the body, about the simulation or about rest; it has no regions.
 
-        None where the answer can be trusted, where no marker was used, or where the body can move freely.
+        None where the answer can be trusted, where no marker was used, where the body can move freely, and where it
+        has more than 50,000 nodes.
 
         Cost: computed when it is first read; the body is linearised for the first such answer of a registrar.
         """

@@ -8,6 +8,7 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg import fallback as fallbacks
+from tissuereg import registrar as registrars
 from tissuereg.baselines import LinearElastic, Setting
 from tissuereg.cli.register_words import summary
 from tissuereg.contacts.elastic import ElasticBody
@@ -114,6 +115,13 @@ def test_a_body_that_can_move_freely_has_none(mesh, places):
     result = registered(free, places, torn(places), held="free")
     assert not result.trust.ok
     assert result.fallback is None
+
+
+def test_a_large_body_has_none(mesh, places, monkeypatch):
+    monkeypatch.setattr(registrars, "LARGEST", mesh.n_nodes - 1)
+    assert registered(mesh, places, torn(places)).fallback is None
+    monkeypatch.setattr(registrars, "LARGEST", mesh.n_nodes)
+    assert registered(mesh, places, torn(places)).fallback is not None
 
 
 def test_it_is_in_the_json_and_comes_with_many_moments(mesh, places, moved, tmp_path):

@@ -33,7 +33,7 @@ from tissuereg.studies.contest import (
     Simulated,
     measured,
 )
-from tissuereg.studies.phantom import _goals, _rows, _short, phantom_study
+from tissuereg.studies.phantom import _goals, _rows, _short, merged, phantom_study
 from tissuereg.studies.phantom_pages import phantom_markdown
 from tissuereg.studies.rigs import Pad, Rig, read_rig, read_rigs
 from tissuereg.studies.run import _delivered, run_contest
@@ -430,6 +430,34 @@ def test_studies_are_written_with_every_method_and_condition(made, tmp_path):
     assert (short["rigs"], short["seeds"]) == (1, [0])
 
 
+@pytest.mark.parametrize("study", ["fig10", "phantom"])
+def test_methods_that_are_run_again_take_the_place_of_what_was_known(rig, mesh, study):
+    class Farther(Off):
+        def register(self, measured_mm, simulation_mm=None):
+            return Estimate(simulation_mm + np.array([3.0, 0.0, 0.0]))
+
+    def found(**methods):
+        return phantom_study(study, Contest([rig], mesh, methods=methods, threads=1))
+
+    known = found(simulation=Simulated, off=Off, rigid=Rigid)
+    again = merged(known, found(simulation=Simulated, off=Farther, fails=Fails))
+    whole = found(simulation=Simulated, off=Farther, rigid=Rigid, fails=Fails)
+    untimed = [
+        {(row["condition"], row["method"]): row["sensor_mean_mm"] for row in one["rows"]} for one in (again, whole)
+    ]
+    assert untimed[0] == untimed[1]
+    assert again["agree"] == whole["agree"]
+    if study == "fig10":
+        assert again["curves"] == whole["curves"]
+    else:
+        assert again["goals"] == whole["goals"]
+        assert set(again["methods"]) == set(whole["methods"])
+    other = phantom_study(study, Contest([replace(rig, name="other", seed=1)], mesh, methods={"off": Off}, threads=1))
+    if study == "phantom":
+        with pytest.raises(ArgumentError, match="must have the same seeds"):
+            merged(known, other)
+
+
 def test_goals_are_counted_for_the_network_and_with_variants():
     def run(method, error):
         errors = np.full(2, error)
@@ -448,7 +476,7 @@ def test_goals_are_counted_for_the_network_and_with_variants():
     # Ours are not counted against each other.
     assert goals["better than every other method"] == ("other (0.30 mm)", False)
     assert goals["better than every other method, with variants"] == ("none is better", True)
-    short = _short(rows, [])
+    short = _short(rows)
     assert (short["cut_of_simulation"], short["better_than_kf_admm"]) == pytest.approx((0.6, 0.2))
     assert short["with_variants"] == pytest.approx({"cut_of_simulation": 0.9, "better_than_kf_admm": 0.8})
 

@@ -199,7 +199,15 @@ def test_a_moment_whose_simulation_is_inside_out_is_held_by_the_forces_before(se
 
 
 @pytest.mark.parametrize(
-    "given", [{"modes": "other"}, {"n_modes": 0}, {"noise_mm": 0.0}, {"density_g_cm3": -1.0}, {"n_iterations": 0.5}]
+    "given",
+    [
+        {"modes": "other"},
+        {"n_modes": 0},
+        {"noise_mm": 0.0},
+        {"density_g_cm3": -1.0},
+        {"n_iterations": 0.5},
+        {"carried": 1.5},
+    ],
 )
 def test_a_tuning_constant_out_of_its_range_is_refused(seen, given):
     with pytest.raises(ArgumentError, match=next(iter(given))):

@@ -634,6 +634,7 @@ CALLS = {
     "PcaEsMda": (rival("PCA-26 + ES-MDA"), {"n_latent": 3, "n_members": 9, "n_steps": 2}),
     "OneStepSmoother": (rival("one-step ES in latents"), {"n_members": 9, "spread": False}),
     "LatentFilter": (rival("EnKF in latents"), {"memory_s": 1.0, "n_members": 9, "spread": False}),
+    "EnsembleOfSimulations": (rival("ensemble of simulations"), {"error_mm": 0.1}),
     "PhysicsPrior": (rival("tissuereg, physics prior"), {"spread": False, "settings": quick()}),
     "reproduce": (
         reproduced,

@@ -77,7 +77,7 @@ class KfAdmm(Rival):
         n_modes: int = 150,
         noise_mm: float = 0.3,
         density_g_cm3: float = 1.0,
-        n_iterations: int = 10,
+        n_iterations: int = 5,
         carried: float = 0.0,
     ) -> None:
         super().__init__(setting)
@@ -86,7 +86,10 @@ class KfAdmm(Rival):
         real("noise_mm", noise_mm, above=0.0, unit="mm")
         real("density_g_cm3", density_g_cm3, above=0.0, unit="g/cm^3")
         self._n_iterations = whole("n_iterations", n_iterations, least=1)
-        self._carried = real("carried", carried, least=0.0, below=1.0 + 1e-9)
+        self._carried = real("carried", carried, least=0.0)
+        if self._carried > 1.0:
+            message = f"`carried` must be a share from 0 to 1, got {carried}"
+            raise ArgumentError(message, where="carried")
         mesh, dt = setting.mesh, setting.frame_s
         self._simulator = Simulator(mesh)
         self._moduli = self._simulator.moduli(setting.material)

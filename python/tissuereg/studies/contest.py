@@ -239,7 +239,7 @@ class Believed:
     threads : int
         Of the solver.
     variants : RigVariants, optional
-        Of the simulation.
+        Of the simulation; may be given later, as the attribute of this name.
 
     Notes
     -----
@@ -252,7 +252,7 @@ class Believed:
     """
 
     def __init__(self, rig: Rig, mesh: Mesh, threads: int = 0, variants: RigVariants | None = None) -> None:
-        self.rig, self.mesh, self._threads, self._variants = rig, mesh, threads, variants
+        self.rig, self.mesh, self._threads, self.variants = rig, mesh, threads, variants
         self._simulated: dict[str, FloatArray] = {}
         points = {"sensor": rig.sensor_mm} | {str(k): place for k, place in enumerate(rig.inner_mm)}
         self._points = TargetObservation(mesh, points)
@@ -310,7 +310,7 @@ class Believed:
 
     def variants_mm(self, frame: int) -> FloatArray | None:
         """Return variants of the simulation that the measured push of a frame drives, (n, n_nodes, 3) in mm."""
-        return None if self._variants is None else self._variants.at(float(self._pushes[frame]))
+        return None if self.variants is None else self.variants.at(float(self._pushes[frame]))
 
     @cached_property
     def _pushes(self) -> FloatArray:
@@ -375,12 +375,10 @@ def run_method(
     for frame, (seen, simulation) in enumerate(zip(markers, believed.simulation_mm(condition.drive), strict=True)):
         if alone and not is_scored[frame]:
             continue
+        given = [believed.variants_mm(frame)] if isinstance(rival, Varied) else []
         begun = time.process_time()
         try:
-            if isinstance(rival, Varied):
-                found = rival.register(seen, simulation, believed.variants_mm(frame))
-            else:
-                found = rival.register(seen, simulation)
+            found = rival.register(seen, simulation, *given)
         except TissueRegError:
             failed += 1
             found = Estimate(simulation)
@@ -481,9 +479,7 @@ class Contest:
 
     def _believed_of(self, rig: Rig) -> Believed:
         if rig.name not in self._believed:
-            variants = None if self._variants is None else read_variants(self._variants, rig, self._mesh.n_nodes)
-            # One rig's fields at a time.
-            self._believed = {rig.name: Believed(rig, self._mesh, self._threads, variants)}
+            self._believed = {rig.name: Believed(rig, self._mesh, self._threads)}  # one rig's fields at a time
         return self._believed[rig.name]
 
     def _key_of(self, rig: Rig, name: str) -> dict[str, Any]:
@@ -514,6 +510,8 @@ class Contest:
 
     def _run_anew(self, rig: Rig, condition: Condition, name: str) -> Run:
         believed, method = self._believed_of(rig), self.methods[name]
+        if "variants" in method.needs and believed.variants is None and self._variants is not None:
+            believed.variants = read_variants(self._variants, rig, self._mesh.n_nodes)
         setting = believed.setting(condition, self._model, self._fields, self._seed)
         markers = measured(rig, condition, self._seed)
         run = replace(run_method(method(setting), believed, markers, condition), method=name)

@@ -24,7 +24,7 @@ _OURS = {Network.name: "", VariedNetwork.name: ", with variants"}
 PHANTOM_STUDIES: dict[str, int | None] = {"fig10": 1, "fig11": 2, "phantom": None}
 
 #: Seeds whose rigs are run under conditions other than the plain one: the lowest of those there are.
-_FURTHER_SEEDS = 3
+_FURTHER_SEEDS = 1
 
 #: Resamples of an interval, and their seed.
 _RESAMPLES, _SEED = 2000, 27
@@ -87,8 +87,48 @@ def phantom_study(name: str, contest: Contest, progress: Progress | None = None)
         "rigs_left_out": without,
     }
     if scenario is None:
-        return {**found, "goals": _goals(rows), **_short(rows, rigs)}
+        counted = {"rigs": len(rigs), "seeds": sorted({rig.seed for rig in rigs})}
+        return {**found, "goals": _goals(rows), **_short(rows), **counted}
     return {**found, "curves": _curves(rigs[0], contest.runs(rigs[0], PLAIN))}
+
+
+def merged(known: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON of a study in which what was run again takes the place of what was known.
+
+    Parameters
+    ----------
+    known, new : dict
+        JSON of the same study on the same rigs; `new` may be of a few methods.
+
+    Returns
+    -------
+    dict
+        As of `phantom_study`: rows, curves, and all that is counted from them.
+
+    Raises
+    ------
+    ArgumentError
+        If the two are of different rigs or conditions.
+    """
+    for part in ("rigs_left_out", "conditions", "rigs", "seeds"):
+        if known.get(part) != new.get(part):
+            message = f"studies that are merged must have the same {part}, got {known.get(part)} and {new.get(part)}"
+            raise ArgumentError(message, where=part)
+    of_new = {(row["condition"], row["method"]): row for row in new["rows"]}
+    rows = [of_new.pop((row["condition"], row["method"]), row) for row in known["rows"]] + list(of_new.values())
+    methods = {row["method"] for row in rows}
+    (study,) = new["agree"]
+    found = {
+        **known,
+        **new,
+        "rows": rows,
+        "agree": {study: _agreement(rows).to_json()},
+        "left_out": [name for name in known["left_out"] if name not in methods],
+    }
+    if "curves" in known:
+        curves = known["curves"]["sensor_mm"] | new["curves"]["sensor_mm"]
+        return {**found, "curves": {**new["curves"], "sensor_mm": curves}}
+    return {**found, "goals": _goals(rows), **_short(rows)}
 
 
 def of_rigs(runs: Sequence[Run], value: Callable[[Run], float]) -> FloatArray:
@@ -143,7 +183,7 @@ def _plain(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return {row["method"]: row for row in rows if row["condition"] == PLAIN.name}
 
 
-def _short(rows: Sequence[dict[str, Any]], rigs: Sequence[Rig]) -> dict[str, Any]:
+def _short(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the contest in short: each method with all markers seen, and what the goals are of."""
     plain = _plain(rows)
     return {
@@ -159,8 +199,6 @@ def _short(rows: Sequence[dict[str, Any]], rigs: Sequence[Rig]) -> dict[str, Any
         },
         **_shares(plain, Network.name),
         "with_variants": _shares(plain, VariedNetwork.name),
-        "rigs": len(rigs),
-        "seeds": sorted({rig.seed for rig in rigs}),
     }
 
 
