@@ -10,6 +10,7 @@ TIE = 0.02
 #: Why a default is not the best of its sweep, or why a sweep ends at it.
 REASONS = {
     ("linear elastic", "smooth"): "there is no third",
+    ("KF-ADMM, our reconstruction", "modes"): "there is no third",
     ("LIBR", "energy_weight"): "that of the highest evidence, at every noise",
     ("PBD with observations", "n_iterations"): "more take over a tenth of a second a frame",
     ("parameter inference", "n_members"): "flat",
