@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-import tissuereg.latent.calibration
-import tissuereg.mixture_posterior
 from tissuereg._machine import machine
 from tissuereg.baselines import EnsembleOfSimulations, Network, VariedNetwork
+from tissuereg.latent import calibration
 from tissuereg.latent_registration import as_model
 from tissuereg.phantom import phantom_mesh
 from tissuereg.studies.contest import PLAIN, Believed, Simulated, measured, run_method
@@ -32,7 +31,7 @@ SHARES, FEWER = (0.03, 0.1, 0.25, 1.0), (6, 12)
 
 def settings():
     """Return the compared registrations: words, method, share of the general variance, number of bodies."""
-    released = tissuereg.latent.calibration.BESIDE_VARIANTS
+    released = calibration.BESIDE_VARIANTS
     return [
         ("simulation", Simulated, None, None),
         ("network, no variants", Network, None, None),
@@ -47,17 +46,15 @@ def measure(data, folder):
     mesh = phantom_mesh()
     model = as_model("phantom", mesh, 1)
     rigs = [rig for rig in read_rigs(data) if (folder / f"{rig.name}.npz").exists()]
-    rows = [{"words": words, "bodies": count, "rigs": {}} for words, _, _, count in settings()]
+    compared = settings()
+    rows = [{"words": words, "bodies": count, "rigs": {}} for words, _, _, count in compared]
     for rig in rigs:
-        variants, path, markers = read_variants(folder, rig, mesh.n_nodes), None, measured(rig, PLAIN, 0)
-        for row, (_, method, share, count) in zip(rows, settings(), strict=True):
-            few = replace(variants, fields_mm=variants.fields_mm[:count], pushes=variants.pushes[:count])
-            believed = Believed(rig, mesh, 1, few)
-            if path is not None:
-                believed.__dict__["path"] = path
-            path = believed.path
-            for module in (tissuereg.latent.calibration, tissuereg.mixture_posterior):
-                module.BESIDE_VARIANTS = share
+        variants, markers = read_variants(folder, rig, mesh.n_nodes), measured(rig, PLAIN, 0)
+        believed = Believed(rig, mesh, 1)
+        for row, (_, method, share, count) in zip(rows, compared, strict=True):
+            few = {part: getattr(variants, part)[:count] for part in ("fields_mm", "pushes")}
+            believed.variants = replace(variants, **few)
+            calibration.BESIDE_VARIANTS = share
             wide = {"spread": True} if method in (Network, VariedNetwork) else {}
             rival, trusted = method(believed.setting(PLAIN, model, None, 0), **wide), []
             noted(rival, trusted)

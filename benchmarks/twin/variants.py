@@ -48,21 +48,6 @@ def variant(scenario, seed, number):
     return replace(other, actuators=actuators, young=float(BELIEVED.young))
 
 
-def push_of(rig, forces):
-    """Return how hard the pads push along their known strokes together, (n_levels,) in mN."""
-    along = np.array([one.known_direction for one in rig.actuators])
-    return np.einsum("lpx,px->l", forces, along)
-
-
-def is_simulated(recording, mesh):
-    """Return whether the believed body has equilibria under the pads of a recorded rig; others are not compared."""
-    try:
-        _ = Believed(recording, mesh, 1).path
-    except ConvergenceError:
-        return False
-    return True
-
-
 def main():
     """Make what is missing."""
     parser = argparse.ArgumentParser(prog="python -m twin.variants", description=__doc__.split("\n")[0])
@@ -78,7 +63,8 @@ def main():
             path = options.out / name
             if path.exists():
                 continue
-            if not is_simulated(read_rig(RIGS / ("development" if options.development else "rigs") / name), mesh):
+            recording = read_rig(RIGS / ("development" if options.development else "rigs") / name)
+            if not Believed(recording, mesh, 1).simulated:
                 print(f"{path.stem}: the believed body has no equilibrium under its pads", flush=True)
                 continue
             fields = np.full((N_VARIANTS, len(SHARES), mesh.n_nodes, 3), np.nan, np.float16)
@@ -91,7 +77,8 @@ def main():
                     print(f"{path.stem}, variant {number}: {error}", flush=True)
                     continue
                 fields[number, : len(found)] = found
-                pushes[number, : len(found)] = push_of(rig, forces) if len(found) else []
+                if len(found):
+                    pushes[number, : len(found)] = recording.push(forces)
             write_npz(path, {"field_mm": fields, "push_mN": pushes})
             print(f"{path.stem}: {int(np.isfinite(pushes).sum())} of {pushes.size} equilibria", flush=True)
 

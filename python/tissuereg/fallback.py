@@ -82,10 +82,8 @@ class ElasticFallback:
         seen = np.flatnonzero(whole)
         if not len(seen):
             return None
-        start = np.zeros_like(self.body.mesh.nodes) if simulation is None else simulation
-        observed = self.body.observed
-        residual = markers.displacement[seen] - observed.predict(start[observed.nodes])[seen]
+        residual = self.body.residual(markers.displacement[seen], seen, simulation)
         _, found = most_probable(self._priors, residual, seen, markers.std[seen])
-        moved = start + found.displacement_mm
+        moved = found.displacement_mm if simulation is None else simulation + found.displacement_mm
         places = self.targets.reference + self.targets.predict(moved[self.targets.nodes])
         return Fallback(moved, dict(zip(self.targets.names, places, strict=True)))

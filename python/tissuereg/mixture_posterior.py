@@ -11,14 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.latent.calibration import (
-    BESIDE_VARIANTS,
-    LEAST_SIZE_MM,
-    FieldErrors,
-    PointCalibration,
-    Rehearsal,
-    RowErrors,
-)
+from tissuereg.latent.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
 from tissuereg.latent.mixture import Component, Linear, MixturePosterior
 from tissuereg.latent.model import rms_displacement
 from tissuereg.latent.network import AnchoredModel
@@ -297,11 +290,9 @@ class CalibratedPosterior:
         forms, change, variants = self.anchor.forms, self.at.change_errors, self.anchor.variants
         if number >= len(forms) or change is None:
             return [(self.at.errors, self.at.errors.whole.covariances[number - len(forms)])]
-        square = max(self.anchor.size, LEAST_SIZE_MM) ** 2
-        general = change.whole.covariances[forms[number][0]]
-        if variants is None:
-            return [(change, square * general)]
-        return [(change, BESIDE_VARIANTS * square * general), (variants, variants.whole.covariances[0])]
+        square = self.at.squared_size(self.anchor.size, variants is not None)
+        general = (change, square * change.whole.covariances[forms[number][0]])
+        return [general] if variants is None else [general, (variants, variants.whole.covariances[0])]
 
     def _drawn(self) -> list[FloatArray]:
         """Return posterior fields, by conditioning draws of the prior (A. G. Journel, C. J. Huijbregts, 1978)."""

@@ -12,6 +12,7 @@ from tissuereg import registrar as registrars
 from tissuereg.baselines import LinearElastic, Setting
 from tissuereg.cli.register_words import summary
 from tissuereg.contacts.elastic import ElasticBody
+from tissuereg.observe import TargetObservation
 
 MATERIAL = tr.Material(young=8.0, poisson=0.4)
 TARGET = np.array([15.0, 11.0, 22.0])
@@ -139,3 +140,11 @@ def test_it_is_in_the_json_and_comes_with_many_moments(mesh, places, moved, tmp_
     good = registered(mesh, places, places + 0.05 * np.random.default_rng(3).standard_normal(places.shape))
     assert good.trust.ok
     assert good.to_json()["fallback"] is None
+
+
+def test_markers_where_they_were_simulated_leave_the_simulation_as_it_is(mesh, places, moved):
+    seen = mesh.nodes[:, None, :] == places[None]
+    there = places + moved[np.argmax(seen.all(axis=2), axis=0)]
+    markers, targets = tr.Markers(places, there, 0.1), TargetObservation(mesh, {"t": TARGET})
+    found = fallbacks.ElasticFallback.of(mesh, MATERIAL, markers, targets, 1).about(markers, markers.names, moved)
+    np.testing.assert_allclose(found.displacement, moved, atol=1e-9)

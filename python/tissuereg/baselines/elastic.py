@@ -25,9 +25,7 @@ def elastic_body(setting: Setting) -> ElasticBody:
 
 def residual_of(body: ElasticBody, moment: Moment) -> FloatArray:
     """Return what the seen markers' displacements (n_seen, 3) have in excess of the simulation's, mm."""
-    if moment.simulation_mm is None:
-        return moment.displacement_mm
-    return moment.displacement_mm - body.observed.predict(moment.simulation_mm[body.observed.nodes])[moment.seen]
+    return body.residual(moment.displacement_mm, moment.seen, moment.simulation_mm)
 
 
 def added(moment: Moment, change: FloatArray) -> FloatArray:

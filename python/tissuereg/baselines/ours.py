@@ -24,7 +24,7 @@ def spread_of(found: Registration) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("nii->ni", covariance)))
 
 
-class Registered(Rival):
+class _Registered(Rival):
     """A registration of each moment by itself.
 
     Parameters
@@ -71,7 +71,7 @@ class Registered(Rival):
         return Estimate(found.displacement, spread_of(found) if self._spread else None, kept)
 
 
-class PhysicsPrior(Registered):
+class PhysicsPrior(_Registered):
     """``tissuereg.Registrar`` without a model: few unknown contacts beside the forces that hold the simulation.
 
     The answer is an equilibrium of the believed body. Without a simulation the load of the setting, if it has one, is
@@ -81,7 +81,7 @@ class PhysicsPrior(Registered):
     name: ClassVar[str] = "tissuereg, physics prior"
 
 
-class Network(Registered):
+class Network(_Registered):
     """``tissuereg.Registrar`` with the model of the setting: the paper's method with an honest prior."""
 
     name: ClassVar[str] = "tissuereg, network"

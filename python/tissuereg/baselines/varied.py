@@ -7,10 +7,9 @@ import numpy as np
 
 from tissuereg._arguments import real
 from tissuereg._arrays import FloatArray
-from tissuereg.baselines.ours import Registered
+from tissuereg.baselines.ours import Network
 from tissuereg.baselines.rival import Estimate, Rival, Setting
 from tissuereg.errors import ArgumentError
-from tissuereg.latent.model import LatentModel
 from tissuereg.latent.variants import Variants
 from tissuereg.observe import MarkerObservation
 
@@ -47,15 +46,11 @@ class Varied(Rival):
         return variants_mm
 
 
-class VariedNetwork(Registered, Varied):
+class VariedNetwork(Network, Varied):
     """``tissuereg.Registrar`` with the model of the setting and variants of each moment's simulation."""
 
     name: ClassVar[str] = "tissuereg, network with variants"
     needs: ClassVar[frozenset[str]] = frozenset({"model", "variants"})
-
-    @property
-    def _model(self) -> LatentModel | None:
-        return self.setting.model
 
     def register(self, measured_mm: Any, simulation_mm: Any = None, variants_mm: Any = None) -> Estimate:
         """Return the registered body; see `Varied.register`. What is kept: as for `Network`."""

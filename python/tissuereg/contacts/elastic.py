@@ -99,6 +99,20 @@ class ElasticBody:
         columns = [np.einsum("fkx,kx->f", fields[:, nodes], weights) for nodes, weights in self.rows]
         return np.stack(columns, axis=1)
 
+    def residual(self, displacement_mm: FloatArray, seen: IntArray, simulation_mm: FloatArray | None) -> FloatArray:
+        """Return what displacements (n_seen, 3) of the markers `seen` have in excess of a simulation's, mm.
+
+        Parameters
+        ----------
+        displacement_mm : ndarray of float64, shape (n_seen, 3)
+        seen : ndarray of int64, shape (n_seen,)
+        simulation_mm : ndarray of float64, shape (n_nodes, 3), or None
+            None: the body at rest.
+        """
+        if simulation_mm is None:
+            return displacement_mm
+        return displacement_mm - self.observed.predict(simulation_mm[self.observed.nodes])[seen]
+
     def least_energy(self) -> LinearPrior:
         """Return the prior of the strain energy, ``P = K^-1``."""
         fields = self._at_markers[:, : self.mesh.n_nodes]

@@ -265,6 +265,11 @@ class PointCalibration:
         known = self.whole.anchored if anchored else None
         return self.whole.alone if known is None else known
 
+    @staticmethod
+    def squared_size(size: float, varied: bool) -> float:
+        """Return the factor on covariances of changes, mm^2, for an event of a size in mm, with variants or without."""
+        return (BESIDE_VARIANTS if varied else 1.0) * max(size, LEAST_SIZE_MM) ** 2
+
     def prior(self, share: float = 1.0) -> list[Component]:
         """Return the components of an event that is not simulated, one a kind, all `share` probable."""
         kinds, law = self.whole.kinds, self.whole.alone
@@ -303,12 +308,12 @@ class PointCalibration:
         change, law = self.whole.change, self.whole.anchored
         if change is None or law is None or self.change_errors is None:
             return self.prior(), []
-        square, known = max(size, LEAST_SIZE_MM) ** 2, 0.0
+        square, known = self.squared_size(size, variants is not None), 0.0
         factors, weights = change.factors, law.scale_weights.reshape(len(change.covariances), -1, len(law.scales))
         if variants is not None:
             # Variants say by which factor all may move more or less.
             factors, weights = np.zeros(1), weights.sum(axis=1, keepdims=True)
-            square, known = BESIDE_VARIANTS * square, variants.covariances[0]
+            known = variants.covariances[0]
         forms = [(kind, float(factor)) for kind in range(len(change.covariances)) for factor in factors]
         of_factor = np.outer(simulated, simulated)
         about = [

@@ -50,7 +50,7 @@ from tissuereg.mesh import Mesh
 from tissuereg.observe import TargetObservation
 from tissuereg.phantom.event import POISSON
 from tissuereg.simulate.solve import Simulator
-from tissuereg.studies.rigs import Rig, on_spline
+from tissuereg.studies.rigs import Rig, inverted, on_spline
 from tissuereg.studies.runs import KeptRuns, Run
 from tissuereg.studies.variants import RigVariants, digest, read_variants
 
@@ -185,10 +185,7 @@ class Path:
 
     def shares_of(self, pushes: FloatArray) -> FloatArray:
         """Return the shares (k,) at which the body is pushed so hard (k,) in mN; the last one for harder pushes."""
-        fine = np.linspace(0.0, self.shares[-1], _FINE)
-        # Rounding, or a body that gives way, must not turn the curve around.
-        along = np.maximum.accumulate(on_spline(self.shares, self.pushes, fine))
-        return np.asarray(np.interp(pushes, along, fine))
+        return inverted(self.shares, self.pushes, pushes, _FINE)[0]
 
 
 def moved_by_pads(
@@ -315,6 +312,15 @@ class Believed:
     @cached_property
     def _pushes(self) -> FloatArray:
         return self.rig.at_frames(self.rig.push(self.rig.pad_forces))
+
+    @cached_property
+    def simulated(self) -> bool:
+        """Whether the believed body has equilibria under the pads: without a simulation nothing starts."""
+        try:
+            _ = self.path
+        except ConvergenceError:
+            return False
+        return True
 
     @property
     def scored(self) -> IntArray:
@@ -467,14 +473,9 @@ class Contest:
         return {**facts, "n_nodes": self._mesh.n_nodes, "n_latent": latents}
 
     def simulated(self, rig: Rig) -> bool:
-        """Return whether the believed body has equilibria under the rig's pads: without a simulation nothing starts."""
+        """Return whether the believed body has equilibria under the rig's pads; found once for each rig."""
         if rig.name not in self._has_simulation:
-            try:
-                _ = self._believed_of(rig).path
-            except ConvergenceError:
-                self._has_simulation[rig.name] = False
-            else:
-                self._has_simulation[rig.name] = True
+            self._has_simulation[rig.name] = self._believed_of(rig).simulated
         return self._has_simulation[rig.name]
 
     def _believed_of(self, rig: Rig) -> Believed:

@@ -103,6 +103,24 @@ def on_spline(places: FloatArray, values: FloatArray, wanted: FloatArray) -> Flo
     return np.asarray(CubicSpline(places, values)(wanted))
 
 
+def inverted(places: FloatArray, values: FloatArray, wanted: FloatArray, n_fine: int) -> tuple[FloatArray, float]:
+    """Return places (k,) from 0 on where the spline through growing values (n,) has wanted ones, and the largest value.
+
+    Parameters
+    ----------
+    places, values : ndarray of float64, shape (n,)
+        The first place is 0.
+    wanted : ndarray of float64, shape (k,)
+        Beyond the largest value: the last place.
+    n_fine : int
+        Points of the curve between which it is linear.
+    """
+    fine = np.linspace(0.0, places[-1], n_fine)
+    # Rounding, or a body that gives way, must not turn the curve around.
+    along = np.maximum.accumulate(on_spline(places, values, fine))
+    return np.asarray(np.interp(wanted, along, fine)), float(along[-1])
+
+
 def read_rig(path: str | os.PathLike[str]) -> Rig:
     """Read one rig.
 

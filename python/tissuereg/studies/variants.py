@@ -11,7 +11,7 @@ from tissuereg._arguments import place
 from tissuereg._arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.npz import open_npz
-from tissuereg.studies.rigs import Rig, on_spline
+from tissuereg.studies.rigs import Rig, inverted, on_spline
 
 #: Young's modulus of the stored variants, and those with which each is taken: as far apart as it is uncertain, kPa.
 STORED_KPA, YOUNG_KPA, N_MODULI = 10.0, (5.0, 20.0), 5
@@ -103,9 +103,6 @@ def _along(fields: FloatArray, pushes: FloatArray, wanted: FloatArray) -> list[F
         return []
     levels = np.arange(known + 1.0)
     path = np.concatenate([np.zeros_like(fields[:1]), fields[:known]])
-    fine = np.linspace(0.0, known, _FINE)
-    # Rounding, or a body that gives way, must not turn the curve around.
-    along = np.maximum.accumulate(on_spline(levels, np.concatenate([[0.0], pushes[:known]]), fine))
-    inside = wanted[wanted <= along[-1]]
-    beyond = wanted[(wanted > along[-1]) & (wanted <= _BEYOND * along[-1])]
-    return [*on_spline(levels, path, np.interp(inside, along, fine)), *(path[-1] * push / along[-1] for push in beyond)]
+    places, hardest = inverted(levels, np.concatenate([[0.0], pushes[:known]]), wanted, _FINE)
+    beyond = wanted[(wanted > hardest) & (wanted <= _BEYOND * hardest)]
+    return [*on_spline(levels, path, places[wanted <= hardest]), *(path[-1] * push / hardest for push in beyond)]
