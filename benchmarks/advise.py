@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import tissuereg as tr
-from tissuereg._machine import machine
-from tissuereg.observe import TargetObservation
+from tissuereg._base.machine import machine
+from tissuereg.body.observe import TargetObservation
 from tissuereg.phantom.breast import inside_breast
 
 HERE = Path(__file__).resolve().parent

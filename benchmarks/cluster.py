@@ -18,12 +18,12 @@ from statistics import median
 
 import cloudpickle
 
-from tissuereg._machine import machine, versions
+from tissuereg._base.machine import machine, versions
 from tissuereg.parallel import InProcess, open_executor
 from tissuereg.parallel.cluster import _work
-from tissuereg.simulate.chunks import ChunkTask, make_one_chunk
-from tissuereg.simulate.dataset import make_dataset
-from tissuereg.simulate.recipe import read_recipe
+from tissuereg.simulation.chunks import ChunkTask, make_one_chunk
+from tissuereg.simulation.dataset import make_dataset
+from tissuereg.simulation.recipe import read_recipe
 
 RECIPE = Path(__file__).resolve().parent.parent / "training" / "recipes" / "breast.toml"
 OUT = Path(__file__).resolve().parent / "results" / "cluster.json"

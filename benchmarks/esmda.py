@@ -264,7 +264,7 @@ def main() -> None:
     if options.times:
         json.dump(times(options.times, options.threads, options.quick), sys.stdout)
         return
-    from tissuereg._machine import machine
+    from tissuereg._base.machine import machine
 
     whole = not options.quick and options.cases == list(CASES)
     out = options.out or (ARCHIVE if whole else None)

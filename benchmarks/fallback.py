@@ -12,9 +12,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import tissuereg as tr
-from tissuereg._machine import machine
-from tissuereg.latent_registration import as_model
+from tissuereg._base.machine import machine
 from tissuereg.phantom import phantom_mesh
+from tissuereg.registration.learned.registration import as_model
 from tissuereg.studies.contest import BELIEVED, CONDITIONS, Believed, measured
 from tissuereg.studies.rigs import read_rigs
 

@@ -25,7 +25,7 @@ from half_ellipsoid import write_size
 
 import tissuereg as tr
 from loadfree.archive import RESULTS, commit
-from tissuereg._machine import machine, versions
+from tissuereg._base.machine import machine, versions
 from tissuereg.io.tables import write_markers, write_points
 
 ARCHIVE = RESULTS / "large-bodies.json"
@@ -53,9 +53,9 @@ def write_data(folder: Path) -> None:
 
 def expected(problem: Path, threads: int) -> dict:
     """Return what is estimated of both commands; run in a process of its own."""
-    from tissuereg.contacts.size import expected_work
     from tissuereg.io.problems import read_problem
-    from tissuereg.simulate.size import SOLVE, BodySize, Estimate
+    from tissuereg.registration.contacts.size import expected_work
+    from tissuereg.simulation.size import SOLVE, BodySize, Estimate
 
     simulator = tr.Simulator(read_problem(problem).mesh)
     size = BodySize.of(simulator)

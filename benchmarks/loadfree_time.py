@@ -23,7 +23,7 @@ import tissuereg as tr
 from loadfree import table
 from loadfree.archive import SCRATCH, commit
 from loadfree.times import ARCHIVE, SCHEMA
-from tissuereg._machine import machine
+from tissuereg._base.machine import machine
 
 WORK = Path(__file__).with_name("loadfree_time_work.py")
 

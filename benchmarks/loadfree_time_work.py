@@ -155,7 +155,7 @@ def main() -> None:
     importing, _ = seconds_of(imported)
     starting, _ = seconds_of(lambda: small(options.threads))
     calls = cases[options.case](options)
-    from tissuereg._machine import versions
+    from tissuereg._base.machine import versions
 
     print(json.dumps({"import": importing, "small": starting, "calls": calls, "versions": versions()}))
 

@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from support import material_curves as made
 from support.material_curves import believed, histories, in_modes
-from tissuereg.diagnose.material import diagnose_material
-from tissuereg.material_experiment import Curve
+from tissuereg.diagnosis.material import diagnose_material
+from tissuereg.experiment.material_experiment import Curve
 
 PLAIN = ("plain",)
 Maker = Callable[[np.random.Generator], list[Curve]]

@@ -27,11 +27,11 @@ from support import material_curves as made
 from support.material_curves import believed, histories, in_modes, with_lasting_errors, with_smooth_misfit
 from support.material_fits import both, numbers
 from tissuereg.cli.common import envelope
-from tissuereg.diagnose.material import diagnose_material
-from tissuereg.diagnose.material.fit import fitted
-from tissuereg.diagnose.material.refine import rows_alike
-from tissuereg.diagnose.material.verdict import Outcome
-from tissuereg.material_experiment import Curve, MaterialExperiment
+from tissuereg.diagnosis.material import diagnose_material
+from tissuereg.diagnosis.material.fit import fitted
+from tissuereg.diagnosis.material.refine import rows_alike
+from tissuereg.diagnosis.material.verdict import Outcome
+from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 ROOT = Path(__file__).resolve().parents[1]
 ARCHIVE, PAGE = ROOT / "benchmarks" / "results" / "material-parts.json", ROOT / "docs" / "material-parts.md"
@@ -387,7 +387,7 @@ def main() -> None:
     if options.page:
         archive = json.loads(ARCHIVE.read_text(encoding="utf-8"))
     else:
-        archive = {"schema": "tissuereg.material-parts/1", **envelope(1), "seeds": options.seeds}
+        archive = {"schema": "tissuereg.body.material-parts/1", **envelope(1), "seeds": options.seeds}
         archive["measured"] = {}
         for name, parts in materials(options.data).items():
             archive["measured"][name] = measured(parts)

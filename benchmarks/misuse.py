@@ -2,7 +2,8 @@
 
     python benchmarks/misuse.py [--jobs N] [--page]
 
-Forty misuses on five bodies, and 500 good events, all of them odd-numbered; `tissuereg.readings` was developed on the
+Forty misuses on five bodies, and 500 good events, all of them odd-numbered; `tissuereg.registration.readings` was
+developed on the
 even-numbered ones. Events without a suspicion are also registered. `--page` writes the page again from the archive.
 The events are in `tests/misuse`, their data made by `misuse.generate`.
 """

@@ -110,7 +110,7 @@ def _picture(name: str, study: str) -> Path:
 
 def run(model: str | None, threads: int) -> dict[str, Any]:
     """Return the archive of all studies with a model."""
-    from tissuereg._machine import machine, n_cores, versions
+    from tissuereg._base.machine import machine, n_cores, versions
     from tissuereg.studies import SIMULATED, reproduce
 
     with tempfile.TemporaryDirectory() as folder:

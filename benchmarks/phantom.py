@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 import tissuereg as tr
-from tissuereg._machine import machine
+from tissuereg._base.machine import machine
 from tissuereg.studies.phantom import PHANTOM_STUDIES, merged
 from tissuereg.studies.phantom_pages import phantom_markdown, phantom_picture
 

@@ -19,10 +19,10 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import tissuereg as tr
 from tissuereg import _core
-from tissuereg._machine import machine, peak_mib, versions
+from tissuereg._base.machine import machine, peak_mib, versions
 from tissuereg.io.problems import read_problem
-from tissuereg.simulate.sampling import EventSampler, EventSettings, linear_answers
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulation.sampling import EventSampler, EventSettings, linear_answers
+from tissuereg.simulation.solve import Simulator
 
 COUNTERS = ("iterations", "evaluations", "solves", "factorisations", "analyses", "load_steps", "residual", "min_det_f")
 

@@ -23,20 +23,20 @@ from scipy.stats import chi2, f, norm
 from scipy.stats import t as student
 
 import tissuereg as tr
-from tissuereg._machine import machine, versions
-from tissuereg.assimilate import assimilate
+from tissuereg._base.machine import machine, versions
+from tissuereg.body.mesh import free_surface
+from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.pairs import read_pairs
-from tissuereg.latent.calibrate import RehearsalSettings, calibrate, codes_of
-from tissuereg.latent.model import Gaussian
-from tissuereg.latent.network import NetworkModel
-from tissuereg.latent.pca import PcaModel
-from tissuereg.mesh import free_surface
-from tissuereg.observe import MarkerObservation, TargetObservation
-from tissuereg.simulate.chunks import ChunkMaker
-from tissuereg.simulate.pairs import simulated_pairs
-from tissuereg.simulate.recipe import read_recipe
-from tissuereg.spread_law import COMMON, squared_radius
+from tissuereg.registration.learned.assimilate import assimilate
+from tissuereg.registration.learned.calibrate import RehearsalSettings, calibrate, codes_of
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg.registration.learned.network import NetworkModel
+from tissuereg.registration.learned.pca import PcaModel
+from tissuereg.registration.learned.spread_law import COMMON, squared_radius
+from tissuereg.simulation.chunks import ChunkMaker
+from tissuereg.simulation.pairs import simulated_pairs
+from tissuereg.simulation.recipe import read_recipe
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "results" / "spread.json"
@@ -273,7 +273,7 @@ def rows(mesh: tr.Mesh, methods: dict[str, Method], events: list[Event], n_rival
 def other_organ(seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return markers (reference, measured) of events on a body of another shape."""
     from tissuereg.phantom.breast import breast_mesh
-    from tissuereg.simulate.recipe import recipe_of
+    from tissuereg.simulation.recipe import recipe_of
 
     small = breast_mesh(700)
     turned = np.stack([-small.nodes[:, 1], small.nodes[:, 0], small.nodes[:, 2]], axis=1) * np.array([0.85, 1.15, 0.9])

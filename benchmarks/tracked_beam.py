@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tissuereg._machine import machine, n_cores, versions
+from tissuereg._base.machine import machine, n_cores, versions
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "track_beam.py"

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 import tissuereg as tr
-from tissuereg._machine import machine, n_cores, versions
-from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg._base.machine import machine, n_cores, versions
+from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom import event as phantom_event
 from tissuereg.tracking import FemPhysics, TablePhysics, fitted_prior
 from tissuereg.tracking.restart import RESTARTS

@@ -28,8 +28,8 @@ import tissuereg as tr
 from tissuereg import baselines as b
 from tissuereg.baselines import Rival
 from tissuereg.io.npz import write_npz
-from tissuereg.latent_registration import as_model
 from tissuereg.phantom import phantom_mesh
+from tissuereg.registration.learned.registration import as_model
 from tissuereg.studies.contest import METHODS, PLAIN, Believed, Simulated, measured, run_method
 from tissuereg.studies.contest import Path as BelievedPath
 from tissuereg.studies.rigs import Rig, read_rigs

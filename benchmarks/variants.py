@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tissuereg._machine import machine
+from tissuereg._base.machine import machine
 from tissuereg.baselines import EnsembleOfSimulations, Network, VariedNetwork
-from tissuereg.latent import calibration
-from tissuereg.latent_registration import as_model
 from tissuereg.phantom import phantom_mesh
+from tissuereg.registration.learned import calibration
+from tissuereg.registration.learned.registration import as_model
 from tissuereg.studies.contest import PLAIN, Believed, Simulated, measured, run_method
 from tissuereg.studies.rigs import read_rigs
 from tissuereg.studies.variants import read_variants

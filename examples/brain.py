@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tissuereg.material_tests import LawFit, MaterialTest, fit_law
+from tissuereg.experiment.material_tests import LawFit, MaterialTest, fit_law
 
 MODES = {"tension": "tension", "compression": "compression", "simple_shear": "simple-shear"}
 LAWS = (

@@ -28,7 +28,7 @@ import numpy as np
 from beam import DENSITY_G_PER_CM3, FITTED, HELD_OUT, HOLDER, LOADS_N, POISSON
 
 import tissuereg as tr
-from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity
+from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment, Gravity
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import APPLIED_CSV, MARKERS_CSV
 from tissuereg.io.meshes import write_vtu

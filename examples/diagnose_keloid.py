@@ -28,11 +28,11 @@ import numpy as np
 from scipy.spatial import Delaunay, KDTree
 
 import tissuereg as tr
-from tissuereg.diagnose.answer import Diagnosis
+from tissuereg.diagnosis.answer import Diagnosis
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import ACTUATORS_CSV, FORCES_CSV, MARKERS_CSV
 from tissuereg.io.toml_text import write_toml
-from tissuereg.simulate.experiment import simulate_plain
+from tissuereg.simulation.experiment import simulate_plain
 
 THICKNESS_MM, POISSON = 4.0, 0.4
 

@@ -27,10 +27,10 @@ from pathlib import Path
 import numpy as np
 
 import tissuereg as tr
-from tissuereg.diagnose.material import MaterialDiagnosis, diagnose_material, predicted_stresses
+from tissuereg.diagnosis.material import MaterialDiagnosis, diagnose_material, predicted_stresses
+from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
+from tissuereg.experiment.material_tests import MaterialTest, fit_law
 from tissuereg.io.material_experiments import read_material_experiment, write_material_experiment, write_test_table
-from tissuereg.material_experiment import Curve, MaterialExperiment
-from tissuereg.material_tests import MaterialTest, fit_law
 
 POISSON = 0.495
 MODES = {"tension": "tension", "compression": "compression", "simple_shear": "simple-shear"}

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tissuereg.material_tests import MaterialTest, fit_law
+from tissuereg.experiment.material_tests import MaterialTest, fit_law
 
 LAWS = (
     ("neo-hookean", 1),

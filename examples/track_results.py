@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 import tissuereg as tr
+from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.io.meshes import write_vtu
-from tissuereg.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom.event import LESION_MM
 from tissuereg.tracking import TablePhysics, fitted_prior
 

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg.demo import run_demo
 from tissuereg.phantom import shipped_model_folder
+from tissuereg.phantom.demo import run_demo
 from tissuereg.phantom.event import LESION_MM, make_event
-from tissuereg.registration import register
+from tissuereg.registration.register import register
 
 ROOT = Path(__file__).resolve().parents[1]
 README, PICTURE = ROOT / "README.md", ROOT / "docs" / "phantom.png"

@@ -16,13 +16,13 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
-from tissuereg.effects import EFFECTS, ChainEffect
-from tissuereg.effects.base import Effect
-from tissuereg.effects.elastic import OtherLaw
+from tissuereg.body.material import SHAPE_KEYS, Material
+from tissuereg.experiment.effects import EFFECTS, ChainEffect
+from tissuereg.experiment.effects.base import Effect
+from tissuereg.experiment.effects.elastic import OtherLaw
 from tissuereg.io import experiment_keys as keys
 from tissuereg.io.declared import NEEDED, Declaration, unit_of
 from tissuereg.io.material_experiments import TEST_EFFECTS
-from tissuereg.material import SHAPE_KEYS, Material
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "experiment.md"
@@ -219,7 +219,7 @@ def draw() -> None:
     """Draw the rig of `tissuereg demo --files`."""
     import tempfile
 
-    from tissuereg.samples import write_samples
+    from tissuereg.phantom.samples import write_samples
 
     sys.path.insert(0, str(ROOT / "tools"))
     from rig_drawing import draw_rig

@@ -14,29 +14,28 @@ from pathlib import Path
 #: import from its own layer (without a circle) and from lower ones.
 LAYERS: tuple[tuple[str, str], ...] = (
     ("commands", "__main__ cli"),
-    ("ready-made runs", "baselines bench bench_network bench_step demo frames registrations skeleton studies"),
-    (
-        "public calls",
-        "contact_answer contact_registration diagnose fallback latent_registration registrar registration tracking",
-    ),
-    ("answers", "report result"),
-    ("parts of the calls", "advise contacts inputs meshing samples"),
-    (
-        "simulation, observation, networks",
-        "assimilate latent linear_prior mixture_posterior observe phantom posterior readings simulate widen",
-    ),
+    ("the paper's studies", "baselines studies"),
+    ("what the simulation gets wrong", "diagnosis"),
+    ("the embedded body and its demo; a surface becomes a body", "phantom meshing"),
+    ("pages and pictures", "report"),
+    ("a body in motion", "tracking"),
+    ("one state of a body", "registration"),
+    ("equilibria, histories, data sets", "simulation"),
     ("files, the only place of other units", "io"),
     ("many tasks, the only place of processes and Dask", "parallel"),
-    ("physical effects, values kept with a mesh", "_per_mesh effects"),
-    (
-        "plain data",
-        "experiment load markers material material_experiment material_tests mesh spread_law surface triangles "
-        "trust "
-        "wrong_markers",
-    ),
-    ("checks of arguments, compiled core", "_arguments _arrays _choice _clock _core _laws _locking _machine _version"),
+    ("a rig, what was measured, what may have happened", "experiment"),
+    ("plain data of a body and what is seen of it", "body"),
+    ("what every room may use", "_base"),
+    ("compiled core, its version", "_core _version"),
     ("exceptions", "errors"),
 )
+
+#: Imports from a room to a higher one. Each stands in a function, so that nothing is loaded before it is needed.
+LATE: dict[tuple[str, str], str] = {
+    ("registration", "report"): "a result draws and writes itself when it is asked to",
+    ("registration", "phantom"): 'the word "phantom" names the embedded model',
+    ("simulation", "phantom"): 'a recipe may name the mesh "breast"',
+}
 
 #: Crates, and the crates of this repository that each may depend on.
 CRATES: dict[str, tuple[str, ...]] = {

@@ -17,7 +17,7 @@ import numpy as np
 
 from tissuereg.phantom import SIZES, breast_mesh
 from tissuereg.phantom.event import solve_truth
-from tissuereg.simulate.recipe import DEFAULT_NODES
+from tissuereg.simulation.recipe import DEFAULT_NODES
 
 DATA = Path(__file__).resolve().parent.parent / "python" / "tissuereg" / "phantom" / "data"
 RADIUS, HEIGHT, DROOP = 60.0, 52.0, 7.0

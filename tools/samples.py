@@ -2,7 +2,8 @@
 
     python tools/samples.py
 
-writes ``python/tissuereg/samples/data``. The organ is a smooth made-up shape, about 150 x 90 x 50 mm. Its "measurement"
+writes ``python/tissuereg/phantom/samples/data``. The organ is a smooth made-up shape, about 150 x 90 x 50 mm. Its
+"measurement"
 is made on another mesh than a user's, with ten-node elements, another stiffness and a stiff lesion; the experiment's by
 the fine model with a stiff inclusion that its file does not mention. The mesher uses random numbers, so a second run
 gives slightly different files.
@@ -18,17 +19,17 @@ import numpy as np
 import trimesh
 
 import tissuereg as tr
-from tissuereg.effects import Inclusion
-from tissuereg.experiment import Simulated
+from tissuereg.body.observe import MarkerObservation, TargetObservation
+from tissuereg.body.surface import evenly
+from tissuereg.experiment.effects import Inclusion
+from tissuereg.experiment.experiment import Simulated
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import ACTUATORS_CSV
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.simulated import write_simulated
 from tissuereg.io.tables import write_markers, write_points
 from tissuereg.io.toml_text import write_toml
-from tissuereg.observe import MarkerObservation, TargetObservation
-from tissuereg.simulate.noise import with_noise
-from tissuereg.surface import evenly
+from tissuereg.simulation.noise import with_noise
 
 DATA = Path(__file__).resolve().parent.parent / "python" / "tissuereg" / "samples" / "data"
 SEED = 12

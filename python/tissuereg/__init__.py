@@ -6,35 +6,87 @@
 4258
 """
 
-from tissuereg import effects, errors, phantom, tracking
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from tissuereg._version import __version__
-from tissuereg.advise import MarkerAdvice, advise_markers
-from tissuereg.diagnose import diagnose
-from tissuereg.diagnose.many import diagnose_many
-from tissuereg.errors import TissueRegError
-from tissuereg.experiment import Experiment
-from tissuereg.frames import register_frame
-from tissuereg.io.datasets import open_dataset
-from tissuereg.io.experiment_out import write_experiment
-from tissuereg.io.experiments import read_experiment
-from tissuereg.io.material_experiments import read_material_experiment
-from tissuereg.io.meshes import read_mesh
-from tissuereg.io.tables import read_markers, read_surface, read_targets
-from tissuereg.load import Load
-from tissuereg.markers import Markers
-from tissuereg.material import Fibre, Material
-from tissuereg.mesh import Mesh
-from tissuereg.meshing import FilledMesh, tetrahedralize
-from tissuereg.registrar import Registrar
-from tissuereg.registration import RegisterSettings, register
-from tissuereg.registrations import register_many
-from tissuereg.result import Registration
-from tissuereg.simulate import Simulation, Simulator, simulate
-from tissuereg.simulate.believed import simulate_experiment
-from tissuereg.simulate.fine import FineModel
-from tissuereg.studies import reproduce
-from tissuereg.tracking import Tracker
-from tissuereg.triangles import Triangles
+
+if TYPE_CHECKING:
+    from tissuereg import errors, phantom, tracking
+    from tissuereg.body.load import Load
+    from tissuereg.body.markers import Markers
+    from tissuereg.body.material import Fibre, Material
+    from tissuereg.body.mesh import Mesh
+    from tissuereg.body.triangles import Triangles
+    from tissuereg.diagnosis import diagnose
+    from tissuereg.diagnosis.many import diagnose_many
+    from tissuereg.errors import TissueRegError
+    from tissuereg.experiment import effects
+    from tissuereg.experiment.experiment import Experiment
+    from tissuereg.io.datasets import open_dataset
+    from tissuereg.io.experiment_out import write_experiment
+    from tissuereg.io.experiments import read_experiment
+    from tissuereg.io.material_experiments import read_material_experiment
+    from tissuereg.io.meshes import read_mesh
+    from tissuereg.io.tables import read_markers, read_surface, read_targets
+    from tissuereg.meshing import FilledMesh, tetrahedralize
+    from tissuereg.registration.advise import MarkerAdvice, advise_markers
+    from tissuereg.registration.frame import register_frame
+    from tissuereg.registration.many import register_many
+    from tissuereg.registration.register import RegisterSettings, register
+    from tissuereg.registration.registrar import Registrar
+    from tissuereg.registration.result import Registration
+    from tissuereg.simulation import Simulation, Simulator, simulate
+    from tissuereg.simulation.believed import simulate_experiment
+    from tissuereg.simulation.fine import FineModel
+    from tissuereg.studies import reproduce
+    from tissuereg.tracking import Tracker
+
+#: The module of each public name, loaded when the name is first used: `import tissuereg` stays quick.
+_MODULES = {
+    "errors": "tissuereg.errors",
+    "phantom": "tissuereg.phantom",
+    "tracking": "tissuereg.tracking",
+    "effects": "tissuereg.experiment.effects",
+    "Load": "tissuereg.body.load",
+    "Markers": "tissuereg.body.markers",
+    "Fibre": "tissuereg.body.material",
+    "Material": "tissuereg.body.material",
+    "Mesh": "tissuereg.body.mesh",
+    "Triangles": "tissuereg.body.triangles",
+    "diagnose": "tissuereg.diagnosis",
+    "diagnose_many": "tissuereg.diagnosis.many",
+    "TissueRegError": "tissuereg.errors",
+    "Experiment": "tissuereg.experiment.experiment",
+    "open_dataset": "tissuereg.io.datasets",
+    "write_experiment": "tissuereg.io.experiment_out",
+    "read_experiment": "tissuereg.io.experiments",
+    "read_material_experiment": "tissuereg.io.material_experiments",
+    "read_mesh": "tissuereg.io.meshes",
+    "read_markers": "tissuereg.io.tables",
+    "read_surface": "tissuereg.io.tables",
+    "read_targets": "tissuereg.io.tables",
+    "FilledMesh": "tissuereg.meshing",
+    "tetrahedralize": "tissuereg.meshing",
+    "MarkerAdvice": "tissuereg.registration.advise",
+    "advise_markers": "tissuereg.registration.advise",
+    "register_frame": "tissuereg.registration.frame",
+    "register_many": "tissuereg.registration.many",
+    "RegisterSettings": "tissuereg.registration.register",
+    "register": "tissuereg.registration.register",
+    "Registrar": "tissuereg.registration.registrar",
+    "Registration": "tissuereg.registration.result",
+    "Simulation": "tissuereg.simulation",
+    "Simulator": "tissuereg.simulation",
+    "simulate": "tissuereg.simulation",
+    "simulate_experiment": "tissuereg.simulation.believed",
+    "FineModel": "tissuereg.simulation.fine",
+    "reproduce": "tissuereg.studies",
+    "Tracker": "tissuereg.tracking",
+}
+
+#: Public names that are modules themselves.
+_ROOMS = ("effects", "errors", "phantom", "tracking")
 
 __all__ = [
     "Experiment",
@@ -78,3 +130,17 @@ __all__ = [
     "tracking",
     "write_experiment",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        message = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(message)
+    module = importlib.import_module(_MODULES[name])
+    found = module if name in _ROOMS else getattr(module, name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,12 +1,12 @@
 """How well models predict held-out data, block by block, so that the scorer can compare all on the same blocks.
 
-Blocks are those of `tissuereg.diagnose.proof`: every load case, and every fourth frame of each.
+Blocks are those of `tissuereg.diagnosis.proof`: every load case, and every fourth frame of each.
 """
 
 import numpy as np
 
-from tissuereg.diagnose.proof import Linear, frame_blocks, held_out
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnosis.proof import Linear, frame_blocks, held_out
+from tissuereg.diagnosis.signals import Layout
 
 
 def by_block(base: Linear, final: Linear, layout: Layout) -> dict[str, list[float]]:

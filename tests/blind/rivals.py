@@ -14,19 +14,19 @@ import numpy as np
 from scipy.stats import chi2
 
 from blind.heldout import by_block
-from tissuereg.diagnose.bank import make_bank
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.correction import Correction, make_correction
-from tissuereg.diagnose.evidence import Null, fit_amplitudes
-from tissuereg.diagnose.findings import MOST_IN_GROUP
-from tissuereg.diagnose.generic import generic_columns
-from tissuereg.diagnose.noise import Noise, estimate_noise
-from tissuereg.diagnose.nuisances import make_nuisances
-from tissuereg.diagnose.proof import Linear
-from tissuereg.diagnose.refined import entry_of, refined_predictions
-from tissuereg.diagnose.search import MOST_CAUSES, SEPARABLE
-from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import EFFECTS
+from tissuereg.diagnosis.bank import make_bank
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.correction import Correction, make_correction
+from tissuereg.diagnosis.evidence import Null, fit_amplitudes
+from tissuereg.diagnosis.findings import MOST_IN_GROUP
+from tissuereg.diagnosis.generic import generic_columns
+from tissuereg.diagnosis.noise import Noise, estimate_noise
+from tissuereg.diagnosis.nuisances import make_nuisances
+from tissuereg.diagnosis.proof import Linear
+from tissuereg.diagnosis.refined import entry_of, refined_predictions
+from tissuereg.diagnosis.search import MOST_CAUSES, SEPARABLE
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
 
 #: Error ranking names the best cause where the error falls by this share.

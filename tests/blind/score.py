@@ -27,7 +27,7 @@ from blind.scored import (
     singles,
     wilson,
 )
-from tissuereg.diagnose.causes import CAUSES
+from tissuereg.diagnosis.causes import CAUSES
 
 #: Names of the cases that were stored after the diagnoser's rules had been set, and were diagnosed once.
 LATER = Path(__file__).parent / "later.txt"

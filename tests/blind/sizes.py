@@ -18,13 +18,13 @@ import numpy as np
 from blind.materialise import folder_of
 from blind.run import BUILD
 from blind.scored import of_kind, read_predictions, scored
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.evidence import fit_amplitudes
-from tissuereg.diagnose.fit import fit
-from tissuereg.diagnose.noise import estimate_noise
-from tissuereg.diagnose.patterns import load_history
-from tissuereg.diagnose.run import make_believed
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.evidence import fit_amplitudes
+from tissuereg.diagnosis.fit import fit
+from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.patterns import load_history
+from tissuereg.diagnosis.run import make_believed
+from tissuereg.diagnosis.signals import Layout
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.json import write_json
 

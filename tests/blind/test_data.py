@@ -11,7 +11,7 @@ from blind.generator.open_cases import make_open_cases
 from blind.materialise import CASES, DATA, case_names, materialise
 from blind.run import tier_cases
 from blind.scored import open_answers
-from tissuereg.simulate.experiment import simulate_plain
+from tissuereg.simulation.experiment import simulate_plain
 
 LINES = [line.split("  ") for line in (DATA / "SHA256SUMS").read_text(encoding="utf-8").splitlines()]
 

@@ -5,8 +5,8 @@ import pytest
 
 from blind.heldout import by_block
 from blind.materialise import case_names, materialise
-from tissuereg.diagnose.proof import Linear
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnosis.proof import Linear
+from tissuereg.diagnosis.signals import Layout
 from tissuereg.io.experiments import read_experiment
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from blind import rivals
 from blind.materialise import case_names, materialise
-from tissuereg.diagnose.causes import Variant
-from tissuereg.diagnose.correction import Correction
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.noise import estimate_noise
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnosis.causes import Variant
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.signals import Layout
 from tissuereg.io.experiments import read_experiment
 
 #: Length of the hidden effect, in standard deviations of the noise.

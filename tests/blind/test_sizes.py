@@ -6,7 +6,7 @@ import pytest
 from blind.score import report
 from blind.sizes import Needs, force_errors, kind_of, sizes_of
 from support.rigs import STROKE, rig
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnosis.signals import Layout
 
 
 def drawn(true, generator, size=40):

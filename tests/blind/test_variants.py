@@ -8,13 +8,13 @@ import pytest
 
 from blind import variants
 from blind.materialise import CASES, case_names, materialise
-from tissuereg.diagnose import bank, candidates, findings, run, search
-from tissuereg.diagnose.causes import CAUSES, Variant
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.nuisances import Nuisances
-from tissuereg.diagnose.nulls import Nulls
-from tissuereg.diagnose.proof import HeldOut
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnosis import bank, candidates, findings, run, search
+from tissuereg.diagnosis.causes import CAUSES, Variant
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.nuisances import Nuisances
+from tissuereg.diagnosis.nulls import Nulls
+from tissuereg.diagnosis.proof import HeldOut
+from tissuereg.diagnosis.signals import Layout
 from tissuereg.io.experiments import read_experiment
 
 

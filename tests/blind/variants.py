@@ -19,14 +19,14 @@ from unittest.mock import patch
 import numpy as np
 
 from blind.heldout import by_block
-from tissuereg.diagnose import candidates, diagnose, findings, recorrect, run, search
-from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.correction import Correction
-from tissuereg.diagnose.nuisances import Nuisances
-from tissuereg.diagnose.nulls import Nulls
-from tissuereg.diagnose.proof import GENERIC, NAMED, HeldOut, linear_model
-from tissuereg.diagnose.signals import Layout
-from tissuereg.experiment import Experiment
+from tissuereg.diagnosis import candidates, diagnose, findings, recorrect, run, search
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.nuisances import Nuisances
+from tissuereg.diagnosis.nulls import Nulls
+from tissuereg.diagnosis.proof import GENERIC, NAMED, HeldOut, linear_model
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.experiment.experiment import Experiment
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.json import plain
 

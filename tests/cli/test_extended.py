@@ -9,7 +9,7 @@ import pytest
 import tissuereg as tr
 from support.files import run, run_json, write_experiment
 from support.material_curves import believed, in_modes
-from tissuereg.effects import ActuatorGain, ActuatorOffset, MarkerSwap, Relaxation, Sliding
+from tissuereg.experiment.effects import ActuatorGain, ActuatorOffset, MarkerSwap, Relaxation, Sliding
 from tissuereg.io.cases import read_histories
 from tissuereg.io.experiment_keys import MARKERS_CSV
 from tissuereg.io.material_experiments import write_material_experiment, write_test_table

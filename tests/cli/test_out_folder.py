@@ -29,10 +29,10 @@ def reached(*given, **named):
 
 
 WORKS = {
-    "registration.register": ("register", "{}/mesh.vtu", "{}/markers.csv"),
-    "diagnose.diagnose": ("diagnose", "{}/rig"),
-    "simulate.believed.simulate_experiment": ("simulate", "{}/rig", "--plain"),
-    "demo.run_demo": ("demo",),
+    "registration.register.register": ("register", "{}/mesh.vtu", "{}/markers.csv"),
+    "diagnosis.diagnose": ("diagnose", "{}/rig"),
+    "simulation.believed.simulate_experiment": ("simulate", "{}/rig", "--plain"),
+    "phantom.demo.run_demo": ("demo",),
 }
 
 
@@ -78,7 +78,7 @@ def test_results_may_lie_beside_their_inputs(inputs, capsys):
 
 
 def test_a_data_set_does_not_begin_among_other_files(inputs, capsys, monkeypatch):
-    monkeypatch.setattr(importlib.import_module("tissuereg.simulate.dataset"), "make_one_chunk", reached)
+    monkeypatch.setattr(importlib.import_module("tissuereg.simulation.dataset"), "make_one_chunk", reached)
     out = inputs / "out"
     out.mkdir()
     (out / "thesis.docx").write_text("three years")

@@ -10,14 +10,14 @@ import pytest
 import tissuereg as tr
 from support.files import EXPERIMENT, run_json, write_experiment
 from support.meshes import block
-from tissuereg import skeleton
+from tissuereg.cli import skeleton
+from tissuereg.cli.skeleton import new_experiment
 from tissuereg.errors import ConvergenceError, ExperimentError, MeshError
 from tissuereg.io import drafts
 from tissuereg.io import experiment_keys as keys
 from tissuereg.io.atomic import OutputError
 from tissuereg.io.meshes import write_vtu
-from tissuereg.samples import write_samples
-from tissuereg.skeleton import new_experiment
+from tissuereg.phantom.samples import write_samples
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "experiment.md"

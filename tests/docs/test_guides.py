@@ -28,7 +28,7 @@ from dataclasses import replace
 import numpy as np
 import tissuereg as tr
 from support.rigs import rig
-from tissuereg.effects.gradient import Gradient
+from tissuereg.experiment.effects.gradient import Gradient
 
 true = replace(rig(), effects=(Gradient(slope_per_mm=(0.0, 0.0, 0.03)),))
 said, rng, cases = tr.simulate_experiment(true), np.random.default_rng(3), {}

@@ -13,8 +13,8 @@ from support.material_curves import believed, in_modes
 from support.rig_folders import write_rig
 from support.scripts import script
 from support.surfaces import sphere, write_stl
-from tissuereg.demo import run_demo
 from tissuereg.io.material_experiments import write_material_experiment, write_test_table
+from tissuereg.phantom.demo import run_demo
 
 DOCS = REPOSITORY / "docs"
 FIGURES = script("tools", "demo_figures")

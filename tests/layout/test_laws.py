@@ -8,9 +8,9 @@ import pytest
 
 import tissuereg
 from support.scripts import REPOSITORY
-from tissuereg._laws import DECLARED, main_key, shape_of
-from tissuereg.effects.elastic import OtherLaw
-from tissuereg.material import LAWS, Material
+from tissuereg.body.laws import DECLARED, main_key, shape_of
+from tissuereg.body.material import LAWS, Material
+from tissuereg.experiment.effects.elastic import OtherLaw
 
 PACKAGE = Path(tissuereg.__file__).parent
 CRATES = REPOSITORY / "crates"
@@ -31,7 +31,7 @@ def files_naming(word: str) -> set[str]:
 
 def test_yeohs_parameters_are_named_where_they_are_declared_and_documented():
     # Its file, the catalogue, an example of the declaration, the keys of its effect, two docstrings.
-    known = {"yeoh.rs", "kind.rs", "declaration.rs", "field.rs", "elastic.py", "material.py", "_laws.py"}
+    known = {"yeoh.rs", "kind.rs", "declaration.rs", "field.rs", "elastic.py", "material.py", "laws.py"}
     assert files_naming("c2_over_c1") <= known
     assert files_naming("c3_over_c1") <= known
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from loadfree.bench import LOADFREE, Bench
-from tissuereg._machine import machine, versions
+from tissuereg._base.machine import machine, versions
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RESULTS = REPOSITORY / "benchmarks" / "results"

@@ -15,7 +15,7 @@ import numpy as np
 
 from loadfree.events import Body, read_body
 from tissuereg import Load, Material, Simulator
-from tissuereg.simulate.sensitivity import Linearised, Observation
+from tissuereg.simulation.sensitivity import Linearised, Observation
 
 #: Lengths over the body's extent, and root mean square tractions in kPa, that are tried.
 LENGTHS = (0.06, 0.1, 0.16, 0.25, 0.4)

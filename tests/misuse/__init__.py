@@ -1,1 +1,1 @@
-"""Misread inputs: bodies, good events, misuses, and the answers of `tissuereg.readings` (`benchmarks/misuse.py`)."""
+"""Misread inputs: bodies, events, misuses, what `tissuereg.registration.readings` answers (`benchmarks/misuse.py`)."""

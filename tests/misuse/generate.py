@@ -13,9 +13,9 @@ import numpy as np
 
 import tissuereg as tr
 from misuse.bodies import BODIES
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ConvergenceError
-from tissuereg.observe import MarkerObservation
-from tissuereg.simulate import Simulator
+from tissuereg.simulation import Simulator
 
 DATA = Path(__file__).parent / "data"
 N_EVENTS, N_PLACES, N_HELD_PLACES = 40, 160, 24

@@ -9,8 +9,8 @@ from misuse.run import N_MISUSED
 HEAD = """# Misread inputs: what the checks of geometry find before anything is solved
 
 Written by `python benchmarks/misuse.py` from `benchmarks/results/misuse.json`; edit neither.
-`tissuereg.readings.suspect` was developed on even-numbered events; all figures here are for odd-numbered ones, which
-differ in displacement field, markers, noise and mistake.
+`tissuereg.registration.readings.suspect` was developed on even-numbered events; all figures here are for
+odd-numbered ones, which differ in displacement field, markers, noise and mistake.
 
 {n_misuses} kinds of mistake on {n_bodies} bodies ({bodies}), {n_each} events each: simulated pulls, pushes and own
 weight with a largest motion of 3 to 25 mm, 8 to 30 markers up to 6 mm off the skin, noise of 0.05 to 0.5 mm.

@@ -1,4 +1,4 @@
-"""Run `tissuereg.readings`, and then `register`, on misread and on good events; count their answers."""
+"""Run `tissuereg.registration.readings`, and then `register`, on misread and on good events; count their answers."""
 
 from collections.abc import Iterable, Iterator
 
@@ -7,10 +7,10 @@ import numpy as np
 import tissuereg as tr
 from misuse.events import BODIES, Event, good, misusable
 from misuse.misuses import MISUSES, alike
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import TissueRegError
-from tissuereg.observe import MarkerObservation
 from tissuereg.parallel import Failed, Processes, in_order
-from tissuereg.readings import suspect
+from tissuereg.registration.readings import suspect
 
 #: Good events a body, events that a misuse is tried on, events with one marker off; the odd half makes the page.
 N_GOOD, N_MISUSED, N_OFF = 200, 8, 40

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg.effects import Inclusion, Relaxation, Stiffness
-from tissuereg.simulate.experiment import simulate_plain
+from tissuereg.experiment.effects import Inclusion, Relaxation, Stiffness
+from tissuereg.simulation.experiment import simulate_plain
 
 
 def example(shared_data, name, case, frames=None):

@@ -32,7 +32,7 @@ def seen(block_mesh, leaned):
 
 
 def true_place(mesh, truth, point):
-    from tissuereg.observe import TargetObservation
+    from tissuereg.body.observe import TargetObservation
 
     inside = TargetObservation(mesh, {"t": point})
     return np.asarray(point) + inside.predict(truth[inside.nodes])[0]

@@ -5,8 +5,8 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg.contacts.frame import Frame
 from tissuereg.errors import MaterialError, SupportError
+from tissuereg.registration.contacts.frame import Frame
 
 SILICONE = tr.Material(8.0, 0.45)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg.contacts.frame import Frame
+from tissuereg.registration.contacts.frame import Frame
 
 INNER = {"deep": (18.0, 12.0, 22.0), "near the top": (12.0, 8.0, 34.0)}
 
@@ -42,7 +42,7 @@ def motion(truth):
 
 
 def held_by_regions(result, mesh, truth):
-    from tissuereg.observe import TargetObservation
+    from tissuereg.body.observe import TargetObservation
 
     inside = TargetObservation(mesh, {name: target.reference for name, target in result.targets.items()})
     moved = inside.predict(truth[inside.nodes])

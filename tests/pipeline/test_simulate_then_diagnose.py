@@ -7,7 +7,7 @@ import pytest
 import tissuereg as tr
 from support.files import run_json
 from support.rig_folders import write_rig
-from tissuereg.effects import Swelling
+from tissuereg.experiment.effects import Swelling
 
 
 @pytest.mark.parametrize(("pads", "words"), [("balls", []), ("sets", []), ("balls", ["--plain"])])

@@ -17,13 +17,13 @@ import tissuereg as tr
 from support.cluster_tasks import Harming, square
 from support.meshes import block
 from support.processes import PATIENCE, Command, content
-from tissuereg.contacts.settings import ContactSettings
 from tissuereg.errors import ArgumentError, ClusterError, FormatError, MarkerError, MaterialError, MissingPackageError
 from tissuereg.io.meshes import write_vtu
 from tissuereg.parallel import Failed, Finished, InProcess, Processes, one_result, open_executor
 from tissuereg.parallel.jobs import read_jobs
-from tissuereg.simulate.dataset import make_dataset
-from tissuereg.simulate.recipe import read_recipe
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.simulation.dataset import make_dataset
+from tissuereg.simulation.recipe import read_recipe
 
 pytest.importorskip("distributed")
 

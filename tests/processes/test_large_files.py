@@ -17,7 +17,7 @@ from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_problem
 from tissuereg.io.surfaces import read_triangles
 from tissuereg.io.tables import MOST_POINTS
-from tissuereg.simulate.recipe import read_recipe
+from tissuereg.simulation.recipe import read_recipe
 
 MESHES = ("vtu", "vtk", "msh", "npz")
 SURFACES = ("stl", "ply", "obj", "off", "vtu", "vtk", "msh")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tissuereg.errors import MaterialError
 from tissuereg.parallel import Executor
-from tissuereg.simulate.chunks import make_one_chunk
+from tissuereg.simulation.chunks import make_one_chunk
 
 
 def first_time(flag: Path) -> bool:

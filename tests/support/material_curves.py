@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import tissuereg as tr
-from tissuereg.diagnose.material.data import data_of, path_arc
-from tissuereg.diagnose.material.weights import generic_covariance
-from tissuereg.material_experiment import Curve, MaterialExperiment
+from tissuereg.diagnosis.material.data import data_of, path_arc
+from tissuereg.diagnosis.material.weights import generic_covariance
+from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
 
 MU = 10.0 / 3.0
 

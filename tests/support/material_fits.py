@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from tissuereg.diagnose.material.answer import parameters_of
-from tissuereg.diagnose.material.causes import CAUSES
-from tissuereg.diagnose.material.deviations import stated
-from tissuereg.diagnose.material.fit import fitted
-from tissuereg.diagnose.material.hypothesis import refitted
-from tissuereg.diagnose.material.refine import rows_alike
-from tissuereg.diagnose.material.scene import scene_of
-from tissuereg.diagnose.material.verdict import bench_of
+from tissuereg.diagnosis.material.answer import parameters_of
+from tissuereg.diagnosis.material.causes import CAUSES
+from tissuereg.diagnosis.material.deviations import stated
+from tissuereg.diagnosis.material.fit import fitted
+from tissuereg.diagnosis.material.hypothesis import refitted
+from tissuereg.diagnosis.material.refine import rows_alike
+from tissuereg.diagnosis.material.scene import scene_of
+from tissuereg.diagnosis.material.verdict import bench_of
 
 
 def form_of(experiment, cause, label):

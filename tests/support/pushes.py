@@ -7,11 +7,11 @@ import numpy as np
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg.contacts.body import ContactBody
-from tissuereg.contacts.columns import Columns
-from tissuereg.contacts.settings import ContactSettings
-from tissuereg.contacts.supports import Supports
-from tissuereg.observe import MarkerObservation
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.registration.contacts.body import ContactBody
+from tissuereg.registration.contacts.columns import Columns
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.supports import Supports
 
 #: Settings of solves that are subtracted from each other.
 TIGHT = {"tolerance": 1e-12, "method": "newton"}

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from support.meshes import block
-from tissuereg.experiment import Actuator, Boundary, Case, Experiment
-from tissuereg.material import Material
+from tissuereg.body.material import Material
+from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment
 
 STROKE = np.array([0.0, 0.5, 1.0, 1.0, 0.0])
 

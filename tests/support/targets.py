@@ -3,13 +3,13 @@
 import numpy as np
 
 from support.rigs import rig
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.correction import Correction
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import Part, Target
-from tissuereg.diagnose.noise import Noise
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.fit import Part, Target
+from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.signals import Layout
 
 MARKER_STD, FORCE_STD, YOUNG = 0.01, 2.0, 1.1
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tissuereg import _core
-from tissuereg.assimilate import Between, FirstEnsemble, StepOptions, assimilate, balanced_draws
 from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
-from tissuereg.latent.model import Gaussian
+from tissuereg.registration.learned.assimilate import Between, FirstEnsemble, StepOptions, assimilate, balanced_draws
+from tissuereg.registration.learned.model import Gaussian
 
 
 def linear_problem(rng, n_latent=6, n_obs=9):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tissuereg.assimilate import StepOptions, assimilate
-from tissuereg.latent.model import Gaussian
+from tissuereg.registration.learned.assimilate import StepOptions, assimilate
+from tissuereg.registration.learned.model import Gaussian
 
 N_LATENT, N_MARKERS, N_TARGETS, N_EVENTS, N_MEMBERS = 6, 5, 4, 400, 60
 

@@ -27,7 +27,7 @@ from tissuereg.errors import (
 )
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.problems import read_problem, read_simulation
-from tissuereg.simulate.recipe import read_recipe
+from tissuereg.simulation.recipe import read_recipe
 
 
 @pytest.fixture(autouse=True)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from tissuereg.bench_network import write_random_table2
-from tissuereg.bench_step import StepSettings, step_rows
+from tissuereg.cli.benchmark.network import write_random_table2
+from tissuereg.cli.benchmark.step import StepSettings, step_rows
 from tissuereg.errors import ModelError
-from tissuereg.latent.network import NetworkModel
 from tissuereg.phantom import phantom_mesh, truth_mesh
+from tissuereg.registration.learned.network import NetworkModel
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import tissuereg as tr
 from tissuereg.errors import ArgumentError
 from tissuereg.phantom.breast import RADIUS, inside_breast
 from tissuereg.phantom.stuffing import stuffed
-from tissuereg.simulate.fine.bisection import shape_quality
+from tissuereg.simulation.fine.bisection import shape_quality
 
 
 def edges_of(triangles):

@@ -8,13 +8,13 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from support.small_model import SMALL_MODEL
-from tissuereg.latent.calibrate import _mixing
-from tissuereg.latent.calibration import Calibration, Change, FieldErrors, Rehearsal
-from tissuereg.latent.honest import Honest
-from tissuereg.latent.kinds import Kinds, probabilities
-from tissuereg.latent.network import NetworkModel
-from tissuereg.latent.pca import PcaModel
-from tissuereg.latent_registration import _against
+from tissuereg.registration.learned.calibrate import _mixing
+from tissuereg.registration.learned.calibration import Calibration, Change, FieldErrors, Rehearsal
+from tissuereg.registration.learned.honest import Honest
+from tissuereg.registration.learned.kinds import Kinds, probabilities
+from tissuereg.registration.learned.network import NetworkModel
+from tissuereg.registration.learned.pca import PcaModel
+from tissuereg.registration.learned.registration import _against
 
 
 def smooth_fields(mesh, n_fields, seed):

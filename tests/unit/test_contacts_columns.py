@@ -5,11 +5,11 @@ import pytest
 
 import tissuereg as tr
 from support.pushes import MATERIAL, TIGHT, body, columns_of
-from tissuereg.contacts.columns import contact_sizes, log_filled
-from tissuereg.contacts.frame import Frame
-from tissuereg.contacts.settings import ContactSettings
-from tissuereg.observe import MarkerObservation
-from tissuereg.simulate.sensitivity import Linearised, Observation
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.registration.contacts.columns import contact_sizes, log_filled
+from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.simulation.sensitivity import Linearised, Observation
 
 
 @pytest.fixture(scope="module", params=["sure", "partly", "perhaps", "free", "believed"])

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from support.pushes import MATERIAL, body, columns_of, push
-from tissuereg._clock import Clock
-from tissuereg.contacts.condensed import Condensed
-from tissuereg.contacts.evidence import log_evidence, support_stiffness
-from tissuereg.contacts.fit import Passes, start_of
-from tissuereg.contacts.frame import Frame
-from tissuereg.contacts.places import gathered
-from tissuereg.contacts.seen import Seen, SeenMarkers
-from tissuereg.contacts.settings import ContactSettings
-from tissuereg.observe import MarkerObservation
+from tissuereg._base.clock import Clock
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.registration.contacts.condensed import Condensed
+from tissuereg.registration.contacts.evidence import log_evidence, support_stiffness
+from tissuereg.registration.contacts.fit import Passes, start_of
+from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.places import gathered
+from tissuereg.registration.contacts.seen import Seen, SeenMarkers
+from tissuereg.registration.contacts.settings import ContactSettings
 
 SETTINGS = ContactSettings()
 

@@ -8,8 +8,8 @@ import pytest
 
 import tissuereg as tr
 from support.pushes import ELEMENT, MATERIAL, push
-from tissuereg.contacts.tangent import forget_rest
 from tissuereg.errors import ModelError
+from tissuereg.registration.contacts.tangent import forget_rest
 
 INNER = {"deep": (40.0, 20.0, 9.0), "near": (24.0, 35.0, 15.0)}
 
@@ -183,7 +183,7 @@ def test_markers_off_the_surface_move_with_it(result):
 
 
 def test_targets_lie_in_their_regions(result):
-    from tissuereg.observe import TargetObservation
+    from tissuereg.body.observe import TargetObservation
 
     for name, point in INNER.items():
         inside = TargetObservation(push().mesh, {name: point})

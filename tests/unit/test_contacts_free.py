@@ -7,8 +7,8 @@ import pytest
 
 import tissuereg as tr
 from support.pushes import ELEMENT, MATERIAL, push
-from tissuereg.contacts.frame import Frame
-from tissuereg.contacts.spread import linear_fields
+from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.spread import linear_fields
 
 INNER = {"deep": (40.0, 20.0, 9.0), "near": (24.0, 35.0, 15.0)}
 

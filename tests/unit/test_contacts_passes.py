@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from tissuereg.contacts.fit import Passes, _Pass
-from tissuereg.contacts.settings import ContactSettings
 from tissuereg.errors import ConvergenceError
+from tissuereg.registration.contacts.fit import Passes, _Pass
+from tissuereg.registration.contacts.settings import ContactSettings
 
 
 def passes_with(monkeypatch, residuals):

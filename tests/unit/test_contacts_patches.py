@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.meshes import block
-from tissuereg.contacts.patches import RADII_SHARES, make_patches, surface_of_nodes
+from tissuereg.registration.contacts.patches import RADII_SHARES, make_patches, surface_of_nodes
 
 FACES = [(axis, side) for axis in range(3) for side in (0, 1)]
 

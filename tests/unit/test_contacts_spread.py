@@ -7,8 +7,8 @@ import pytest
 
 import tissuereg as tr
 from support.pushes import MATERIAL, TIGHT, push
-from tissuereg.contacts.spread import Spread, unseen_variances
-from tissuereg.contacts.tangent import tangent_at
+from tissuereg.registration.contacts.spread import Spread, unseen_variances
+from tissuereg.registration.contacts.tangent import tangent_at
 
 
 @pytest.fixture(scope="module")

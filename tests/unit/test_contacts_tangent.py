@@ -9,12 +9,12 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from support.pushes import MATERIAL, TIGHT, columns_of, push
-from tissuereg._per_mesh import per_mesh
-from tissuereg.contacts.frame import Frame
-from tissuereg.contacts.moment import Moment
-from tissuereg.contacts.tangent import MOST_REMEMBERED, Tangent, forget_rest, tangent_at
+from tissuereg.body.per_mesh import per_mesh
 from tissuereg.errors import ConvergenceError
-from tissuereg.readings.skin import skin_of
+from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.tangent import MOST_REMEMBERED, Tangent, forget_rest, tangent_at
+from tissuereg.registration.readings.skin import skin_of
 
 
 @pytest.fixture(autouse=True)
@@ -131,7 +131,7 @@ def test_the_skin_follows_the_set_of_held_nodes():
 def test_a_step_that_ends_otherwise_than_predicted_is_linearised_anew(monkeypatch):
     def fit(margin):
         forget_rest()
-        monkeypatch.setattr("tissuereg.contacts.fit._AS_PREDICTED", margin)
+        monkeypatch.setattr("tissuereg.registration.contacts.fit._AS_PREDICTED", margin)
         return tr.register(push().mesh, push().markers(), material=MATERIAL, element="tet4", threads=1)
 
     kept, anew = fit(100.0), fit(-100.0)

@@ -10,8 +10,8 @@ from scipy.stats import chi2, norm
 
 import tissuereg as tr
 from support.pushes import ELEMENT, MATERIAL, push
-from tissuereg.contact_answer import Answer, _chance
-from tissuereg.observe import MarkerObservation
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.registration.contacts.answer import Answer, _chance
 
 #: A region whose axes are not those of the tracker.
 COVARIANCE = np.array([[1.0, 0.6, -0.3], [0.6, 2.0, 0.5], [-0.3, 0.5, 0.7]])
@@ -78,7 +78,7 @@ def test_room_for_a_residual_at_a_rim_is_less_than_how_far_the_motion_differs_th
     monkeypatch: pytest.MonkeyPatch, result: tr.Registration
 ) -> None:
     # All markers are kept and held against the room that their residual has.
-    monkeypatch.setattr("tissuereg.contact_answer._WRONG", 2.0)
+    monkeypatch.setattr("tissuereg.registration.contacts.answer._WRONG", 2.0)
     markers, mesh = push().markers(), push().mesh
     observed = MarkerObservation.of(mesh, markers)
     differs = observed.variation(push().displacement[observed.nodes])

@@ -7,11 +7,11 @@ from scipy import sparse
 
 from support.networks import closure_field, closure_tables, graph_field, graph_tables
 from tissuereg.errors import ModelError
-from tissuereg.latent import cut as cut_module
-from tissuereg.latent.cut import CutDecoder
-from tissuereg.latent.decoders import read_decoder
-from tissuereg.latent.network import NetworkModel
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
+from tissuereg.registration.learned import cut as cut_module
+from tissuereg.registration.learned.cut import CutDecoder
+from tissuereg.registration.learned.decoders import read_decoder
+from tissuereg.registration.learned.network import NetworkModel
 
 #: Single precision, relative to the largest displacement.
 SINGLE = 1e-5

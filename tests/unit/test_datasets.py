@@ -19,9 +19,9 @@ from tissuereg.io.hdf5 import packed
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.stores import LocalStore, RemoteStore, store_of
 from tissuereg.parallel import Processes
-from tissuereg.simulate.chunks import SOLVE
-from tissuereg.simulate.dataset import make_dataset
-from tissuereg.simulate.recipe import read_recipe
+from tissuereg.simulation.chunks import SOLVE
+from tissuereg.simulation.dataset import make_dataset
+from tissuereg.simulation.recipe import read_recipe
 
 RECIPE = """
 seed = 4

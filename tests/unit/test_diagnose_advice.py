@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from support.targets import part, target_of
-from tissuereg.diagnose.advice import _actions, _prediction, _separability, advise
-from tissuereg.diagnose.answer import Finding
-from tissuereg.diagnose.candidates import Candidate
-from tissuereg.diagnose.fit import fit
-from tissuereg.diagnose.search import Step
-from tissuereg.effects import Poisson
+from tissuereg.diagnosis.advice import _actions, _prediction, _separability, advise
+from tissuereg.diagnosis.answer import Finding
+from tissuereg.diagnosis.candidates import Candidate
+from tissuereg.diagnosis.fit import fit
+from tissuereg.diagnosis.search import Step
+from tissuereg.experiment.effects import Poisson
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from tissuereg.diagnose.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
-from tissuereg.diagnose.nulls import LEAST_THRESHOLD, LEVEL, _thresholds
-from tissuereg.diagnose.probability import TEMPER, probabilities
-from tissuereg.diagnose.proof import Linear, held_out
+from tissuereg.diagnosis.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
+from tissuereg.diagnosis.nulls import LEAST_THRESHOLD, LEVEL, _thresholds
+from tissuereg.diagnosis.probability import TEMPER, probabilities
+from tissuereg.diagnosis.proof import Linear, held_out
 
 SIZE = 30
 

@@ -8,26 +8,35 @@ import numpy as np
 import pytest
 
 from support.targets import YOUNG, part, target_of
-from tissuereg.diagnose import candidates
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.candidates import FURTHER, LEAST_FURTHER, Candidate, _fit_forms, required_thresholds
-from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.causes.base import knobs
-from tissuereg.diagnose.correction import make_correction
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.findings import _chances, group_of
-from tissuereg.diagnose.fit import Part, Target, at_believed_modulus, best_start, fit
-from tissuereg.diagnose.modulus import _pinned, modulus_finding
-from tissuereg.diagnose.nuisances import FORM_ERROR, other_forms
-from tissuereg.diagnose.probability import LOOK_ALIKE
-from tissuereg.diagnose.proof import figure_blocks, proof_blocks
-from tissuereg.diagnose.recorrect import UNCORRECTED, corrected_fit, recorrected
-from tissuereg.diagnose.refined import refined_effects
-from tissuereg.diagnose.revise import exchanged, without, without_redundant
-from tissuereg.diagnose.screen import UNKNOWN, Screen, Screened
-from tissuereg.diagnose.search import Search, Step, _with_finding
-from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import ActuatorOffset, Detachment, Latency, MarkerSlip, Mooney, Poisson, Relaxation, Sliding
+from tissuereg.diagnosis import candidates
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.candidates import FURTHER, LEAST_FURTHER, Candidate, _fit_forms, required_thresholds
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.causes.base import knobs
+from tissuereg.diagnosis.correction import make_correction
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.findings import _chances, group_of
+from tissuereg.diagnosis.fit import Part, Target, at_believed_modulus, best_start, fit
+from tissuereg.diagnosis.modulus import _pinned, modulus_finding
+from tissuereg.diagnosis.nuisances import FORM_ERROR, other_forms
+from tissuereg.diagnosis.probability import LOOK_ALIKE
+from tissuereg.diagnosis.proof import figure_blocks, proof_blocks
+from tissuereg.diagnosis.recorrect import UNCORRECTED, corrected_fit, recorrected
+from tissuereg.diagnosis.refined import refined_effects
+from tissuereg.diagnosis.revise import exchanged, without, without_redundant
+from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
+from tissuereg.diagnosis.search import Search, Step, _with_finding
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.experiment.effects import (
+    ActuatorOffset,
+    Detachment,
+    Latency,
+    MarkerSlip,
+    Mooney,
+    Poisson,
+    Relaxation,
+    Sliding,
+)
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +255,7 @@ def of_the_same_mesh(monkeypatch):
     """Data of the user's own mesh have no discretisation error to correct."""
     # The package's attribute of this name is a function.
     monkeypatch.setattr(
-        import_module("tissuereg.diagnose.revise"), "corrected_fit", lambda target, found: (target, found)
+        import_module("tissuereg.diagnosis.revise"), "corrected_fit", lambda target, found: (target, found)
     )
 
 

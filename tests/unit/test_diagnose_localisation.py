@@ -8,8 +8,8 @@ import pytest
 import tissuereg as tr
 from support.rigs import rig
 from support.targets import target_of
-from tissuereg.diagnose.localisation import components_of, next_check
-from tissuereg.diagnose.screen import UNKNOWN
+from tissuereg.diagnosis.localisation import components_of, next_check
+from tissuereg.diagnosis.screen import UNKNOWN
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 import tissuereg as tr
 from support.files import write_experiment
-from tissuereg.diagnose import many
+from tissuereg.diagnosis import many
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.parallel import Failed, InProcess, Processes
 

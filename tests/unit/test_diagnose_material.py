@@ -8,12 +8,12 @@ import pytest
 import support.material_curves as made
 from support.material_curves import believed, elastic, histories, in_modes
 from support.pages import assert_sound_page
-from tissuereg.diagnose.material import diagnose_material, predicted_stresses
-from tissuereg.diagnose.material.noise import noise_of
-from tissuereg.diagnose.material.scene import scene_of
-from tissuereg.effects import Stiffening
+from tissuereg.diagnosis.material import diagnose_material, predicted_stresses
+from tissuereg.diagnosis.material.noise import noise_of
+from tissuereg.diagnosis.material.scene import scene_of
+from tissuereg.experiment.effects import Stiffening
+from tissuereg.experiment.material_experiment import Curve
 from tissuereg.io.material_experiments import read_material_experiment, write_material_experiment, write_test_table
-from tissuereg.material_experiment import Curve
 
 PLAIN = ("plain",)
 #: What is hidden, how it is measured, and the cause that must stand first among the findings.

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from support.rigs import rig
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.misfit import Battery, Misfit, smooth_subspaces
-from tissuereg.diagnose.noise import Noise
-from tissuereg.diagnose.proof import HeldOut
-from tissuereg.diagnose.run import _explains_enough, _verdict
-from tissuereg.diagnose.search import CLEAR, Step
-from tissuereg.diagnose.signals import Layout
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
+from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.proof import HeldOut
+from tissuereg.diagnosis.run import _explains_enough, _verdict
+from tissuereg.diagnosis.search import CLEAR, Step
+from tissuereg.diagnosis.signals import Layout
 
 N_NULLS = 300
 

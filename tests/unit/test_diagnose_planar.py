@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from support.meshes import block
-from tissuereg.diagnose.answer import Diagnosis
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.correction import Correction
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import Part, Target, fit
-from tissuereg.diagnose.noise import Noise, estimate_noise
-from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import Stiffening
-from tissuereg.experiment import Actuator, Boundary, Case, Experiment
-from tissuereg.material import Material
+from tissuereg.body.material import Material
+from tissuereg.diagnosis.answer import Diagnosis
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.fit import Part, Target, fit
+from tissuereg.diagnosis.noise import Noise, estimate_noise
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.experiment.effects import Stiffening
+from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment
 
 LENGTH, WIDTH, DEPTH = 40.0, 16.0, 1.5
 

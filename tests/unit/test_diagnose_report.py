@@ -14,23 +14,23 @@ import pytest
 import tissuereg as tr
 from support.files import EXPERIMENT, TABLES, write_experiment
 from support.pages import assert_sound_page
-from tissuereg.diagnose.answer import Diagnosis, Finding
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.candidates import Candidate
-from tissuereg.diagnose.correction import Correction
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import Fit, Part, Target
-from tissuereg.diagnose.noise import estimate_noise
-from tissuereg.diagnose.proof import HeldOut
-from tissuereg.diagnose.report.history import curves
-from tissuereg.diagnose.report.proved import blocks_words
-from tissuereg.diagnose.report.ranking import ranking
-from tissuereg.diagnose.report.scene import scene, script_text
-from tissuereg.diagnose.report.surface import drawn_surface
-from tissuereg.diagnose.screen import Screened
-from tissuereg.diagnose.search import Search, Step
-from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import Inclusion, MarkerSlip
+from tissuereg.diagnosis.answer import Diagnosis, Finding
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.candidates import Candidate
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.fit import Fit, Part, Target
+from tissuereg.diagnosis.noise import estimate_noise
+from tissuereg.diagnosis.proof import HeldOut
+from tissuereg.diagnosis.report.history import curves
+from tissuereg.diagnosis.report.proved import blocks_words
+from tissuereg.diagnosis.report.ranking import ranking
+from tissuereg.diagnosis.report.scene import scene, script_text
+from tissuereg.diagnosis.report.surface import drawn_surface
+from tissuereg.diagnosis.screen import Screened
+from tissuereg.diagnosis.search import Search, Step
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.experiment.effects import Inclusion, MarkerSlip
 
 NASTY = "<b>&'\"P</b></script>"
 BALL = Inclusion(centre_mm=(15.0, 10.0, 20.0), semi_axes_mm=(4.0, 4.0, 4.0), contrast=6.0)

@@ -9,21 +9,21 @@ import pytest
 
 from support.rigs import rig
 from support.targets import part, target_of
-from tissuereg.diagnose import search as search_module
-from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.evidence import Null
-from tissuereg.diagnose.fit import fit
-from tissuereg.diagnose.misfit import Misfit
-from tissuereg.diagnose.noise import Noise, estimate_noise
-from tissuereg.diagnose.nuisances import EFFECT_ERROR, MESH_SHARE, effect_nuisances
-from tissuereg.diagnose.nulls import MESH_SPREAD, draw_nulls
-from tissuereg.diagnose.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
-from tissuereg.diagnose.report.words import ties
-from tissuereg.diagnose.residual import residual_summary
-from tissuereg.diagnose.screen import UNKNOWN, Screen
-from tissuereg.diagnose.search import Search, search
-from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import Latency, MarkerSlip, Poisson
+from tissuereg.diagnosis import search as search_module
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.fit import fit
+from tissuereg.diagnosis.misfit import Misfit
+from tissuereg.diagnosis.noise import Noise, estimate_noise
+from tissuereg.diagnosis.nuisances import EFFECT_ERROR, MESH_SHARE, effect_nuisances
+from tissuereg.diagnosis.nulls import MESH_SPREAD, draw_nulls
+from tissuereg.diagnosis.proof import BEFORE, BELIEVED, GENERIC, NAMED, HeldOut, held_out_figures, linear_model
+from tissuereg.diagnosis.report.words import ties
+from tissuereg.diagnosis.residual import residual_summary
+from tissuereg.diagnosis.screen import UNKNOWN, Screen
+from tissuereg.diagnosis.search import Search, search
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.experiment.effects import Latency, MarkerSlip, Poisson
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_causes_that_cannot_be_distinguished_are_a_group():
 
 def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch):
     # Two rounds find a cause that explains a part, then the one that explains all of it.
-    monkeypatch.setattr(import_module("tissuereg.diagnose.recorrect"), "refined_effects", lambda *_: None)
+    monkeypatch.setattr(import_module("tissuereg.diagnosis.recorrect"), "refined_effects", lambda *_: None)
     target = target_of(Latency(latency_s=0.15))
     screen = screen_of(target, ("latency", "poisson"))
     base = fit(target, [])

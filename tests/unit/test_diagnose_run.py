@@ -7,8 +7,8 @@ import pytest
 
 import tissuereg as tr
 from support.rigs import rig
-from tissuereg.diagnose.run import _own_modulus
-from tissuereg.effects import Poisson, Stiffness
+from tissuereg.diagnosis.run import _own_modulus
+from tissuereg.experiment.effects import Poisson, Stiffness
 
 
 def test_the_answer_depends_on_neither_threads_nor_the_call():

@@ -7,22 +7,22 @@ import pytest
 
 import tissuereg as tr
 from support.rigs import rig
-from tissuereg.diagnose import predictor
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.correction import make_correction
-from tissuereg.diagnose.noise import Noise
-from tissuereg.diagnose.nuisances import make_nuisances
-from tissuereg.diagnose.refined import flat_of
-from tissuereg.diagnose.run import make_believed
-from tissuereg.diagnose.shape import HEIGHT_SHARE, PLACE_SHARE, SIZE_SHARE, WAVES, shape_directions
-from tissuereg.diagnose.shape_columns import shape_columns
-from tissuereg.diagnose.signals import Layout
-from tissuereg.diagnose.tangents import Tangents
-from tissuereg.effects import Relaxation
-from tissuereg.experiment import Actuator
-from tissuereg.simulate.fine.elastic import solve_states
-from tissuereg.simulate.fine.reading import Reader
-from tissuereg.simulate.fine.rims import sharp_nodes
+from tissuereg.diagnosis import predictor
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.correction import make_correction
+from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.nuisances import make_nuisances
+from tissuereg.diagnosis.refined import flat_of
+from tissuereg.diagnosis.run import make_believed
+from tissuereg.diagnosis.shape import HEIGHT_SHARE, PLACE_SHARE, SIZE_SHARE, WAVES, shape_directions
+from tissuereg.diagnosis.shape_columns import shape_columns
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.tangents import Tangents
+from tissuereg.experiment.effects import Relaxation
+from tissuereg.experiment.experiment import Actuator
+from tissuereg.simulation.fine.elastic import solve_states
+from tissuereg.simulation.fine.reading import Reader
+from tissuereg.simulation.fine.rims import sharp_nodes
 
 
 def bulged(mesh, height=3.0):

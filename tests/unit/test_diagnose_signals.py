@@ -7,21 +7,21 @@ import pytest
 from scipy import sparse
 
 from support.rigs import rig
-from tissuereg.diagnose.bank import fingerprint
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.causes import CAUSES
-from tissuereg.diagnose.causes.base import Variant
-from tissuereg.diagnose.causes.tracker import changed_by
-from tissuereg.diagnose.correction import Correction, make_correction
-from tissuereg.diagnose.noise import Noise, estimate_noise
-from tissuereg.diagnose.nuisances import FORCE_BENT, FORCE_SHARE, make_nuisances
-from tissuereg.diagnose.patterns import load_history
-from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import ActuatorDirection, ActuatorGain, ActuatorOffset, Gravity, Latency, Poisson
-from tissuereg.effects.regions import Ellipsoid, share_inside
+from tissuereg.body.material import GRAVITY_MM_PER_S2
+from tissuereg.diagnosis.bank import fingerprint
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.causes.base import Variant
+from tissuereg.diagnosis.causes.tracker import changed_by
+from tissuereg.diagnosis.correction import Correction, make_correction
+from tissuereg.diagnosis.noise import Noise, estimate_noise
+from tissuereg.diagnosis.nuisances import FORCE_BENT, FORCE_SHARE, make_nuisances
+from tissuereg.diagnosis.patterns import load_history
+from tissuereg.diagnosis.signals import Layout
 from tissuereg.errors import ExperimentError, NoiseError
-from tissuereg.material import GRAVITY_MM_PER_S2
-from tissuereg.simulate.sensitivity import Parameter
+from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, ActuatorOffset, Gravity, Latency, Poisson
+from tissuereg.experiment.effects.regions import Ellipsoid, share_inside
+from tissuereg.simulation.sensitivity import Parameter
 
 
 @pytest.fixture(scope="module")

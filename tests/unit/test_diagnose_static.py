@@ -8,16 +8,16 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg.diagnose.bench import Bench
-from tissuereg.diagnose.correction import Correction
-from tissuereg.diagnose.nuisances import make_nuisances
-from tissuereg.diagnose.patterns import LENGTH
-from tissuereg.diagnose.signals import Layout
-from tissuereg.effects import Effect, Gravity, MarkerSlip
-from tissuereg.experiment import Actuator, Boundary, Case, Experiment
-from tissuereg.experiment import Gravity as Weight
-from tissuereg.material import GRAVITY_MM_PER_S2
-from tissuereg.simulate.experiment import simulate_plain
+from tissuereg.body.material import GRAVITY_MM_PER_S2
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.nuisances import make_nuisances
+from tissuereg.diagnosis.patterns import LENGTH
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.experiment.effects import Effect, Gravity, MarkerSlip
+from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment
+from tissuereg.experiment.experiment import Gravity as Weight
+from tissuereg.simulation.experiment import simulate_plain
 
 STD = 0.05
 DOWN = (0.0, 0.0, -1.0)

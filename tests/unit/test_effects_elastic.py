@@ -8,7 +8,8 @@ import pytest
 import tissuereg as tr
 from support.files import EXPERIMENT, write_experiment
 from support.meshes import block
-from tissuereg.effects import (
+from tissuereg.errors import ExperimentError
+from tissuereg.experiment.effects import (
     ActuatorDirection,
     ActuatorGain,
     ActuatorOffset,
@@ -28,11 +29,10 @@ from tissuereg.effects import (
     seen_markers,
     true_markers,
 )
-from tissuereg.effects.regions import Ellipsoid, OuterLayer, share_inside
-from tissuereg.effects.supports import node_areas
-from tissuereg.errors import ExperimentError
-from tissuereg.frames import frame_input
-from tissuereg.simulate.experiment import simulate_plain
+from tissuereg.experiment.effects.regions import Ellipsoid, OuterLayer, share_inside
+from tissuereg.experiment.effects.supports import node_areas
+from tissuereg.registration.frame import frame_input
+from tissuereg.simulation.experiment import simulate_plain
 
 
 @pytest.fixture(scope="module")

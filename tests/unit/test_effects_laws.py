@@ -7,7 +7,7 @@ import pytest
 
 import tissuereg as tr
 from support.files import write_experiment
-from tissuereg.effects import (
+from tissuereg.experiment.effects import (
     ActuatorDirection,
     ActuatorGain,
     Asymmetry,
@@ -18,7 +18,7 @@ from tissuereg.effects import (
     Stiffness,
     extended,
 )
-from tissuereg.simulate.experiment import simulate_plain
+from tissuereg.simulation.experiment import simulate_plain
 
 
 @pytest.fixture(scope="module")

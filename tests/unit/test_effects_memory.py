@@ -7,7 +7,8 @@ import pytest
 
 import tissuereg as tr
 from support.files import write_experiment
-from tissuereg.effects import (
+from tissuereg.errors import ExperimentError
+from tissuereg.experiment.effects import (
     Detachment,
     Drainage,
     Gravity,
@@ -20,11 +21,10 @@ from tissuereg.effects import (
     Stiffness,
     Swelling,
 )
-from tissuereg.errors import ExperimentError
-from tissuereg.experiment import Case
-from tissuereg.frames import frame_input
-from tissuereg.simulate import memory
-from tissuereg.simulate.experiment import simulate_plain
+from tissuereg.experiment.experiment import Case
+from tissuereg.registration.frame import frame_input
+from tissuereg.simulation import memory
+from tissuereg.simulation.experiment import simulate_plain
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 
 import tissuereg as tr
 from support.files import EXPERIMENT, write_experiment
-from tissuereg.effects import EFFECTS, Inclusion, MarkerSwap, effect_from_table
 from tissuereg.errors import ExperimentError
+from tissuereg.experiment.effects import EFFECTS, Inclusion, MarkerSwap, effect_from_table
 
 #: One good table an id; more where keys exclude each other.
 GOOD = {

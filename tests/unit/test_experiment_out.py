@@ -7,8 +7,8 @@ import pytest
 
 import tissuereg as tr
 from support.files import EXPERIMENT, write_experiment
-from tissuereg.effects import Inclusion, Latency, MarkerSwap
 from tissuereg.errors import ExperimentError
+from tissuereg.experiment.effects import Inclusion, Latency, MarkerSwap
 from tissuereg.io.experiment_out import write_experiment as write
 from tissuereg.io.toml import read_toml
 from tissuereg.io.toml_text import toml_text

@@ -7,12 +7,12 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg import fallback as fallbacks
-from tissuereg import registrar as registrars
 from tissuereg.baselines import LinearElastic, Setting
+from tissuereg.body.observe import TargetObservation
 from tissuereg.cli.register_words import summary
-from tissuereg.contacts.elastic import ElasticBody
-from tissuereg.observe import TargetObservation
+from tissuereg.registration import fallback as fallbacks
+from tissuereg.registration import registrar as registrars
+from tissuereg.registration.contacts.elastic import ElasticBody
 
 MATERIAL = tr.Material(young=8.0, poisson=0.4)
 TARGET = np.array([15.0, 11.0, 22.0])

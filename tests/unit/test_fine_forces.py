@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissuereg.simulate.fine.forces import LEAST_LOADED, MOST_CHANGED, force_maps
+from tissuereg.simulation.fine.forces import LEAST_LOADED, MOST_CHANGED, force_maps
 
 
 @pytest.fixture

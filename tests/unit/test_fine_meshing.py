@@ -9,11 +9,11 @@ import tissuereg as tr
 from support.files import write_experiment
 from support.meshes import block
 from tissuereg.errors import MeshError
-from tissuereg.simulate.fine import FineMeshing, bisection, fine_experiment, third_meshes
-from tissuereg.simulate.fine import rims as rims_module
-from tissuereg.simulate.fine.bisection import Bisection, shape_quality
-from tissuereg.simulate.fine.rims import Rim, cut_along, patch_nodes, rim_nodes
-from tissuereg.simulate.fine.third import gaps, jittered
+from tissuereg.simulation.fine import FineMeshing, bisection, fine_experiment, third_meshes
+from tissuereg.simulation.fine import rims as rims_module
+from tissuereg.simulation.fine.bisection import Bisection, shape_quality
+from tissuereg.simulation.fine.rims import Rim, cut_along, patch_nodes, rim_nodes
+from tissuereg.simulation.fine.third import gaps, jittered
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,8 @@ import pytest
 
 import tissuereg as tr
 from support.files import write_experiment
-from tissuereg.effects import (
+from tissuereg.errors import ConvergenceError, ExperimentError
+from tissuereg.experiment.effects import (
     ActuatorGain,
     ActuatorOffset,
     Detachment,
@@ -20,15 +21,14 @@ from tissuereg.effects import (
     Sliding,
     Stiffness,
 )
-from tissuereg.errors import ConvergenceError, ExperimentError
-from tissuereg.experiment import Case
-from tissuereg.simulate import memory as memory_module
-from tissuereg.simulate.experiment import simulate_plain
-from tissuereg.simulate.fine import FineMeshing, FineModel, rough_element
-from tissuereg.simulate.fine import model as model_module
-from tissuereg.simulate.fine.elastic import guess
-from tissuereg.simulate.loading import distinct_states
-from tissuereg.simulate.solve import Simulator
+from tissuereg.experiment.experiment import Case
+from tissuereg.simulation import memory as memory_module
+from tissuereg.simulation.experiment import simulate_plain
+from tissuereg.simulation.fine import FineMeshing, FineModel, rough_element
+from tissuereg.simulation.fine import model as model_module
+from tissuereg.simulation.fine.elastic import guess
+from tissuereg.simulation.loading import distinct_states
+from tissuereg.simulation.solve import Simulator
 
 #: Coarse at the rim: these tests check that results are the same, not that they are accurate.
 COARSE = FineMeshing(rim_edge=1.0)

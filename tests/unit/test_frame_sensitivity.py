@@ -6,16 +6,26 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.errors import LoadError, MaterialError, ShapeError, TissueRegError
-from tissuereg.simulate.behaviour import Behaviour, Drainage, Rate, Relaxation, Set, Skin, Softening, Springs, Swelling
-from tissuereg.simulate.frame_sensitivity import (
+from tissuereg.simulation.behaviour import (
+    Behaviour,
+    Drainage,
+    Rate,
+    Relaxation,
+    Set,
+    Skin,
+    Softening,
+    Springs,
+    Swelling,
+)
+from tissuereg.simulation.frame_sensitivity import (
     FrameObservation,
     Loads,
     Motion,
     frame_adjoints,
     frame_derivatives,
 )
-from tissuereg.simulate.frames import Pad, solve_frames
-from tissuereg.simulate.sensitivity import Field, Observation, Parameter
+from tissuereg.simulation.frames import Pad, solve_frames
+from tissuereg.simulation.sensitivity import Field, Observation, Parameter
 
 MESH = block(cells=(2, 1, 3))
 TOP = np.flatnonzero(MESH.nodes[:, 2] > 39.9)

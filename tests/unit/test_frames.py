@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg.simulate.behaviour import (
+from tissuereg.simulation.behaviour import (
     Behaviour,
     Drainage,
     Rate,
@@ -15,7 +15,7 @@ from tissuereg.simulate.behaviour import (
     Springs,
     Swelling,
 )
-from tissuereg.simulate.frames import Pad, solve_frames
+from tissuereg.simulation.frames import Pad, solve_frames
 
 SOFT = tr.Material(young=8.0, poisson=0.4)
 WEIGHT = np.array([0.0, 0.0, -9.81e-3])

@@ -26,9 +26,9 @@ from tissuereg.io.problems import read_problem, read_simulation, read_simulation
 from tissuereg.io.recordings import read_recording
 from tissuereg.io.surfaces import read_triangles
 from tissuereg.io.tables import read_reference
-from tissuereg.latent.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
-from tissuereg.simulate.dataset import make_dataset
-from tissuereg.simulate.recipe import read_recipe
+from tissuereg.registration.learned.card import CARD_SCHEMA, MODEL_FILES, check_files, read_card
+from tissuereg.simulation.dataset import make_dataset
+from tissuereg.simulation.recipe import read_recipe
 from tissuereg.studies.rigs import read_rig
 
 #: Examples of each file; `make test-sturdy` asks for 10,000.

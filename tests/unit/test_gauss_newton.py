@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import chi2
 
 from tissuereg import _core
-from tissuereg.assimilate import gauss_newton
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, NoiseError, ShapeError
-from tissuereg.latent.model import Gaussian
+from tissuereg.registration.learned.assimilate import gauss_newton
+from tissuereg.registration.learned.model import Gaussian
 
 
 def linear_problem(seed, n_latent=6, n_obs=9):

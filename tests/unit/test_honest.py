@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tissuereg.latent.calibrate import _regions
-from tissuereg.latent.honest import SIGNS, Honest
-from tissuereg.latent.mixture import Component, Linear, condition, left_out
-from tissuereg.latent.signs import signs_of
-from tissuereg.spread_law import squared_radius
+from tissuereg.registration.learned.calibrate import _regions
+from tissuereg.registration.learned.honest import SIGNS, Honest
+from tissuereg.registration.learned.mixture import Component, Linear, condition, left_out
+from tissuereg.registration.learned.signs import signs_of
+from tissuereg.registration.learned.spread_law import squared_radius
 
 
 def drawn(n_events, rng, heavier=1.0):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from support.surfaces import box, sphere, volume, write_stl
+from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MissingPackageError, ShapeError, UnitError
 from tissuereg.io.surfaces import read_triangles
-from tissuereg.triangles import Triangles
 
 BALL = sphere()
 

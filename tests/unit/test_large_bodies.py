@@ -10,17 +10,17 @@ import pytest
 import tissuereg as tr
 from support.files import run, write_problem
 from support.meshes import block
-from tissuereg import _machine
-from tissuereg.contacts import fit, linear, tangent
-from tissuereg.contacts.body import forget_bodies
-from tissuereg.contacts.size import expected_work
-from tissuereg.contacts.tangent import Tangent, forget_rest
+from tissuereg._base import machine as _machine
 from tissuereg.errors import ArgumentError, LargeBodyError, LargeBodyWarning
 from tissuereg.io.meshes import write_vtu
 from tissuereg.io.tables import write_markers
-from tissuereg.simulate import size
-from tissuereg.simulate.sensitivity import Linearised
-from tissuereg.simulate.size import SOLVE, BodySize, Estimate
+from tissuereg.registration.contacts import fit, linear, tangent
+from tissuereg.registration.contacts.body import forget_bodies
+from tissuereg.registration.contacts.size import expected_work
+from tissuereg.registration.contacts.tangent import Tangent, forget_rest
+from tissuereg.simulation import size
+from tissuereg.simulation.sensitivity import Linearised
+from tissuereg.simulation.size import SOLVE, BodySize, Estimate
 
 
 @pytest.fixture(scope="module")

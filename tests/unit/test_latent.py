@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tissuereg.errors import EnsembleError
-from tissuereg.latent.model import error_covariance
-from tissuereg.latent.pca import PcaModel
+from tissuereg.registration.learned.model import error_covariance
+from tissuereg.registration.learned.pca import PcaModel
 
 
 def fields_of_rank(rank, n_fields, n_nodes=30, seed=0):

@@ -8,7 +8,7 @@ import pytest
 import tissuereg as tr
 from tissuereg import _core
 from tissuereg.errors import LockingWarning
-from tissuereg.simulate.frames import Pad, solve_frames
+from tissuereg.simulation.frames import Pad, solve_frames
 
 PULL = np.array([0.0, 0.0, 20.0])
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
+from tissuereg.body.material import LAWS
 from tissuereg.errors import MaterialError
-from tissuereg.material import LAWS
 
 SHAPES = {
     "bimodular": {"excess": 0.8},

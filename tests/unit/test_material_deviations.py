@@ -8,7 +8,7 @@ import pytest
 import support.material_curves as made
 from support.material_curves import believed, histories, in_modes, with_lasting_errors, with_smooth_misfit
 from support.material_fits import both
-from tissuereg.diagnose.material import diagnose_material
+from tissuereg.diagnosis.material import diagnose_material
 
 #: Deviations wrong by a factor of 2 leave these limits of the root mean square of errors over deviations.
 LEAST, MOST = 0.6, 1.5

@@ -7,15 +7,15 @@ import pytest
 
 import tissuereg as tr
 from support.material_curves import believed, in_modes
-from tissuereg.diagnose.material import predicted_stresses
-from tissuereg.effects import Asymmetry, Inclusion, Relaxation, Stiffening
+from tissuereg.diagnosis.material import predicted_stresses
 from tissuereg.errors import ExperimentError, FormatError
+from tissuereg.experiment.effects import Asymmetry, Inclusion, Relaxation, Stiffening
+from tissuereg.experiment.material_experiment import Curve
 from tissuereg.io.material_experiments import (
     read_material_experiment,
     write_material_experiment,
     write_test_table,
 )
-from tissuereg.material_experiment import Curve
 
 TOML = """
 kind = "material-test"

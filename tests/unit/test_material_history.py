@@ -7,11 +7,11 @@ import support.material_curves as made
 import tissuereg as tr
 from support.meshes import block
 from tissuereg import _core
-from tissuereg.diagnose.material.elastic import plane_second_pk, shear_metric
-from tissuereg.diagnose.material.history import stress_of
-from tissuereg.diagnose.material.model import Model
-from tissuereg.effects.history import Rate, Relaxation, Set, Softening
-from tissuereg.material_tests import shear_stress
+from tissuereg.diagnosis.material.elastic import plane_second_pk, shear_metric
+from tissuereg.diagnosis.material.history import stress_of
+from tissuereg.diagnosis.material.model import Model
+from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
+from tissuereg.experiment.material_tests import shear_stress
 
 #: So near to incompressible that the volume change is far below the tolerances.
 GEL = tr.Material(3.0 * made.MU, 0.49999)

@@ -5,7 +5,7 @@ import pytest
 
 import tissuereg as tr
 from tissuereg.errors import MaterialError
-from tissuereg.material_tests import MaterialTest, equibiaxial_stress, fit_law, shear_stress, uniaxial_stress
+from tissuereg.experiment.material_tests import MaterialTest, equibiaxial_stress, fit_law, shear_stress, uniaxial_stress
 
 STRETCH = np.linspace(0.6, 1.8, 13)
 SHAPES = {

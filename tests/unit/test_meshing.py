@@ -11,7 +11,7 @@ from support.surfaces import box, inverted, sphere, together, volume, without
 from tissuereg.errors import FormatError, MeshError, MeshingError, MissingPackageError, UnitError
 from tissuereg.meshing import fill
 from tissuereg.meshing.quality import largest_distance
-from tissuereg.simulate.fine.bisection import shape_quality
+from tissuereg.simulation.fine.bisection import shape_quality
 
 BALL = sphere()
 needs_mesher = pytest.mark.skipif(

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from support.surfaces import box, inverted, sphere, together, volume, without
+from tissuereg.body.triangles import Triangles, triangle_areas
 from tissuereg.errors import MeshError
 from tissuereg.meshing.crossings import crossing_pairs
 from tissuereg.meshing.holes import least_area_cap
 from tissuereg.meshing.repair import repaired
 from tissuereg.meshing.shells import winding_number
 from tissuereg.meshing.topology import Edges
-from tissuereg.triangles import Triangles, triangle_areas
 
 BALL = sphere()
 

@@ -10,15 +10,15 @@ from scipy.stats import multivariate_normal
 from support.meshes import block
 from support.small_model import SMALL_MODEL
 from tissuereg.errors import FormatError, ModelError, NoiseError
-from tissuereg.latent.calibrate import RehearsalSettings, _folds, calibrate, field_errors
-from tissuereg.latent.calibration import Calibration, FieldErrors, Rehearsal
-from tissuereg.latent.calibration_file import write_calibration
-from tissuereg.latent.kinds import Kinds
-from tissuereg.latent.mixture import Component, Conditioned, Linear, condition, log_evidence
-from tissuereg.latent.network import NetworkModel
-from tissuereg.latent.pca import PcaModel
-from tissuereg.latent.relinearise import conditioned
 from tissuereg.phantom import phantom_mesh
+from tissuereg.registration.learned.calibrate import RehearsalSettings, _folds, calibrate, field_errors
+from tissuereg.registration.learned.calibration import Calibration, FieldErrors, Rehearsal
+from tissuereg.registration.learned.calibration_file import write_calibration
+from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.mixture import Component, Conditioned, Linear, condition, log_evidence
+from tissuereg.registration.learned.network import NetworkModel
+from tissuereg.registration.learned.pca import PcaModel
+from tissuereg.registration.learned.relinearise import conditioned
 
 
 def spread_matrix(size, rng):

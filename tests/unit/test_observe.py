@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import MarkerError
-from tissuereg.mesh import Mesh
-from tissuereg.observe import MarkerObservation, TargetObservation
 
 
 def test_a_marker_off_the_surface_follows_a_rigid_motion_exactly(block_mesh):

@@ -8,7 +8,7 @@ import pytest
 
 import tissuereg as tr
 from support.small_model import SMALL_MODEL
-from tissuereg._clock import Clock
+from tissuereg._base.clock import Clock
 from tissuereg.baselines import (
     EnsembleOfSimulations,
     Estimate,
@@ -21,7 +21,7 @@ from tissuereg.baselines import (
 )
 from tissuereg.errors import ArgumentError, FormatError, MarkerError
 from tissuereg.io.npz import write_npz
-from tissuereg.latent.network import NetworkModel
+from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.studies import contest as contests
 from tissuereg.studies.contest import (
     CONDITIONS,

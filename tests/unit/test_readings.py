@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 import tissuereg as tr
 from misuse.events import BODIES, good, misusable
 from misuse.misuses import MISUSES
-from tissuereg.observe import MarkerObservation
-from tissuereg.readings import suspect
-from tissuereg.readings.skin import Skin
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.registration.readings import suspect
+from tissuereg.registration.readings.skin import Skin
 
 #: One event of the development half whose mistakes all leave a trace: 15 markers or so on an ellipsoid off the origin.
 BODY, NUMBER = "ellipsoid", 6

@@ -5,10 +5,10 @@ import pytest
 
 import tissuereg as tr
 from tissuereg.errors import ArgumentError, MarkerError, ModelError, ShapeError
-from tissuereg.latent.network import NetworkModel
-from tissuereg.latent.points import PointModel
 from tissuereg.phantom import shipped_model_folder
 from tissuereg.phantom.event import LESION_MM, make_event
+from tissuereg.registration.learned.network import NetworkModel
+from tissuereg.registration.learned.points import PointModel
 
 TARGETS = {"lesion": LESION_MM}
 
@@ -150,7 +150,7 @@ def test_the_model_is_read_and_cut_once_for_the_same_places(event, monkeypatch):
 
 
 def test_markers_are_examined_at_first_and_where_the_answer_is_in_doubt(event, simulation, monkeypatch):
-    from tissuereg import inputs
+    from tissuereg.registration import inputs
 
     examined = []
     plain = inputs.suspect
@@ -194,7 +194,7 @@ def test_a_model_without_weights_to_cut_gives_the_same_answer(event, simulation)
 
 
 def test_without_a_model_a_registrar_gives_the_registrations_by_contacts(block_mesh):
-    from tissuereg.contacts.settings import ContactSettings
+    from tissuereg.registration.contacts.settings import ContactSettings
 
     few = ContactSettings(n_chains=2, n_chains_first=2, max_passes=1, n_kept=1, powers=(1.0,), n_draws=2)
     places = block_mesh.nodes[block_mesh.surface_nodes][::7]

@@ -8,9 +8,9 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg.contacts.settings import ContactSettings
 from tissuereg.errors import ArgumentError, MarkerError, ModelError, ShapeError
 from tissuereg.parallel import Failed, InProcess, Processes
+from tissuereg.registration.contacts.settings import ContactSettings
 
 PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0]])
 
@@ -76,7 +76,7 @@ def test_moments_may_have_markers_of_their_own_and_are_taken_as_they_are_needed(
 
 
 def test_a_worker_keeps_what_depends_on_the_body_alone(body, markers, monkeypatch):
-    from tissuereg import registrations
+    from tissuereg.registration import many as registrations
 
     with monkeypatch.context() as changed:
         made = []

@@ -18,8 +18,8 @@ from tissuereg.baselines import (
     SplineAbout,
     spline_displacement,
 )
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError, MarkerError, ShapeError
-from tissuereg.observe import MarkerObservation
 
 PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0], [15.0, 20.0, 35.0], [30.0, 5.0, 20.0]])
 

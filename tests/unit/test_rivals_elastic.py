@@ -5,9 +5,9 @@ import pytest
 
 import tissuereg as tr
 from tissuereg.baselines import Libr, LinearElastic, Setting
-from tissuereg.linear_prior import LinearPrior
-from tissuereg.simulate.sensitivity import Linearised
-from tissuereg.simulate.solve import Simulator
+from tissuereg.registration.linear_prior import LinearPrior
+from tissuereg.simulation.sensitivity import Linearised
+from tissuereg.simulation.solve import Simulator
 
 MATERIAL = tr.Material(young=8.0, poisson=0.4)
 

@@ -10,7 +10,7 @@ from tissuereg.baselines import KfAdmm, Setting
 from tissuereg.baselines.modal_filter import ModalFilter
 from tissuereg.baselines.modes import admm_modes, vibration_modes
 from tissuereg.errors import ArgumentError, LoadError
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulation.solve import Simulator
 
 DT = 0.025
 

@@ -5,8 +5,8 @@ import pytest
 
 import tissuereg as tr
 from tissuereg.baselines import LatentFilter, OneStepSmoother, PcaEsMda, Setting
-from tissuereg.latent.pca import PcaModel
-from tissuereg.observe import MarkerObservation
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.registration.learned.pca import PcaModel
 
 #: On the surface, so that what they see is linear.
 PLACES = np.array([[30.0, 10.0, 40.0], [0.0, 10.0, 40.0], [15.0, 0.0, 30.0], [15.0, 20.0, 35.0], [30.0, 5.0, 20.0]])

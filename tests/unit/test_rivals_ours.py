@@ -6,8 +6,8 @@ import pytest
 import tissuereg as tr
 from support.small_model import SMALL_MODEL
 from tissuereg.baselines import Network, PhysicsPrior, Setting
-from tissuereg.latent.network import NetworkModel
 from tissuereg.phantom.event import make_event
+from tissuereg.registration.learned.network import NetworkModel
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 
 import tissuereg as tr
 from tissuereg.baselines import ParameterInference, Setting
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
-from tissuereg.observe import MarkerObservation
 
 BELIEVED = tr.Material(young=8.0, poisson=0.4, density=1.0)
 STIFFNESS, LOAD = 1.4, 0.8

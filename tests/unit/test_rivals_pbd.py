@@ -6,8 +6,8 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.baselines import PositionBasedDynamics, Setting
+from tissuereg.body.mesh import det_f
 from tissuereg.errors import ArgumentError
-from tissuereg.mesh import det_f
 
 
 @pytest.fixture

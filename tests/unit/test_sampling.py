@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tissuereg.simulate.sampling import Event, EventSampler, EventSettings, Plate
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulation.sampling import Event, EventSampler, EventSettings, Plate
+from tissuereg.simulation.solve import Simulator
 
 
 def test_tractions_of_patches_that_share_triangles_add_up(block_mesh):

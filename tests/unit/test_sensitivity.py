@@ -6,8 +6,8 @@ import pytest
 import tissuereg as tr
 from support.meshes import block
 from tissuereg.errors import ConvergenceError, MaterialError, ShapeError
-from tissuereg.simulate.sensitivity import Field, Linearised, Observation, Parameter
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulation.sensitivity import Field, Linearised, Observation, Parameter
+from tissuereg.simulation.solve import Simulator
 
 TIGHT = {"tolerance": 1e-12, "method": "newton"}
 ELEMENTS = ["tet4", "tet4-averaged", "tet10"]

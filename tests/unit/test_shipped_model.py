@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from tissuereg.latent.network import NetworkModel
 from tissuereg.phantom import phantom_mesh, shipped_model_folder
 from tissuereg.phantom.event import make_event
-from tissuereg.simulate.solve import simulate
+from tissuereg.registration.learned.network import NetworkModel
+from tissuereg.simulation.solve import simulate
 
 FOLDER = shipped_model_folder()
 CARD = json.loads((FOLDER / "model.json").read_text(encoding="utf-8"))

@@ -9,8 +9,8 @@ from onnx import numpy_helper
 
 from support.small_model import SMALL_MODEL
 from tissuereg.errors import ModelError
-from tissuereg.latent.network import NetworkModel
 from tissuereg.phantom import phantom_mesh
+from tissuereg.registration.learned.network import NetworkModel
 
 CARD = json.loads((SMALL_MODEL / "model.json").read_text(encoding="utf-8"))
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 
 import tissuereg as tr
-from tissuereg.latent.model import Gaussian, error_covariance
-from tissuereg.widen import stated
+from tissuereg.registration.learned.model import Gaussian, error_covariance
+from tissuereg.registration.learned.widen import stated
 
 
 class Linear:

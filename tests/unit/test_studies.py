@@ -8,13 +8,13 @@ import pytest
 
 import tissuereg as tr
 from support.files import run, run_json
-from tissuereg.assimilate import assimilate
 from tissuereg.cli.reproduce import _STUDIES
 from tissuereg.errors import ArgumentError, EnsembleError, ModelError
-from tissuereg.latent.model import Gaussian
-from tissuereg.latent.pca import PcaModel
-from tissuereg.simulate.dataset import make_dataset
-from tissuereg.simulate.recipe import recipe_of
+from tissuereg.registration.learned.assimilate import assimilate
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg.registration.learned.pca import PcaModel
+from tissuereg.simulation.dataset import make_dataset
+from tissuereg.simulation.recipe import recipe_of
 from tissuereg.studies import SIMULATED, STUDIES, shapes
 from tissuereg.studies import run as running
 from tissuereg.studies import sweep as sweeping

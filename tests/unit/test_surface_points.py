@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 import tissuereg as tr
-from tissuereg.contacts.body import ContactBody
-from tissuereg.contacts.columns import Columns
-from tissuereg.contacts.frame import Frame
-from tissuereg.contacts.icp import closest_frame
-from tissuereg.contacts.moment import Moment
-from tissuereg.contacts.posed import Basis, moving_variances
-from tissuereg.contacts.seen import MOST_PLAIN, Seen, SeenMarkers, tail_cost, tail_variance
-from tissuereg.contacts.settings import ContactSettings
-from tissuereg.contacts.supports import Supports
-from tissuereg.contacts.surface_points import SeenPoints, closest_feet, facet_errors
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.body.surface import MOST_POINTS, SurfacePoints, evenly
 from tissuereg.errors import MarkerError, ModelError, SurfaceError
-from tissuereg.observe import MarkerObservation
-from tissuereg.readings.clouds import suspect_points
-from tissuereg.surface import MOST_POINTS, SurfacePoints, evenly
+from tissuereg.registration.contacts.body import ContactBody
+from tissuereg.registration.contacts.columns import Columns
+from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.icp import closest_frame
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.posed import Basis, moving_variances
+from tissuereg.registration.contacts.seen import MOST_PLAIN, Seen, SeenMarkers, tail_cost, tail_variance
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.supports import Supports
+from tissuereg.registration.contacts.surface_points import SeenPoints, closest_feet, facet_errors
+from tissuereg.registration.readings.clouds import suspect_points
 
 
 def cloud(mesh, displacement, count, rng, noise=0.0):
@@ -191,7 +191,7 @@ def test_a_projection_keeps_what_causes_can_do(block_mesh):
     still = Moment(np.zeros(columns.n_columns), np.zeros((block_mesh.n_nodes, 3)), Frame.still())
     seen = SeenPoints(block_mesh, cloud(block_mesh, 0.0, 300, np.random.default_rng(6)), 0.1, 0.02)
     reading = seen.read(still)
-    from tissuereg.simulate.sensitivity import Linearised, Observation
+    from tissuereg.simulation.sensitivity import Linearised, Observation
 
     here = Linearised(body.simulator, tr.Load(), tr.Material(), still.displacement)
     responses = columns.responses(here.compliance([Observation(*row) for row in reading.rows]), np.empty((0, 3)))
@@ -219,7 +219,7 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
     )
     targets = {"deep": (18.0, 12.0, 22.0), "top": (12.0, 8.0, 34.0)}
     plain = tr.register(block_mesh, markers, targets=targets)
-    monkeypatch.setattr("tissuereg.contacts.seen.MOST_PLAIN", 60)
+    monkeypatch.setattr("tissuereg.registration.contacts.seen.MOST_PLAIN", 60)
     few = tr.register(block_mesh, markers, targets=targets)
     moved = np.linalg.norm(truth, axis=1).mean()
     # Measured at four seeds: 0.021 to 0.026 of the motion, seeds alone 0.005. Heavy tails weigh markers otherwise; what
@@ -233,7 +233,7 @@ def test_thirty_markers_projected_and_plain_agree(block_mesh, monkeypatch):
 
 
 def test_a_wrong_marker_among_many_is_named_by_its_weight(block_mesh, monkeypatch):
-    monkeypatch.setattr("tissuereg.contacts.seen.MOST_PLAIN", 20)
+    monkeypatch.setattr("tissuereg.registration.contacts.seen.MOST_PLAIN", 20)
     top = block_mesh.surface[(block_mesh.nodes[block_mesh.surface][:, :, 2] > 40 - 1e-9).all(axis=1)]
     truth = tr.simulate(block_mesh, tr.Load(traction=(top, (0.2, 0.07, 0.03))), tr.Material(10.0, 0.45)).displacement
     nodes = block_mesh.surface_nodes[block_mesh.nodes[block_mesh.surface_nodes, 2] > 8][::4]

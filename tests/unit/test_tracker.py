@@ -8,9 +8,9 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg.contacts.settings import ContactSettings
+from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.errors import ArgumentError, MarkerError
-from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg.registration.contacts.settings import ContactSettings
 from tissuereg.tracking import FemPhysics, TablePhysics, fitted, fitted_prior
 from tissuereg.tracking.restart import RESTARTS
 
@@ -184,7 +184,7 @@ def test_markers_come_and_go_and_a_frame_without_any_leaves_the_tracker_as_it_wa
 
 
 def test_residuals_and_volume_ratios_are_those_of_the_filtered_answer():
-    from tissuereg.mesh import det_f
+    from tissuereg.body.mesh import det_f
 
     rng = np.random.default_rng(7)
     tracker = tr.Tracker(registrar(), simulator=physics())

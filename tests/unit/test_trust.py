@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tissuereg.trust import judge, judge_by_rehearsal
+from tissuereg.registration.trust import judge, judge_by_rehearsal
 
 NAMES = tuple(f"P{i}" for i in range(8))
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from support.meshes import block
-from tissuereg.latent import untangle
-from tissuereg.latent.untangle import untangled
-from tissuereg.mesh import det_f
+from tissuereg.body.mesh import det_f
+from tissuereg.registration.learned import untangle
+from tissuereg.registration.learned.untangle import untangled
 
 
 @pytest.fixture(scope="module")

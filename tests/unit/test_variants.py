@@ -8,10 +8,10 @@ from support.small_model import SMALL_MODEL
 from tissuereg.baselines import EnsembleOfSimulations, Setting, VariedNetwork
 from tissuereg.errors import ArgumentError, FormatError, ShapeError
 from tissuereg.io.npz import write_npz
-from tissuereg.latent.calibration import UNRELATED, Calibration, Change, FieldErrors, Rehearsal
-from tissuereg.latent.kinds import Kinds
-from tissuereg.latent.network import NetworkModel
-from tissuereg.latent.variants import Variants
+from tissuereg.registration.learned.calibration import UNRELATED, Calibration, Change, FieldErrors, Rehearsal
+from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.network import NetworkModel
+from tissuereg.registration.learned.variants import Variants
 from tissuereg.studies.rigs import Pad, Rig
 from tissuereg.studies.variants import N_MODULI, STORED_KPA, YOUNG_KPA, RigVariants, read_variants
 

@@ -17,17 +17,17 @@ import tissuereg as tr
 from support.files import FIDUCIALS, GOOD_MARKERS, write_experiment
 from support.meshes import block
 from support.rigs import rig
-from tissuereg.assimilate import StepOptions, assimilate, gauss_newton
 from tissuereg.baselines import RIVALS, Rigid, Setting
-from tissuereg.contacts.settings import ContactSettings
-from tissuereg.effects import EFFECTS
 from tissuereg.errors import ExperimentError, FormatError, MaterialError, TissueRegError, UnitWarning
+from tissuereg.experiment.effects import EFFECTS
 from tissuereg.io.experiments import read_experiment
-from tissuereg.latent.model import Gaussian
-from tissuereg.latent.pca import PcaModel
 from tissuereg.parallel import Failed, Processes, open_executor
-from tissuereg.simulate.fine import FineMeshing
-from tissuereg.wrong_markers import score_markers
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.learned.assimilate import StepOptions, assimilate, gauss_newton
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg.registration.learned.pca import PcaModel
+from tissuereg.registration.wrong_markers import score_markers
+from tissuereg.simulation.fine import FineMeshing
 
 
 class SomeClass:

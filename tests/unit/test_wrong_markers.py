@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tissuereg.assimilate import gauss_newton
 from tissuereg.errors import NoiseError, ShapeError
-from tissuereg.latent.model import Gaussian
-from tissuereg.wrong_markers import drop_wrong, score_markers
+from tissuereg.registration.learned.assimilate import gauss_newton
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg.registration.wrong_markers import drop_wrong, score_markers
 
 N_MARKERS, N_LATENT, STD = 15, 26, 0.1
 PRIOR = Gaussian(np.zeros(N_LATENT), np.eye(N_LATENT))

@@ -77,7 +77,7 @@ pub(crate) fn warn_of_locking<'a>(
 ) -> PyResult<()> {
     if element == Element::Tet4 && materials.any(Material::locks_linear_tets) {
         let largest = poisson.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        py.import("tissuereg._locking")?.call_method1("warn_of_locking", (largest,))?;
+        py.import("tissuereg._base.locking")?.call_method1("warn_of_locking", (largest,))?;
     }
     Ok(())
 }

@@ -8,7 +8,7 @@ from tissuereg.baselines.copy import MeanOfMarkers
 from tissuereg.baselines.rigid import Rigid
 from tissuereg.baselines.rival import Estimate, Rival, Setting
 from tissuereg.baselines.spline import Spline
-from tissuereg.observe import MarkerObservation
+from tissuereg.body.observe import MarkerObservation
 
 
 class _About(Rival):

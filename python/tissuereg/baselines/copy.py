@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, float_array
+from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg.baselines.rival import Estimate, Rival
 
 

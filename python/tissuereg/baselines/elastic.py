@@ -4,12 +4,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import flag
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arguments import flag
+from tissuereg._base.arrays import FloatArray
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
-from tissuereg.contact_registration import fitting_element
-from tissuereg.contacts.elastic import ElasticBody
-from tissuereg.linear_prior import LinearPrior, most_probable
+from tissuereg.registration.contacts.elastic import ElasticBody
+from tissuereg.registration.contacts.registration import fitting_element
+from tissuereg.registration.linear_prior import LinearPrior, most_probable
 
 
 def elastic_body(setting: Setting) -> ElasticBody:

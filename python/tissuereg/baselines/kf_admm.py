@@ -5,15 +5,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arguments import real, whole
-from tissuereg._arrays import FloatArray
-from tissuereg._choice import check_choice
+from tissuereg._base.arguments import real, whole
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choice import check_choice
 from tissuereg.baselines.modal_filter import ModalFilter
 from tissuereg.baselines.modes import admm_modes, vibration_modes
 from tissuereg.baselines.rival import Estimate, Rival, Setting
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError, LoadError
-from tissuereg.observe import MarkerObservation
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulation.solve import Simulator
 
 #: Modes by name.
 _MODES = {"admm": admm_modes, "elastic": vibration_modes}

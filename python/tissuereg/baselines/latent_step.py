@@ -5,23 +5,24 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import flag, real, whole
-from tissuereg._arrays import FloatArray
-from tissuereg.assimilate import Assimilation, FirstEnsemble, assimilate, balanced_draws
+from tissuereg._base.arguments import flag, real, whole
+from tissuereg._base.arrays import FloatArray
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
-from tissuereg.latent.model import Gaussian
-from tissuereg.latent.points import PointModel, PointsAround
-from tissuereg.markers import Markers
-from tissuereg.observe import MarkerObservation, TargetObservation
-from tissuereg.posterior import Posterior
-from tissuereg.widen import stated
+from tissuereg.body.markers import Markers
+from tissuereg.body.observe import MarkerObservation, TargetObservation
+from tissuereg.registration.learned.assimilate import Assimilation, FirstEnsemble, assimilate, balanced_draws
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg.registration.learned.points import PointModel, PointsAround
+from tissuereg.registration.learned.posterior import Posterior
+from tissuereg.registration.learned.widen import stated
 
 
 class _OneUpdate(Rival):
     """An ensemble of the latents of the setting's model, updated by all markers of a moment in one step.
 
     Prior of a moment, noise, and the answer from the posterior ensemble are those of the package's own registration
-    with a model that was not calibrated; see `tissuereg.widen.stated` and `tissuereg.posterior`.
+    with a model that was not calibrated; see `tissuereg.registration.learned.widen.stated` and
+    `tissuereg.registration.learned.posterior`.
     """
 
     needs: ClassVar[frozenset[str]] = frozenset({"model"})

@@ -2,7 +2,7 @@
 
 from typing import Any, ClassVar
 
-from tissuereg._arguments import real, whole
+from tissuereg._base.arguments import real, whole
 from tissuereg.baselines.elastic import added, elastic_body, residual_of
 from tissuereg.baselines.rival import Estimate, Rival, Setting
 

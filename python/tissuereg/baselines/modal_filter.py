@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 
 
 class ModalFilter:

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, frozen
+from tissuereg._base.arrays import FloatArray, frozen
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import SupportError
-from tissuereg.material import Material
-from tissuereg.mesh import Mesh
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulation.solve import Simulator
 
 
 @dataclass(frozen=True, eq=False)

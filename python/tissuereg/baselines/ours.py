@@ -4,13 +4,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import flag, maybe
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arguments import flag, maybe
+from tissuereg._base.arrays import FloatArray
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
-from tissuereg.inputs import RegisterSettings
-from tissuereg.latent.model import LatentModel
-from tissuereg.registrar import Registrar
-from tissuereg.result import Registration
+from tissuereg.registration.inputs import RegisterSettings
+from tissuereg.registration.learned.model import LatentModel
+from tissuereg.registration.registrar import Registrar
+from tissuereg.registration.result import Registration
 
 
 def spread_of(found: Registration) -> FloatArray:

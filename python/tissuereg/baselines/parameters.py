@@ -6,19 +6,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import flag, real, whole
-from tissuereg._arrays import FloatArray, float_array
-from tissuereg.assimilate import StepOptions, assimilate
+from tissuereg._base.arguments import flag, real, whole
+from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg.baselines.rival import Estimate, Moment, Rival, Setting
-from tissuereg.contact_registration import fitting_element
-from tissuereg.contacts.body import ContactBody
-from tissuereg.contacts.supports import Supports
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
-from tissuereg.latent.model import Gaussian
-from tissuereg.load import Load
-from tissuereg.material import Material
-from tissuereg.observe import MarkerObservation
-from tissuereg.simulate.solve import Simulator
+from tissuereg.registration.contacts.body import ContactBody
+from tissuereg.registration.contacts.registration import fitting_element
+from tissuereg.registration.contacts.supports import Supports
+from tissuereg.registration.learned.assimilate import StepOptions, assimilate
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg.simulation.solve import Simulator
 
 #: Residual over load at which an equilibrium is good enough for markers with noise.
 _TOLERANCE = 1e-6

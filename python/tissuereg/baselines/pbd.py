@@ -5,12 +5,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arguments import real, whole
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arguments import real, whole
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.baselines.rival import Estimate, Rival, Setting
-from tissuereg.mesh import Mesh
-from tissuereg.observe import MarkerObservation
-from tissuereg.simulate.solve import Simulator
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.simulation.solve import Simulator
 
 #: kg/mm^3 in one g/cm^3.
 _KG_PER_MM3 = 1e-6

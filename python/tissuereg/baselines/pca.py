@@ -4,15 +4,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import whole
-from tissuereg._arrays import FloatArray
-from tissuereg.assimilate import assimilate
+from tissuereg._base.arguments import whole
+from tissuereg._base.arrays import FloatArray
 from tissuereg.baselines.rival import Estimate, Rival, Setting
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
-from tissuereg.latent.model import Gaussian, error_covariance
-from tissuereg.latent.pca import PcaModel
-from tissuereg.linear_prior import LinearPrior
-from tissuereg.observe import MarkerObservation
+from tissuereg.registration.learned.assimilate import assimilate
+from tissuereg.registration.learned.model import Gaussian, error_covariance
+from tissuereg.registration.learned.pca import PcaModel
+from tissuereg.registration.linear_prior import LinearPrior
 
 #: One field of so many is held out to measure what the components leave.
 _HELD_OUT = 10
@@ -34,7 +34,7 @@ class PcaEsMda(Rival):
         Number of components; 26 as the paper has latents.
     n_members, n_steps : int
         Ensemble size and number of assimilations of ES-MDA, as in the paper. The model is linear, so that neither
-        changes the answer where draws can be balanced (`tissuereg.assimilate.balanced_draws`).
+        changes the answer where draws can be balanced (`tissuereg.registration.learned.assimilate.balanced_draws`).
 
     Raises
     ------

@@ -5,11 +5,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import real, whole
-from tissuereg._arrays import BoolArray, FloatArray
+from tissuereg._base.arguments import real, whole
+from tissuereg._base.arrays import BoolArray, FloatArray
 from tissuereg.baselines.elastic import LinearElastic, residual_of
 from tissuereg.baselines.rival import Estimate, Rival, Setting
-from tissuereg.linear_prior import most_probable
+from tissuereg.registration.linear_prior import most_probable
 
 
 class LinearResidual(Rival):

@@ -7,14 +7,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import check_running, maybe, named, of_kind, real
-from tissuereg._arrays import BoolArray, FloatArray, IntArray, float_array, frozen, index_array, optional_array
+from tissuereg._base.arguments import check_running, maybe, named, of_kind, real
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array, frozen, index_array, optional_array
+from tissuereg.body.load import Load
+from tissuereg.body.markers import Markers
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, MarkerError, ShapeError
-from tissuereg.latent.model import LatentModel
-from tissuereg.load import Load
-from tissuereg.markers import Markers
-from tissuereg.material import Material
-from tissuereg.mesh import Mesh
+from tissuereg.registration.learned.model import LatentModel
 
 #: What a method may need beyond mesh, markers and material.
 NEEDS = frozenset({"simulation", "model", "load", "fields", "variants"})

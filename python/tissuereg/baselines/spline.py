@@ -4,8 +4,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import real
-from tissuereg._arrays import FloatArray, float_array
+from tissuereg._base.arguments import real
+from tissuereg._base.arrays import FloatArray, float_array
 from tissuereg.baselines.copy import copied_displacement
 from tissuereg.baselines.rival import Estimate, Rival, Setting
 

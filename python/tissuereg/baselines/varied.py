@@ -5,13 +5,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissuereg._arguments import real
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arguments import real
+from tissuereg._base.arrays import FloatArray
 from tissuereg.baselines.ours import Network
 from tissuereg.baselines.rival import Estimate, Rival, Setting
+from tissuereg.body.observe import MarkerObservation
 from tissuereg.errors import ArgumentError
-from tissuereg.latent.variants import Variants
-from tissuereg.observe import MarkerObservation
+from tissuereg.registration.learned.variants import Variants
 
 
 class Varied(Rival):

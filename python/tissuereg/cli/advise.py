@@ -15,9 +15,9 @@ from tissuereg.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from tissuereg._arrays import FloatArray
-    from tissuereg.advise import MarkerAdvice
-    from tissuereg.mesh import Mesh
+    from tissuereg._base.arrays import FloatArray
+    from tissuereg.body.mesh import Mesh
+    from tissuereg.registration.advise import MarkerAdvice
 
 _DETAILS = (
     "Chooses, of the places where a marker may sit, those that shrink the expected error at the targets most: one "
@@ -91,9 +91,9 @@ def run(args: argparse.Namespace) -> Outcome:
     UsageError
         If options do not go together, or an output would replace an input.
     """
-    from tissuereg.advise import advise_markers
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.tables import read_surface, read_targets
+    from tissuereg.registration.advise import advise_markers
 
     out = Path(args.out)
     _check(args)
@@ -155,9 +155,9 @@ def _what_may_happen(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
 def _of_pushes(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
     import numpy as np
 
+    from tissuereg.body.material import Material
     from tissuereg.io.meshes import read_mesh
-    from tissuereg.material import Material
-    from tissuereg.simulate.sampling import random_changes
+    from tissuereg.simulation.sampling import random_changes
 
     mesh = read_mesh(args.path, fixed=args.fixed)
     largest = _LARGEST_MM if args.largest is None else args.largest
@@ -182,8 +182,8 @@ def _of_model(args: argparse.Namespace) -> "tuple[Mesh, FloatArray]":
     import numpy as np
 
     from tissuereg.io.meshes import read_mesh
-    from tissuereg.latent_registration import as_model
     from tissuereg.phantom import phantom_mesh
+    from tissuereg.registration.learned.registration import as_model
 
     mesh = phantom_mesh() if args.path is None else read_mesh(args.path, fixed=args.fixed)
     model = as_model(args.model, mesh, args.threads)

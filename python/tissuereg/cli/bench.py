@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> Outcome:
     UsageError
         If a name cannot be timed.
     """
-    from tissuereg.bench import BENCHES, BenchSettings
+    from tissuereg.cli.benchmark.stages import BENCHES, BenchSettings
 
     unknown = [name for name in args.what if name not in args.choices]
     if unknown:

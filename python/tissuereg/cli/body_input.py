@@ -13,10 +13,10 @@ from tissuereg.cli.options import UsageError, finite_number, positive_number, wh
 from tissuereg.errors import MeshError
 
 if TYPE_CHECKING:
-    from tissuereg.inputs import RegisterSettings
-    from tissuereg.load import Load
-    from tissuereg.material import Material
-    from tissuereg.mesh import Mesh
+    from tissuereg.body.load import Load
+    from tissuereg.body.material import Material
+    from tissuereg.body.mesh import Mesh
+    from tissuereg.registration.inputs import RegisterSettings
 
 #: Accelerations below this, in mm/s^2, are refused: they were probably given in m/s^2.
 _LEAST_GRAVITY = 20.0
@@ -137,7 +137,7 @@ def method_of(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _settings(args: argparse.Namespace) -> "RegisterSettings":
-    from tissuereg.inputs import RegisterSettings
+    from tissuereg.registration.inputs import RegisterSettings
 
     settings = RegisterSettings()
     chosen = {"update": args.update, "n_members": args.members, "n_steps": args.steps}
@@ -260,7 +260,7 @@ def _acceleration(text: str) -> tuple[float, ...]:
 
 
 def _material(args: argparse.Namespace) -> "Material | None":
-    from tissuereg.material import Material
+    from tissuereg.body.material import Material
 
     given = {"young": args.young, "poisson": args.poisson, "density": args.density}
     known = {name: value for name, value in given.items() if value is not None}
@@ -268,6 +268,6 @@ def _material(args: argparse.Namespace) -> "Material | None":
 
 
 def _weight(material: "Material", gravity: tuple[float, ...]) -> "Load":
-    from tissuereg.load import Load
+    from tissuereg.body.load import Load
 
     return Load(body_force=material.weight(gravity, float(np.linalg.norm(gravity))))

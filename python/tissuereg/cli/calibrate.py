@@ -55,9 +55,9 @@ def run(args: argparse.Namespace) -> Outcome:
 
     from tissuereg.io.datasets import open_dataset
     from tissuereg.io.pairs import read_pairs
-    from tissuereg.latent.calibrate import RehearsalSettings, calibrate, codes_of
-    from tissuereg.latent.calibration_file import write_calibration
-    from tissuereg.latent.network import NetworkModel
+    from tissuereg.registration.learned.calibrate import RehearsalSettings, calibrate, codes_of
+    from tissuereg.registration.learned.calibration_file import write_calibration
+    from tissuereg.registration.learned.network import NetworkModel
 
     clock = Stopwatch()
     data = open_dataset(args.data)

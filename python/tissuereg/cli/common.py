@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TextIO
 
-from tissuereg._machine import machine, n_cores, versions
+from tissuereg._base.machine import machine, n_cores, versions
 
 Progress = Callable[[int, int], None]
 

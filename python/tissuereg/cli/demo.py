@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> Outcome:
     """
     if args.files is not None:
         return _write_files(args)
-    from tissuereg.demo import run_demo
     from tissuereg.io.atomic import check_folder_target
+    from tissuereg.phantom.demo import run_demo
 
     out = args.out or "demo"
     check_folder_target(out)
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _write_files(args: argparse.Namespace) -> Outcome:
-    from tissuereg.samples import write_samples
+    from tissuereg.phantom.samples import write_samples
 
     if args.out is not None or args.seed is not None:
         message = "--files must be given without --out and --seed: it only writes files"

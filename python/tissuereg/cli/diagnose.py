@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> Outcome:
     UsageError
         If OUT would replace the experiment's file, or a material test is given elements.
     """
-    from tissuereg.diagnose import diagnose
+    from tissuereg.diagnosis import diagnose
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.experiments import is_material_test, read_experiment
     from tissuereg.io.material_experiments import read_material_experiment

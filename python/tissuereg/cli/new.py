@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> Outcome:
     Outcome
         Schema ``tissuereg.new/1``.
     """
-    from tissuereg.skeleton import new_experiment
+    from tissuereg.cli.skeleton import new_experiment
 
     with progress_bar("frames", quiet=args.quiet) as progress:
         begun = new_experiment(

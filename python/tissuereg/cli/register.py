@@ -12,7 +12,7 @@ from tissuereg.cli.register_words import summary
 from tissuereg.cli.stages import Stages, stage_lines
 
 if TYPE_CHECKING:
-    from tissuereg.result import Registration
+    from tissuereg.registration.result import Registration
 
 _DETAILS = (
     "Where is every point of a soft body now, given where a few markers were before and are after? Nothing need be "
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> Outcome:
         Schema ``tissuereg.registration/1``; exit code 4 where it is not to be trusted.
     """
     from tissuereg.io.atomic import check_folder_target
-    from tissuereg.registration import register
+    from tissuereg.registration.register import register
     from tissuereg.report.files import DEFORMED, WRITTEN
 
     given_files = [args.path, *args.markers, args.measured, args.simulation, args.variants, args.targets, args.surface]

@@ -14,7 +14,7 @@ from tissuereg.cli.body_input import (
 from tissuereg.cli.options import Parser, finite_number, positive_number
 
 if TYPE_CHECKING:
-    from tissuereg.mesh import Mesh
+    from tissuereg.body.mesh import Mesh
 
 
 def add_input_options(parser: Parser) -> None:
@@ -112,8 +112,8 @@ def _with_markers(mesh: "Mesh", args: argparse.Namespace, frames: dict[str, str 
 
 
 def _from_experiment(args: argparse.Namespace) -> dict[str, Any]:
-    from tissuereg.frames import frame_input
     from tissuereg.io.experiments import read_experiment
+    from tissuereg.registration.frame import frame_input
 
     for name in ("markers", "measured", "fixed", "std", "young", "poisson", "gravity", "density"):
         if getattr(args, name) not in (None, []):

@@ -11,8 +11,8 @@ from tissuereg.cli.options import UsageError, add_common, command_parser, positi
 from tissuereg.parallel.opening import TASK_LIMIT
 
 if TYPE_CHECKING:
-    from tissuereg.experiment import Experiment
-    from tissuereg.simulate.experiment import CaseSimulation
+    from tissuereg.experiment.experiment import Experiment
+    from tissuereg.simulation.experiment import CaseSimulation
 
 _DETAILS = (
     "PATH is an experiment (a folder, or its .toml): OUT becomes an experiment of the same rig whose markers.csv, "
@@ -80,8 +80,8 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def _run_recipe(args: argparse.Namespace) -> Outcome:
     from tissuereg.parallel import open_executor
-    from tissuereg.simulate.dataset import make_dataset, size_line
-    from tissuereg.simulate.recipe import read_recipe
+    from tissuereg.simulation.dataset import make_dataset, size_line
+    from tissuereg.simulation.recipe import read_recipe
 
     for given, word in ((args.element is not None, "--element"), (args.plain, "--plain"), (args.noise, "--noise")):
         if given:
@@ -101,11 +101,11 @@ def _run_recipe(args: argparse.Namespace) -> Outcome:
 
 
 def _run_experiment(args: argparse.Namespace) -> Outcome:
-    from tissuereg.experiment import Simulated
+    from tissuereg.experiment.experiment import Simulated
     from tissuereg.io.experiments import read_experiment
     from tissuereg.io.simulated import TABLES, write_simulated
-    from tissuereg.simulate.believed import simulate_experiment
-    from tissuereg.simulate.noise import with_noise
+    from tissuereg.simulation.believed import simulate_experiment
+    from tissuereg.simulation.noise import with_noise
 
     if args.cluster is not None:
         message = "--cluster must be left out for an experiment; it makes the chunks of a data set"

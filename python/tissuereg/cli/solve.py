@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from tissuereg._machine import peak_mib
+from tissuereg._base.machine import peak_mib
 from tissuereg.cli.common import Outcome, Stopwatch, note, seconds_line
 from tissuereg.cli.options import add_common, command_parser, positive_number, refuse_overwriting
 
@@ -53,8 +53,8 @@ def run(args: argparse.Namespace) -> Outcome:
 
     from tissuereg.io.atomic import check_file_target
     from tissuereg.io.problems import read_problem, write_solution
-    from tissuereg.simulate.size import SOLVE, BodySize, Estimate
-    from tissuereg.simulate.solve import Simulator
+    from tissuereg.simulation.size import SOLVE, BodySize, Estimate
+    from tissuereg.simulation.solve import Simulator
 
     refuse_overwriting([Path(args.out)], [args.problem])
     check_file_target(args.out)

@@ -21,7 +21,7 @@ from tissuereg.cli.options import add_common, command_parser, refuse_overwriting
 from tissuereg.cli.track_words import summary
 
 if TYPE_CHECKING:
-    from tissuereg._arrays import FloatArray
+    from tissuereg._base.arrays import FloatArray
     from tissuereg.errors import TissueRegError
     from tissuereg.io.recordings import Recording
     from tissuereg.tracking import TablePhysics, TrackedFrame, Tracker

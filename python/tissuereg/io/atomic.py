@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from tissuereg._arguments import place
+from tissuereg._base.arguments import place
 from tissuereg.errors import TissueRegError
 from tissuereg.io.drafts import draft, remove_stale_drafts
 

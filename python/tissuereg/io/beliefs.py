@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
+from tissuereg.body.material import SHAPE_KEYS, Material
 from tissuereg.errors import MaterialError
 from tissuereg.io.experiment_keys import MATERIAL, TOP
 from tissuereg.io.toml import Table
-from tissuereg.material import SHAPE_KEYS, Material
 
 
 def folder_and_name(top: Table) -> tuple[Path, str]:

@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import BinaryIO
 
-from tissuereg._arguments import place
+from tissuereg._base.arguments import place
 from tissuereg.errors import FormatError
 
 #: Largest sizes in MB (1e6 bytes): tables; lists of points, TOML and model cards; meshes, surfaces and archives.

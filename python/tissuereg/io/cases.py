@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ExperimentError
-from tissuereg.experiment import Actuator, Case
+from tissuereg.experiment.experiment import Actuator, Case
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.experiment_keys import CsvTable
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._arrays import IntArray
+from tissuereg._base.arrays import IntArray
 from tissuereg.errors import FormatError
 from tissuereg.io.hdf5 import array_of, checked, opened, packed
 from tissuereg.io.stores import Store

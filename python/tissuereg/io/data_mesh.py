@@ -4,10 +4,10 @@ import io
 
 import numpy as np
 
+from tissuereg.body.mesh import Mesh
 from tissuereg.io.meshes import mesh_from_archive
 from tissuereg.io.npz import npz_of_bytes
 from tissuereg.io.stores import Store
-from tissuereg.mesh import Mesh
 
 MESH_NAME = "mesh.npz"
 

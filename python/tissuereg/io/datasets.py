@@ -16,15 +16,15 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._arguments import found
-from tissuereg._arrays import IntArray
+from tissuereg._base.arguments import found
+from tissuereg._base.arrays import IntArray
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, FormatError
 from tissuereg.io.chunks import Fields, check_chunk, read_parameters
 from tissuereg.io.data_mesh import MESH_NAME, read_data_mesh
 from tissuereg.io.hdf5 import OpenFile, array_of, checked, opened, spoilt_is_said
 from tissuereg.io.pairs import check_pairs
 from tissuereg.io.stores import Store, store_of
-from tissuereg.mesh import Mesh
 
 CARD_NAME = "dataset.json"
 DATASET_SCHEMA = "tissuereg.dataset/2"

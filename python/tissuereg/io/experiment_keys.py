@@ -6,6 +6,8 @@ them.
 
 from dataclasses import dataclass
 
+from tissuereg.body.material import GRAVITY_MM_PER_S2, LAWS, VOLUMETRIC
+from tissuereg.experiment.material_experiment import HELD_OUT
 from tissuereg.io.declared import (
     Declaration,
     Key,
@@ -18,8 +20,6 @@ from tissuereg.io.declared import (
 )
 from tissuereg.io.node_rules import TOLERANCE
 from tissuereg.io.toml import Table
-from tissuereg.material import GRAVITY_MM_PER_S2, LAWS, VOLUMETRIC
-from tissuereg.material_experiment import HELD_OUT
 
 #: Words of ``[simulated]``.
 MODELS, ELEMENTS = ("fine", "plain"), ("tet4", "tet4-averaged", "tet10")

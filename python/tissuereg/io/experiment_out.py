@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import of_kind, place
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arguments import of_kind, place
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ExperimentError
-from tissuereg.experiment import Actuator, Boundary, Experiment
+from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
 from tissuereg.io.atomic import OutputError
 from tissuereg.io.toml_text import toml_text, write_toml
 

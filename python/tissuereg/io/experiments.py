@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import flag
-from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.effects import Effect, check_effects, effect_from_table
+from tissuereg._base.arguments import flag
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ExperimentError, MeshError
-from tissuereg.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
+from tissuereg.experiment.effects import Effect, check_effects, effect_from_table
+from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
 from tissuereg.io.beliefs import folder_and_name, read_material
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
 from tissuereg.io.experiment_keys import (
@@ -32,7 +33,6 @@ from tissuereg.io.experiment_keys import (
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import nodes_by_rule
 from tissuereg.io.toml import Table, experiment_file, read_toml
-from tissuereg.mesh import Mesh
 
 
 def read_experiment(path: str | os.PathLike[str], *, measured: bool = True) -> Experiment:

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import text
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arguments import text
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError
 from tissuereg.io.bounds import mesh_file
 from tissuereg.io.foreign import MESHIO_MODULES, meshio_content
 from tissuereg.io.npz import open_npz
-from tissuereg.mesh import Mesh
 
 #: Points of a file are those of the mesh if they lie within this share of its extent.
 _SAME_PLACE = 1e-4

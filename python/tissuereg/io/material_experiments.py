@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import place
-from tissuereg.effects import Effect, effect_from_table
-from tissuereg.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
-from tissuereg.effects.history import Rate, Relaxation, Set, Softening
+from tissuereg._base.arguments import place
 from tissuereg.errors import ExperimentError
+from tissuereg.experiment.effects import Effect, effect_from_table
+from tissuereg.experiment.effects.elastic import Fibre, OtherLaw, Poisson, Stiffness
+from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
+from tissuereg.experiment.material_experiment import TEST_MODES, Curve, MaterialExperiment
 from tissuereg.io.atomic import OutputError
 from tissuereg.io.beliefs import folder_and_name, read_material
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.experiment_keys import TEST, TEST_COLUMNS
 from tissuereg.io.toml import Table, experiment_file, read_toml
 from tissuereg.io.toml_text import toml_text, write_toml
-from tissuereg.material_experiment import TEST_MODES, Curve, MaterialExperiment
 
 #: Effects that a material test can show.
 TEST_EFFECTS: tuple[type[Effect], ...] = (Stiffness, Poisson, OtherLaw, Fibre, Relaxation, Rate, Softening, Set)

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._arrays import IntArray, float_array
+from tissuereg._base.arrays import IntArray, float_array
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError, MeshError, ShapeError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import existing_file, mesh_file
@@ -21,7 +22,6 @@ from tissuereg.io.foreign import MESHIO_MODULES, hushed, meshio_content
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule
 from tissuereg.io.npz import Archive, open_npz
 from tissuereg.io.surfaces import SURFACE_READERS
-from tissuereg.mesh import Mesh
 
 _SURFACE_CELLS = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9", "polygon"}
 _TET_CELLS = {"tetra": 4, "tetra10": 10}

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from tissuereg._arguments import place as path_of
+from tissuereg._base.arguments import place as path_of
+from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError
 from tissuereg.io.atomic import OutputError
 from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
 from tissuereg.io.json import write_json
 from tissuereg.io.points import MM_PER_UNIT, NamedPoints
-from tissuereg.mesh import PATIENT_FRAMES
 
 #: What Slicer 4.11 and later write and read; it wants this identifier, of any 1.x.
 _SCHEMA = (

@@ -6,11 +6,11 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tissuereg._arguments import found, text
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arguments import found, text
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError, MeshError
 from tissuereg.io.toml import parsed_toml
-from tissuereg.mesh import Mesh
 
 #: The name of a node set; ``"plane nx ny nz d [tol]"`` or those numbers; ``"ball x y z r"``; a table with the keys
 #: ``plane`` and ``tolerance_mm``, or ``centre_mm`` and ``radius_mm``, or the text of such a table.

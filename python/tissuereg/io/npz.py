@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from tissuereg._arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
 from tissuereg.errors import FormatError, ShapeError
 from tissuereg.io.atomic import atomic_file
 from tissuereg.io.bounds import MESH_MB, existing_file, too_large

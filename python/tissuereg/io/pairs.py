@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.npz import open_npz
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.markers import Markers
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.fcsv import read_fcsv
 from tissuereg.io.mrk_json import read_mrk_json
 from tissuereg.io.points import NamedPoints
-from tissuereg.markers import Markers
 
 #: Reader by the ending of a file's name, in lower case; of two that fit, the first counts.
 POINT_READERS: dict[str, Callable[[str | os.PathLike[str]], NamedPoints]] = {

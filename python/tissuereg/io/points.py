@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
 
 #: Millimetres in one of the UCUM units of length that a file may state.

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import FormatError, MaterialError
 from tissuereg.io.meshes import mesh_from_archive
 from tissuereg.io.npz import Archive, open_npz, write_npz
-from tissuereg.load import Load
-from tissuereg.material import Material
-from tissuereg.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)

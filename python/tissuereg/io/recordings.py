@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.csv import Row, read_table
 from tissuereg.io.points import turned

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissuereg._arrays import FloatArray
-from tissuereg.experiment import Experiment, Simulated
+from tissuereg._base.arrays import FloatArray
+from tissuereg.experiment.experiment import Experiment, Simulated
 from tissuereg.io.atomic import atomic_folder
 from tissuereg.io.cases import write_histories
 from tissuereg.io.experiment_keys import (
@@ -22,7 +22,7 @@ from tissuereg.io.experiment_out import write_experiment
 from tissuereg.io.npz import write_npz
 
 if TYPE_CHECKING:
-    from tissuereg.simulate.experiment import CaseSimulation
+    from tissuereg.simulation.experiment import CaseSimulation
 
 #: Files that are written in addition to the fields; tables without rows are left out.
 TABLES = ("experiment.toml", *(table.file for table in CSV_TABLES))

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
-from tissuereg._arguments import place
+from tissuereg._base.arguments import place
 from tissuereg.errors import ArgumentError, FormatError, MissingPackageError, TissueRegError
 from tissuereg.io.atomic import OutputError, atomic_file, check_folder_target
 from tissuereg.io.drafts import DRAFT_PREFIX, remove_stale_drafts

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import place as path_of
-from tissuereg._arrays import FloatArray, IntArray
-from tissuereg._choice import check_choice
+from tissuereg._base.arguments import place as path_of
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.choice import check_choice
+from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MissingPackageError, ShapeError, UnitError
 from tissuereg.io.bounds import existing_file, mesh_file
 from tissuereg.io.foreign import MESHIO_MODULES, meshio_content, reading
-from tissuereg.triangles import Triangles
 
 #: What may be given as a surface: a file, or vertices (n, 3) and triangles (m, 3).
 SurfaceInput = str | os.PathLike[str] | tuple[Any, Any] | Triangles

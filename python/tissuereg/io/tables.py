@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import place
-from tissuereg._arrays import FloatArray
-from tissuereg._choice import check_choice
+from tissuereg._base.arguments import place
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choice import check_choice
+from tissuereg.body.markers import Markers
+from tissuereg.body.mesh import PATIENT_FRAMES
 from tissuereg.errors import FormatError, MarkerError
 from tissuereg.io.csv import Row, read_table, write_table
 from tissuereg.io.point_files import is_point_file, markers_of, reference_of, targets_of
 from tissuereg.io.points import turned
-from tissuereg.markers import Markers
-from tissuereg.mesh import PATIENT_FRAMES
 
 #: Standard deviation of a measured coordinate, mm, where none is given.
 DEFAULT_STD = 0.1

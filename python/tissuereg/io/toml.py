@@ -8,8 +8,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tissuereg._arguments import is_number, place
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arguments import is_number, place
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ExperimentError, FormatError, TissueRegError
 from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
 

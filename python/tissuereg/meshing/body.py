@@ -7,17 +7,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from tissuereg._arguments import check_running, found, named, real
-from tissuereg._arrays import FloatArray, IntArray
-from tissuereg._clock import Clock
+from tissuereg._base.arguments import check_running, found, named, real
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.clock import Clock
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.triangles import Triangles
 from tissuereg.errors import FormatError, MeshError, MeshingError
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, parsed_rule
 from tissuereg.io.surfaces import SurfaceInput, read_triangles
-from tissuereg.mesh import Mesh
 from tissuereg.meshing.fill import check_mesher, filled
 from tissuereg.meshing.quality import quality
 from tissuereg.meshing.repair import repaired
-from tissuereg.triangles import Triangles
 
 #: More tetrahedra than this are refused before they are made.
 MOST_TETS = 3_000_000

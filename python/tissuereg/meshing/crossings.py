@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tissuereg._arrays import BoolArray, FloatArray, IntArray
-from tissuereg.triangles import Triangles
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg.body.triangles import Triangles
 
 #: Largest number of candidate pairs, which share a strip and a slab of space; beyond it the search is abandoned.
 MOST_PAIRS = 300_000_000

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
-from tissuereg._machine import n_cores
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.machine import n_cores
+from tissuereg.body.triangles import Triangles
 from tissuereg.errors import MeshingError, MissingPackageError
 from tissuereg.io.drafts import draft
 from tissuereg.meshing.worker import NO_MEMORY, NO_MESHER, SCRIPT
-from tissuereg.triangles import Triangles
 
 _MESHER = "pytetwild"
 

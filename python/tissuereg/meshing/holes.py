@@ -15,10 +15,10 @@ References
 
 import numpy as np
 
-from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg.body.triangles import Triangles, triangle_areas
 from tissuereg.meshing.topology import Edges
 from tissuereg.meshing.words import place, several, were
-from tissuereg.triangles import Triangles, triangle_areas
 
 #: Rims of more corners than this are closed by a fan.
 LONGEST_TABLE = 300

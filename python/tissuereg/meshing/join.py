@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from tissuereg._arrays import IntArray
+from tissuereg._base.arrays import IntArray
+from tissuereg.body.triangles import Triangles
 from tissuereg.errors import MeshError
 from tissuereg.meshing.words import several, were
-from tissuereg.triangles import Triangles
 
 #: Vertices closer than this share of the extent are merged: the precision of single-precision coordinates.
 SAME_PLACE = 1e-6

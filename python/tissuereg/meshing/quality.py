@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
-from tissuereg.mesh import Mesh
-from tissuereg.simulate.fine.bisection import shape_quality
-from tissuereg.triangles import Triangles
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.triangles import Triangles
+from tissuereg.simulation.fine.bisection import shape_quality
 
 #: Largest number of points of a surface whose distance is measured, taken evenly from its list.
 MOST_POINTS = 20_000

@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from tissuereg.body.triangles import Triangles
 from tissuereg.meshing.crossings import crossing_pairs
 from tissuereg.meshing.holes import closed
 from tissuereg.meshing.join import joined
 from tissuereg.meshing.shells import outward
 from tissuereg.meshing.topology import Edges, agreed_winding, turned_round
 from tissuereg.meshing.words import place, several, were
-from tissuereg.triangles import Triangles
 
 
 def repaired(surface: Triangles, least_volume: float) -> tuple[Triangles, list[str]]:

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg.body.triangles import Triangles
 from tissuereg.errors import MeshError
 from tissuereg.meshing.topology import Edges, shell_volumes, turned_round
 from tissuereg.meshing.words import place, several, were
-from tissuereg.triangles import Triangles
 
 #: A shell with less than this share of its bounding box's volume is a sheet, which encloses nothing.
 _LEAST_FILLED = 1e-6

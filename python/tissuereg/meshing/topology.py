@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import BoolArray, FloatArray, IntArray
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg.body.triangles import Triangles, signed_volumes
 from tissuereg.errors import MeshError
-from tissuereg.triangles import Triangles, signed_volumes
 
 
 @dataclass(frozen=True)

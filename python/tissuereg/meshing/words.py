@@ -1,6 +1,6 @@
 """Counts and places in sentences."""
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 
 
 def several(count: int, one: str, more: str | None = None) -> str:

@@ -3,7 +3,7 @@
 import re
 from typing import TYPE_CHECKING
 
-from tissuereg._arguments import real, text
+from tissuereg._base.arguments import real, text
 from tissuereg.errors import ArgumentError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from typing import Any
 
-from tissuereg._arguments import whole
+from tissuereg._base.arguments import whole
 from tissuereg.errors import ClusterError
 from tissuereg.parallel.executor import Failed, Finished, outcome_of
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
-from tissuereg._choice import check_choice
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choice import check_choice
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError
-from tissuereg.mesh import Mesh
 from tissuereg.phantom.breast import breast_mesh
 
 __all__ = ["SIZES", "breast_mesh", "phantom_mesh", "shipped_model_folder", "true_fields", "truth_mesh"]

@@ -4,10 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from tissuereg._arguments import whole
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arguments import whole
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import MeshError
-from tissuereg.mesh import Mesh
 from tissuereg.phantom.stuffing import stuffed
 
 #: Radius at the chest wall, height above it, and how far the apex hangs down, mm.

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.load import Load
-from tissuereg.markers import Markers
-from tissuereg.material import Material
-from tissuereg.mesh import Mesh
-from tissuereg.observe import MarkerObservation, TargetObservation
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.load import Load
+from tissuereg.body.markers import Markers
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.observe import MarkerObservation, TargetObservation
 from tissuereg.phantom import phantom_mesh, true_fields, truth_mesh
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulation.solve import Simulator
 
 #: The stiff lesion: centre and radius in mm, modulus over that of the tissue around it.
 LESION_MM, LESION_RADIUS_MM, LESION_CONTRAST = (2.0, 16.0, 24.0), 9.0, 4.0

@@ -3,7 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-from tissuereg.simulate.recipe import Recipe, read_recipe
+from tissuereg.simulation.recipe import Recipe, read_recipe
 
 
 def shipped_recipe() -> Recipe:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arrays import FloatArray, IntArray
 
 #: Takes points (n, 3); positive inside.
 Inside = Callable[[FloatArray], FloatArray]

@@ -12,7 +12,7 @@ from tissuereg.io.mrk_json import write_mrk_json
 from tissuereg.io.tables import write_targets
 
 if TYPE_CHECKING:
-    from tissuereg.result import Registration
+    from tissuereg.registration.result import Registration
 
 
 #: What `save_registration` writes.

@@ -8,7 +8,7 @@ from tissuereg.report import scene
 from tissuereg.report.words import counted, silent, start_word, verdict
 
 if TYPE_CHECKING:
-    from tissuereg.result import Registration
+    from tissuereg.registration.result import Registration
 
 #: Number of reasons that are written out, of lines per reason, and of letters per line.
 _MOST_REASONS, _MOST_LINES, _LETTERS = 3, 2, 160

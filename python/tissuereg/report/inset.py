@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.report import scene
 from tissuereg.report.labels import shortened
 
 if TYPE_CHECKING:
-    from tissuereg.result import Registration, Target
+    from tissuereg.registration.result import Registration, Target
 
 #: Largest number of targets that are enlarged, the first ones.
 MOST_PANELS = 8

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.report.scene import Label, View
 
 #: Distances of a label from its place that are tried, over the figure's height.

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.io.atomic import atomic_file
 from tissuereg.report.markup import document, escape, table
 from tissuereg.report.scene import Surface, contact_verb
 from tissuereg.report.words import counted, fallback_lines, silent, start_word, verdict
 
 if TYPE_CHECKING:
-    from tissuereg.result import Registration
+    from tissuereg.registration.result import Registration
 
 _STYLE = """
 .verdict { font-size: 1.9rem; font-weight: bold; margin: .5rem 0; } .silent { color: #7a12a8; }

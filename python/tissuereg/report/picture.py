@@ -4,14 +4,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.report import scene
 from tissuereg.report.heading import write_heading, write_legend
 from tissuereg.report.inset import MOST_PANELS, draw_panels, round_length
 from tissuereg.report.labels import on_page, place_labels
 
 if TYPE_CHECKING:
-    from tissuereg.result import Registration
+    from tissuereg.registration.result import Registration
 
 #: Elevation and azimuths of the two views, in degrees.
 _ELEVATION, _AZIMUTHS = 18.0, (-60.0, 30.0)

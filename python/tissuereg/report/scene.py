@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
-from tissuereg.contacts.patches import surface_of_nodes
-from tissuereg.mesh import Mesh
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.mesh import Mesh
+from tissuereg.registration.contacts.patches import surface_of_nodes
 
 if TYPE_CHECKING:
-    from tissuereg.contacts.found import FoundContact
-    from tissuereg.result import Region, Registration
+    from tissuereg.registration.contacts.found import FoundContact
+    from tissuereg.registration.result import Region, Registration
 
 #: Colours by meaning; they can be distinguished with any kind of colour vision, and signs differ in shape as well.
 BEFORE, FITTED, MEASURED, WRONG = "#e07b00", "#0072b2", "black", "#d6218f"

@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper for many pairs at once: they share each call of the decoder.
 
 The update is that of `tissuereg-esmda`, pair by pair. With random draws it is the paper's algorithm; with balanced ones
-it is `tissuereg.assimilate.assimilate`, which registrations use.
+it is `tissuereg.registration.learned.assimilate.assimilate`, which registrations use.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissuereg import _core
-from tissuereg._arrays import FloatArray
-from tissuereg.assimilate import balanced_draws
-from tissuereg.latent.model import Gaussian
+from tissuereg._base.arrays import FloatArray
+from tissuereg.registration.learned.assimilate import balanced_draws
+from tissuereg.registration.learned.model import Gaussian
 
 #: Each inflation coefficient over the next; the paper only says that they decrease.
 DECREASE = 2.0

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import EnsembleError
 from tissuereg.io.chunks import Fields
-from tissuereg.mesh import Mesh
 from tissuereg.studies.shapes import HeldOut
 
 #: Start meshes, targets of each, markers, and inner points at which regions are tried.

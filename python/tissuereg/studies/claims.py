@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.studies.measures import Clusters
 
 #: Means that differ by less than this share of the larger one are alike ("not substantial", "not tangible").

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.baselines import (
     RIVALS,
     EnsembleOfSimulations,
@@ -42,14 +42,14 @@ from tissuereg.baselines import (
     Varied,
     VariedNetwork,
 )
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.observe import TargetObservation
 from tissuereg.errors import ConvergenceError, FormatError, TissueRegError
-from tissuereg.latent.model import LatentModel
-from tissuereg.load import Load
-from tissuereg.material import Material
-from tissuereg.mesh import Mesh
-from tissuereg.observe import TargetObservation
 from tissuereg.phantom.event import POISSON
-from tissuereg.simulate.solve import Simulator
+from tissuereg.registration.learned.model import LatentModel
+from tissuereg.simulation.solve import Simulator
 from tissuereg.studies.rigs import Rig, inverted, on_spline
 from tissuereg.studies.runs import KeptRuns, Run
 from tissuereg.studies.variants import RigVariants, digest, read_variants

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.studies.cases import Cases
 from tissuereg.studies.claims import Agreement, Claim, Compared
 from tissuereg.studies.settings import METHODS, READING_WORDS, READINGS, STD_AS_VARIANCE, Method, Setting

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arrays import FloatArray, IntArray
 
 #: 90 % quantile of the chi-square with three degrees of freedom.
 _QUANTILE90 = 6.251388631170325

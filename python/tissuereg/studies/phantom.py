@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.baselines import KfAdmm, Network, VariedNetwork
 from tissuereg.errors import ArgumentError
 from tissuereg.studies.claims import Agreement, Claim

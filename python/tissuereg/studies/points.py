@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.studies.subject import StudyModel
 
 

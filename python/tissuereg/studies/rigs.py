@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import place
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arguments import place
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.npz import Archive, open_npz
 

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tissuereg._arguments import called, check_running, each, place
-from tissuereg._choice import check_choice
-from tissuereg._clock import Clock
+from tissuereg._base.arguments import called, check_running, each, place
+from tissuereg._base.choice import check_choice
+from tissuereg._base.clock import Clock
 from tissuereg.errors import ArgumentError
 from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
 from tissuereg.io.datasets import open_dataset
 from tissuereg.io.json import dumps
-from tissuereg.latent_registration import as_model
 from tissuereg.phantom import phantom_mesh
+from tissuereg.registration.learned.registration import as_model
 from tissuereg.studies.cases import N_STARTS, N_TARGETS, draw_cases
 from tissuereg.studies.contest import KEYS, METHODS, Contest, Simulated
 from tissuereg.studies.figures import FIGURES, figure_study

@@ -8,14 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from tissuereg._arrays import IntArray
+from tissuereg._base.arrays import IntArray
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import EnsembleError, ModelError
 from tissuereg.io.chunks import Fields
 from tissuereg.io.datasets import split_of
-from tissuereg.mesh import Mesh
 from tissuereg.phantom.shipped import shipped_recipe
-from tissuereg.simulate.chunks import ChunkMaker
-from tissuereg.simulate.recipe import Recipe
+from tissuereg.simulation.chunks import ChunkMaker
+from tissuereg.simulation.recipe import Recipe
 
 #: Members of the shipped model's data that have no equilibrium; the others are split.
 FAILED = (1468, 2494, 3990, 6405, 9619)

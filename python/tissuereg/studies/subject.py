@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from tissuereg._arguments import place
-from tissuereg._arrays import FloatArray, IntArray
+from tissuereg._base.arguments import place
+from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.errors import ModelError
 from tissuereg.io.npz import open_npz
-from tissuereg.latent.card import read_card
-from tissuereg.latent.model import Gaussian
-from tissuereg.latent.network import NetworkModel
 from tissuereg.phantom import shipped_model_folder
+from tissuereg.registration.learned.card import read_card
+from tissuereg.registration.learned.model import Gaussian
+from tissuereg.registration.learned.network import NetworkModel
 from tissuereg.studies.layers import Layer, layers_of
 from tissuereg.studies.shapes import HeldOut, held_out_of
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
-from tissuereg.latent.model import Gaussian, error_covariance
-from tissuereg.mesh import det_f
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.mesh import det_f
+from tissuereg.registration.learned.model import Gaussian, error_covariance
 from tissuereg.studies.algorithm import assimilate_many
 from tissuereg.studies.cases import Cases
 from tissuereg.studies.measures import Clusters, Errors, inside90

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
-from tissuereg.latent.model import Gaussian
-from tissuereg.mesh import det_f
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.mesh import det_f
+from tissuereg.registration.learned.model import Gaussian
 from tissuereg.studies.cases import Cases
 from tissuereg.studies.claims import Agreement, Claim
 from tissuereg.studies.layers import PAPER, PAPER_LATENTS, Layer

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tissuereg._arguments import place
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arguments import place
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import FormatError
 from tissuereg.io.npz import open_npz
 from tissuereg.studies.rigs import Rig, inverted, on_spline

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import check_running, of_kind, real, whole
-from tissuereg._arrays import FloatArray, IntArray
-from tissuereg.latent.model import Gaussian, ScaledErrors
-from tissuereg.latent.pca import PcaModel
-from tissuereg.material import Material
-from tissuereg.mesh import Mesh
-from tissuereg.simulate.sampling import random_changes
+from tissuereg._base.arguments import check_running, of_kind, real, whole
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.registration.learned.model import Gaussian, ScaledErrors
+from tissuereg.registration.learned.pca import PcaModel
+from tissuereg.simulation.sampling import random_changes
 
 #: Share of the events that measures the reconstruction error.
 _HELD_OUT = 0.2

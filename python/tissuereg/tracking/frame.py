@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
-from tissuereg.inputs import Attachment, rms_length
-from tissuereg.mesh import det_f
-from tissuereg.result import MarkerFit, Registration, Target
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.mesh import det_f
+from tissuereg.registration.inputs import Attachment, rms_length
+from tissuereg.registration.result import MarkerFit, Registration, Target
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ simulation would state, carrying on is of no use any more, and the next frame st
 
 from dataclasses import dataclass
 
-from tissuereg.latent.model import rms_displacement
+from tissuereg.registration.learned.model import rms_displacement
 from tissuereg.tracking.restart import Simulated
 
 

@@ -9,14 +9,14 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from tissuereg._arguments import called, check_running, found, of_kind, real
-from tissuereg._arrays import FloatArray, float_array
-from tissuereg._choice import check_choice
+from tissuereg._base.arguments import called, check_running, found, of_kind, real
+from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.choice import check_choice
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ConvergenceError, LoadError
-from tissuereg.load import Load
-from tissuereg.material import Material
-from tissuereg.mesh import Mesh
-from tissuereg.simulate.solve import Simulator
+from tissuereg.simulation.solve import Simulator
 
 
 @runtime_checkable

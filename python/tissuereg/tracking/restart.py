@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ConvergenceError, LoadError
-from tissuereg.latent.model import rms_displacement
+from tissuereg.registration.learned.model import rms_displacement
 from tissuereg.tracking.physics import HoldingPhysics, Physics
 
 #: How a registered state is carried on.

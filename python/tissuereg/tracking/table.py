@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import found
-from tissuereg._arrays import FloatArray, depth, float_array
+from tissuereg._base.arguments import found
+from tissuereg._base.arrays import FloatArray, depth, float_array
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ShapeError
 from tissuereg.io.fields import read_displacement
-from tissuereg.mesh import Mesh
 
 
 class TablePhysics:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissuereg._arrays import FloatArray
+from tissuereg._base.arrays import FloatArray
 
 #: Rates of motion that are tried: variance of a second's unpredicted motion over that of a frame's noise, 1/s.
 RATES = 10.0 ** np.arange(-2.0, 7.0)

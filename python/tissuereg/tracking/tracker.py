@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from tissuereg._arguments import called, each, flag, found, real
-from tissuereg._arrays import FloatArray, float_array
-from tissuereg._choice import check_choice
+from tissuereg._base.arguments import called, each, flag, found, real
+from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.choice import check_choice
+from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ArgumentError, ConvergenceError, EnsembleError, MarkerError, TissueRegError
-from tissuereg.inputs import finite_field
-from tissuereg.mesh import Mesh
-from tissuereg.registrar import Registrar
-from tissuereg.result import Registration
+from tissuereg.registration.inputs import finite_field
+from tissuereg.registration.registrar import Registrar
+from tissuereg.registration.result import Registration
 from tissuereg.tracking.frame import Layout, TrackedFrame
 from tissuereg.tracking.inbox import Inbox
 from tissuereg.tracking.lineage import Lineage

@@ -1,0 +1,155 @@
+"""Tracked markers: reference position on the undeformed body, measured position, and its standard deviation."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arguments import found
+from tissuereg._base.arrays import FloatArray, IntArray, depth, float_array, frozen
+from tissuereg.errors import MarkerError
+
+#: Upper limit of a finite standard deviation, mm: its square must not overflow.
+_MOST_STD = 1e9
+
+
+class Markers:
+    """Markers of one moment.
+
+    Parameters
+    ----------
+    reference : array_like of float, shape (n_markers, 3)
+        Place on or near the undeformed surface in mm.
+    measured : array_like of float, shape (n_markers, 3)
+        Measured place in mm; NaN = not seen.
+    std : float or array_like of float, shape (n_markers,) or (n_markers, 3)
+        Standard deviation of a measured coordinate in mm, along x, y and z of the tracker if they differ. Infinite
+        along an axis = that coordinate was not seen.
+    names : sequence of str, optional
+        One per marker, no repeats; by default ``M1``, ``M2``, ...
+
+    Raises
+    ------
+    ShapeError
+        If the shapes do not match.
+    MarkerError
+        If a reference place is not finite, a coordinate infinite, `std` not positive, or a name repeated.
+
+    Attributes
+    ----------
+    std : ndarray of float64, shape (n_markers,)
+        Root mean square over a marker's axes of their standard deviations, mm.
+    axis_std : ndarray of float64, shape (n_markers, 3)
+        Standard deviation along each axis, mm. An axis given as infinite has that of the marker's other axes, and its
+        coordinate is NaN.
+    """
+
+    def __init__(self, reference: Any, measured: Any, std: Any = 0.1, names: Sequence[str] | None = None) -> None:
+        places = float_array("reference", reference, (None, 3))
+        seen = float_array("measured", measured, (len(places), 3))
+        spread = _spread(std, len(places))
+        titles = tuple(f"M{i + 1}" for i in range(len(places))) if names is None else _titles(names)
+        _check_names(titles, len(places))
+        _check_rows("reference places must be finite", titles, np.isfinite(places).all(axis=1), places)
+        _check_rows("measured places must be finite, or NaN where not seen", titles, ~np.isinf(seen).any(axis=1), seen)
+        known = np.isfinite(spread)
+        good = (spread > 0).all(axis=1) & known.any(axis=1)
+        _check_rows("std must be positive, in mm, and finite along one axis or more", titles, good, _as_given(spread))
+        _check_rows(
+            f"std must be less than {_MOST_STD:g} mm", titles, ~(known & (spread >= _MOST_STD)).any(axis=1), spread
+        )
+        squared = np.where(known, spread, 0.0) ** 2
+        overall = np.sqrt(squared.sum(axis=1) / known.sum(axis=1))
+        self.names = titles
+        self.reference: FloatArray = frozen(places.copy())
+        self.measured: FloatArray = frozen(np.where(known, seen, np.nan))
+        self.std: FloatArray = frozen(overall)
+        self.axis_std: FloatArray = frozen(np.where(known, spread, overall[:, None]))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"Markers({len(self)} markers, {int(self.seen.sum())} seen)"
+
+    @property
+    def seen(self) -> "np.ndarray[Any, np.dtype[np.bool_]]":
+        """Which markers have all three coordinates, shape (n_markers,)."""
+        return np.asarray(np.isfinite(self.measured).all(axis=1))
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Measured minus reference in mm, NaN where not seen, shape (n_markers, 3)."""
+        return np.asarray(self.measured - self.reference)
+
+    def only(self, keep: Any) -> "Markers":
+        """Return the markers selected by a mask or by indices.
+
+        Parameters
+        ----------
+        keep : array_like of bool or int
+            Mask of length n_markers, or indices.
+
+        Returns
+        -------
+        Markers
+            In their order.
+        """
+        rows = _kept(keep, len(self))
+        return Markers(self.reference[rows], self.measured[rows], self.axis_std[rows], [self.names[i] for i in rows])
+
+
+def _kept(keep: Any, n_markers: int) -> IntArray:
+    """Return the rows that a mask or indices choose."""
+    try:
+        rows = np.arange(n_markers)[keep]
+        reason = ""
+    except (IndexError, TypeError, ValueError) as error:
+        rows, reason = np.empty((0, 0), np.int64), f": {error}"
+    if np.ndim(rows) != 1:
+        message = f"`keep` must be a mask of {n_markers} markers or a list of indices, got {found(keep)}{reason}"
+        raise MarkerError(message, where="keep")
+    return np.asarray(rows, np.int64)
+
+
+def _spread(std: Any, n_markers: int) -> FloatArray:
+    """Return standard deviations (n_markers, 3) of one for all, one per marker, or one per axis."""
+    if depth("std", std) == 2:
+        return float_array("std", std, (n_markers, 3))
+    by_marker = (
+        np.full(n_markers, float_array("std", std, ()))
+        if depth("std", std) == 0
+        else float_array("std", std, (n_markers,))
+    )
+    return np.repeat(by_marker[:, None], 3, axis=1)
+
+
+def _as_given(spread: FloatArray) -> FloatArray:
+    """Return one number per marker where its axes agree, as given."""
+    return spread[:, 0] if len(spread) and np.array_equal(spread, spread[:, [0, 0, 0]], equal_nan=True) else spread
+
+
+def _titles(names: Any) -> tuple[str, ...]:
+    """Return names as texts."""
+    if isinstance(names, str | bytes) or not isinstance(names, Iterable):
+        message = f"`names` must be a list of texts, one per marker, got {found(names)}"
+        raise MarkerError(message, where="names")
+    return tuple(str(name) for name in names)
+
+
+def _check_names(names: tuple[str, ...], n_markers: int) -> None:
+    if len(names) != n_markers:
+        message = f"`names` must hold one name a marker ({n_markers}), got {len(names)}"
+        raise MarkerError(message, where="names")
+    repeated = sorted(name for name, times in Counter(names).items() if times > 1)
+    if repeated:
+        message = f"marker names must be unique, repeated: {', '.join(repeated)}"
+        raise MarkerError(message, where="names")
+
+
+def _check_rows(rule: str, names: tuple[str, ...], good: Any, values: FloatArray) -> None:
+    if not np.all(good):
+        row = int(np.argmin(good))
+        message = f"{rule}: marker '{names[row]}' has {np.asarray(values[row]).tolist()}"
+        raise MarkerError(message, where=names[row])

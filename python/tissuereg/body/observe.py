@@ -1,0 +1,509 @@
+r"""From displacement fields to tracked points: markers on the surface, targets inside.
+
+A marker that is not on the facets moves rigidly with its patch of surface,
+
+    u(marker) = u(foot) + (R - I) offset,      offset = reference place - foot,
+
+where the foot is the closest point of the surface and R the best rotation of the patch's nodes (Kabsch).
+An inner target moves with the tetrahedron that contains it. Fields are interpolated linearly between corner nodes, or
+quadratically where the mid-edge nodes of ten-node elements are given too.
+"""
+
+import warnings
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray, float_array
+from tissuereg.body.markers import Markers
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.per_mesh import per_mesh
+from tissuereg.errors import MarkerError
+
+#: A marker farther from the surface than this share of the body's extent is refused: another frame or unit.
+FARTHEST_SHARE = 0.5
+
+#: A target this far outside the body, as a share of its extent, is refused; nearer ones move with the closest tet.
+FARTHEST_TARGET_SHARE = 0.1
+
+#: No warning below this distance: the facets of a curved surface lie slightly inside it.
+WARN_TARGET_SHARE = 0.01
+
+#: Offsets below this many mm need no rotation.
+_ON_SURFACE_MM = 1e-3
+
+#: A place is beyond an edge of a triangle if its weight of the opposite corner is less than minus this.
+_BEYOND = 1e-6
+
+
+class MarkerObservation:
+    """Displacement of markers as a function of the displacement of few nodes.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    reference : array_like of float, shape (n_markers, 3)
+        Places of the markers on or near the undeformed body, mm.
+    names : sequence of str
+        Used in messages.
+    quadratic : bool
+        Whether fields are those of ten-node elements: nodes in the middle of `mesh.edges`, in their order, follow those
+        of the mesh.
+    like : MarkerObservation, optional
+        Observation of the same markers on a mesh of the same tets: feet stay in the same triangles, or on the same
+        edges if they are the closest points of convex ones. Needed for derivatives with respect to the shape of a mesh,
+        because the closest triangle of a marker on an edge may change with any step.
+
+    Raises
+    ------
+    MarkerError
+        If a marker lies farther from the surface than half the body's extent.
+
+    Attributes
+    ----------
+    nodes : ndarray of int64, shape (n_needed,)
+        Nodes whose displacement `predict` needs.
+    distance : ndarray of float64, shape (n_markers,)
+        Distance of every marker from the surface, mm.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        reference: Any,
+        names: tuple[str, ...],
+        *,
+        quadratic: bool = False,
+        like: "MarkerObservation | None" = None,
+    ) -> None:
+        places = float_array("reference", reference, (None, 3))
+        if like is None:
+            triangles, weights, feet = _closest_triangles(mesh, places)
+            self._free = _free_corners(mesh.nodes[mesh.surface[triangles]], places, weights)
+        else:
+            triangles, self._free = like._triangles, like._free
+            weights, feet = _feet_in(mesh.nodes[mesh.surface[triangles]], places, self._free)
+        self._triangles: IntArray = triangles
+        self.distance: FloatArray = np.linalg.norm(places - feet, axis=1)
+        _check_distance(self.distance, names, mesh.extent)
+        patches = _patches(mesh, triangles)
+        feet_nodes, self._weights = _interpolation(mesh, mesh.surface[triangles], weights, quadratic)
+        self.nodes: IntArray = np.unique(np.concatenate([feet_nodes.ravel(), *patches]))
+        self._foot_nodes = np.searchsorted(self.nodes, feet_nodes)
+        self._offset = places - feet
+        corners = mesh.nodes[mesh.surface[triangles]]
+        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        self._height = self.distance / edges
+        self._turned = np.flatnonzero(np.linalg.norm(self._offset, axis=1) > _ON_SURFACE_MM)
+        self._patches = [np.searchsorted(self.nodes, patches[marker]) for marker in self._turned]
+        # Patches are of corner nodes alone.
+        self._members, self._arms = _padded(self._patches, mesh.nodes[np.minimum(self.nodes, mesh.n_nodes - 1)])
+
+    @classmethod
+    def of(cls, mesh: Mesh, markers: Markers) -> "MarkerObservation":
+        """Return the observation of a set of markers."""
+        return cls(mesh, markers.reference, markers.names)
+
+    @property
+    def n_markers(self) -> int:
+        """Number of markers."""
+        return len(self._offset)
+
+    def predict(self, displacement: FloatArray) -> FloatArray:
+        """Return the displacement of every marker.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (..., n_needed, 3)
+            Displacement of `nodes` in mm.
+
+        Returns
+        -------
+        ndarray of float64, shape (..., n_markers, 3)
+            mm.
+        """
+        moved = np.einsum("mc,...mcx->...mx", self._weights, displacement[..., self._foot_nodes, :])
+        if len(self._turned):
+            patches = displacement[..., self._members, :]
+            self._add_rotation(moved, np.einsum("...mpx,mpy->...mxy", patches, self._levers))
+        return np.asarray(moved)
+
+    def points(self, n_nodes: int) -> Any:
+        """Return what `predict_points` needs, as weights on the nodes of the mesh.
+
+        Parameters
+        ----------
+        n_nodes : int
+            Number of nodes of the fields.
+
+        Returns
+        -------
+        scipy.sparse.csr_array, shape (n_points, n_nodes)
+            First the feet of all markers. Then three rows for each marker off the surface: how displacement varies
+            across its patch along x, y and z, in mm.
+        """
+        from scipy import sparse
+
+        weights = [self._weights.ravel(), np.moveaxis(self._levers, 2, 1).ravel()]
+        nodes = [self.nodes[self._foot_nodes].ravel(), np.repeat(self.nodes[self._members], 3, axis=0).ravel()]
+        lengths = [
+            np.full(self.n_markers, self._weights.shape[1]),
+            np.full(3 * len(self._turned), self._members.shape[1]),
+        ]
+        rows = np.repeat(np.arange(self.n_markers + 3 * len(self._turned)), np.concatenate(lengths))
+        shape = (self.n_markers + 3 * len(self._turned), n_nodes)
+        found = sparse.coo_array((np.concatenate(weights), (rows, np.concatenate(nodes))), shape)
+        return sparse.csr_array(found)
+
+    def predict_points(self, moved: FloatArray) -> FloatArray:
+        """Return the displacement (..., n_markers, 3) of every marker from that of `points` (..., n_points, 3), mm."""
+        feet: FloatArray = moved[..., : self.n_markers, :].copy()
+        if len(self._turned):
+            across = moved[..., self.n_markers :, :].reshape(*moved.shape[:-2], len(self._turned), 3, 3)
+            self._add_rotation(feet, np.swapaxes(across, -1, -2))
+        return feet
+
+    @cached_property
+    def _levers(self) -> FloatArray:
+        """Arms of patches (m, p, 3), scaled so that their products with displacements are lengths."""
+        squares = np.einsum("mpx,mpx->m", self._arms, self._arms)
+        return np.asarray(self._arms / np.sqrt(squares * self._arms.shape[1])[:, None, None])
+
+    @cached_property
+    def _at_rest(self) -> FloatArray:
+        """Products (m, 3, 3) of scaled arms and arms, to which those of displacements add."""
+        return np.asarray(np.einsum("mpx,mpy->mxy", self._arms, self._levers))
+
+    def _add_rotation(self, moved: FloatArray, across: FloatArray) -> None:
+        """Add to the displacement of feet how far the rotation of patches moves markers off them; (..., m, 3, 3) mm."""
+        turned = _rotations(self._at_rest + across)
+        moved[..., self._turned, :] += np.einsum("...mxy,my->...mx", turned - np.eye(3), self._offset[self._turned])
+
+    def variation(self, displacement: FloatArray) -> FloatArray:
+        """Return the variation of the motion across the element under every marker.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (n_needed, 3)
+            Displacement of `nodes` in mm.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_markers,)
+            Largest difference between corners of the closest triangle, mm; more for a marker off the surface, by its
+            distance over the longest edge.
+        """
+        corners = displacement[self._foot_nodes[:, :3]]
+        differences = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        return np.asarray((1.0 + self._height) * differences)
+
+    def jacobian(self, displacement: FloatArray) -> FloatArray:
+        """Return the derivative of the displacement of every marker by that of `nodes`.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (n_needed, 3)
+            Displacement of `nodes` in mm, where the derivative is taken.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_markers, 3, n_needed, 3)
+            By central differences in the rotation of markers off the surface, exact for all others.
+        """
+        slopes = np.zeros((self.n_markers, 3, len(self.nodes), 3))
+        for marker, (members, weights) in enumerate(self._slopes(displacement)):
+            for axis in range(3):
+                np.add.at(slopes[marker, axis], members, weights[axis])
+        return slopes
+
+    def rows(self, displacement: FloatArray) -> list[tuple[IntArray, FloatArray]]:
+        """Return the same, three rows per marker, each with only the nodes on which it depends.
+
+        Parameters
+        ----------
+        displacement : ndarray of float64, shape (n_needed, 3)
+            Displacement of `nodes` in mm, where the derivative is taken.
+
+        Returns
+        -------
+        list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
+            Nodes of the mesh and their weights; ``3 n_markers`` rows, x, y and z of the first marker first.
+        """
+        found = []
+        for members, weights in self._slopes(displacement):
+            found += [(self.nodes[members], weights[axis]) for axis in range(3)]
+        return found
+
+    def _slopes(self, displacement: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
+        """Yield, for every marker, the members (k,) of `nodes` it depends on and its derivative, (3, k, 3)."""
+        turned = {int(marker): row for row, marker in enumerate(self._turned)}
+        for marker in range(self.n_markers):
+            members = self._foot_nodes[marker]
+            weights = np.einsum("c,xy->xcy", self._weights[marker], np.eye(3))
+            if marker in turned:
+                patch = self._patches[turned[marker]]
+                arms, here = self._arms[turned[marker]][: len(patch)], displacement[patch]
+                step = 1e-5 * float(np.ptp(arms, axis=0).max())
+                nudges = step * np.eye(3 * len(patch)).reshape(-1, len(patch), 3)
+                nudged = _rotations(np.swapaxes(arms + np.stack([here + nudges, here - nudges]), -1, -2) @ arms)
+                change = (nudged[0] - nudged[1]) / (2.0 * step)
+                by_rotation = np.moveaxis((change @ self._offset[marker]).reshape(len(patch), 3, 3), -1, 0)
+                members = np.concatenate([members, patch])
+                weights = np.concatenate([weights, by_rotation], axis=1)
+            yield members, weights
+
+
+class TargetObservation:
+    """Displacement of inner points, linear in the nodes of the tets that contain them.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    targets : mapping of str to array_like of float, shape (3,)
+        Points of the undeformed body, mm.
+    quadratic : bool
+        As in `MarkerObservation`.
+
+    Raises
+    ------
+    MarkerError
+        If a target lies outside the body by more than a tenth of its extent, or is not finite.
+    """
+
+    def __init__(self, mesh: Mesh, targets: Mapping[str, Any], *, quadratic: bool = False) -> None:
+        self.names = tuple(targets)
+        self.reference: FloatArray = np.array(
+            [float_array(f"targets[{n!r}]", p, (3,)) for n, p in targets.items()]
+        ).reshape(-1, 3)
+        locator = _locator(mesh)
+        located = [locator.locate(name, point) for name, point in zip(self.names, self.reference, strict=True)]
+        corners = np.array([mesh.tets[tet] for tet, _ in located], dtype=np.int64).reshape(-1, 4)
+        weights = np.array([weights for _, weights in located]).reshape(-1, 4)
+        nodes, self._weights = _interpolation(mesh, corners, weights, quadratic)
+        self.nodes: IntArray = np.unique(nodes)
+        self._corners = np.searchsorted(self.nodes, nodes)
+
+    def predict(self, displacement: FloatArray) -> FloatArray:
+        """Return the displacement of every target; `displacement` as in `MarkerObservation.predict`."""
+        return np.asarray(np.einsum("tc,...tcx->...tx", self._weights, displacement[..., self._corners, :]))
+
+    def points(self, n_nodes: int) -> Any:
+        """Return the targets as weights on nodes: scipy.sparse.csr_array, shape (n_targets, n_nodes)."""
+        from scipy import sparse
+
+        rows = np.repeat(np.arange(len(self.names)), self._corners.shape[1])
+        columns = self.nodes[self._corners].ravel()
+        return sparse.csr_array((self._weights.ravel(), (rows, columns)), (len(self.names), n_nodes))
+
+    def rows(self) -> list[tuple[IntArray, FloatArray]]:
+        """Return nodes of the mesh and their weights; ``3 n_targets`` rows, as those of `MarkerObservation.rows`."""
+        return [
+            (self.nodes[corners], np.outer(weights, np.eye(3)[axis]))
+            for corners, weights in zip(self._corners, self._weights, strict=True)
+            for axis in range(3)
+        ]
+
+
+def _interpolation(mesh: Mesh, corners: IntArray, weights: FloatArray, quadratic: bool) -> tuple[IntArray, FloatArray]:
+    """Return nodes and weights of points from the corners and weights (n, 3) or (n, 4) of their triangles or tets.
+
+    The same, or nodes and shape functions of second order: ``l_a (2 l_a - 1)`` at corners, ``4 l_a l_b`` between.
+    """
+    if not quadratic:
+        return corners, weights
+    first, second = np.triu_indices(corners.shape[1], 1)
+    a, b = corners[:, first], corners[:, second]
+    # Edges are sorted by their lower, then their upper end.
+    keys = mesh.edges[:, 0] * mesh.n_nodes + mesh.edges[:, 1]
+    middles = mesh.n_nodes + np.searchsorted(keys, np.minimum(a, b) * mesh.n_nodes + np.maximum(a, b))
+    at_corners, between = weights * (2.0 * weights - 1.0), 4.0 * weights[:, first] * weights[:, second]
+    return np.concatenate([corners, middles], axis=1), np.concatenate([at_corners, between], axis=1)
+
+
+@per_mesh
+def _surface(mesh: Mesh) -> Any:
+    """Return the surface with its search tree."""
+    import trimesh
+
+    return trimesh.Trimesh(mesh.nodes, mesh.surface, process=False)
+
+
+def _closest_triangles(mesh: Mesh, places: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    if not len(places):
+        return np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3))
+    import trimesh
+
+    surface = _surface(mesh)
+    proximity: Any = trimesh.proximity  # trimesh leaves these functions without annotations
+    feet, _, triangles = proximity.closest_point(surface, places)
+    corners = mesh.nodes[mesh.surface[triangles]]
+    weights = np.clip(_barycentric(corners, feet), 0.0, None)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return np.asarray(triangles, np.int64), np.asarray(weights), np.asarray(feet)
+
+
+def _free_corners(corners: FloatArray, places: FloatArray, weights: FloatArray) -> BoolArray:
+    """Return which corners (n, 3) span the plane of each foot, or the edge beyond which its place lies."""
+    beyond = (_barycentric(corners, places) < -_BEYOND).any(axis=1, keepdims=True)
+    return np.logical_or(~beyond, weights > 0.0)
+
+
+def _feet_in(corners: FloatArray, places: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return weights (n, 3) and feet (n, 3): the closest points of planes, or of lines, through free corners."""
+    weights = _barycentric(corners, places)
+    for marker in np.flatnonzero(~free.all(axis=1)):
+        ends = np.flatnonzero(free[marker])
+        first, last = corners[marker, ends[0]], corners[marker, ends[-1]]
+        along = last - first
+        share = (places[marker] - first) @ along / max(float(along @ along), np.finfo(float).tiny)
+        weights[marker] = 0.0
+        weights[marker, ends] = (1.0 - share, share) if len(ends) == 2 else 1.0
+    return weights, np.einsum("nc,ncx->nx", weights, corners)
+
+
+def _barycentric(corners: FloatArray, places: FloatArray) -> FloatArray:
+    """Return the weights (n, 3) of places projected onto the planes of triangles with corners (n, 3, 3)."""
+    if not len(places):
+        return np.empty((0, 3))
+    import trimesh
+
+    to_barycentric: Any = trimesh.triangles.points_to_barycentric
+    return np.asarray(to_barycentric(corners, places), np.float64)
+
+
+def _patches(mesh: Mesh, triangles: IntArray) -> list[IntArray]:
+    """Return, for each triangle, the surface nodes of all triangles that touch it."""
+    patches = []
+    for triangle in triangles:
+        touching = np.isin(mesh.surface, mesh.surface[triangle]).any(axis=1)
+        patches.append(np.unique(mesh.surface[touching]))
+    return patches
+
+
+def _padded(patches: list[IntArray], places: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return members (m, p) and arms from their middle (m, p, 3) of patches; short ones repeat a node with no arm."""
+    longest = max((len(patch) for patch in patches), default=0)
+    members = np.zeros((len(patches), longest), np.int64)
+    arms = np.zeros((len(patches), longest, 3))
+    for row, patch in enumerate(patches):
+        members[row] = np.resize(patch, longest)
+        arms[row, : len(patch)] = places[patch] - places[patch].mean(axis=0)
+    return members, arms
+
+
+def _rotations(correlation: FloatArray) -> FloatArray:
+    """Return the rotations (..., 3, 3) closest to matrices C, the sums of (moved arm) (arm)' over a patch.
+
+    R = ((k + |C|^2) C + l adj(C)' - C C' C) / (k l - det C) with k = (l^2 - |C|^2) / 2 and l the sum of the singular
+    values, the last with the sign of det C: F. L. Markley, "Attitude determination using vector observations: a fast
+    optimal matrix algorithm", Journal of the Astronautical Sciences 41, 261-280, 1993. Several times as fast as
+    singular values in numpy; these serve where two of them vanish.
+    """
+    # Components first: every product below runs over whole rows.
+    c = np.ascontiguousarray(np.moveaxis(correlation, (-2, -1), (0, 1)))
+    squares = np.einsum("ij...,ij...->...", c, c)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        cofactors = np.stack([_cross(c[1], c[2]), _cross(c[2], c[0]), _cross(c[0], c[1])])
+        det = np.einsum("i...,i...->...", c[0], cofactors[0])
+        of_cofactors = np.einsum("ij...,ij...->...", cofactors, cofactors)
+        total = np.sqrt(3.0 * squares)
+        for _ in range(_MOST_NEWTON):
+            off = total * total - squares
+            step = (off * off - 8.0 * total * det - 4.0 * of_cofactors) / (4.0 * off * total - 8.0 * det)
+            total = total - step
+            if not (np.abs(step) > 1e-14 * total).any():
+                break
+        half = 0.5 * (total * total - squares)
+        below = half * total - det
+        cubic = np.einsum("ik...,kl...->il...", np.einsum("ij...,kj...->ik...", c, c), c)
+        turned = ((half + squares) * c + total * cofactors - cubic) / below
+        # Rounding grows with the inverse of this: below the limit singular values are closer.
+        poor: BoolArray = np.asarray(~(below > _LEAST_BELOW * squares * total))
+    found: FloatArray = np.moveaxis(turned, (0, 1), (-2, -1))
+    if poor.any():
+        found[poor] = _rotations_by_svd(correlation[poor])
+    return found
+
+
+#: Newton steps from above to the sum of the singular values; it converges quadratically, and six are usual.
+_MOST_NEWTON = 30
+
+#: Least share of the largest possible value that the denominator of the closed form may have.
+_LEAST_BELOW = 1e-4
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the cross product of vectors (3, ...), components first."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _rotations_by_svd(correlation: FloatArray) -> FloatArray:
+    # A failed member is rejected later; here it must not spoil the others' factorisation.
+    bad: BoolArray = np.asarray(~np.isfinite(correlation).all(axis=(-1, -2)))
+    u, _, vt = np.linalg.svd(np.where(bad[..., None, None], np.eye(3), correlation))
+    proper = np.sign(np.linalg.det(u @ vt))
+    u[..., :, 2] *= proper[..., None]
+    return np.where(bad[..., None, None], np.nan, u @ vt)
+
+
+def _check_distance(distance: FloatArray, names: tuple[str, ...], extent: float) -> None:
+    far = int(np.argmax(distance)) if len(distance) else 0
+    if len(distance) and distance[far] > FARTHEST_SHARE * extent:
+        message = (
+            f"every marker must sit on or near the undeformed surface: marker '{names[far]}' is {distance[far]:.1f} mm "
+            f"away from a body of extent {extent:.1f} mm; check frame and units"
+        )
+        raise MarkerError(message, where=names[far])
+
+
+class _Locator:
+    """Finds the tet that contains a point; boxes and inverses of all tets are formed once and sorted along x."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._corners = mesh.nodes[mesh.tets]
+        self._extent = mesh.extent
+        self._lowest, self._highest = self._corners.min(axis=1), self._corners.max(axis=1)
+        # Along x, a tet that contains a point begins at most the widest one's width before it.
+        self._by_x = np.argsort(self._lowest[:, 0], kind="stable")
+        self._begins = self._lowest[self._by_x, 0]
+        self._widest = float((self._highest[:, 0] - self._lowest[:, 0]).max())
+        self._inverse = np.linalg.inv(np.moveaxis(self._corners[:, 1:] - self._corners[:, :1], 1, 2))
+
+    def locate(self, name: str, point: FloatArray) -> tuple[int, FloatArray]:
+        """Return the tet that contains a point, or the closest one, and the barycentric weights (4,)."""
+        if not np.isfinite(point).all():
+            message = f"target '{name}' must be finite, got {point.tolist()}"
+            raise MarkerError(message, where=name)
+        near = 1e-6 * self._extent
+        first, last = np.searchsorted(self._begins, (point[0] - self._widest - 2.0 * near, point[0] + 2.0 * near))
+        tets = np.sort(self._by_x[first:last])
+        lowest, highest = self._lowest[tets] - near, self._highest[tets] + near
+        tets = tets[((point >= lowest) & (point <= highest)).all(axis=1)]
+        weights = self._weights(tets, point)
+        if len(tets) and weights.min(axis=1).max() >= -1e-9:
+            best = int(np.argmax(weights.min(axis=1)))
+            return int(tets[best]), weights[best]
+        weights = self._weights(np.arange(len(self._corners)), point)
+        clipped = np.clip(weights, 0.0, None)
+        clipped /= clipped.sum(axis=1, keepdims=True)
+        gap = np.linalg.norm(np.einsum("tc,tcx->tx", clipped, self._corners) - point, axis=1)
+        tet = int(np.argmin(gap))
+        if gap[tet] > FARTHEST_TARGET_SHARE * self._extent:
+            message = f"target '{name}' must lie in the undeformed body; {point.tolist()} is {gap[tet]:.1f} mm outside"
+            raise MarkerError(message, where=name)
+        if gap[tet] > WARN_TARGET_SHARE * self._extent:
+            text = f"target '{name}' lies {gap[tet]:.2g} mm outside the mesh; it moves with the closest tet"
+            warnings.warn(text, stacklevel=4)
+        return tet, weights[tet]
+
+    def _weights(self, tets: IntArray, point: FloatArray) -> FloatArray:
+        """Return the barycentric weights (n, 4) of a point in some tets."""
+        inner = np.einsum("tij,tj->ti", self._inverse[tets], point - self._corners[tets, 0])
+        return np.concatenate([1.0 - inner.sum(axis=1, keepdims=True), inner], axis=1)
+
+
+_locator = per_mesh(_Locator)

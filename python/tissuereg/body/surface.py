@@ -1,0 +1,110 @@
+"""Unlabelled points measured on the deformed surface of a body: their correspondence to the body is unknown."""
+
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arguments import found, real
+from tissuereg._base.arrays import FloatArray, IntArray, float_array, frozen
+from tissuereg.errors import SurfaceError
+
+#: More points than this are thinned evenly.
+MOST_POINTS = 500
+
+#: More than this are thinned by a stride before they are thinned evenly.
+_MOST_COMPARED = 20_000
+
+
+class SurfacePoints:
+    """Unlabelled points of one moment.
+
+    Parameters
+    ----------
+    measured : array_like of float, shape (n, 3)
+        Places on all or part of the deformed surface, mm. Rows with NaN are ignored.
+    std : float
+        Standard deviation of a point along the surface's normal, mm.
+
+    Raises
+    ------
+    ShapeError
+        If the shape is another one.
+    SurfaceError
+        If there are fewer than three points, a coordinate is infinite, or `std` is not positive.
+
+    Attributes
+    ----------
+    places : ndarray of float64, shape (n_points, 3)
+        At most `MOST_POINTS` points, spread evenly over those given, mm.
+    rows : ndarray of int64, shape (n_points,)
+        Their indices among the given points.
+    std : float
+        As given.
+    given : int
+        Number of points before thinning.
+
+    Examples
+    --------
+    >>> SurfacePoints([[0, 0, 1.0], [1, 0, 1], [0, 1, 1]], std=0.2)
+    SurfacePoints(3 points, std 0.2 mm)
+    """
+
+    def __init__(self, measured: Any, std: float = 0.1) -> None:
+        places = float_array("surface", measured, (None, 3))
+        if np.isinf(places).any():
+            row = int(np.argmax(np.isinf(places).any(axis=1)))
+            message = f"surface points must be finite, got {places[row].tolist()} in row {row}"
+            raise SurfaceError(message, where="surface")
+        whole = np.flatnonzero(np.isfinite(places).all(axis=1))
+        places = places[whole]
+        if len(places) < 3:
+            message = f"a surface must be given by at least 3 points, got {len(places)}"
+            raise SurfaceError(message, where="surface")
+        std = _positive(std)
+        self.given = len(places)
+        kept = evenly(places, MOST_POINTS)
+        self.places: FloatArray = frozen(np.ascontiguousarray(places[kept]))
+        self.rows: IntArray = frozen(whole[kept])
+        self.std = std
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def __repr__(self) -> str:
+        return f"SurfacePoints({len(self)} points, std {self.std:g} mm)"
+
+
+def _positive(std: Any) -> float:
+    """Return a checked standard deviation in mm; it must be so small that its square does not overflow."""
+    try:
+        return real("surface_std", std, above=0.0, below=1e9, error=SurfaceError)
+    except SurfaceError:
+        message = f"`surface_std` must be positive, in mm, and below 1e9 mm, got {found(std)}"
+        raise SurfaceError(message, where="surface_std") from None
+
+
+def evenly(places: FloatArray, count: int) -> IntArray:
+    """Return indices of at most `count` places, each the farthest from those before it, in their own order.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (n, 3)
+        mm.
+    count : int
+        Largest number of places.
+
+    Returns
+    -------
+    ndarray of int64, shape (min(n, count),)
+        Sorted.
+    """
+    if len(places) <= count:
+        return np.arange(len(places))
+    among = np.arange(0, len(places), max(1, len(places) // _MOST_COMPARED))
+    compared = places[among]
+    chosen = [int(np.argmax(np.sum((compared - compared.mean(axis=0)) ** 2, axis=1)))]
+    gap = np.sum((compared - compared[chosen[0]]) ** 2, axis=1)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(gap)))
+        gap = np.minimum(gap, np.sum((compared - compared[chosen[-1]]) ** 2, axis=1))
+    return np.asarray(np.sort(among[chosen]), np.int64)

@@ -1,0 +1,1 @@
+"""Times by stage: what the command ``tissuereg bench`` measures."""

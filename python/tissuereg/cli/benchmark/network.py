@@ -1,0 +1,170 @@
+"""A network of the paper's Table II for any mesh, with random weights: for timings, which do not depend on the values.
+
+Levels are those of the paper: a node of the next level has no other within one hop, unpooling reaches one hop, and
+coarse nodes are neighbours within three. Channels 32, 64, 128, nine bases, 26 latents.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ModelError
+from tissuereg.registration.learned.card import CARD_SCHEMA, MODEL_FILES
+from tissuereg.registration.learned.decoders import GraphDecoder, read_decoder
+from tissuereg.registration.learned.onnx_bytes import OnnxGraph
+
+CHANNELS, N_BASES, N_LATENT = (32, 64, 128), 9, 26
+
+#: Error fields of the random network: as many as trained ones have.
+_N_ERRORS = 64
+
+#: Its scale: displacements that turn no tetrahedron inside out, as a trained network's do not.
+_SCALE_MM = 0.5
+
+
+def write_random_table2(mesh: Mesh, folder: Path, seed: int = 0) -> None:
+    """Write a model folder with a random network of Table II.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The mesh that it knows.
+    folder : Path
+        An empty folder.
+    seed : int
+        Of the weights.
+    """
+    rng = np.random.default_rng(seed)
+    levels = _levels(mesh)
+    tables = _decoder_tables(levels, mesh.n_nodes, rng)
+    np.savez(folder / "decoder_weights.npz", **tables)
+    decoder = read_decoder(folder / "decoder_weights.npz")
+    if not isinstance(decoder, GraphDecoder):
+        message = f"the tables in {folder} must be those of a graph network"
+        raise ModelError(message, where=str(folder))
+    (folder / "decoder.onnx").write_bytes(decoder.whole())
+    (folder / "encoder.onnx").write_bytes(_encoder(levels, mesh.n_nodes, rng))
+    unit = np.eye(N_LATENT)
+    card = {
+        "schema": CARD_SCHEMA,
+        "kind": "gnn-vae",
+        "mesh_digest": mesh.digest(),
+        "n_nodes": mesh.n_nodes,
+        "n_latent": N_LATENT,
+        "members": 1,
+        "errors_mm": {"test": 0.25, "pca": 0.25},
+        "prior": {
+            "mean": [0.0] * N_LATENT,
+            "covariance": unit.tolist(),
+            "mismatch_covariance": (0.05 * unit).tolist(),
+        },
+        "files": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in MODEL_FILES},
+    }
+    (folder / "model.json").write_text(json.dumps(card), encoding="utf-8")
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """A graph with all nodes their own neighbours, and the edges (coarse node, node) to the next coarser one."""
+
+    n_nodes: int
+    edges: IntArray
+    pools: IntArray
+
+
+def _levels(mesh: Mesh) -> list[_Level]:
+    """Return the levels that are convolved, finest first, and the coarsest, without edges."""
+    from scipy import sparse
+
+    both = np.concatenate([mesh.edges, mesh.edges[:, ::-1], np.repeat(np.arange(mesh.n_nodes)[:, None], 2, axis=1)])
+    graph: Any = sparse.csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), (mesh.n_nodes, mesh.n_nodes))
+    found = []
+    for _ in CHANNELS:
+        near = np.zeros(graph.shape[0], dtype=bool)
+        centres = []
+        for node in range(graph.shape[0]):
+            if not near[node]:
+                centres.append(node)
+                near[graph.indices[graph.indptr[node] : graph.indptr[node + 1]]] = True
+        found.append(_Level(graph.shape[0], _pairs(graph), _pairs(graph[centres])))
+        graph = sparse.csr_array(((graph @ graph @ graph)[centres][:, centres] > 0).astype(np.float64))
+    found.append(_Level(graph.shape[0], np.empty((0, 2), np.int64), np.empty((0, 2), np.int64)))
+    return found
+
+
+def _pairs(matrix: Any) -> IntArray:
+    table = matrix.tocoo()
+    pairs = np.stack([table.row, table.col], axis=1).astype(np.int64)
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def _shares(owners: IntArray, rng: np.random.Generator) -> FloatArray:
+    """Return weights of edges that are positive and add up to one for each owner."""
+    sizes = rng.uniform(0.5, 1.5, len(owners))
+    return np.asarray(sizes / np.bincount(owners, sizes)[owners])
+
+
+def _coefficients(edges: IntArray, n_nodes: int, rng: np.random.Generator) -> FloatArray:
+    return np.asarray(rng.standard_normal((len(edges), N_BASES)) * np.sqrt(n_nodes / (len(edges) * N_BASES)))
+
+
+def _decoder_tables(levels: list[_Level], n_nodes: int, rng: np.random.Generator) -> dict[str, Any]:
+    widths = (3, *CHANNELS)
+    width = levels[-1].n_nodes * CHANNELS[-1]
+    tables: dict[str, Any] = {
+        "levels": np.array([level.n_nodes for level in reversed(levels)]),
+        "fully_connected.weight": rng.standard_normal((width, N_LATENT)) / np.sqrt(N_LATENT),
+        "fully_connected.bias": np.zeros(width),
+        "mean_mm": np.zeros((n_nodes, 3)),
+        "scale_mm": np.array(_SCALE_MM),
+    }
+    for name, size in (("error", "error_sizes_mm"), ("change_error", "change_sizes_mm")):
+        tables |= {
+            f"{name}_fields_mm": 0.1 * rng.standard_normal((_N_ERRORS, n_nodes, 3)),
+            size: np.full(_N_ERRORS, 3.0),
+        }
+    for k, fine in enumerate(reversed(range(len(CHANNELS))), start=1):
+        level, n_in, n_out = levels[fine], widths[fine + 1], widths[fine]
+        up = level.pools[:, ::-1]
+        tables |= {
+            f"unpool{k}.edges": up,
+            f"unpool{k}.weights": _shares(up[:, 0], rng),
+            f"conv{k}.edges": level.edges,
+            f"conv{k}.coefficients": _coefficients(level.edges, level.n_nodes, rng),
+            f"conv{k}.bases": rng.standard_normal((N_BASES, n_in, n_out)) / np.sqrt(n_in),
+            f"conv{k}.bias": np.zeros(n_out),
+        }
+    return tables
+
+
+def _encoder(levels: list[_Level], n_nodes: int, rng: np.random.Generator) -> bytes:
+    """Return the encoder as the training package writes it: neighbours gathered, coefficients first, then bases."""
+    graph, x = OnnxGraph("encoder"), "displacement"
+    widths = (3, *CHANNELS)
+    for level, coarser, n_in, n_out in zip(levels[:-1], levels[1:], widths[:-1], widths[1:], strict=True):
+        starts = np.searchsorted(level.edges[:, 0], np.arange(level.n_nodes))
+        place = np.arange(len(level.edges)) - starts[level.edges[:, 0]]
+        neighbours = np.zeros((level.n_nodes, int(place.max()) + 1), np.int64)
+        neighbours[level.edges[:, 0], place] = level.edges[:, 1]
+        mixed = np.zeros((level.n_nodes, N_BASES, neighbours.shape[1]))
+        mixed[level.edges[:, 0], :, place] = _coefficients(level.edges, level.n_nodes, rng)
+        x = graph.node("Gather", [x, graph.table(neighbours)], axis=1)
+        x = graph.reshape(graph.node("MatMul", [graph.table(mixed), x]), 0, level.n_nodes, N_BASES * n_in)
+        bases = rng.standard_normal((N_BASES * n_in, n_out)) / np.sqrt(n_in)
+        x = graph.node("Elu", [graph.node("MatMul", [x, graph.table(bases)])])
+        pool = np.zeros((coarser.n_nodes, level.n_nodes))
+        pool[level.pools[:, 0], level.pools[:, 1]] = _shares(level.pools[:, 0], rng)
+        x = graph.node("MatMul", [graph.table(pool), x])
+    width = levels[-1].n_nodes * CHANNELS[-1]
+    x = graph.reshape(x, 0, width)
+    head = graph.table(rng.standard_normal((width, N_LATENT)) / width)
+    graph.node("MatMul", [x, head], output="mean")
+    spread = [graph.table(np.zeros((width, N_LATENT))), graph.table(np.full(N_LATENT, -4.0))]
+    graph.node("Gemm", [x, *spread], output="log_variance")
+    return graph.to_bytes(("displacement", n_nodes, 3), ("mean", N_LATENT), ("log_variance", N_LATENT))

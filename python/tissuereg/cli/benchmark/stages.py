@@ -1,0 +1,296 @@
+"""Times by stage, with work counters that explain them.
+
+Every row is a dict: name, sizes, repeats, median and 99th percentile of the whole, medians of the stages,
+counters, residual, peak memory. Stages add up to the whole of each repeat.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._base.machine import n_cores, peak_mib
+from tissuereg.cli.benchmark.step import N_SETS, StepSettings, step_rows
+from tissuereg.io.problems import Problem, read_problem
+from tissuereg.phantom import phantom_mesh, shipped_model_folder
+from tissuereg.phantom.event import LESION_MM, make_event
+from tissuereg.registration.contacts.body import forget_bodies
+from tissuereg.registration.register import register
+from tissuereg.simulation.sampling import EventSampler, linear_answers
+from tissuereg.simulation.solve import Simulator
+
+#: Sizes of the ES-MDA updates: latents (or parameters), observations, members.
+ESMDA_SIZES = ((26, 45, 100), (26, 300, 1000))
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """Settings of the timings.
+
+    Parameters
+    ----------
+    repeats : int
+        Timed runs of every row, after one that is not counted.
+    threads : int
+        Threads to use; 0 takes all cores.
+    elements : tuple of str
+        Elements of the solves.
+    problems : tuple of str
+        Problem files to solve instead of the phantom.
+    members : int
+        Members of the ensemble.
+    seed : int
+        Seed of random events and draws.
+    model, table2 : str or None
+        Model folders of the rows ``step/shipped`` and ``step/table2``; see `StepSettings`.
+    n_sets : int
+        Random sets of markers of those rows.
+    """
+
+    repeats: int = 10
+    threads: int = 0
+    elements: tuple[str, ...] = ("tet4", "tet10")
+    problems: tuple[str, ...] = ()
+    members: int = 32
+    seed: int = 0
+    model: str | None = None
+    table2: str | None = None
+    n_sets: int = N_SETS
+
+
+@dataclass
+class _Run:
+    """One repeat: times of stages in s, and work counters."""
+
+    stages: dict[str, float] = field(default_factory=dict)
+    report: dict[str, Any] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a block as one stage."""
+        start = time.perf_counter()
+        yield
+        self.stages[name] = time.perf_counter() - start
+
+
+def bench_solve(settings: BenchSettings) -> list[Row]:
+    """Time whole static solves: analysis, factorisations, iterations.
+
+    Parameters
+    ----------
+    settings : BenchSettings
+        Problems, elements, repeats.
+
+    Returns
+    -------
+    list of dict
+        One row per problem and element; nothing is cached between repeats.
+    """
+    rows = []
+    for name, problem in _problems(settings):
+        for element in settings.elements:
+            once = _one_solve(problem, element, settings)
+            rows.append(_row(f"solve/{name}/{element}", problem.mesh.n_nodes, settings, once))
+    return rows
+
+
+def bench_ensemble(settings: BenchSettings) -> list[Row]:
+    """Time many solves on one body: random events on the phantom.
+
+    Parameters
+    ----------
+    settings : BenchSettings
+        Members, elements, repeats.
+
+    Returns
+    -------
+    list of dict
+        One row an element; the analysis is a stage.
+    """
+    mesh = phantom_mesh()
+    rows = []
+    for element in settings.elements:
+        name = f"ensemble/phantom/{element}/{settings.members}"
+        rows.append(_row(name, mesh.n_nodes, settings, _one_ensemble(element, settings)))
+    return rows
+
+
+def bench_esmda(settings: BenchSettings) -> list[Row]:
+    """Time one ES-MDA update.
+
+    Parameters
+    ----------
+    settings : BenchSettings
+        Repeats, seed.
+
+    Returns
+    -------
+    list of dict
+        One row per size of `ESMDA_SIZES` and kind of noise.
+    """
+    rows = []
+    for sizes in ESMDA_SIZES:
+        for kind in ("diagonal", "dense"):
+            name = f"esmda/{'x'.join(map(str, sizes))}/{kind}"
+            rows.append(_row(name, None, settings, _one_update(*sizes, kind, settings)))
+    return rows
+
+
+def bench_register(settings: BenchSettings) -> list[Row]:
+    """Time whole registrations of the phantom: contacts first on the mesh and again, shipped network; and single steps.
+
+    Parameters
+    ----------
+    settings : BenchSettings
+        Repeats, seed.
+
+    Returns
+    -------
+    list of dict
+        Two rows by contacts, one by the shipped network where there is one, and those of `step_rows`.
+    """
+    event = make_event(seed=settings.seed)
+    simulator = Simulator(event.mesh)
+    simulation = simulator.solve(event.load, event.material, threads=settings.threads).displacement
+
+    def once(model: str | None) -> _Run:
+        result = register(
+            event.mesh,
+            event.markers,
+            model=model,
+            simulation=simulation,
+            targets={"lesion": LESION_MM},
+            seed=settings.seed,
+            threads=settings.threads,
+        )
+        return _Run({name: spent for name, spent in result.seconds.items() if name != "total"})
+
+    def first_on_the_mesh() -> _Run:
+        forget_bodies()
+        return once(None)
+
+    rows = [
+        _row("register/phantom/contacts-first", event.mesh.n_nodes, settings, first_on_the_mesh),
+        _row("register/phantom/contacts", event.mesh.n_nodes, settings, lambda: once(None)),
+    ]
+    if shipped_model_folder().exists():
+        rows.append(_row("register/phantom/shipped", event.mesh.n_nodes, settings, lambda: once("phantom")))
+    how = StepSettings(
+        settings.repeats, settings.threads, settings.seed, settings.model, settings.table2, settings.n_sets
+    )
+    return rows + step_rows(how)
+
+
+#: The benchmarks, by their names on the command line.
+BENCHES: dict[str, Callable[[BenchSettings], list[Row]]] = {
+    "solve": bench_solve,
+    "ensemble": bench_ensemble,
+    "esmda": bench_esmda,
+    "register": bench_register,
+}
+
+
+def _problems(settings: BenchSettings) -> list[tuple[str, Problem]]:
+    if settings.problems:
+        return [(Path(path).stem, read_problem(path)) for path in settings.problems]
+    event = make_event(seed=settings.seed)
+    return [("phantom", Problem(event.mesh, event.material, event.load))]
+
+
+def _one_solve(problem: Problem, element: str, settings: BenchSettings) -> Callable[[], _Run]:
+    def once() -> _Run:
+        run = _Run()
+        with run.stage("analyse"):
+            simulator = Simulator(problem.mesh, element=element)
+        with run.stage("iterate"):
+            found = simulator.solve(problem.load, problem.material, threads=settings.threads)
+        run.report = found.report
+        run.stages["factor"] = float(found.report["seconds"]["factor"])
+        run.stages["iterate"] -= run.stages["factor"]
+        return run
+
+    return once
+
+
+def _one_ensemble(element: str, settings: BenchSettings) -> Callable[[], _Run]:
+    mesh, material = phantom_mesh(), make_event(seed=settings.seed).material
+    prepared = Simulator(mesh, element=element)
+    sampler, rng = EventSampler(mesh), np.random.default_rng([settings.seed, 6])
+    events = [sampler.draw(rng) for _ in range(settings.members)]
+    _, unit = linear_answers(prepared, events, material, threads=settings.threads)
+    sizes = unit * rng.uniform(2.0, 0.1 * mesh.extent, settings.members)
+    loads = [event.load(prepared, size) for event, size in zip(events, sizes, strict=True)]
+    forces = np.stack([nodal for nodal in map(prepared.forces, loads) if nodal is not None])
+    body_forces = np.stack([load.body_force for load in loads])
+    young = np.full(settings.members, material.young_array[0])
+    poisson = np.full(settings.members, material.poisson_array[0])
+
+    def once() -> _Run:
+        run = _Run()
+        with run.stage("analyse"):
+            simulator = Simulator(mesh, element=element)
+        with run.stage("solve"):
+            found = simulator.body.solve_many(
+                young, poisson, forces=forces, body_force=body_forces, tolerance=1e-6, threads=settings.threads
+            )
+        run.report = _summed([dict(report) for report in found.reports if report])
+        run.report["failed"] = len(found.failed)
+        return run
+
+    return once
+
+
+def _summed(reports: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the counters of all members added up, and their worst residual."""
+    names = ("iterations", "solves", "factorisations")
+    counters = {name: sum(int(report[name]) for report in reports) for name in names}
+    return {**counters, "residual": max((report["residual"] for report in reports), default=None), "analyses": 1}
+
+
+def _one_update(n_latent: int, n_obs: int, n_members: int, kind: str, settings: BenchSettings) -> Callable[[], _Run]:
+    rng = np.random.default_rng([settings.seed, 7])
+    latents = rng.standard_normal((n_latent, n_members))
+    predicted = rng.standard_normal((n_obs, n_latent)) @ latents
+    observed, draws = rng.standard_normal(n_obs), rng.standard_normal((n_obs, n_members))
+    std = np.full(n_obs, 0.1)
+
+    def once() -> _Run:
+        run = _Run()
+        with run.stage("prepare"):
+            noise = _core.Noise.diagonal(std) if kind == "diagonal" else _core.Noise.dense(np.diag(std**2))
+            step = _core.Step(predicted, observed, noise, draws, alpha=5.0, threads=settings.threads)
+        with run.stage("apply"):
+            step.apply(latents)
+        return run
+
+    return once
+
+
+def _row(name: str, n_nodes: int | None, settings: BenchSettings, once: Callable[[], _Run]) -> Row:
+    once()  # the first run warms caches and page tables
+    runs, totals = [], []
+    for _ in range(settings.repeats):
+        start = time.perf_counter()
+        runs.append(once())
+        totals.append(time.perf_counter() - start)
+    report = runs[-1].report
+    return {
+        "name": name,
+        "n_nodes": n_nodes,
+        "threads": settings.threads or n_cores(),
+        "repeats": settings.repeats,
+        "median_s": float(np.median(totals)),
+        "p99_s": float(np.percentile(totals, 99)),
+        "stages_s": {stage: float(np.median([run.stages[stage] for run in runs])) for stage in runs[0].stages},
+        "counters": {key: report.get(key) for key in ("iterations", "solves", "factorisations", "analyses")},
+        "failed": report.get("failed", 0),
+        "residual": report.get("residual"),
+        "peak_mib": peak_mib(),
+    }

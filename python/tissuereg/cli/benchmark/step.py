@@ -1,0 +1,215 @@
+"""Times of one registration step at the paper's setting, by stage, and the floor that its multiply-adds set.
+
+N_e = 100, N_a = 5, 15 markers on the free surface, one target, everything that `Registrar` makes made and warm; many
+random sets of markers, each with another event: a simulation, and a truth with other loads and another stiffness.
+"""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.machine import n_cores, peak_mib
+from tissuereg.body.mesh import Mesh
+from tissuereg.cli.benchmark.network import write_random_table2
+from tissuereg.errors import ModelError
+from tissuereg.phantom import phantom_mesh, shipped_model_folder
+from tissuereg.phantom.shipped import shipped_recipe
+from tissuereg.registration.inputs import RegisterSettings
+from tissuereg.registration.learned.card import read_card
+from tissuereg.registration.learned.network import kept_network
+from tissuereg.registration.registrar import Registrar
+from tissuereg.simulation.chunks import ChunkMaker
+from tissuereg.simulation.pairs import simulated_pairs
+from tissuereg.simulation.recipe import PairsRecipe
+
+#: The paper's setting.
+N_MEMBERS, N_STEPS, N_MARKERS = 100, 5, 15
+
+#: Random sets of markers, and registrations of each that do not count.
+N_SETS, N_WARM = 20, 2
+
+#: Side of the matrices whose product gives the machine's rate, and products of which the fastest counts.
+_SIDE, _PRODUCTS = 1024, 12
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """Settings of the timings.
+
+    Parameters
+    ----------
+    repeats : int
+        Timed registrations of every set of markers.
+    threads : int
+        Threads to use; 0 takes all cores.
+    seed : int
+        Seed of places and moments.
+    model : str or None
+        Model folder of the row ``step/shipped``; by default the shipped one.
+    table2 : str or None
+        Model folder of the row ``step/table2``; by default a network of that size with random weights.
+    n_sets : int
+        Random sets of markers.
+    """
+
+    repeats: int = 10
+    threads: int = 0
+    seed: int = 0
+    model: str | None = None
+    table2: str | None = None
+    n_sets: int = N_SETS
+
+
+def step_rows(settings: StepSettings) -> list[dict[str, Any]]:
+    """Time one step with the shipped model and with a network of Table II.
+
+    Parameters
+    ----------
+    settings : StepSettings
+        Repeats, threads, models.
+
+    Returns
+    -------
+    list of dict
+        Rows ``step/shipped`` and ``step/table2``.
+
+    Raises
+    ------
+    ModelError
+        If a model knows none of the phantom's meshes, or its decoder cannot be cut.
+    """
+    folder = Path(settings.model) if settings.model else shipped_model_folder()
+    rows = [_row("step/shipped", folder, settings, "trained")] if folder.exists() else []
+    with _table2(settings) as (large, weights):
+        return [*rows, _row("step/table2", large, settings, weights)]
+
+
+def sgemm_rate(threads: int) -> float:
+    """Return the multiply-adds a second of the fastest of some single-precision matrix products on so many threads."""
+    left, right = (np.random.default_rng(k).random((_SIDE, _SIDE), dtype=np.float32) for k in (0, 1))
+    product = np.empty_like(left)
+    spent = []
+    with threadpool_limits(limits=threads, user_api="blas"):
+        for _ in range(_PRODUCTS):
+            start = time.perf_counter()
+            np.matmul(left, right, out=product)
+            spent.append(time.perf_counter() - start)
+    return _SIDE**3 / min(spent)
+
+
+@contextmanager
+def _table2(settings: StepSettings) -> Iterator[tuple[Path, str]]:
+    """Yield a folder with a network of Table II's size, and in words where its weights are from."""
+    if settings.table2:
+        yield Path(settings.table2), "trained"
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        write_random_table2(phantom_mesh(), Path(folder), settings.seed)
+        yield Path(folder), "random: the time does not depend on the values"
+
+
+def _mesh_of(folder: Path) -> Mesh:
+    digest = read_card(folder)["mesh_digest"]
+    for mesh in (phantom_mesh(), phantom_mesh("small")):
+        if mesh.digest() == digest:
+            return mesh
+    message = f"the model in {folder} must know a mesh of the phantom, to be timed; it knows another one"
+    raise ModelError(message, where=str(folder))
+
+
+def _row(name: str, folder: Path, settings: StepSettings, weights: str) -> dict[str, Any]:
+    threads = settings.threads or n_cores()
+    mesh = _mesh_of(folder)
+    network = kept_network(folder, mesh, threads)
+    rng = np.random.default_rng([settings.seed, 8])
+    how = RegisterSettings(n_members=N_MEMBERS, n_steps=N_STEPS)
+    made, totals, decoded, stages, doubted = [], [], [], [], 0
+    moments = list(zip(*_moments(mesh, settings.n_sets, settings.seed, threads), strict=True))
+    for number in range(settings.n_sets):
+        simulation, truth = moments[number % len(moments)]
+        places, weights_of = _markers(mesh, rng)
+        start = time.perf_counter()
+        registrar = Registrar(mesh, places, network, {"inside": _inside(mesh, rng)}, settings=how, threads=threads)
+        made.append(time.perf_counter() - start)
+        for turn in range(N_WARM + settings.repeats):
+            measured = places + weights_of @ truth + 0.1 * rng.standard_normal(places.shape)
+            before = registrar.n_decoded
+            start = time.perf_counter()
+            result = registrar.register(measured, simulation)
+            spent = time.perf_counter() - start
+            if turn < N_WARM:
+                continue
+            totals.append(spent)
+            doubted += not result.trust.ok
+            stages.append(result.seconds)
+            decoded.append((registrar.n_decoded - before, registrar.multiply_adds))
+    rate = sgemm_rate(threads)
+    work = float(np.median([members * each for members, each in decoded]))
+    floor = work / rate
+    median = float(np.median(totals))
+    return {
+        "name": name,
+        "n_nodes": mesh.n_nodes,
+        "threads": threads,
+        "repeats": len(totals),
+        "median_s": median,
+        "p99_s": float(np.percentile(totals, 99)),
+        "fastest_s": float(min(totals)),
+        "stages_s": {
+            stage: float(np.median([one[stage] for one in stages])) for stage in stages[0] if stage != "total"
+        },
+        "made_s": float(np.median(made)),
+        "counters": {"iterations": None, "solves": None, "factorisations": None, "analyses": N_STEPS},
+        "members": N_MEMBERS,
+        "markers": N_MARKERS,
+        "marker_sets": settings.n_sets,
+        "members_decoded": int(np.median([members for members, _ in decoded])),
+        "doubted": doubted,
+        "weights": weights,
+        "multiply_adds": work,
+        "sgemm_multiply_adds_per_s": rate,
+        "floor_s": floor,
+        "times_floor": median / floor,
+        "residual": None,
+        "failed": 0,
+        "peak_mib": peak_mib(),
+    }
+
+
+def _markers(mesh: Mesh, rng: np.random.Generator) -> tuple[FloatArray, Any]:
+    """Return places on the free surface (n, 3), evenly random by area, and their weights on the nodes (n, n_nodes)."""
+    from scipy import sparse
+
+    held = np.isin(mesh.surface, mesh.node_sets["fixed"]).any(axis=1)
+    triangles = mesh.surface[~held]
+    corners = mesh.nodes[triangles]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen = triangles[rng.choice(len(triangles), N_MARKERS, replace=False, p=areas / areas.sum())]
+    shares = rng.dirichlet(np.ones(3), N_MARKERS)
+    rows = (np.repeat(np.arange(N_MARKERS), 3), chosen.ravel())
+    return np.einsum("kc,kcx->kx", shares, mesh.nodes[chosen]), sparse.csr_array(
+        (shares.ravel(), rows), (N_MARKERS, mesh.n_nodes)
+    )
+
+
+def _inside(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
+    return np.asarray(mesh.nodes[mesh.tets[rng.integers(len(mesh.tets))]].mean(axis=0))
+
+
+def _moments(mesh: Mesh, n_moments: int, seed: int, threads: int) -> tuple[FloatArray, FloatArray]:
+    """Return simulated and true displacements, (n, n_nodes, 3) in mm each, of events as the shipped model's data has.
+
+    The truth has the same elements, other loads, another modulus and a stiff inclusion. Events without an equilibrium
+    are left out, so that there may be fewer than `n_moments`.
+    """
+    recipe = shipped_recipe()
+    recipe = replace(recipe, pairs=PairsRecipe(n_moments, element="tet4"))
+    return simulated_pairs(ChunkMaker(recipe, mesh, seed), threads)

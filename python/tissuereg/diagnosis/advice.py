@@ -1,0 +1,151 @@
+"""What to measure next: the stock action whose predicted outcomes best separate causes that the data cannot.
+
+For every pair of tied causes the two fitted models are simulated under the action; the separability is the norm of the
+difference of their predictions, whitened by noise, tracker frame, modulus and force error.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.answer import Finding
+from tissuereg.diagnosis.candidates import Candidate
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.fit import ABSOLUTE, Fit, Target
+from tissuereg.diagnosis.nuisances import FORCE_LEFT, frame_columns
+from tissuereg.diagnosis.patterns import force_columns
+from tissuereg.diagnosis.predictor import Predictor
+from tissuereg.diagnosis.search import Step
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.errors import TissueRegError
+from tissuereg.experiment.experiment import Actuator, Case, Experiment
+
+#: Assumed noise of a force where none has been measured yet, mN.
+MEASURED_TO = 5.0
+
+#: Durations in s of the ramp, the hold, and the long hold of a stock case.
+UP, HOLD, LONG = 2.0, 6.0, 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Action:
+    """A case that could be measured next."""
+
+    words: str
+    case: Case
+
+
+def advise(target: Target, steps: Sequence[Step], findings: Sequence[Finding]) -> dict[str, Any] | None:
+    """Return the stock action that best separates tied causes.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    steps : sequence of Step
+        Rounds of the search.
+    findings : sequence of Finding
+        Accepted causes with their groups.
+
+    Returns
+    -------
+    dict or None
+        ``action`` in words, ``separates`` pairs of ids, ``separability`` the least over the pairs: norm of the
+        difference between the two fitted models' predictions under the action, in noise deviations, given the
+        uncertainty of the tracker's frame, of the modulus as fitted, and of forces. None where nothing is tied, and
+        where no pad is moved.
+
+    Notes
+    -----
+    The separability is an upper bound: the models' parameters are not fitted again to the outcome, and the
+    discretisation error of the markers under the action is not known.
+    """
+    pairs: list[tuple[Candidate, Candidate]] = []
+    for finding in findings:
+        step = next((s for s in steps if s.found is not None and s.found.id == finding.id), None)
+        if step is not None:
+            each = {candidate.id: candidate for candidate in step.candidates}
+            pairs += [(each[finding.id], each[other]) for other in finding.group[1:] if finding.id in each]
+    if not pairs:
+        return None
+    tied = dict.fromkeys(candidate for pair in pairs for candidate in pair)
+    best: dict[str, Any] | None = None
+    for action in _actions(target.bench.experiment):
+        try:
+            outcomes = {candidate: _prediction(target, candidate.fit, action) for candidate in tied}
+            least = min(_separability(target, action, one.fit, outcomes[one], outcomes[other]) for one, other in pairs)
+        except TissueRegError:  # an action without equilibrium is no advice
+            continue
+        if best is None or least > best["separability"]:
+            named = [[one.id, other.id] for one, other in pairs]
+            best = {"action": action.words, "separates": named, "separability": least}
+    return best
+
+
+def _actions(experiment: Experiment) -> list[_Action]:
+    """Return pushes and pulls of every pad along the three axes, and a long hold of its own motion."""
+    actions = []
+    known = experiment.force_std is not None
+    for pad in experiment.actuators:
+        given = [case.displacements[pad.name] for case in experiment.cases.values() if pad.name in case.displacements]
+        if pad.kind != "displacement" or not given:
+            continue
+        stroke = float(np.linalg.norm(np.concatenate(given), axis=1).max())
+        own = max((motion for motion in given), key=lambda motion: float(np.linalg.norm(motion, axis=1).max()))
+        along = own[int(np.argmax(np.linalg.norm(own, axis=1)))]
+        for axis, name in enumerate("xyz"):
+            for sign in (-1.0, 1.0):
+                motion = sign * stroke * np.eye(3)[axis]
+                words = f"move {pad.name} by {sign * stroke:+.3g} mm along {name}, hold {HOLD:.0f} s"
+                actions.append(_Action(words, _case(experiment, pad, motion, HOLD, force=known)))
+        words = f"move {pad.name} as before, hold {LONG:.0f} s"
+        actions.append(_Action(words, _case(experiment, pad, along, LONG, force=known)))
+        if not known:
+            words = f"measure the force at {pad.name} to {MEASURED_TO:g} mN, hold {HOLD:.0f} s"
+            actions.append(_Action(words, _case(experiment, pad, along, HOLD, force=True)))
+    return actions
+
+
+def _case(experiment: Experiment, pad: Actuator, motion: FloatArray, hold: float, *, force: bool) -> Case:
+    begin = max(float(case.times[-1]) for case in experiment.cases.values()) + 10.0
+    shares = np.array([0.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.0])
+    times = begin + np.array(
+        [0.0, UP / 2, UP, *(UP + hold * np.array([0.25, 0.5, 0.75, 1.0])), UP + hold + UP / 2, 2 * UP + hold]
+    )
+    markers = np.broadcast_to(experiment.marker_reference, (len(times), *experiment.marker_reference.shape))
+    given = {pad.name: shares[:, None] * motion}
+    return Case("next", times, markers, given, forces={pad.name: np.zeros((len(times), 3))} if force else {})
+
+
+def _measured(target: Target, action: _Action) -> Experiment:
+    return replace(target.bench.experiment, cases={"next": action.case}, rest_case=None)
+
+
+def _prediction(target: Target, fit: Fit, action: _Action) -> FloatArray:
+    """Return the prediction of a fitted model under an action, mm and mN."""
+    experiment = _measured(target, action)
+    predictor = Predictor(experiment, Layout(experiment), element=target.bench.predictor.element)
+    return predictor.predict(fit.effects(target.bench.young), young=float(np.exp(fit.x[0])))
+
+
+def _separability(target: Target, action: _Action, fit: Fit, one: FloatArray, other: FloatArray) -> float:
+    """Return the norm of the difference between a fit's prediction and another's, whitened by noise and nuisances."""
+    layout = Layout(_measured(target, action))
+    markers = layout.of_markers()
+    force_std = target.noise.force_std if target.bench.experiment.force_std is not None else MEASURED_TO
+    std = np.where(markers, float(target.noise.marker_std.mean()), force_std)
+    columns = [column for pair in frame_columns(layout, one) for column in pair]
+    deviation = float(np.sqrt(fit.covariance[0, 0]))
+    if target.bench.scales_forces and not any(part.id in ABSOLUTE for part in fit.parts):
+        columns.append(np.where(markers, 0.0, deviation * one))
+    else:
+        stiffer = replace(fit, x=fit.x + deviation * np.eye(len(fit.x))[0])
+        columns.append(_prediction(target, stiffer, action) - one)
+    for part in layout.parts:
+        for pad in range(len(part.pads)):
+            strength = np.linalg.norm(part.forces(one)[:, pad], axis=1)
+            columns += list(force_columns(layout, part, pad, FORCE_LEFT * strength))
+    return float(np.linalg.norm(Null(np.array(columns) / std).reduced((one - other) / std)))

@@ -1,0 +1,209 @@
+"""The result of a diagnosis: verdict, findings, discrepancy and extended model, as a record and as JSON."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tissuereg._base.arguments import place
+from tissuereg.diagnosis.causes import Values
+from tissuereg.experiment.experiment import Experiment
+
+SCHEMA = "tissuereg.diagnosis/1"
+
+#: With fewer load cases a verdict is provisional: a case that is held out is not predicted from at least two others.
+LEAST_CASES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """One accepted cause.
+
+    Attributes
+    ----------
+    id : str
+        Id of the likeliest cause.
+    group : tuple of str
+        Ids that the data cannot distinguish from it, itself first; three at most.
+    probability : float
+        Posterior probability of the id among all causes tried, no cause, and the generic rival.
+    log_bayes_factor : float
+        Of the model with the cause against the model without it, nats.
+    threshold : float
+        Log Bayes factor that was required.
+    parameters : dict
+        Fitted parameters by key of the ``[[effect]]`` table.
+    deviations : dict
+        Their standard deviations, where they are numbers.
+    held_out : dict
+        Errors of the predictions of held-out data.
+    sentence : str
+        The finding in words.
+    """
+
+    id: str
+    group: tuple[str, ...]
+    probability: float
+    log_bayes_factor: float
+    threshold: float
+    parameters: Values
+    deviations: Values
+    held_out: Mapping[str, Any]
+    sentence: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the entry of the answer; numbers with a deviation as pairs, lists of them key by key."""
+        return {
+            "id": self.id,
+            "group": list(self.group),
+            "probability": self.probability,
+            "log_bayes_factor": self.log_bayes_factor,
+            "threshold": self.threshold,
+            "parameters": _pairs(self.parameters, self.deviations),
+            "held_out": dict(self.held_out),
+            "sentence": self.sentence,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The result of a diagnosis.
+
+    Attributes
+    ----------
+    verdict : str
+        ``named``, ``group``, ``consistent`` or ``unexplained``.
+    findings : tuple of Finding
+        Accepted causes.
+    candidates : tuple of dict
+        Every id that was tried: ``id``, ``probability``, ``log_bayes_factor``, ``detectability``.
+    p_misfit : float
+        p-value of the residual after the findings: probability that data without further effects misfit as much.
+    discrepancy : dict
+        Where, when and under which load the believed model differs from the data.
+    extended : Experiment
+        The believed experiment with the findings as effects, and the fitted modulus where the data determine it.
+    next_experiment : dict or None
+        Action that would distinguish tied causes; where the verdict is ``unexplained``, what to check
+        (`localisation`).
+    left : dict or None
+        Residual misfit after the findings, None where there is none: its p-value ``p``, ``where`` (markers and pads),
+        ``when``, the cause that it ``looks_like``, and a ``sentence``.
+    seed : int
+        Seed of all random draws.
+    versions : dict of str to str
+        Versions of the package, numpy and Python.
+    details : dict
+        Objects that the report draws: ``search``, ``layout``, ``noise``, ``target``, ``nuisances``, ``thresholds``.
+    """
+
+    verdict: str
+    findings: tuple[Finding, ...]
+    candidates: tuple[dict[str, Any], ...]
+    p_misfit: float
+    discrepancy: dict[str, Any]
+    extended: Experiment
+    next_experiment: dict[str, Any] | None
+    seed: int
+    versions: dict[str, str]
+    left: dict[str, Any] | None = None
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        names = ", ".join(" or ".join(finding.group) for finding in self.findings) or "nothing named"
+        return f"Diagnosis({self.verdict}: {names}; p_misfit {self.p_misfit:.2g})"
+
+    @property
+    def provisional(self) -> bool:
+        """Whether fewer than `LEAST_CASES` load cases were measured, too few to hold out a case and fit several."""
+        acts = [case for case in self.extended.cases.values() if case.displacements or case.applied_forces]
+        return len(acts) < LEAST_CASES
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the answer in the schema ``tissuereg.diagnosis/1``."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "provisional": self.provisional,
+            "causes": [finding.to_json() for finding in self.findings],
+            "candidates": list(self.candidates),
+            "p_misfit": self.p_misfit,
+            "left": self.left,
+            "discrepancy": self.discrepancy,
+            "extended_model": "experiment.extended.toml",
+            "next_experiment": self.next_experiment,
+            "seed": self.seed,
+            "versions": self.versions,
+        }
+
+    def report(self, path: str | os.PathLike[str]) -> Path:
+        """Write one self-contained HTML page: verdict, body with residuals, ranking, proof, assumptions.
+
+        Parameters
+        ----------
+        path : path-like
+            File to write, whole or not at all.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        from tissuereg.diagnosis.report.page import write_report
+        from tissuereg.io.atomic import OutputError
+
+        return write_report(self, place("path", path, error=OutputError))
+
+    def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
+        """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``, all or none.
+
+        Parameters
+        ----------
+        folder : path-like
+            Files of these names in it are replaced, others stay.
+        extra : mapping, optional
+            Entries added to the JSON, or replacing its own.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        ExperimentError
+            If the extended model cannot be written as a file.
+        OutputError
+            If the folder cannot be written.
+        """
+        from tissuereg.diagnosis.files import write_diagnosis
+        from tissuereg.io.atomic import OutputError
+
+        return write_diagnosis(self, place("folder", folder, error=OutputError), extra or {})
+
+
+def _pairs(values: Values, deviations: Values) -> dict[str, Any]:
+    """Return numbers with their deviations as [value, deviation]; lists of numbers as lists of such pairs."""
+    pairs: dict[str, Any] = {}
+    for key, value in values.items():
+        spread = deviations.get(key)
+        if spread is None:
+            pairs[key] = value
+        elif isinstance(value, list) and isinstance(spread, list):
+            pairs[key] = [list(pair) for pair in zip(value, spread, strict=True)]
+            if key in ("centre_mm", "direction") and len(value) == 3:
+                # Also by component, as in the example of the format.
+                stem, _, unit = key.partition("_")
+                for axis, pair in zip("xyz", pairs[key], strict=True):
+                    pairs[f"{axis}_{unit}" if unit else f"{stem}_{axis}"] = pair
+        else:
+            pairs[key] = [value, spread]
+    if "semi_axes_mm" in values:
+        pairs["radius_mm"] = pairs["semi_axes_mm"][0]
+    return pairs

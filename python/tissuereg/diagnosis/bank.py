@@ -1,0 +1,148 @@
+"""The bank: all hypotheses of all causes with their sensitivity columns, cached between calls.
+
+A bank depends on the believed model and on what the rig does, not on what was measured, so that further experiments
+with the same mesh and rig reuse it. Files lie in the cache folder of the package (`tissuereg.io.cache`), named by a
+hash of all that they depend on.
+"""
+
+import hashlib
+import io
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._version import __version__
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES, Variant
+from tissuereg.experiment.effects import EFFECTS, ChainEffect
+from tissuereg.experiment.experiment import Experiment
+from tissuereg.io.cache import keep_entry, read_entry
+from tissuereg.io.json import dumps
+
+#: To be increased when columns change their meaning, so that older files are not read.
+SCHEMA = 10
+
+#: Causes whose columns are closed forms: computed at each call, never cached.
+CLOSED_FORM = tuple(name for name in CAUSES if issubclass(EFFECTS[name], ChainEffect))
+
+#: Number of cached banks; the oldest are deleted.
+MOST_ENTRIES = 24
+
+
+#: Hypotheses by id of the cause; causes without a hypothesis in an experiment are left out.
+Bank = dict[str, list[Variant]]
+
+
+def make_bank(bench: Bench, *, keep: bool = True, progress: Callable[[str], None] | None = None) -> Bank:
+    """Return the bank of a believed model, from the cache where possible.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model; its prediction is taken from the cache too.
+    keep : bool
+        Whether to read and write the cache.
+    progress : callable of str, optional
+        Called with the id of the cause whose columns are computed.
+
+    Returns
+    -------
+    Bank
+        Columns in mm and mN, single precision.
+
+    Raises
+    ------
+    ConvergenceError
+        If the believed model itself has no equilibrium.
+    """
+    entry = f"bank_{fingerprint(bench.experiment, f'{bench.predictor.element} {SCHEMA}')}"
+    base, bank = _read(entry) if keep else (None, {})
+    if base is not None:
+        bench.base = base
+    new = False
+    for name, cause in CAUSES.items():
+        if name not in bank:
+            if progress is not None:
+                progress(name)
+            bank[name] = [_single(variant) for variant in cause.variants(bench)]
+            new = new or name not in CLOSED_FORM
+    if keep and new:
+        _write(entry, bench.base, bank)
+    return {name: bank[name] for name in CAUSES if bank[name]}
+
+
+def fingerprint(experiment: Experiment, of: str) -> str:
+    """Return a hash of everything that a believed model's prediction depends on, and of a label `of`, hexadecimal."""
+    digest = hashlib.sha256(f"{__version__} {of}".encode())
+    mesh = experiment.mesh
+    parts = [mesh.nodes, mesh.tets, experiment.marker_reference]
+    parts += [boundary.nodes for boundary in experiment.boundaries]
+    parts += [pad.nodes for pad in experiment.actuators]
+    for case in experiment.cases.values():
+        digest.update(f"{case.name} {sorted(case.forces)}".encode())
+        parts.append(case.times)
+        for given in (case.displacements, case.applied_forces):
+            for name in sorted(given):
+                digest.update(name.encode())
+                parts.append(given[name])
+    for part in parts:
+        array = np.ascontiguousarray(part)
+        digest.update(f"{array.shape} {array.dtype}".encode() + array.tobytes())
+    weight = experiment.gravity
+    gravity = "none" if weight is None else f"{list(weight.direction)} {weight.g_mm_per_s2} {weight.in_reference}"
+    patches = [f"{pad.name} {pad.kind} {pad.rule}" for pad in experiment.actuators]
+    patches += [boundary.name for boundary in experiment.boundaries]
+    effects = [dumps(effect.table()) for effect in experiment.effects]
+    digest.update(
+        "\n".join(
+            [experiment.material.digest(), f"{experiment.material.density}", gravity, *patches, *effects]
+        ).encode()
+    )
+    return digest.hexdigest()[:32]
+
+
+def _single(variant: Variant) -> Variant:
+    return Variant(
+        variant.label,
+        variant.columns.astype(np.float32),
+        variant.settings,
+        variant.positive,
+        variant.fixed,
+    )
+
+
+def _write(entry: str, base: FloatArray, bank: Bank) -> None:
+    arrays: dict[str, Any] = {"base": base}
+    card: dict[str, list[dict[str, object]]] = {}
+    for name, several in bank.items():
+        if name in CLOSED_FORM:
+            continue
+        card[name] = [
+            {"label": v.label, "settings": dict(v.settings), "positive": v.positive, "fixed": v.fixed} for v in several
+        ]
+        if several:
+            arrays[f"columns_{name}"] = np.stack([v.columns for v in several])
+    arrays["card"] = np.array(dumps(card))
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    keep_entry(entry, content.getvalue(), MOST_ENTRIES)
+
+
+def _read(entry: str) -> tuple[FloatArray | None, Bank]:
+    """Return the cached prediction of the believed model and the hypotheses; none where there is no whole entry."""
+    content = read_entry(entry)
+    if content is None:
+        return None, {}
+    with np.load(io.BytesIO(content), allow_pickle=False) as kept:
+        card = json.loads(str(kept["card"]))
+        bank: Bank = {}
+        for name, rows in card.items():
+            columns = kept[f"columns_{name}"] if rows else []
+            bank[name] = [
+                Variant(row["label"], column, row["settings"], row["positive"], row["fixed"])
+                for row, column in zip(rows, columns, strict=True)
+            ]
+        return kept["base"], bank

@@ -1,0 +1,159 @@
+"""The believed model with everything that hypotheses are computed from.
+
+A `Bench` gives the model's prediction on the user's mesh, its sensitivities (`tangents`), and the change that any
+effect makes, all as flat vectors in the order of a `Layout`.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from scipy import sparse
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.predictor import NO_ANSWER, Predictor
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.tangents import State, Tangents
+from tissuereg.experiment.effects import EFFECTS, Effect, extended
+from tissuereg.experiment.experiment import Experiment
+from tissuereg.simulation.fine import FineModel
+from tissuereg.simulation.memory import goes_through_time
+from tissuereg.simulation.sensitivity import Cause, Field
+
+#: Default prior deviation of the modulus, over its mean.
+YOUNG_SPREAD = 0.3
+
+#: Effects with stresses among their parameters, which are not proportional to the modulus.
+_ABSOLUTE = tuple(effect.id for effect in EFFECTS.values() if effect.absolute)
+
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
+
+
+class Bench:
+    """The believed model: prediction, sensitivities, and changes by effects.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The believed model, with loads and marker places.
+    layout : Layout
+        Order of all columns.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    threads : int
+        Threads to use; 0 takes all cores.
+    """
+
+    def __init__(self, experiment: Experiment, layout: Layout, *, element: str = "tet4", threads: int = 0) -> None:
+        self.experiment = experiment
+        self.layout = layout
+        self.predictor = Predictor(experiment, layout, element=element, threads=threads)
+        self.young = float(experiment.material.young_array.mean())
+        self.young_spread = (experiment.young_std or YOUNG_SPREAD * self.young) / self.young
+        self.extent = experiment.mesh.extent
+
+    @cached_property
+    def base(self) -> FloatArray:
+        """Prediction of the believed model on the user's mesh, shape (size,), mm and mN."""
+        return self.predictor.predict()
+
+    @cached_property
+    def fine(self) -> FineModel:
+        """The believed model on a fine mesh."""
+        return FineModel(self.experiment)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the data were simulated on this mesh with these elements: there is no discretisation error."""
+        simulated = self.experiment.simulated
+        return simulated is not None and simulated.model == "plain" and simulated.element == self.predictor.element
+
+    @cached_property
+    def is_elastic(self) -> bool:
+        """Whether every frame of the believed model depends on its own load alone."""
+        return not goes_through_time(extended(self.experiment, self.predictor.element))
+
+    @cached_property
+    def scales_forces(self) -> bool:
+        """Whether the modulus does nothing but scale forces, because displacements alone drive the body."""
+        driven = any(case.applied_forces for case in self.experiment.cases.values())
+        absolute = any(effect.id in _ABSOLUTE for effect in self.experiment.effects)
+        return self.experiment.gravity is None and not driven and not absolute
+
+    @cached_property
+    def tangents(self) -> Tangents:
+        """Sensitivities of the believed model, where it is elastic."""
+        return Tangents(self.predictor)
+
+    def by(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
+        """Return the sensitivity columns of parameters; see `Tangents.columns`."""
+        return self.tangents.columns(direction, count)
+
+    def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
+        """Return the sensitivity columns of relative changes of the modulus; see `Tangents.by_fields`."""
+        return self.tangents.by_fields(shares)
+
+    @cached_property
+    def by_young(self) -> FloatArray:
+        """Sensitivity column of a relative change of the modulus, shape (1, size)."""
+        if not self.is_elastic:
+            forces = np.where(self.layout.of_markers(), 0.0, self.base)
+            if self.scales_forces:
+                return np.asarray(forces[None])
+            return np.asarray((self.predictor.predict(young=1.02) - self.base)[None] / 0.02)
+        young = np.asarray(self.tangents.worked.material.young_array, np.float64)
+        tets, points = self.experiment.mesh.n_tets, self.tangents.states[0].simulator.n_points
+        rates = np.broadcast_to(young.reshape(-1, 1) if young.ndim == 1 else young, (tets, points))
+        return self.by(lambda state: [Field("young", rates)], 1)
+
+    def change(self, *effects: Effect) -> FloatArray | None:
+        """Return the change that effects make, shape (size,); None where they do not apply or have no equilibrium."""
+        return self.changes([effects])[0]
+
+    def changes(self, tried: Sequence[Sequence[Effect]]) -> list[FloatArray | None]:
+        """Return the change that each of many sets of effects makes, as `change`; several are simulated in parallel.
+
+        The frames of a history are solved one after another on one thread, so that histories run in parallel.
+        """
+        base = self.base
+
+        def one(effects: Sequence[Effect]) -> FloatArray | None:
+            try:
+                return self.predictor.predict(effects, threads=1) - base
+            except NO_ANSWER:
+                return None
+
+        return self.side_by_side(one, tried)
+
+    def side_by_side(self, work: Callable[[_In], _Out], tried: Sequence[_In]) -> list[_Out]:
+        """Return the results of pieces of work, each run on one thread, in their order."""
+        workers = self.predictor.threads or os.cpu_count() or 1
+        if workers == 1 or len(tried) == 1:
+            return [work(one) for one in tried]
+        with ThreadPoolExecutor(workers) as pool:
+            return list(pool.map(work, tried))
+
+    @property
+    def first_time(self) -> float:
+        """Begin of the first case in s."""
+        return min(float(part.times[0]) for part in self.layout.parts)
+
+    @property
+    def last_time(self) -> float:
+        """End of the last case in s."""
+        return max(float(part.times[-1]) for part in self.layout.parts)
+
+    @property
+    def frame_step(self) -> float:
+        """Median time between frames in s; 0 where every case is a single one."""
+        steps = np.concatenate([np.diff(part.times) for part in self.layout.parts])
+        return float(np.median(steps)) if len(steps) else 0.0
+
+    @property
+    def longest_case(self) -> float:
+        """Duration of the longest case in s."""
+        return max(float(part.times[-1] - part.times[0]) for part in self.layout.parts)

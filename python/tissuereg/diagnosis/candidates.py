@@ -1,0 +1,167 @@
+"""Candidates of one round of the search: causes with enough linear evidence, fitted nonlinearly and corrected.
+
+Input is the screening of all causes given the current model; output, for each candidate, its best fit over the forms it
+may take, with the discretisation error of the cause corrected (`recorrect`), and its log Bayes factor.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.fit import Fit, Part, Target, best_start, choices_of, fit
+from tissuereg.diagnosis.recorrect import CORRECTION_GAIN, corrected_fit
+from tissuereg.diagnosis.screen import UNKNOWN, Screen, Screened
+from tissuereg.experiment.effects import EFFECTS, ChainEffect
+
+#: Causes that are fitted: this many, and all within so many nats of the best.
+REFITTED = 4
+WITHIN = 10.0
+
+#: Linear evidence that a cause needs to be fitted, as a share of its threshold: as first and as a further cause.
+LIKELY, LIKELY_FURTHER = 0.4, 0.5
+
+#: Once a cause that acts on the body was found, a further one must exceed this many times its threshold, and at least
+#: so many nats, because the form of the found cause has an unknown error. Effects of the tracker are known exactly.
+FURTHER, LEAST_FURTHER = 1.5, 18.0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A cause that was fitted together with those found before.
+
+    Attributes
+    ----------
+    id : str
+        Of the cause.
+    fit : Fit
+        Of this cause and those found before.
+    gain : float
+        Log Bayes factor against the model without it, nats.
+    target : Target
+        Target of the fit; for likely candidates with the discretisation error of the causes corrected.
+    """
+
+    id: str
+    fit: Fit
+    gain: float
+    target: Target
+
+    def as_rival(self) -> tuple[Part, FloatArray]:
+        """Return the cause, the last one of the fit, with its fitted parameters."""
+        return self.fit.parts[-1], self.fit.x[self.fit.slices()[-1]]
+
+
+def refitted(
+    target: Target,
+    screen: Screen,
+    screened: Mapping[str, Screened],
+    current: Fit,
+    required: Mapping[str, float],
+    progress: Callable[[str], None] | None,
+) -> list[Candidate]:
+    """Return the fitted candidates; those near enough to acceptance have their discretisation error corrected.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    screen : Screen
+        All hypotheses of the bank.
+    screened : mapping of str to Screened
+        Linear evidence of all causes given the current fit.
+    current : Fit
+        With the causes found before.
+    required : mapping of str to float
+        Log Bayes factor that each cause must exceed, nats.
+    progress : callable of str, optional
+        Called with the name of the step that begins.
+
+    Returns
+    -------
+    list of Candidate
+        Likeliest first.
+    """
+    taken = set(current.ids)
+    order = sorted(
+        (name for name in screened if name != UNKNOWN and (name not in taken or _repeats(name))),
+        key=lambda name: -screened[name].log_bayes_factor,
+    )
+    best = screened[order[0]].log_bayes_factor if order else -np.inf
+    # Given a fitted cause, residuals are small and the linear evidence is close to that of a fit.
+    likely = LIKELY_FURTHER if current.parts else LIKELY
+    chosen = [
+        name
+        for rank, name in enumerate(order)
+        if screened[name].log_bayes_factor > likely * required[name]
+        and (rank < REFITTED or screened[name].log_bayes_factor > best - WITHIN)
+    ]
+    fits: dict[str, list[Fit]] = {}
+    for name in chosen:
+        if progress is not None:
+            progress(f"fit {' + '.join([*current.ids, name])}")
+        best_fit = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
+        least = max(best_fit - CORRECTION_GAIN, current.log_evidence + required[name])
+        forms = _fit_forms(target, screen, screened[name], current, name, least)
+        if forms:
+            fits[name] = forms
+    top = max((forms[0].log_evidence for forms in fits.values()), default=-np.inf)
+    found = []
+    for name, forms in fits.items():
+        # Uncorrected, a fit may lose the evidence seen in screening: friction on a coarse mesh slips too far elsewhere.
+        least = top - CORRECTION_GAIN
+        if screened[name].log_bayes_factor < required[name]:
+            least = max(least, current.log_evidence + likely * required[name])
+        corrected = (corrected_fit(target, form, progress=progress) for form in forms if form.log_evidence > least)
+        own, fitted = max(corrected, key=lambda pair: pair[1].log_evidence, default=(target, forms[0]))
+        found.append(Candidate(name, fitted, fitted.log_evidence - current.log_evidence, own))
+    return sorted(found, key=lambda candidate: -candidate.gain)
+
+
+def required_thresholds(thresholds: Mapping[str, float], found: Iterable[str] = ()) -> dict[str, float]:
+    """Return the log Bayes factor that each cause must exceed, given the causes found before.
+
+    Parameters
+    ----------
+    thresholds : mapping of str to float
+        Thresholds of first causes, by id.
+    found : iterable of str
+        Ids of the causes found before.
+
+    Returns
+    -------
+    dict of str to float
+        Nats.
+    """
+    if all(issubclass(EFFECTS[name], ChainEffect) for name in found):
+        return dict(thresholds)
+    return {name: max(FURTHER * least, LEAST_FURTHER) for name, least in thresholds.items()}
+
+
+def _fit_forms(target: Target, screen: Screen, screened: Screened, current: Fit, name: str, least: float) -> list[Fit]:
+    """Return the fits of a cause's likeliest hypothesis and of the alternatives to it, likeliest first.
+
+    A fit ends early where it will not reach the log evidence `least`, or where the correction of its discretisation
+    error could not make it likelier than the best one.
+    """
+    variant = screened.best
+    assert variant is not None  # only the generic rival has none
+    alternatives = CAUSES[name].alternatives(target.bench, variant)
+    choices = choices_of(name, screen.bank[name]) * (1 + len(alternatives))
+    fits: list[Fit] = []
+    best = -np.inf
+    for form in (variant, *alternatives):
+        knobs = CAUSES[name].knobs(target.bench, form, screened.amplitudes)
+        parts = [*current.parts, Part(name, knobs)]
+        start = best_start(target, parts, current.x)
+        fitted = fit(target, parts, start=start, choices=choices, hopeless=-max(least, best - CORRECTION_GAIN))
+        if fitted is not None:
+            fits.append(fitted)
+            best = max(best, fitted.log_evidence)
+    return sorted(fits, key=lambda fitted: -fitted.log_evidence)
+
+
+def _repeats(name: str) -> bool:
+    return EFFECTS[name].repeatable

@@ -1,0 +1,182 @@
+"""Errors of actuators: gain, direction and offset of the motion, position of the patch."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.load import Load
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.diagnosis.tangents import State
+from tissuereg.experiment.effects import ActuatorDirection, ActuatorGain, ActuatorOffset
+from tissuereg.experiment.experiment import Actuator
+from tissuereg.simulation.sensitivity import Cause as Moved
+
+#: Prior deviations of the gain, of each angle in degrees, and of each offset and shift in mm.
+GAIN, ANGLE, OFFSET, SHIFT = 0.08, 3.0, 0.7, 2.0
+
+
+class GainCause(Cause):
+    """One actuator's motion is scaled."""
+
+    id: ClassVar[str] = "actuator_gain"
+    always_fitted: ClassVar[bool] = True
+    discrete: ClassVar[tuple[str, ...]] = ("actuator",)
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis for each actuator."""
+        for pad in _present(bench):
+            if bench.is_elastic and pad.kind == "displacement":
+                columns = bench.by(partial(_gains, pad), 1)
+            else:
+                changed = bench.change(ActuatorGain(actuator=pad.name, gain=1.05))
+                if changed is None:
+                    continue
+                columns = 20.0 * changed[None]
+            yield Variant(pad.name, GAIN * columns, {"actuator": pad.name})
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the gain minus one."""
+        name = str(variant.settings["actuator"])
+        return knobs(
+            [(GAIN * float(amplitudes[0]), 0.0, GAIN, 0.01)],
+            lambda x, young: (ActuatorGain(actuator=name, gain=1.0 + float(x[0])),),
+            lambda x, young: {"actuator": name, "gain": 1.0 + float(x[0])},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        return f"Actuator '{values['actuator']}' moves by {values['gain']:.3f} times the prescribed motion."
+
+
+class DirectionCause(Cause):
+    """One actuator's motion has another direction."""
+
+    id: ClassVar[str] = "actuator_direction"
+    discrete: ClassVar[tuple[str, ...]] = ("actuator",)
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis for each actuator, with two angles about axes across its motion."""
+        for pad in _present(bench):
+            across = _across(bench, pad)
+            if bench.is_elastic and pad.kind == "displacement":
+                columns = bench.by(partial(_turns, pad, across), 2)
+            else:
+                changes = [
+                    bench.change(ActuatorDirection(actuator=pad.name, rotation_deg=three(axis))) for axis in across
+                ]
+                if any(change is None for change in changes):
+                    continue
+                columns = np.array(changes)
+            yield Variant(pad.name, ANGLE * columns, {"actuator": pad.name, "across": across})
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the two angles in degrees."""
+        name, across = str(variant.settings["actuator"]), np.asarray(variant.settings["across"])
+        return knobs(
+            [(ANGLE * float(a), 0.0, ANGLE, 0.5) for a in amplitudes],
+            lambda x, young: (ActuatorDirection(actuator=name, rotation_deg=three(x @ across)),),
+            lambda x, young: {"actuator": name, "rotation_deg": (x @ across).tolist()},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
+        return f"Actuator '{values['actuator']}' moves in a direction {turn:.1f} degrees from the believed one."
+
+
+class OffsetCause(Cause):
+    """One actuator's motion has a constant offset, or its patch has another position."""
+
+    id: ClassVar[str] = "actuator_offset"
+    discrete: ClassVar[tuple[str, ...]] = ("actuator", "kind")
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return two hypotheses for each actuator: of its motion (three amplitudes), of its patch (two, and a zero)."""
+        for pad in _present(bench):
+            if pad.kind == "displacement" and bench.is_elastic:
+                columns = bench.by(partial(_offsets, pad), 3)
+                yield Variant(f"{pad.name} motion", OFFSET * columns, {"actuator": pad.name, "kind": "motion"})
+            tangents = _along_surface(bench, pad)
+            ends = [side * SHIFT * axis for axis in tangents for side in (-1.0, 1.0)]
+            changes = bench.changes([[ActuatorOffset(actuator=pad.name, shift_mm=three(end))] for end in ends])
+            known = [change for change in changes if change is not None]
+            if len(known) == len(ends):
+                columns = np.array([0.5 * (known[1] - known[0]), 0.5 * (known[3] - known[2]), 0.0 * known[0]])
+                settings = {"actuator": pad.name, "kind": "patch", "along": tangents}
+                yield Variant(f"{pad.name} patch", columns, settings)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the offset of the motion, or the shift along the surface, in mm."""
+        name = str(variant.settings["actuator"])
+        if variant.settings["kind"] == "motion":
+            return knobs(
+                [(OFFSET * float(a), 0.0, OFFSET, 0.05) for a in amplitudes],
+                lambda x, young: (ActuatorOffset(actuator=name, offset_mm=three(x)),),
+                lambda x, young: {"actuator": name, "offset_mm": x.tolist()},
+            )
+        along = np.asarray(variant.settings["along"])
+        moved = knobs(
+            [(SHIFT * float(a), 0.0, SHIFT, 0.5 * SHIFT) for a in amplitudes[:2]],
+            lambda x, young: (ActuatorOffset(actuator=name, shift_mm=three(x @ along)),),
+            lambda x, young: {"actuator": name, "shift_mm": (x @ along).tolist()},
+        )
+        # On the user's mesh a patch can be shifted by whole nodes only.
+        return replace(moved, columns=variant.columns[:2] / SHIFT)
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        if "offset_mm" in values:
+            size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
+            return f"The motion of actuator '{values['actuator']}' has a constant offset of {size:.2f} mm."
+        size = float(np.linalg.norm(np.asarray(values["shift_mm"])))
+        return f"The patch of actuator '{values['actuator']}' is {size:.1f} mm from its believed position."
+
+
+def _present(bench: Bench) -> list[Actuator]:
+    cases = bench.experiment.cases.values()
+    return [
+        pad
+        for pad in bench.experiment.actuators
+        if any(pad.name in case.displacements or pad.name in case.applied_forces for case in cases)
+    ]
+
+
+def _gains(pad: Actuator, state: State) -> Sequence[Moved]:
+    return [_load(state, pad, _motion(state, pad))]
+
+
+def _turns(pad: Actuator, across: FloatArray, state: State) -> Sequence[Moved]:
+    return [_load(state, pad, np.cross(np.deg2rad(axis), _motion(state, pad))) for axis in across]
+
+
+def _offsets(pad: Actuator, state: State) -> Sequence[Moved]:
+    return [_load(state, pad, axis) for axis in np.eye(3)]
+
+
+def _motion(state: State, pad: Actuator) -> FloatArray:
+    given = state.case.displacements
+    return given[pad.name][state.frame] if pad.name in given else np.zeros(3)
+
+
+def _load(state: State, pad: Actuator, motion: FloatArray) -> Moved:
+    if pad.name not in state.pad_rows:
+        return Load(prescribed=np.zeros((len(state.simulator.held_nodes), 3)))
+    return Load(prescribed=state.moved(pad.name, motion))
+
+
+def _across(bench: Bench, pad: Actuator) -> FloatArray:
+    """Return two directions (2, 3) across an actuator's motion."""
+    given = [c.displacements.get(pad.name, c.applied_forces.get(pad.name)) for c in bench.experiment.cases.values()]
+    motion = np.concatenate([g for g in given if g is not None])
+    return np.asarray(np.linalg.svd(motion, full_matrices=True)[2][1:])
+
+
+def _along_surface(bench: Bench, pad: Actuator) -> FloatArray:
+    """Return two directions (2, 3) along the surface at a patch."""
+    places = bench.experiment.mesh.nodes[pad.nodes]
+    return np.asarray(np.linalg.svd(places - places.mean(axis=0), full_matrices=True)[2][:2])

@@ -1,0 +1,99 @@
+"""Partial detachment of a support from the body, from its rim inwards."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Mixture, Values, Variant, knobs, logistic, logit
+from tissuereg.experiment.effects import Detachment
+from tissuereg.experiment.effects.supports import freeing_shares, node_areas
+
+#: Number of directions by share of the boundary's area: small shares need more, to cover the whole rim.
+DIRECTIONS = {0.012: 16, 0.04: 8, 0.15: 8}
+
+#: Least share.
+LEAST_SHARE = 0.002
+
+#: Rotations in degrees from the likeliest direction, and shares, at which a fit may start.
+TURNS, STARTS = (-22.5, -11.25, 0.0, 11.25, 22.5), (0.006, 0.015, 0.035, 0.08, 0.2)
+
+#: Number of depths at which the detached area is tabulated.
+DEPTHS = 200
+
+
+class DetachmentCause(Cause):
+    """A part of a boundary, from its rim in one direction, is free."""
+
+    id: ClassVar[str] = "detachment"
+    discrete: ClassVar[tuple[str, ...]] = ("boundary", "azimuth")
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis for each boundary, direction and share, simulated at that share."""
+        names = [boundary.name for boundary in bench.experiment.boundaries]
+        azimuths = [(share, 360.0 * turn / count) for share, count in DIRECTIONS.items() for turn in range(count)]
+        tried = [(name, share, azimuth) for name in names for share, azimuth in azimuths]
+        # None for a boundary that is too coarse to lose a node at this share.
+        changes = bench.changes([[Detachment(boundary=b, azimuth_deg=a, share=s)] for b, s, a in tried])
+        for (name, share, azimuth), changed in zip(tried, changes, strict=True):
+            if changed is not None:
+                settings = {"boundary": name, "azimuth": azimuth, "share": share}
+                yield Variant(f"{name} {azimuth:.0f} deg {share:g}", changed[None], settings, positive=True)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the direction and the logit of the share.
+
+        A node is either free or held, so that a simulation on the user's mesh changes in jumps. The prediction is
+        therefore interpolated between the two simulations whose edges lie at the nodes next to the detachment's edge.
+        """
+        name, share = str(variant.settings["boundary"]), float(variant.settings["share"])
+        azimuth = float(variant.settings["azimuth"])
+        boundary = Detachment(boundary=name, azimuth_deg=azimuth, share=share).held_by(bench.experiment)
+        width = float(np.sqrt(node_areas(bench.experiment.mesh, boundary.nodes).mean()))
+        # The change grows faster than the detached area.
+        start = logit(share * float(np.clip(amplitudes[0], 0.1, 4.0)) ** 0.5, LEAST_SHARE)
+
+        def effect(x: FloatArray) -> Detachment:
+            return Detachment(boundary=name, azimuth_deg=float(x[0]), share=logistic(x[1]))
+
+        def between(x: FloatArray, young: float) -> Mixture:
+            places, areas = effect(x).edges(bench.experiment.mesh, boundary.nodes)
+            # Each node's area is spread over its width, so that the edge moves continuously as the share grows.
+            depths = np.linspace(-0.5 * width, places[-1] + 0.5 * width, DEPTHS)
+            covered = np.clip((depths[:, None] - places) / width + 0.5, 0.0, 1.0) @ areas
+            edge = float(np.interp(logistic(x[1]), covered, depths))
+            places = np.concatenate([[-0.5 * width], places])
+            shares = np.concatenate([[0.0], freeing_shares(areas), [1.0]])
+            n_free = min(int((places <= edge).sum()), len(places) - 1) - 1
+            more = (edge - places[n_free]) / max(float(places[n_free + 1] - places[n_free]), 1e-12)
+            more = float(np.clip(more, 0.0, 1.0))
+            sets: Mixture = []
+            for weight, count in ((1.0 - more, n_free), (more, n_free + 1)):
+                # Midway to the share at which the next node would be free.
+                own = 0.5 * float(shares[count] + shares[count + 1])
+                freed = Detachment(boundary=name, azimuth_deg=float(x[0]), share=own)
+                sets.append((weight, (freed,) if count else ()))
+            return sets
+
+        turns, shares = azimuth + np.array(TURNS), [logit(share, LEAST_SHARE) for share in STARTS]
+        found = knobs(
+            [(azimuth, azimuth, 60.0, 5.0), (start, logit(0.08), 1.5, 0.2)],
+            lambda x, young: (effect(x),),
+            lambda x, young: {
+                "boundary": name,
+                "azimuth_deg": float(x[0]),
+                "share": logistic(x[1]),
+            },
+        )
+        return replace(found, between=between, starts=np.array([(turn, share) for turn in turns for share in shares]))
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        share = values["share"]
+        return (
+            f"About {100 * share:.0f} % of boundary '{values['boundary']}' has detached, "
+            f"on the side at {values['azimuth_deg']:.0f} degrees."
+        )

@@ -1,0 +1,51 @@
+"""Drainage: fluid leaves the body under load, so that a share of the volumetric stress relaxes."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.diagnosis.causes.relaxation import times_of
+from tissuereg.experiment.effects import Drainage
+
+#: Share of the volumetric stress at which changes are simulated.
+SHARE = 0.5
+
+
+class DrainageCause(Cause):
+    """A share of the volumetric stress relaxes with one time constant."""
+
+    id: ClassVar[str] = "drainage"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return hypotheses for several time constants."""
+        if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
+            return
+        times = times_of(bench)[1::2]
+        changes = bench.changes([[Drainage(share=SHARE, tau_s=float(tau))] for tau in times])
+        for tau, changed in zip(times, changes, strict=True):
+            if changed is not None:
+                yield Variant(f"{tau:.2g} s", changed[None], {"tau": tau}, positive=True)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logit of the share and the logarithm of the time constant."""
+        tau, middle = float(variant.settings["tau"]), float(np.log(times_of(bench)).mean())
+        return knobs(
+            [
+                (logit(SHARE * float(amplitudes[0])), 0.0, 1.2, 0.1),
+                (float(np.log(tau)), middle, 1.5, 0.1),
+            ],
+            lambda x, young: (Drainage(share=logistic(x[0]), tau_s=float(np.exp(x[1]))),),
+            lambda x, young: {"share": logistic(x[0]), "tau_s": float(np.exp(x[1]))},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        share = values["share"]
+        return (
+            f"The body loses volume under load: {100 * share:.0f} % of its pressure relaxes with a time constant of "
+            f"{values['tau_s']:.2g} s."
+        )

@@ -1,0 +1,63 @@
+"""Fibre reinforcement: one family of fibres that stiffens the body along one direction."""
+
+import itertools
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.experiment.effects import Effect, Fibre
+
+#: Stiffness over the shear modulus at which changes are simulated.
+SIZE = 0.5
+
+
+class FibreCause(Cause):
+    """One family of fibres of any direction, which carry tension only."""
+
+    id: ClassVar[str] = "fibre"
+    discrete: ClassVar[tuple[str, ...]] = ("direction",)
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return hypotheses along the 13 lines through neighbours in a cubic lattice."""
+        if bench.experiment.material.fibre is not None:
+            return
+        changes = bench.changes([[_effect(SIZE, direction)] for direction in _lines()])
+        for direction, changed in zip(_lines(), changes, strict=True):
+            if changed is not None:
+                name = " ".join(f"{x:.2f}" for x in direction)
+                yield Variant(f"along {name}", changed[None], {"direction": direction}, positive=True)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logarithm of the stiffness and two angles from the hypothesis' direction."""
+        along = np.asarray(variant.settings["direction"])
+        sides = np.linalg.svd(along[None])[2][1:]
+
+        def direction(x: FloatArray) -> FloatArray:
+            turned = along + x[1:] @ sides
+            return np.asarray(turned / np.linalg.norm(turned))
+
+        start = float(np.log(SIZE * np.clip(amplitudes[0], 0.1, 4.0)))
+        return knobs(
+            [(start, float(np.log(SIZE)), 1.2, 0.05), (0.0, 0.0, 0.5, 0.05), (0.0, 0.0, 0.5, 0.05)],
+            lambda x, young: (_effect(float(np.exp(x[0])), direction(x)),),
+            lambda x, young: {"k1_over_mu": float(np.exp(x[0])), "k2": 1.0, "direction": direction(x).tolist()},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        along = values["direction"]
+        axis = ", ".join(f"{x:.2f}" for x in along)
+        return f"Fibres along ({axis}) stiffen the body, with {values['k1_over_mu']:.2g} times its shear modulus."
+
+
+def _effect(size: float, direction: FloatArray) -> Effect:
+    return Fibre(k1_over_mu=size, k2=1.0, direction=three(direction))
+
+
+def _lines() -> list[FloatArray]:
+    steps = [np.array(step, np.float64) for step in itertools.product((-1, 0, 1), repeat=3)]
+    return [step / np.linalg.norm(step) for step in steps if tuple(step) > (0.0, 0.0, 0.0)]

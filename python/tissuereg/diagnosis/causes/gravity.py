@@ -1,0 +1,102 @@
+"""Gravity: the body's weight has another direction or size than believed, or was left out."""
+
+from collections.abc import Iterable, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.load import Load
+from tissuereg.body.material import GRAVITY_MM_PER_S2
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.diagnosis.tangents import State
+from tissuereg.experiment.effects import Effect, Gravity
+from tissuereg.simulation.sensitivity import Cause as Moved
+from tissuereg.simulation.sensitivity import Linearised
+from tissuereg.simulation.solve import Simulator
+
+#: Prior deviation of each component, over standard gravity, without and with a believed weight.
+UNKNOWN, KNOWN = 0.6, 0.2
+
+
+class GravityCause(Cause):
+    """Three components of the body's weight."""
+
+    id: ClassVar[str] = "gravity"
+    absolute: ClassVar[bool] = True
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis with three amplitudes."""
+        spread = UNKNOWN if bench.experiment.gravity is None else KNOWN
+        if bench.is_elastic:
+            columns = self._by_tangents(bench)
+        else:
+            believed, step = _believed(bench), 0.05
+            changes = [bench.change(_effect(believed + step * axis)) for axis in np.eye(3)]
+            if any(change is None for change in changes):
+                return []
+            columns = np.array(changes) / step
+        return [Variant("weight", spread * columns, {"spread": spread})]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the three components over standard gravity."""
+        spread, believed = float(variant.settings["spread"]), _believed(bench)
+        return knobs(
+            [(float(b + spread * a), float(b), spread, 0.02) for a, b in zip(amplitudes, believed, strict=True)],
+            lambda x, young: (_effect(x),),
+            lambda x, young: {
+                "direction": (x / np.linalg.norm(x)).tolist(),
+                "g_mm_per_s2": float(np.linalg.norm(x)) * GRAVITY_MM_PER_S2,
+            },
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        along, size = values["direction"], values["g_mm_per_s2"]
+        axis = ", ".join(f"{x:.2f}" for x in along)
+        over = size / GRAVITY_MM_PER_S2
+        return f"Gravity acts along ({axis}) with {over:.2g} g, unlike in the simulation."
+
+    def _by_tangents(self, bench: Bench) -> FloatArray:
+        """Return derivatives by the weight; pads are attached to the sagged shape and move with it."""
+        worked, tangents = bench.tangents.worked, bench.tangents
+        unit = [worked.material.weight(axis) for axis in np.eye(3)]
+        free = Simulator(worked.mesh, element=bench.predictor.element)
+        rest = (
+            Load(body_force=worked.material.weight(worked.gravity.direction, worked.gravity.g_mm_per_s2))
+            if worked.gravity
+            else Load(body_force=np.zeros(3))
+        )
+        threads = bench.predictor.threads
+        standing = free.solve(rest, worked.material, threads=threads).all_displacement
+        sag = (
+            Linearised(free, rest, worked.material, standing, threads=threads)
+            .derivatives([Load(body_force=force) for force in unit])
+            .displacement
+        )
+
+        def direction(state: State) -> Sequence[Moved]:
+            loads = []
+            for axis in range(3):
+                prescribed = np.zeros((len(state.simulator.held_nodes), 3))
+                for rows in state.pad_rows.values():
+                    prescribed[rows] = sag[axis, state.simulator.held_nodes[rows]]
+                loads.append(Load(body_force=unit[axis], prescribed=prescribed))
+            return loads
+
+        return tangents.columns(direction, 3)
+
+
+def _believed(bench: Bench) -> FloatArray:
+    weight = bench.experiment.gravity
+    if weight is None:
+        return np.zeros(3)
+    towards = np.asarray(weight.direction, np.float64)
+    return np.asarray(towards / np.linalg.norm(towards) * (weight.g_mm_per_s2 / GRAVITY_MM_PER_S2))
+
+
+def _effect(over_standard: FloatArray) -> Effect:
+    size = max(float(np.linalg.norm(over_standard)), 1e-6)
+    towards = over_standard / size if np.any(over_standard) else np.array([0.0, 0.0, -1.0])
+    return Gravity(direction=three(towards), g_mm_per_s2=size * GRAVITY_MM_PER_S2)

@@ -1,0 +1,128 @@
+"""Inclusion: a ball inside the body is stiffer or softer than its surroundings."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import KDTree
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.mesh import Mesh
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit, three
+from tissuereg.experiment.effects import Inclusion
+
+#: Radii of the hypotheses, over the extent of the body.
+RADII = (0.045, 0.075, 0.115)
+
+#: Spacing of the grid of centres, over the radius.
+SPACING = 1.3
+
+#: Prior deviation of contrast - 1 in the linear range; the effect saturates beyond.
+SPREAD = 1.5
+
+#: Least value of contrast - 1 at the start of a fit.
+LEAST_EXCESS = 0.05
+
+
+class InclusionCause(Cause):
+    """A ball of another modulus, at any place."""
+
+    id: ClassVar[str] = "inclusion"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis for each radius and centre on a grid."""
+        if not bench.is_elastic:
+            return
+        balls = _places(bench)
+        for (radius, centre), column in zip(balls, bench.by_fields(_shares(bench.experiment.mesh, balls)), strict=True):
+            name = " ".join(f"{x:.0f}" for x in centre)
+            settings = {"centre": centre, "radius": radius}
+            yield Variant(f"at {name} radius {radius:.1f}", SPREAD * column[None], settings)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the centre, the logarithm of the radius, and the logarithm (softer: logit) of ``abs(contrast - 1)``.
+
+        A small ball of high contrast and a large one of low contrast have nearly the same effect. In the logarithms of
+        the radius and of ``contrast - 1`` that valley of the objective is straight, in that of the contrast it is not.
+        """
+        centre, radius = np.asarray(variant.settings["centre"]), float(variant.settings["radius"])
+        middle = bench.experiment.mesh.nodes.mean(axis=0)
+        # In a thin direction of the body the prior and the step are limited by the thickness.
+        lengths, extent = np.ptp(bench.experiment.mesh.nodes, axis=0), bench.extent
+        wide, step = np.minimum(0.25 * extent, 0.5 * lengths), np.minimum(0.01 * extent, 0.1 * lengths)
+        # A stiff ball in a soft body saturates: its effect is (c - 1) / (1 + 0.4 (c - 1)) for small strain.
+        linear = float(np.clip(SPREAD * amplitudes[0], -0.85, 1.8))
+        excess = linear / max(1.0 - 0.4 * linear, 0.2)
+        strength = float(np.log(max(excess, LEAST_EXCESS))) if excess > 0.0 else logit(-excess)
+
+        def contrast_of(x: FloatArray) -> float:
+            return 1.0 + float(np.exp(x[4])) if excess > 0.0 else 1.0 - logistic(float(x[4]))
+
+        def effect(x: FloatArray, young: float) -> tuple[Inclusion]:
+            size = float(np.exp(x[3]))
+            return (Inclusion(centre_mm=three(x[:3]), semi_axes_mm=(size, size, size), contrast=contrast_of(x)),)
+
+        def values(x: FloatArray, young: float) -> Values:
+            size = float(np.exp(x[3]))
+            return {"centre_mm": x[:3].tolist(), "semi_axes_mm": [size] * 3, "contrast": contrast_of(x)}
+
+        return knobs(
+            [
+                *((float(centre[i]), float(middle[i]), float(wide[i]), float(step[i])) for i in range(3)),
+                (float(np.log(radius)), float(np.log(0.065 * extent)), 0.4, 0.05),
+                (strength, 0.0, 1.0, 0.05),
+            ],
+            effect,
+            values,
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        centre, axes, contrast = values["centre_mm"], values["semi_axes_mm"], values["contrast"]
+        kind = "stiff" if contrast > 1 else "soft"
+        place = ", ".join(f"{x:.1f}" for x in centre)
+        return (
+            f"A {kind} inclusion of {axes[0]:.1f} mm radius lies at ({place}) mm, "
+            f"{contrast:.2g} times as stiff as its surroundings."
+        )
+
+
+def _shares(mesh: Mesh, balls: list[tuple[float, tuple[float, float, float]]]) -> "sparse.csr_array":
+    """Return the share of every tet inside every ball, shape (n_tets, n_balls); the edge is smoothed over one tet."""
+    centres = mesh.nodes[mesh.tets].mean(axis=1)
+    width = np.cbrt(6.0 * mesh.volumes)
+    reach = float(width.max())
+    tree = KDTree(centres)
+    rows, columns, shares = [], [], []
+    for number, (radius, centre) in enumerate(balls):
+        near = np.array(tree.query_ball_point(centre, radius + 0.5 * reach), np.int64)
+        depth = radius - np.linalg.norm(centres[near] - centre, axis=1)
+        rows.append(near)
+        columns.append(np.full(len(near), number))
+        shares.append(np.clip(0.5 + depth / width[near], 0.0, 1.0))
+    entries = (np.concatenate(shares), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.csr_array(entries, shape=(mesh.n_tets, len(balls)))
+
+
+def _line(low: float, high: float, radius: float) -> FloatArray:
+    """Return grid coordinates along one axis; the middle alone where the body is thinner than the ball."""
+    if high - low < 2.0 * radius:
+        return np.array([0.5 * (low + high)])
+    return np.arange(low + 0.5 * radius, high, SPACING * radius)
+
+
+def _places(bench: Bench) -> list[tuple[float, tuple[float, float, float]]]:
+    """Return radii and centres on grids inside the body, coarser for larger balls."""
+    mesh = bench.experiment.mesh
+    tree, reach = KDTree(mesh.nodes[mesh.tets].mean(axis=1)), float(np.cbrt(6.0 * mesh.volumes.max()))
+    found = []
+    for share in RADII:
+        radius = share * bench.extent
+        low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+        axes = [_line(float(a), float(b), radius) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        inside = grid[tree.query(grid)[0] <= reach]
+        found += [(radius, (float(x), float(y), float(z))) for x, y, z in inside]
+    return found

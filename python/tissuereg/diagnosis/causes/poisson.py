@@ -1,0 +1,48 @@
+"""Poisson's ratio: the body is more or less compressible than believed."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.experiment.effects import Poisson
+from tissuereg.simulation.sensitivity import Parameter
+
+#: Prior deviation of the ratio.
+SPREAD = 0.06
+
+
+class PoissonCause(Cause):
+    """Poisson's ratio."""
+
+    id: ClassVar[str] = "poisson"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis: another ratio in the whole body."""
+        if bench.is_elastic:
+            column = bench.by(lambda state: [Parameter("poisson")], 1)
+        else:
+            changed = bench.change(Poisson(poisson=_ratio(bench) - 0.02))
+            if changed is None:
+                return []
+            column = -changed[None] / 0.02
+        return [Variant("everywhere", SPREAD * column)]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logit of twice the ratio."""
+        believed = _ratio(bench)
+        start = min(max(believed + SPREAD * float(amplitudes[0]), 0.05), 0.495)
+        return knobs(
+            [(logit(2.0 * start, 0.005), logit(2.0 * believed, 0.005), 1.5, 0.05)],
+            lambda x, young: (Poisson(poisson=0.5 * logistic(x[0])),),
+            lambda x, young: {"poisson": 0.5 * logistic(x[0])},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        return f"The body's compressibility differs from the believed one: Poisson's ratio is {values['poisson']:.3f}."
+
+
+def _ratio(bench: Bench) -> float:
+    return float(bench.experiment.material.poisson_array.mean())

@@ -1,0 +1,63 @@
+"""Stress relaxation with one time constant."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, logistic, logit
+from tissuereg.experiment.effects import Relaxation
+
+#: Share that relaxes at which changes are simulated.
+SHARE = 0.25
+
+#: Number of time constants, from the time between frames to twice the longest case.
+TIMES = 6
+
+
+def times_of(bench: Bench) -> FloatArray:
+    """Return the time constants in s that an experiment may show."""
+    return np.geomspace(max(bench.frame_step, 1e-3), max(2.0 * bench.longest_case, 2e-3), TIMES)
+
+
+class RelaxationCause(Cause):
+    """A share of the whole stress, or of its isochoric part, relaxes with one time constant."""
+
+    id: ClassVar[str] = "relaxation"
+    discrete: ClassVar[tuple[str, ...]] = ("part",)
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return hypotheses for several time constants and both parts."""
+        if bench.longest_case == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
+            return
+        # The two parts differ little; every second time constant suffices for the isochoric one.
+        tried = [("whole", float(tau)) for tau in times_of(bench)]
+        tried += [("isochoric", float(tau)) for tau in times_of(bench)[1::2]]
+        changes = bench.changes([[Relaxation(g=(SHARE,), tau_s=(tau,), part=part)] for part, tau in tried])
+        for (part, tau), changed in zip(tried, changes, strict=True):
+            if changed is not None:
+                yield Variant(f"{part} {tau:.2g} s", changed[None], {"tau": tau, "part": part}, positive=True)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logit of the share and the logarithm of the time constant."""
+        part, tau = str(variant.settings["part"]), float(variant.settings["tau"])
+        middle = float(np.log(times_of(bench)).mean())
+
+        def effect(x: FloatArray, young: float) -> tuple[Relaxation]:
+            return (Relaxation(g=(logistic(x[0]),), tau_s=(float(np.exp(x[1])),), part=part),)
+
+        return knobs(
+            [
+                (logit(SHARE * min(float(amplitudes[0]), 3.5)), logit(0.2), 1.2, 0.1),
+                (float(np.log(tau)), middle, 1.5, 0.1),
+            ],
+            effect,
+            lambda x, young: {"g": [logistic(x[0])], "tau_s": [float(np.exp(x[1]))], "part": part},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        share, tau = values["g"], values["tau_s"]
+        return f"Stress relaxes: {100.0 * share[0]:.0f} % of it, with a time constant of {tau[0]:.2g} s."

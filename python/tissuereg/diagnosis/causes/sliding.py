@@ -1,0 +1,90 @@
+"""Sliding of a support, on tangential springs or with friction."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.experiment.effects import Sliding
+
+#: Compliances of springs, times modulus over extent, at which changes are simulated.
+COMPLIANCES = (0.03, 0.3)
+
+#: Coefficient of friction, and cohesions over the modulus, at which changes are simulated.
+COEFFICIENT = 0.3
+COHESIONS = (0.03, 0.1)
+
+
+class SlidingCause(Cause):
+    """A boundary on tangential springs, or one that slips where the tangential stress exceeds friction."""
+
+    id: ClassVar[str] = "sliding"
+    discrete: ClassVar[tuple[str, ...]] = ("boundary", "kind")
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return two hypotheses for each boundary and kind."""
+        taken = {getattr(effect, "boundary", None) for effect in bench.experiment.effects if effect.id == self.id}
+        for boundary in bench.experiment.boundaries:
+            name = boundary.name
+            if name in taken or not len(_triangles(bench, name)):
+                continue
+            of = {
+                **{("springs", size): _springs(bench, name, size, bench.young) for size in COMPLIANCES},
+                **{("friction", size): _friction(name, COEFFICIENT, size * bench.young) for size in COHESIONS},
+            }
+            changes = bench.changes([[effect] for effect in of.values()])
+            for (kind, size), changed in zip(of, changes, strict=True):
+                if changed is not None:
+                    settings = {"boundary": name, "kind": kind, "size": size}
+                    yield Variant(f"{name} {kind} {size:g}", changed[None], settings, positive=True)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the logarithm of the compliance, or those of coefficient and cohesion."""
+        name, size = str(variant.settings["boundary"]), float(variant.settings["size"])
+        more = float(np.clip(amplitudes[0], 0.1, 10.0))
+        if variant.settings["kind"] == "springs":
+            return knobs(
+                [(float(np.log(size * more)), float(np.log(0.1)), 1.5, 0.1)],
+                lambda x, young: (_springs(bench, name, float(np.exp(x[0])), young),),
+                lambda x, young: {
+                    "boundary": name,
+                    "spring_kpa_per_mm": young / (float(np.exp(x[0])) * bench.extent),
+                },
+            )
+        # A smaller cohesion slips more.
+        return knobs(
+            [
+                (float(np.log(COEFFICIENT)), float(np.log(COEFFICIENT)), 0.7, 0.1),
+                (float(np.log(size / np.sqrt(more))), float(np.log(0.05)), 1.0, 0.1),
+            ],
+            lambda x, young: (_friction(name, float(np.exp(x[0])), float(np.exp(x[1])) * young),),
+            lambda x, young: {
+                "boundary": name,
+                "friction": float(np.exp(x[0])),
+                "cohesion_kpa": float(np.exp(x[1])) * young,
+            },
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        if "friction" in values:
+            return (
+                f"Boundary '{values['boundary']}' slips against friction (coefficient {values['friction']:.2g}, "
+                f"cohesion {values['cohesion_kpa']:.2g} kPa)."
+            )
+        return f"Boundary '{values['boundary']}' slides, as if on springs of {values['spring_kpa_per_mm']:.2g} kPa/mm."
+
+
+def _triangles(bench: Bench, boundary: str) -> FloatArray:
+    return np.asarray(Sliding(boundary=boundary, spring_kpa_per_mm=1.0).triangles(bench.experiment))
+
+
+def _springs(bench: Bench, boundary: str, compliance: float, young: float) -> Sliding:
+    return Sliding(boundary=boundary, spring_kpa_per_mm=young / (compliance * bench.extent))
+
+
+def _friction(boundary: str, coefficient: float, cohesion: float) -> Sliding:
+    return Sliding(boundary=boundary, friction=coefficient, cohesion_kpa=cohesion)

@@ -1,0 +1,66 @@
+"""Softening by the first large load: the Mullins effect, or damage."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.experiment.effects import Softening
+
+#: Values of r, and of m over the modulus, at which changes are simulated.
+SIZE = 1.5
+ENERGIES = (0.003, 0.03)
+
+#: Forms with the fixed value of beta in each.
+FORMS = {"ogden-roxburgh": 0.1, "damage": 0.0}
+
+
+class SofteningCause(Cause):
+    """Softening by the largest strain energy so far: on reloading only (Mullins), or on first loading too (damage)."""
+
+    id: ClassVar[str] = "softening"
+    discrete: ClassVar[tuple[str, ...]] = ("form",)
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return hypotheses for two energies in both forms."""
+        if any(effect.id == self.id for effect in bench.experiment.effects):
+            return
+        every = [(form, energy) for form in FORMS for energy in ENERGIES]
+        tried = [[Softening(r=SIZE, m_kpa=energy * bench.young, beta=FORMS[form], form=form)] for form, energy in every]
+        for (form, energy), changed in zip(every, bench.changes(tried), strict=True):
+            if changed is not None:
+                settings = {"form": form, "energy": energy}
+                yield Variant(f"{form}, energy {energy:g}", changed[None], settings, positive=True)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return logarithms of r - 1 and of m over the modulus."""
+        # At most a share of (1 - 1/r) of the stress is lost.
+        lost = min((1.0 - 1.0 / SIZE) * float(np.clip(amplitudes[0], 0.05, 2.8)), 0.9)
+        energy, form = float(variant.settings["energy"]), str(variant.settings["form"])
+
+        def effect(x: FloatArray, young: float) -> tuple[Softening]:
+            r, m_kpa = 1.0 + float(np.exp(x[0])), float(np.exp(x[1])) * young
+            return (Softening(r=r, m_kpa=m_kpa, beta=FORMS[form], form=form),)
+
+        return knobs(
+            [
+                (float(np.log(1.0 / (1.0 - lost) - 1.0)), float(np.log(0.5)), 1.0, 0.1),
+                (float(np.log(energy)), float(np.log(0.01)), 1.5, 0.1),
+            ],
+            effect,
+            lambda x, young: {
+                "r": 1.0 + float(np.exp(x[0])),
+                "m_kpa": float(np.exp(x[1])) * young,
+                "beta": FORMS[form],
+                "form": form,
+            },
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        if values["form"] == "damage":
+            return f"The body is damaged and softens while it is first loaded (r = {values['r']:.2g})."
+        return f"The first large load softens the body permanently (Mullins effect, r = {values['r']:.2g})."

@@ -1,0 +1,66 @@
+"""Swelling: the body grows or shrinks during the measurement."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import ClassVar
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs
+from tissuereg.experiment.effects import Effect, Swelling
+
+#: Linear strain at which changes are simulated, the prior deviation in screening.
+SIZE = 0.01
+
+#: Behaviour of pads in the hypotheses of the bank: they hold their patches against the growth.
+HOLD = "hold"
+
+
+class SwellingCause(Cause):
+    """Growth of all lengths at a constant rate, over the whole session or a half of it."""
+
+    id: ClassVar[str] = "swelling"
+    discrete: ClassVar[tuple[str, ...]] = ("window", "pads")
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return hypotheses for three windows of time."""
+        if any(effect.id == self.id for effect in bench.experiment.effects):
+            return
+        begin, end = bench.first_time, bench.last_time
+        if end <= begin:
+            return
+        middle = 0.5 * (begin + end)
+        windows = ((begin, end), (begin, middle), (middle, end))
+        changes = bench.changes([[_effect(SIZE, window, HOLD)] for window in windows])
+        for window, changed in zip(windows, changes, strict=True):
+            if changed is not None:
+                yield Variant(f"{window[0]:.3g} to {window[1]:.3g} s", changed[None], {"window": window, "pads": HOLD})
+
+    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
+        """Return the same growth with pads that move with the body."""
+        moved = any(case.displacements for case in bench.experiment.cases.values())
+        return (replace(variant, settings={**variant.settings, "pads": "follow"}),) if moved else ()
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the strain in units of `SIZE`."""
+        window, pads = variant.settings["window"], str(variant.settings["pads"])
+        return knobs(
+            [(float(amplitudes[0]), 0.0, 1.5, 0.1)],
+            lambda x, young: (_effect(SIZE * float(x[0]), window, pads),),
+            lambda x, young: {
+                "linear_strain": SIZE * float(x[0]),
+                "from_time_s": float(window[0]),
+                "to_time_s": float(window[1]),
+                "pads": pads,
+            },
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        strain = values["linear_strain"]
+        verb = "swells" if strain > 0 else "shrinks"
+        return f"The body {verb} by {abs(100 * strain):.2g} % in length during the measurement."
+
+
+def _effect(strain: float, window: tuple[float, float], pads: str) -> Effect:
+    return Swelling(linear_strain=strain, from_time_s=window[0], to_time_s=window[1], pads=pads)

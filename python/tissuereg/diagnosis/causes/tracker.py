@@ -1,0 +1,235 @@
+"""Errors of the marker tracker: frame, scale, delay, slipped markers, exchanged markers.
+
+All of them change the predicted places in closed form; nothing is solved.
+"""
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes.base import Cause, Knobs, Values, Variant, knobs, three
+from tissuereg.experiment.effects import Effect, Frame, Latency, MarkerSlip, MarkerSwap, Scale, seen_markers
+
+#: Prior deviations: shifts in mm and rotations in degrees of the frame, scale, delay in frames, slips in mm.
+SHIFT, TURN, SCALE, DELAY, SLIP = 0.5, 0.5, 0.01, 0.5, 1.0
+
+#: Number of pairs of markers with a hypothesis of exchange.
+LIKELY_PAIRS = 15
+
+#: Number of onsets of a slip in each case, the first at its begin.
+ONSETS_A_CASE = 4
+
+
+class FrameCause(Cause):
+    """The tracker's frame is shifted and rotated, by more than its prior as a nuisance allows."""
+
+    id: ClassVar[str] = "frame"
+    always_fitted: ClassVar[bool] = True
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis, with three shifts and three rotations about the middle of the markers."""
+        shifts = [changed_by(bench, _frame(bench, np.eye(6)[i])) for i in range(6)]
+        scale = np.array([SHIFT] * 3 + [TURN] * 3)
+        return [Variant("frame", scale[:, None] * np.array(shifts))]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return shifts in mm and rotations in degrees about the middle of the markers."""
+        scale = np.array([SHIFT] * 3 + [TURN] * 3)
+        return knobs(
+            [(float(s * a), 0.0, float(s), 0.05) for s, a in zip(scale, amplitudes, strict=True)],
+            lambda x, young: (_frame(bench, x),),
+            lambda x, young: {k: v for k, v in _frame(bench, x).table().items() if k != "id"},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        turn = float(np.linalg.norm(np.asarray(values["rotation_deg"])))
+        return f"The tracker's frame is rotated by {turn:.2f} degrees against the mesh's, and shifted."
+
+
+class ScaleCause(Cause):
+    """The tracker's lengths have a wrong scale, about any origin."""
+
+    id: ClassVar[str] = "scale"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis, with the scale about the middle of the markers and three shifts."""
+        middle = _middle(bench)
+        scale = changed_by(bench, Scale(scale=1.01, origin_mm=three(middle))) * 100.0 * SCALE
+        shifts = [SHIFT * changed_by(bench, Frame(shift_mm=three(axis))) for axis in np.eye(3)]
+        return [Variant("scale", np.array([scale, *shifts]))]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the scale minus one about the middle of the markers, and three shifts in mm."""
+        spread = np.array([SCALE, SHIFT, SHIFT, SHIFT])
+
+        def effect(x: FloatArray) -> Scale:
+            # A scale 1 + s about the middle m with a shift d is a scale about m - d / s.
+            stretch = float(x[0]) if abs(x[0]) > 1e-6 else 1e-6
+            return Scale(scale=1.0 + stretch, origin_mm=three(_middle(bench) - x[1:] / stretch))
+
+        return knobs(
+            [(float(s * a), 0.0, float(s), 0.1 * float(s)) for s, a in zip(spread, amplitudes, strict=True)],
+            lambda x, young: (effect(x),),
+            lambda x, young: {k: v for k, v in effect(x).table().items() if k != "id"},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        scale = values["scale"]
+        return f"The tracker's lengths are wrong by {100 * (scale - 1):+.2f} %."
+
+
+class LatencyCause(Cause):
+    """Markers are recorded with a delay."""
+
+    id: ClassVar[str] = "latency"
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis: a delay of a part of a frame."""
+        delay = DELAY * bench.frame_step
+        if delay == 0.0 or any(effect.id == self.id for effect in bench.experiment.effects):
+            return []
+        return [Variant("delay", changed_by(bench, Latency(latency_s=delay))[None])]
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the delay in units of the hypothesis' delay."""
+        unit = DELAY * bench.frame_step
+        return knobs(
+            [(float(amplitudes[0]), 0.0, 1.0, 0.1)],
+            lambda x, young: (Latency(latency_s=unit * float(x[0])),),
+            lambda x, young: {"latency_s": unit * float(x[0])},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        delay = values["latency_s"]
+        return f"Markers are delayed by {1000 * delay:.0f} ms against the actuators' clock."
+
+
+class SlipCause(Cause):
+    """One marker is displaced on the body from some time on."""
+
+    id: ClassVar[str] = "marker_slip"
+    discrete: ClassVar[tuple[str, ...]] = ("marker", "onset")
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis for each marker and onset, with three amplitudes."""
+        return (_slip(bench, marker, onset) for onset in _onsets(bench) for marker in bench.layout.marker_names)
+
+    def alternatives(self, bench: Bench, variant: Variant) -> tuple[Variant, ...]:
+        """Return the same marker with the onsets between the neighbouring onsets of the bank."""
+        screened, mine = _onsets(bench), float(variant.settings["onset"])
+        before = max((onset for onset in screened if onset < mine), default=-np.inf)
+        after = min((onset for onset in screened if onset > mine), default=np.inf)
+        frames = sorted({float(time) for part in bench.layout.parts for time in part.times})
+        onsets = (time for time in frames if before < time < after and time != mine)
+        return tuple(_slip(bench, str(variant.settings["marker"]), onset) for onset in onsets)
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return the offset in mm."""
+        marker, onset = str(variant.settings["marker"]), float(variant.settings["onset"])
+        return knobs(
+            [(SLIP * float(a), 0.0, SLIP, 0.1) for a in amplitudes],
+            lambda x, young: (MarkerSlip(marker=marker, offset_mm=three(x), from_time_s=onset),),
+            lambda x, young: {"marker": marker, "offset_mm": x.tolist(), "from_time_s": onset},
+        )
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        size = float(np.linalg.norm(np.asarray(values["offset_mm"])))
+        return f"Marker '{values['marker']}' has slipped by {size:.2f} mm, from {values['from_time_s']:.4g} s on."
+
+
+class SwapCause(Cause):
+    """Two markers are mistaken for each other from some time on."""
+
+    id: ClassVar[str] = "marker_swap"
+    discrete: ClassVar[tuple[str, ...]] = ("pair", "onset")
+
+    def variants(self, bench: Bench) -> Iterable[Variant]:
+        """Return one hypothesis for each frame and each of the likeliest pairs."""
+        for onset in sorted({float(time) for part in bench.layout.parts for time in part.times}):
+            for pair in _likely_pairs(bench):
+                changed = changed_by(bench, MarkerSwap(markers=pair, from_time_s=onset))
+                yield Variant(
+                    f"{pair[0]} and {pair[1]} from {onset:.4g} s",
+                    changed[None],
+                    {"pair": pair, "onset": onset},
+                    fixed=True,
+                )
+
+    def knobs(self, bench: Bench, variant: Variant, amplitudes: FloatArray) -> Knobs:
+        """Return no parameters."""
+        pair, onset, none = tuple(variant.settings["pair"]), float(variant.settings["onset"]), np.empty(0)
+        return Knobs(
+            none, none, none,
+            lambda x, young: (MarkerSwap(markers=pair, from_time_s=onset),),
+            lambda x, young: {"markers": list(pair), "from_time_s": onset},
+            none,
+        )  # fmt: skip
+
+    def sentence(self, values: Values) -> str:
+        """Return the finding in words."""
+        one, other = values["markers"]
+        return f"Markers '{one}' and '{other}' are exchanged from {values['from_time_s']:.4g} s on."
+
+
+def _likely_pairs(bench: Bench) -> list[tuple[str, str]]:
+    """Return the pairs whose measured places lie nearest to each other's predicted places, relative to their own."""
+    names = bench.layout.marker_names
+    own, other = np.zeros(len(names)), np.zeros((len(names), len(names)))
+    for part in bench.layout.parts:
+        predicted = bench.layout.reference + part.markers(bench.base)
+        measured = bench.layout.reference + part.markers(bench.layout.measured)
+        apart = np.linalg.norm(np.nan_to_num(measured[:, :, None] - predicted[:, None], nan=0.0), axis=3)
+        own += np.einsum("fii->i", apart)
+        other += apart.sum(axis=0)
+    ratio = (own[:, None] + own) / np.maximum(other + other.T, 1e-9)
+    pairs = sorted(itertools.combinations(range(len(names)), 2), key=lambda pair: -ratio[pair])
+    return [(names[i], names[j]) for i, j in pairs[:LIKELY_PAIRS]]
+
+
+def changed_by(bench: Bench, effect: Effect) -> FloatArray:
+    """Return the change that an effect of the tracker makes to the believed prediction, shape (size,)."""
+    tracker = replace(bench.experiment, effects=(effect,))
+    changed = np.zeros(bench.layout.size)
+    for part in bench.layout.parts:
+        places = bench.layout.reference + part.markers(bench.base)
+        part.markers(changed)[:] = seen_markers(tracker, places, part.times) - places
+    return changed
+
+
+def _frame(bench: Bench, x: FloatArray) -> Frame:
+    """Return the frame that is shifted by x[:3] mm and rotated by x[3:] degrees about the middle of the markers."""
+    from tissuereg.experiment.effects.base import rotation_from_vector
+
+    turn, middle = rotation_from_vector(three(x[3:])), _middle(bench)
+    return Frame(rotation_deg=three(x[3:]), shift_mm=three(x[:3] + middle - turn @ middle))
+
+
+def _middle(bench: Bench) -> FloatArray:
+    return np.asarray(bench.layout.reference.mean(axis=0))
+
+
+def _slip(bench: Bench, marker: str, onset: float) -> Variant:
+    """Return the hypothesis that one marker slips at a time, with three amplitudes."""
+    later, number = bench.layout.times() >= onset, bench.layout.marker_names.index(marker)
+    columns = np.zeros((3, bench.layout.size))
+    for part in bench.layout.parts:
+        for axis in range(3):
+            part.markers(columns)[axis, :, number, axis] = part.markers(later)[:, number, axis]
+    return Variant(f"{marker} from {onset:.4g} s", SLIP * columns, {"marker": marker, "onset": onset})
+
+
+def _onsets(bench: Bench) -> list[float]:
+    found = []
+    for part in bench.layout.parts:
+        rows = np.unique(np.linspace(0, part.n_frames - 1, ONSETS_A_CASE + 1).astype(int)[:-1])
+        found += [float(t) for t in part.times[rows]]
+    return sorted(set(found))

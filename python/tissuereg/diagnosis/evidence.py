@@ -1,0 +1,116 @@
+"""Exact log Bayes factors of linear-Gaussian hypotheses against the null hypothesis.
+
+With whitened residual r, nuisance columns N and a cause's columns A (all times their prior standard deviations),
+
+    r ~ N(0, C0),  C0 = I + N N^T          without the cause (null hypothesis),
+    r ~ N(0, C0 + A A^T)                   with it,
+
+and the log Bayes factor is 1/2 b^T M^-1 b - 1/2 log det M with b = A^T C0^-1 r and M = I + A^T C0^-1 A. Residuals and
+columns are first multiplied by C0^-1/2 ("reduced"), which integrates the nuisances out; C0 is then the identity.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import norm
+
+from tissuereg._base.arrays import FloatArray
+
+
+class Null:
+    """The null covariance ``C0 = I + N N^T`` of whitened data without a cause.
+
+    Parameters
+    ----------
+    nuisances : ndarray of float64, shape (n_nuisances, size)
+        Whitened columns times their prior standard deviations, ``N^T``.
+    """
+
+    def __init__(self, nuisances: FloatArray) -> None:
+        self.nuisances = nuisances
+        if len(nuisances):
+            _, spread, self._modes = np.linalg.svd(nuisances, full_matrices=False)
+            self._shrink = 1.0 - 1.0 / np.sqrt(1.0 + spread**2)
+        else:
+            self._modes, self._shrink = np.zeros((0, nuisances.shape[1])), np.zeros(0)
+
+    def reduced(self, white: FloatArray) -> FloatArray:
+        """Return C0^-1/2 times whitened vectors (..., size)."""
+        return np.asarray(white - ((white @ self._modes.T) * self._shrink) @ self._modes)
+
+
+@dataclass(frozen=True, eq=False)
+class Amplitudes:
+    """Linear fit of a hypothesis.
+
+    Attributes
+    ----------
+    log_bayes_factor : float
+        Against the null hypothesis, nats.
+    mean : ndarray of float64, shape (p,)
+        Posterior mean of the amplitudes, in prior standard deviations.
+    """
+
+    log_bayes_factor: float
+    mean: FloatArray
+
+
+def fit_amplitudes(residual: FloatArray, columns: FloatArray) -> Amplitudes:
+    """Return the evidence and the amplitudes of one hypothesis.
+
+    Parameters
+    ----------
+    residual : ndarray of float64, shape (size,)
+        Reduced (`Null.reduced`).
+    columns : ndarray of float64, shape (p, size)
+        Reduced, times prior standard deviations.
+
+    Returns
+    -------
+    Amplitudes
+    """
+    inner = np.eye(len(columns)) + columns @ columns.T
+    factor = cho_factor(inner, lower=True)
+    along = columns @ residual
+    mean = cho_solve(factor, along)
+    log_factor = float(0.5 * along @ mean - np.log(np.diag(factor[0])).sum())
+    return Amplitudes(log_factor, mean)
+
+
+class Blocks:
+    """Many hypotheses with the same number of columns, factored once for any number of residuals.
+
+    Parameters
+    ----------
+    columns : ndarray of float32, shape (n_blocks, p, size)
+        Reduced, times prior standard deviations.
+    positive : bool
+        Whether the one amplitude (p = 1) cannot be negative: its prior is then half-normal.
+    """
+
+    def __init__(self, columns: FloatArray, *, positive: bool = False) -> None:
+        self.columns = columns
+        self.positive = positive
+        n_blocks, p, _ = columns.shape
+        inner = np.array([block @ block.T for block in columns], np.float64).reshape(n_blocks, p, p) + np.eye(p)
+        lower = np.linalg.cholesky(inner)
+        self._logdet = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        self._inverse = np.linalg.inv(lower)
+
+    def log_bayes_factors(self, residuals: FloatArray) -> FloatArray:
+        """Return log Bayes factors against the null hypothesis, (n, n_blocks), for reduced residuals (n, size)."""
+        n_blocks, p, size = self.columns.shape
+        along = residuals.astype(np.float32) @ self.columns.reshape(-1, size).T
+        along = along.astype(np.float64).reshape(-1, n_blocks, p)
+        half = np.einsum("kij,nkj->nki", self._inverse, along, optimize=True)
+        log_factor = 0.5 * (half**2).sum(axis=-1) - self._logdet
+        if self.positive:
+            log_factor += np.log(2.0) + norm.logcdf(half[..., 0])
+        return np.asarray(log_factor)
+
+
+def log_mean_exp(values: FloatArray, axis: int = -1) -> FloatArray:
+    """Return the logarithm of the mean of exponentials."""
+    top = values.max(axis=axis, keepdims=True)
+    return np.asarray(np.squeeze(top, axis) + np.log(np.exp(values - top).mean(axis=axis)))

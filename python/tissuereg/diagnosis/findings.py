@@ -1,0 +1,154 @@
+"""The findings of a search with groups, probabilities and held-out errors, and the table of all candidates."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+
+from tissuereg.diagnosis.answer import Finding
+from tissuereg.diagnosis.candidates import required_thresholds
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.fit import Target
+from tissuereg.diagnosis.modulus import modulus_finding
+from tissuereg.diagnosis.probability import LOOK_ALIKE, TEMPER, probabilities
+from tissuereg.diagnosis.proof import GENERIC, NAMED, held_out_figures
+from tissuereg.diagnosis.screen import UNKNOWN, Screen
+from tissuereg.diagnosis.search import SEPARABLE, Search, Step
+
+#: Number of ids in a group, at most.
+MOST_IN_GROUP = 3
+
+#: A cause within the separability of the one found is in its group if it passes the threshold too, or if its
+#: probability is at least this share of the other's.
+AS_LIKELY = 0.1
+
+
+def findings_of(target: Target, screen: Screen, found: Search, thresholds: Mapping[str, float]) -> list[Finding]:
+    """Return the findings of a search, the modulus among them where it lies beyond its prior.
+
+    Parameters
+    ----------
+    target : Target
+        Target of the first fit.
+    screen : Screen
+        All hypotheses and the generic rival.
+    found : Search
+        All rounds.
+    thresholds : mapping of str to float
+        Threshold of every cause, nats.
+
+    Returns
+    -------
+    list of Finding
+        Without errors at inner targets.
+    """
+    findings = []
+    young = target.bench.young
+    named = {step.found.id for step in found.steps if step.found is not None}
+    rounds = [step for step in found.steps if step.found is not None]
+    for part, step in enumerate(rounds):
+        top = step.found
+        assert top is not None  # of those steps
+        # Parameters are those of the model with all causes found.
+        values, deviations = found.final.values(part, young)
+        chances = _chances(step)
+        earlier = (before.found.id for before in rounds[:part] if before.found is not None)
+        required = required_thresholds(thresholds, earlier)
+        assert step.proof is not None  # found causes were proved
+        assert step.figures is not None
+        findings.append(
+            Finding(
+                id=top.id,
+                group=group_of(step, thresholds[top.id], named),
+                probability=chances.get(top.id, 0.0),
+                log_bayes_factor=top.gain,
+                threshold=required[top.id],
+                parameters=values,
+                deviations=deviations,
+                held_out=held_out_figures(target.bench.layout, target.noise, step.proof, step.figures),
+                sentence=CAUSES[top.id].sentence(values),
+            )
+        )
+    stiff = modulus_finding(target, screen, found)
+    return ([stiff] if stiff is not None else []) + findings
+
+
+def group_of(step: Step, threshold: float, named: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the cause that a step found, and those that the data cannot distinguish from it, likeliest first.
+
+    Parameters
+    ----------
+    step : Step
+        With a cause found.
+    threshold : float
+        Threshold of that cause, nats.
+    named : collection of str
+        Ids that are findings themselves and join no group.
+
+    Returns
+    -------
+    tuple of str
+        `MOST_IN_GROUP` ids at most.
+    """
+    top = step.found
+    assert top is not None  # required above
+    as_likely = step.close(-TEMPER * np.log(AS_LIKELY))
+    others = (c for c in step.close(0.5 * SEPARABLE**2) if c.id not in named)
+    close = [c.id for c in others if c.gain > threshold or c in as_likely]
+    return (top.id, *close)[:MOST_IN_GROUP]
+
+
+def candidates_of(screen: Screen, first: Step) -> tuple[dict[str, Any], ...]:
+    """Return every id that was tried in the first step, likeliest first, as `Diagnosis.candidates` has them.
+
+    Parameters
+    ----------
+    screen : Screen
+        All hypotheses.
+    first : Step
+        First round of the search.
+
+    Returns
+    -------
+    tuple of dict
+        One for each id.
+    """
+    chances, gains = _chances(first), _gains(first)
+    rows: list[dict[str, Any]] = []
+    for name in [*CAUSES, UNKNOWN]:
+        if name in gains:
+            best = first.screened[name].best
+            seen = screen.detectability(name, best, first.screened[name].amplitudes) if best is not None else 0.0
+            rows.append(
+                {
+                    "id": name,
+                    "probability": chances.get(name, 0.0),
+                    "log_bayes_factor": gains[name],
+                    "detectability": seen,
+                }
+            )
+    return tuple(sorted(rows, key=lambda row: -float(row["log_bayes_factor"])))
+
+
+def _gains(step: Step) -> dict[str, float]:
+    """Return log Bayes factors of all causes in a step: from the fit where there is one, else from screening."""
+    screened = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
+    return screened | {candidate.id: candidate.gain for candidate in step.candidates}
+
+
+def _chances(step: Step) -> dict[str, float]:
+    """Return the probabilities of all causes in a step."""
+    gains = _gains(step)
+    if step.found is not None:
+        # The held-out proof has distinguished the cause from the generic rival.
+        gains[UNKNOWN] = min(gains[UNKNOWN], step.found.gain - float(_margin(step)))
+    chances = probabilities(gains)
+    own = {name: chances[name] for name in CAUSES if name in chances}
+    unknown = chances[UNKNOWN] + LOOK_ALIKE * sum(own.values())
+    return {**chances, **{name: (1.0 - LOOK_ALIKE) * chance for name, chance in own.items()}, UNKNOWN: unknown}
+
+
+def _margin(step: Step) -> float:
+    assert step.proof is not None  # found causes were proved
+    density = step.proof.log_density.sum(axis=1)
+    return float(density[NAMED] - density[GENERIC])

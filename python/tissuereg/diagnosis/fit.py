@@ -1,0 +1,452 @@
+"""The nonlinear fit of a model with causes: Gauss-Newton, and evidence by Laplace's approximation.
+
+    minimise 1/2 |C0^-1/2 L^-1 (y - f(x))|^2 + 1/2 |(x - mean) / deviation|^2
+
+over x, the logarithm of the modulus followed by the free parameters (`Knobs`) of all causes. L^-1 whitens by the noise;
+the other nuisance parameters are integrated out in C0. The Jacobian comes from difference quotients; Broyden's update
+carries it from step to step, and it is evaluated again where steps no longer reduce the objective. With H the Hessian
+in units of the prior deviations, the log evidence is -objective - 1/2 log det H - log(number of discrete choices).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES, Knobs, Values, Variant
+from tissuereg.diagnosis.causes.base import Mixture
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.predictor import NO_ANSWER, Solved
+from tissuereg.experiment.effects import Effect
+
+#: Iterations at most, and the decrease of the objective (nats) below which a step counts as no progress.
+MOST_ITERATIONS = 12
+LEAST_GAIN = 0.2
+
+#: Predicted decrease below which a step is not tried; it would move no parameter by more than a fifth of its deviation.
+LEAST_PREDICTED = 0.02
+
+#: The iterations that remain are expected to gain at most this many times the last gain, all together.
+FURTHER_GAINS = 3
+
+#: Shares of a step that the line search tries.
+SHARES = (1.0, 0.4, 0.15, 0.05)
+
+#: A step moves no parameter by more than this many prior deviations.
+LONGEST = 1.5
+
+#: Effects under which forces are not proportional to the modulus.
+ABSOLUTE = tuple(cause.id for cause in CAUSES.values() if cause.absolute)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What fits have in common: the believed model, its correction, noise and nuisances.
+
+    Attributes
+    ----------
+    bench : Bench
+        The believed model.
+    noise : Noise
+        Measurement noise.
+    correction : Correction
+        Correction of the discretisation error.
+    null : Null
+        Null covariance of all nuisances but the modulus, which is fitted.
+    """
+
+    bench: Bench
+    noise: Noise
+    correction: Correction
+    null: Null
+
+    def white(self, flat: FloatArray) -> FloatArray:
+        """Return flat differences (..., size) whitened."""
+        return self.noise.whitened(flat, self.bench.layout)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One cause in a fit."""
+
+    id: str
+    knobs: Knobs
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+        Its causes; empty for the believed model.
+    x : ndarray of float64, shape (k,)
+        Logarithm of the factor on the modulus, then the parameters of all parts.
+    mean, deviation : ndarray of float64, shape (k,)
+        Prior mean and standard deviation.
+    prediction : ndarray of float64, shape (size,)
+        Corrected, mm and mN.
+    jacobian : ndarray of float64, shape (k, size)
+        Derivative of the corrected prediction by x.
+    residual : ndarray of float64, shape (size,)
+        Measured minus predicted, whitened.
+    objective : float
+        Minimum.
+    log_evidence : float
+        Up to a constant that is the same for all fits to the same data.
+    covariance : ndarray of float64, shape (k, k)
+        Posterior covariance of x (Laplace).
+    choices : int
+        Number of discrete hypotheses among which these were chosen.
+    """
+
+    parts: tuple[Part, ...]
+    x: FloatArray
+    mean: FloatArray
+    deviation: FloatArray
+    prediction: FloatArray
+    jacobian: FloatArray
+    residual: FloatArray
+    objective: float
+    log_evidence: float
+    covariance: FloatArray
+    choices: int = 1
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids of its causes."""
+        return tuple(part.id for part in self.parts)
+
+    def slices(self) -> list[slice]:
+        """Return where the parameters of every part lie in `x`."""
+        return slices_of(self.parts)
+
+    def young(self, believed: float) -> float:
+        """Return the fitted modulus in kPa."""
+        return believed * float(np.exp(self.x[0]))
+
+    def effects(self, believed: float) -> tuple[Effect, ...]:
+        """Return the effects of all parts."""
+        young = self.young(believed)
+        return tuple(
+            effect
+            for part, mine in zip(self.parts, self.slices(), strict=True)
+            for effect in part.knobs.effects(self.x[mine], young)
+        )
+
+    def values(self, number: int, believed: float) -> tuple[Values, Values]:
+        """Return the parameters of one part and their standard deviations.
+
+        Physical parameters may be nonlinear functions of the fitted ones. Each principal axis of the fitted covariance
+        is followed by one deviation to both sides; half the sum of the squared changes is the variance.
+        """
+        part, mine = self.parts[number], self.slices()[number]
+        young = self.young(believed)
+        centre = part.knobs.values(self.x[mine], young)
+        axes = _principal_axes(self.covariance[mine, mine], self.deviation[mine])
+        moved = [part.knobs.values(self.x[mine] + axis, young) for axis in (*axes, *-axes)]
+        spread: Values = {}
+        for key, value in centre.items():
+            if _is_text(value):
+                continue
+            power = np.zeros(np.shape(value))
+            for other in moved:
+                power = power + 0.5 * (np.asarray(other[key], float) - np.asarray(value, float)) ** 2
+            deviation = np.sqrt(power)
+            spread[key] = deviation.tolist() if np.ndim(value) else float(deviation)
+        return centre, spread
+
+
+def fit(
+    target: Target,
+    parts: Sequence[Part],
+    *,
+    start: FloatArray | None = None,
+    choices: int = 1,
+    hopeless: float = np.inf,
+) -> Fit | None:
+    """Return the fit of a model with causes.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    parts : sequence of Part
+        Causes with their parameters; empty for the believed model.
+    start : ndarray of float64, shape (k,), optional
+        First guess; that of the parts' own parameters where absent.
+    choices : int
+        Number of discrete hypotheses among which these were chosen; its logarithm is subtracted from the evidence.
+    hopeless : float
+        Objective above which a fit is of no use. A fit that is not expected to come below it ends early, with an
+        approximate Jacobian.
+
+    Returns
+    -------
+    Fit or None
+        None where there is no equilibrium at the start.
+    """
+    solver = _Solver(target, tuple(parts))
+    x = solver.start if start is None else start.copy()
+    prediction = solver.predict(x)
+    if prediction is None and start is None:
+        # Half-way to the prior mean the effects are smaller.
+        x = 0.5 * (x + solver.mean)
+        prediction = solver.predict(x)
+    if prediction is None:
+        return None
+    solver.start_from(x)
+    objective, reduced = solver.objective(x, prediction)
+    jacobian, exact = solver.jacobian(x, prediction), True
+    slopes = solver.reduced(jacobian)
+    for remaining in reversed(range(MOST_ITERATIONS)):
+        step = solver.step(x, slopes, reduced)
+        step *= min(1.0, LONGEST / max(float(np.abs(step / solver.deviation).max()), 1e-12))
+        gained, was_exact = 0.0, exact
+        for share in SHARES if solver.predicted_decrease(step, slopes) > LEAST_PREDICTED else ():
+            trial = solver.predict(x + share * step)
+            if trial is None:
+                continue
+            value, rest = solver.objective(x + share * step, trial)
+            if value < objective:
+                gained = objective - value
+                jacobian = solver.updated(jacobian, share * step, trial - prediction)
+                exact = False
+                x, prediction, objective, reduced = x + share * step, trial, value, rest
+                solver.start_from(x)
+                break
+            if value < objective + LEAST_GAIN:
+                # A shorter step would hardly decrease it further.
+                break
+        if gained < LEAST_GAIN:
+            if exact or objective > hopeless:
+                break
+            jacobian, exact = solver.jacobian(x, prediction), True
+        elif objective - min(remaining, FURTHER_GAINS) * gained > hopeless:
+            # Gains decrease from step to step: after a step with an exact Jacobian the fit will not reach the limit.
+            if was_exact or objective - remaining * gained > hopeless:
+                break
+            jacobian, exact = solver.jacobian(x, prediction), True
+        slopes = solver.reduced(jacobian)
+    information = slopes @ slopes.T + np.diag(1.0 / solver.deviation**2)
+    covariance = np.linalg.inv(information)
+    inner = information * solver.deviation[:, None] * solver.deviation
+    log_evidence = -objective - 0.5 * float(np.linalg.slogdet(inner)[1]) - float(np.log(choices))
+    residual = target.white(np.where(target.bench.layout.seen, target.bench.layout.measured - prediction, 0.0))
+    return Fit(
+        solver.parts,
+        x,
+        solver.mean,
+        solver.deviation,
+        prediction,
+        jacobian,
+        residual,
+        objective,
+        log_evidence,
+        covariance,
+        choices,
+    )
+
+
+def best_start(target: Target, parts: Sequence[Part], before: FloatArray) -> FloatArray:
+    """Return the first guess of the fit of a further cause: of its starts that with the smallest objective.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    parts : sequence of Part
+        All causes, the further one last.
+    before : ndarray of float64, shape (k,)
+        Parameters of the fit without it.
+
+    Returns
+    -------
+    ndarray of float64, shape (k + n_knobs,)
+        With the cause's first start where it has no others or none of them has an equilibrium.
+    """
+    knobs = parts[-1].knobs
+    first = np.concatenate([before, knobs.start])
+    if knobs.starts is None:
+        return first
+    solver = _Solver(target, tuple(parts))
+
+    def objective(x: FloatArray) -> float:
+        prediction = solver.predict(x)
+        return np.inf if prediction is None else solver.objective(x, prediction)[0]
+
+    tried = [first, *(np.concatenate([before, start]) for start in knobs.starts)]
+    return tried[int(np.argmin(target.bench.side_by_side(objective, tried)))]
+
+
+def choices_of(cause: str, variants: Sequence[Variant]) -> int:
+    """Return the number of discrete hypotheses of a cause between which its free parameters cannot move."""
+    keys = CAUSES[cause].discrete
+    return max(1, len({tuple(str(v.settings.get(key)) for key in keys) for v in variants}))
+
+
+def slices_of(parts: Sequence[Part]) -> list[slice]:
+    """Return where the parameters of every part lie in the vector x, after the modulus."""
+    found, at = [], 1
+    for part in parts:
+        found.append(slice(at, at + len(part.knobs.start)))
+        at += len(part.knobs.start)
+    return found
+
+
+def at_believed_modulus(target: Target, found: Fit) -> tuple[tuple[Effect, ...], FloatArray]:
+    """Return the effects of a fit, and their prediction on the user's mesh, at the believed modulus.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    found : Fit
+        With causes.
+
+    Returns
+    -------
+    tuple of tuple of Effect and ndarray of float64, shape (size,)
+        The latter in mm and mN.
+
+    Raises
+    ------
+    ConvergenceError
+        If a frame has no equilibrium.
+    ExperimentError, MaterialError, SupportError
+        If an effect does not apply to the experiment.
+    """
+    x = found.x.copy()
+    x[0] = 0.0
+    effects = replace(found, x=x).effects(target.bench.young)
+    return effects, _Solver(target, found.parts).uncorrected(x)
+
+
+class _Solver:
+    """Objective, Jacobian and step of one fit."""
+
+    def __init__(self, target: Target, parts: tuple[Part, ...]) -> None:
+        self.target = target
+        self.parts = parts
+        # The first parameter is the logarithm of the modulus over the believed one; the modulus' prior is log-normal.
+        self.start = np.concatenate([[0.0], *(part.knobs.start for part in parts)])
+        self.mean = np.concatenate([[0.0], *(part.knobs.mean for part in parts)])
+        self.deviation = np.concatenate([[target.bench.young_spread], *(part.knobs.deviation for part in parts)])
+        self.steps = np.concatenate([[0.02], *(part.knobs.step for part in parts)])
+        self.scales = target.bench.scales_forces and not any(part.id in ABSOLUTE for part in parts)
+        layout = target.bench.layout
+        self.measured = np.where(layout.seen, layout.measured, 0.0)
+        self.seen = layout.seen
+        self.force = ~layout.of_markers()
+        self.near: Solved | None = None
+
+    def predict(self, x: FloatArray) -> FloatArray | None:
+        try:
+            found = self.uncorrected(x)
+        except NO_ANSWER:
+            return None
+        return self.target.correction.corrected(found, self.factor(x))
+
+    def uncorrected(self, x: FloatArray) -> FloatArray:
+        """Return the prediction on the user's mesh for parameters (k,)."""
+        factor = self.factor(x)
+        total = np.zeros(len(self.measured))
+        for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
+            if part.knobs.columns is not None:
+                total += x[mine] @ part.knobs.columns
+        for weight, effects in self.mixture(x):
+            total += weight * self.body(effects, factor)
+        return np.where(self.force, factor * total, total) if self.scales else total
+
+    def body(self, effects: Sequence[Effect], factor: float) -> FloatArray:
+        """Return the prediction on the user's mesh with effects."""
+        bench = self.target.bench
+        if not effects and (self.scales or factor == 1.0):
+            return bench.base
+        young = None if self.scales else factor
+        return bench.predictor.predict(effects, young=young, threads=1, near=self.near)
+
+    def factor(self, x: FloatArray) -> float:
+        """Return the modulus over the believed one."""
+        return float(np.exp(np.clip(x[0], -3.0, 3.0)))
+
+    def mixture(self, x: FloatArray) -> Mixture:
+        """Return weights and sets of effects whose predictions are interpolated, over all parts but linear ones."""
+        young = self.target.bench.young * (1.0 if self.scales else self.factor(x))
+        mixture: Mixture = [(1.0, ())]
+        for part, mine in zip(self.parts, slices_of(self.parts), strict=True):
+            if part.knobs.columns is None:
+                own = part.knobs.mixture(x[mine], young)
+                mixture = [(a * b, (*before, *more)) for a, before in mixture for b, more in own if b > 0.0]
+        return mixture
+
+    def start_from(self, x: FloatArray) -> None:
+        """Let the following solutions start from that of parameters that were just predicted."""
+        if effects := max(self.mixture(x), key=lambda one: one[0])[1]:
+            young = None if self.scales else self.factor(x)
+            self.near = self.target.bench.predictor.solved(effects, young=young, threads=1, near=self.near)
+
+    def objective(self, x: FloatArray, prediction: FloatArray) -> tuple[float, FloatArray]:
+        white = self.target.white(np.where(self.seen, self.measured - prediction, 0.0))
+        reduced = self.target.null.reduced(white)
+        prior = (x - self.mean) / self.deviation
+        return float(0.5 * reduced @ reduced + 0.5 * prior @ prior), reduced
+
+    def jacobian(self, x: FloatArray, prediction: FloatArray) -> FloatArray:
+        """Return the derivative of the corrected prediction, shape (k, size)."""
+        rows = np.zeros((len(x), len(prediction)))
+        first = 1 if self.scales else 0
+        if self.scales:
+            rows[0] = np.where(self.force, prediction, 0.0)
+
+        def moved(i: int) -> FloatArray:
+            for side in (1.0, -1.0):
+                nudged = x.copy()
+                nudged[i] += side * self.steps[i]
+                trial = self.predict(nudged)
+                if trial is not None:
+                    return np.asarray((trial - prediction) / (side * self.steps[i]))
+            return np.zeros(len(prediction))
+
+        if first < len(x):
+            rows[first:] = self.target.bench.side_by_side(moved, range(first, len(x)))
+        return rows
+
+    def updated(self, jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
+        """Return Broyden's update of a Jacobian by a step and the change it made, in units of the prior deviations."""
+        along = step / self.deviation
+        unpredicted = change - step @ jacobian
+        update = np.outer(along / (self.deviation * float(along @ along)), unpredicted)
+        return np.asarray(jacobian + update)
+
+    def reduced(self, rows: FloatArray) -> FloatArray:
+        """Return derivatives, whitened and reduced."""
+        return self.target.null.reduced(self.target.white(rows))
+
+    def predicted_decrease(self, step: FloatArray, slopes: FloatArray) -> float:
+        """Return the decrease of the objective that the linearised model predicts for a step."""
+        prior = step / self.deviation
+        along = step @ slopes
+        return float(0.5 * along @ along + 0.5 * prior @ prior)
+
+    def step(self, x: FloatArray, slopes: FloatArray, reduced: FloatArray) -> FloatArray:
+        information = slopes @ slopes.T + np.diag(1.0 / self.deviation**2)
+        gradient = slopes @ reduced - (x - self.mean) / self.deviation**2
+        return np.asarray(np.linalg.solve(information, gradient))
+
+
+def _principal_axes(covariance: FloatArray, deviation: FloatArray) -> FloatArray:
+    """Return the principal axes (rows) of a covariance, each one standard deviation long, in units of the prior's."""
+    power, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
+    return np.asarray((np.sqrt(np.maximum(power, 0.0)) * axes * deviation[:, None]).T)
+
+
+def _is_text(value: object) -> bool:
+    if isinstance(value, list):
+        return bool(value) and isinstance(value[0], str)
+    return isinstance(value, str | bool)

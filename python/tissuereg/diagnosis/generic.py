@@ -1,0 +1,90 @@
+"""The generic rival: a hypothesis for any smooth change over markers, load and time, without a physical cause.
+
+It is a Gaussian process in a few hundred columns. Over the markers it is smooth (`patterns`). Over the frames of each
+case it is a sum of histories: the load, its square, its fading memory, the clock and a constant. Single frames may be
+displaced as if the actuator had jammed, and forces have columns of their own. Its size is unknown: the evidence is the
+mean over several sizes.
+"""
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
+from tissuereg.diagnosis.signals import CasePart
+
+#: Sizes: of marker patterns in noise deviations, and of forces as a share of the largest.
+SIZES = ((0.7, 0.003), (2.0, 0.01), (6.0, 0.03), (20.0, 0.15))
+
+#: Prior deviation of a jammed frame, as a share of the motion since the frame before.
+JAM = 0.5
+
+
+def generic_columns(bench: Bench, marker_std: float) -> FloatArray:
+    """Return the rival's columns for every size.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    marker_std : float
+        Typical noise of a coordinate, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_sizes, p, size)
+        For one prior standard deviation, mm and mN.
+    """
+    layout = bench.layout
+    patterns = smooth_patterns(layout.reference, bench.extent)
+    base = bench.base
+    markers: list[FloatArray] = []
+    forces: list[FloatArray] = []
+    jams: list[FloatArray] = []
+    for part in layout.parts:
+        for history in histories(part, base):
+            markers += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
+            for i in range(len(part.pads)):
+                largest = np.abs(part.forces(base)[:, i]).max()
+                forces += list(force_columns(layout, part, i, history * largest))
+        change = np.diff(part.markers(base), axis=0)
+        for frame in range(1, part.n_frames):
+            if np.abs(change[frame - 1]).max() > 3.0 * marker_std:
+                column = np.zeros(layout.size)
+                part.markers(column)[frame] = JAM * change[frame - 1]
+                if part.pads:
+                    part.forces(column)[frame] = JAM * np.diff(part.forces(base), axis=0)[frame - 1]
+                jams.append(column)
+    smooth = np.array(markers).reshape(-1, layout.size)
+    strong = np.array(forces).reshape(-1, layout.size)
+    steps = np.array(jams).reshape(-1, layout.size)
+    return np.array(
+        [np.concatenate([size * marker_std * smooth, share * strong, steps]) for size, share in SIZES], np.float32
+    ).astype(np.float64)
+
+
+def histories(part: CasePart, base: FloatArray) -> list[FloatArray]:
+    """Return the histories of a generic change in a case: load, load squared, fading memory, clock, constant.
+
+    Parameters
+    ----------
+    part : CasePart
+        The case.
+    base : ndarray of float64, shape (size,)
+        Prediction of the believed model.
+
+    Returns
+    -------
+    list of ndarray of float64, shapes (n_frames,)
+        Of about unit size.
+    """
+    load = load_history(part, base)
+    span = float(part.times[-1] - part.times[0]) if part.n_frames > 1 else 1.0
+    clock = (part.times - part.times[0]) / max(span, 1e-9)
+    if not load.any():
+        return [np.ones(part.n_frames), clock - 0.5]
+    memory = np.zeros(part.n_frames)
+    for frame in range(1, part.n_frames):
+        fade = np.exp(-(part.times[frame] - part.times[frame - 1]) / max(0.25 * span, 1e-9))
+        memory[frame] = fade * memory[frame - 1] + (1.0 - fade) * load[frame]
+    return [load, load**2 - load, memory, clock, np.ones(part.n_frames)]

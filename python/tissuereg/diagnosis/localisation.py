@@ -1,0 +1,173 @@
+"""Localisation of an unexplained residual: the component of the rig or model near which it is largest.
+
+Every marker, pad, support and case, and the body as a whole, is a hypothesis with one parameter ``a``: the reduced
+residual has the variance ``1 + a w`` instead of 1, where the weight ``w``, 0 to 1, is the proximity of a measured
+number to the component. The component with the largest gain in log likelihood, maximised over ``a``, minus the
+logarithm of the number of components of its kind, is the one to check.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.residual import largest_residuals, worst_frame
+from tissuereg.diagnosis.screen import UNKNOWN
+from tissuereg.diagnosis.signals import Layout
+
+#: Standard deviation of the weight's Gaussian in the distance from a component, over the body's extent.
+REACH = 0.15
+
+#: Values of ``a`` that are tried.
+_VARIANCES = np.geomspace(0.01, 1e6, 49)
+
+#: A measured number belongs to a component where its weight exceeds this.
+_NEAR = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A component of the rig or of the model that can be checked.
+
+    Attributes
+    ----------
+    kind : str
+        ``marker``, ``pad``, ``support``, ``case`` or ``body``.
+    name : str
+        As in the experiment; for the body its elements.
+    proximity : ndarray of float64, shape (size,)
+        Weight of every measured number, 0 to 1.
+    """
+
+    kind: str
+    name: str
+    proximity: FloatArray
+
+
+#: The advised action for a component of each kind.
+_ACTIONS = {
+    "marker": "check marker {name}: that it is firmly attached, fully visible and not mistaken for another; "
+    "leave it out and diagnose again",
+    "pad": "check pad {name}: its position, whether it slips or lifts off, and that its motion and force are as "
+    "recorded; add a marker next to it",
+    "support": "check support {name}: whether the body slips or lifts off there, and where its edge is; "
+    "add a marker next to it",
+    "case": "measure case {name} again: a deviation that does not repeat is no property of the body",
+    "body": "check the model of the whole body: {elements}measure its shape and its material separately",
+}
+
+
+def next_check(bench: Bench, residual: FloatArray, nearest: str = UNKNOWN) -> dict[str, Any]:
+    """Return the component to check next.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    residual : ndarray of float64, shape (size,)
+        Unexplained residual, whitened and reduced.
+    nearest : str
+        The cause that it resembles most, ``"unknown"`` for none.
+
+    Returns
+    -------
+    dict
+        ``action`` in words, ``separates`` (empty) and ``separability`` (None) as in `advise`, and ``check``: the
+        component's ``kind`` and ``name``, the ``share`` of the misfit near it, ``where`` (markers and pads, the worst
+        first), ``case`` and ``time_s``.
+    """
+    layout = bench.layout
+    components = list(components_of(bench))
+    count = Counter(one.kind for one in components)
+    chosen = max(
+        components, key=lambda one: log_likelihood_gain(residual, one.proximity, layout) - np.log(count[one.kind])
+    )
+    share = _share(residual, chosen.proximity, layout)
+    case, time = worst_frame(layout, residual * np.sqrt(chosen.proximity))
+    where = largest_residuals(layout, residual)
+    elements = "" if chosen.name == "tet10" else "diagnose again with the elements tet10; if the misfit remains, "
+    action = _ACTIONS[chosen.kind].format(name=chosen.name, elements=elements)
+    worst = f", worst at {', '.join(where)}" if where and chosen.kind not in ("marker", "case") else ""
+    like = "" if nearest == UNKNOWN else f"; the cause of the catalogue that comes nearest is '{nearest}'"
+    whole = "the misfit is spread over the body, in proportion to its motion"
+    place = whole if chosen.kind == "body" else f"{share:.0%} of the misfit is there"
+    return {
+        "action": f"{action} ({place}{worst}, most at {time:.4g} s under case {case}{like})",
+        "separates": [],
+        "separability": None,
+        "check": {
+            "kind": chosen.kind,
+            "name": chosen.name,
+            "share": share,
+            "where": where,
+            "case": case,
+            "time_s": time,
+        },
+    }
+
+
+def components_of(bench: Bench) -> Iterator[Component]:
+    """Yield all components that can be checked."""
+    layout, experiment = bench.layout, bench.experiment
+    for i, name in enumerate(layout.marker_names):
+        yield Component("marker", name, _near_markers(layout, np.eye(len(layout.marker_names))[i]))
+    for pad in experiment.actuators:
+        near = _near_markers(layout, _closeness(bench, pad.nodes))
+        for part in layout.parts:
+            case = experiment.cases[part.name]
+            if pad.name not in case.displacements and pad.name not in case.applied_forces:
+                part.markers(near)[:] = 0.0
+            if pad.name in part.pads:
+                part.forces(near)[:, part.pads.index(pad.name)] = 1.0
+        yield Component("pad", pad.name, near)
+    for boundary in experiment.boundaries:
+        yield Component("support", boundary.name, _near_markers(layout, _closeness(bench, boundary.nodes)))
+    if len(layout.parts) > 1:
+        for part in layout.parts:
+            yield Component("case", part.name, layout.of_case(part.name).astype(np.float64))
+    yield Component("body", bench.predictor.element, _squared_motion(layout, bench.base))
+
+
+def log_likelihood_gain(residual: FloatArray, proximity: FloatArray, layout: Layout) -> float:
+    """Return the gain in log likelihood, in nats, of an additional variance near a component over unit variance."""
+    seen = layout.seen
+    squares, variance = residual[seen] ** 2, 1.0 + _VARIANCES[:, None] * proximity[seen]
+    nats = 0.5 * (squares * (1.0 - 1.0 / variance) - np.log(variance)).sum(axis=1)
+    return float(max(nats.max(), 0.0))
+
+
+def _share(residual: FloatArray, proximity: FloatArray, layout: Layout) -> float:
+    """Return the share of the squared residual beyond noise that lies near a component."""
+    seen = layout.seen
+    beyond = residual[seen] ** 2 - 1.0
+    whole, there = float(beyond.sum()), float(beyond[proximity[seen] > _NEAR].sum())
+    return float(np.clip(there / whole, 0.0, 1.0)) if whole > 0.0 else 0.0
+
+
+def _near_markers(layout: Layout, closeness: FloatArray) -> FloatArray:
+    near = np.zeros(layout.size)
+    for part in layout.parts:
+        part.markers(near)[:] = closeness[:, None]
+    return near
+
+
+def _closeness(bench: Bench, nodes: IntArray) -> FloatArray:
+    """Return a Gaussian of each marker's distance from a patch, 1 on it, shape (n_markers,)."""
+    places = bench.experiment.mesh.nodes[nodes]
+    apart = np.linalg.norm(bench.layout.reference[:, None] - places, axis=2).min(axis=1)
+    return np.asarray(np.exp(-0.5 * (apart / (REACH * bench.extent)) ** 2))
+
+
+def _squared_motion(layout: Layout, believed: FloatArray) -> FloatArray:
+    """Return the squares of the believed model's prediction over the largest, for markers and forces each."""
+    near = np.zeros(layout.size)
+    markers = layout.of_markers()
+    for rows in (markers, ~markers):
+        largest = np.abs(believed[rows]).max(initial=0.0)
+        if largest > 0.0:
+            near[rows] = (believed[rows] / largest) ** 2
+    return near

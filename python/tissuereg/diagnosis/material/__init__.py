@@ -1,0 +1,131 @@
+"""Diagnosis of material tests: which causes explain the difference between measured stress curves and a believed law.
+
+`diagnose_material` runs all steps: `noise` (measurement error of the curves), `hypothesis` (fits of causes and their
+evidence), `nulls` (threshold and p-value from simulated null experiments), `search` (selection of causes, held-out
+proof, groups), `verdict`, `refine` (form and weights of the reported fit), `deviations` (its standard deviations),
+`answer`, `extend` and `report`. `causes` has one module for each family of causes; `history.stress_of` computes the
+stress of a model along a curve.
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tissuereg._base.arguments import place
+from tissuereg.diagnosis.material.answer import EXTENDED_FILE, answer_of
+from tissuereg.diagnosis.material.extend import extended, predicted_stresses
+from tissuereg.diagnosis.material.report import material_page
+from tissuereg.diagnosis.material.verdict import Outcome, find_out
+from tissuereg.experiment.material_experiment import MaterialExperiment
+from tissuereg.io.atomic import OutputError, atomic_folder
+from tissuereg.io.json import write_json
+from tissuereg.io.material_experiments import write_material_experiment
+
+__all__ = ["MaterialDiagnosis", "diagnose_material", "predicted_stresses"]
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialDiagnosis:
+    """The result of a diagnosis of a material test.
+
+    Attributes
+    ----------
+    answer : dict
+        Schema ``tissuereg.diagnosis/1``, of JSON's types.
+    experiment : MaterialExperiment
+        Believed law and measured curves.
+    extended : MaterialExperiment
+        With the causes found as effects; the same where none was named.
+    outcome : Outcome
+        All intermediate results, for further work in Python.
+    """
+
+    answer: dict[str, Any]
+    experiment: MaterialExperiment
+    extended: MaterialExperiment
+    outcome: Outcome
+
+    @property
+    def verdict(self) -> str:
+        """``named``, ``group``, ``consistent`` or ``unexplained``."""
+        return str(self.answer["verdict"])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the answer in JSON's types."""
+        return self.answer
+
+    def save(self, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> Path:
+        """Write ``diagnosis.json``, ``experiment.extended.toml`` and ``report.html``, all or none.
+
+        Parameters
+        ----------
+        folder : path-like
+            Files of these names in it are replaced, others stay.
+        extra : mapping, optional
+            Entries added to the JSON, or replacing its own.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written there.
+        """
+        out = place("folder", folder, error=OutputError)
+        with atomic_folder(out) as draft:
+            write_json(draft / "diagnosis.json", {**self.answer, **(extra or {})})
+            # Paths in the model are relative to the final folder.
+            write_material_experiment(self.extended, draft / EXTENDED_FILE, seen_from=out)
+            (draft / "report.html").write_text(material_page(self, out), encoding="utf-8")
+        return out
+
+
+def diagnose_material(
+    experiment: MaterialExperiment, *, seed: int = 0, progress: Callable[[str], None] | None = None
+) -> MaterialDiagnosis:
+    """Return the diagnosis of a material test.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        From `tissuereg.io.material_experiments.read_material_experiment`, or made in Python.
+    seed : int
+        Seed of the simulated null experiments; the result is the same at each call.
+    progress : callable, optional
+        Called with the name of the step that begins.
+
+    Returns
+    -------
+    MaterialDiagnosis
+        Answer and extended model.
+
+    Notes
+    -----
+    Seconds for a few curves; up to half a minute where holds at several rates make relaxation one of the candidates.
+
+    Examples
+    --------
+    A shear stress with a cubic term, which no neo-Hookean solid has:
+
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import tissuereg as tr
+    >>> from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
+    >>> shear, unknown = np.linspace(0.02, 1.0, 40), np.full(40, np.nan)
+    >>> curves = tuple(
+    ...     Curve(name, "simple-shear", np.nan, unknown, shear, stiff * (shear + shear**3))
+    ...     for name, stiff in (("a", 1.0), ("b", 1.05))
+    ... )
+    >>> gel = MaterialExperiment("gel", Path("."), tr.Material(3.0, 0.49), None, None, curves)
+    >>> [cause["id"] for cause in diagnose_material(gel).answer["causes"]]
+    ['stiffening']
+    """
+    outcome = find_out(experiment, seed, progress or (lambda message: None))
+    answer = answer_of(experiment, outcome, seed)
+    found = experiment if outcome.refined is None else extended(experiment, outcome.refined.fit)
+    return MaterialDiagnosis(answer, experiment, found, outcome)

@@ -1,0 +1,125 @@
+"""Which further test would distinguish two causes that the measured curves cannot."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.material.data import data_of
+from tissuereg.diagnosis.material.history import stress_of
+from tissuereg.diagnosis.material.model import Model
+from tissuereg.diagnosis.material.noise import USUAL_FACTOR, Noise, covariance
+from tissuereg.diagnosis.material.scene import Scene
+from tissuereg.errors import ExperimentError
+from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
+
+_ROWS = 40
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A test and its expected benefit.
+
+    Attributes
+    ----------
+    action : str
+        Description of the test.
+    separability : float
+        Of the two causes by the new curve alone, in noise deviations.
+    """
+
+    action: str
+    separability: float
+
+
+def best_test(experiment: MaterialExperiment, scene: Scene, one: Model, other: Model) -> Advice | None:
+    """Return the stock test that separates two models best.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        The experiment so far.
+    scene : Scene
+        Its scope.
+    one, other : Model
+        Both fitted to it.
+
+    Returns
+    -------
+    Advice or None
+        None where the models have predictions for no common test.
+    """
+    tests = []
+    for action, curve in _stock(experiment, scene):
+        first, second = (stress_of(model, curve) for model in (one, other))
+        if np.isfinite(first).all() and np.isfinite(second).all():
+            tests.append(Advice(action, _separability(experiment, curve, first, second)))
+    return max(tests, key=lambda advice: advice.separability, default=None)
+
+
+def _separability(experiment: MaterialExperiment, curve: Curve, first: FloatArray, second: FloatArray) -> float:
+    """Return the norm of the difference between two predictions, whitened by the noise of one more specimen."""
+    try:
+        measured = replace(curve, stress=first)
+    except ExperimentError:
+        return 0.0
+    data = data_of(replace(experiment, curves=(measured,)))
+    noise = Noise(np.array([0.005 * float(np.abs(first).max())]), USUAL_FACTOR, 0.02, 0)
+    own = covariance(data, noise) + USUAL_FACTOR**2 * np.outer(data.stress, data.stress)
+    difference = (first - second)[data.rows[0]]
+    return float(np.sqrt(difference @ np.linalg.solve(own, difference)))
+
+
+def _stock(experiment: MaterialExperiment, scene: Scene) -> list[tuple[str, Curve]]:
+    curves = experiment.curves
+    bars = [float(np.abs(c.strains).max()) for c in curves if c.mode != "simple-shear"]
+    shears = [float(np.abs(c.strains).max()) for c in curves if c.mode == "simple-shear"]
+    bar = min(max(bars), 0.6) if bars else min(0.5 * max(shears), 0.3)
+    shear = max(shears) if shears else 1.5 * bar
+    largest = {"tension": bar, "compression": -bar, "simple-shear": shear}
+    rate = min((c.rate for c in curves if not np.isnan(c.rate)), default=0.01)
+    tests: list[tuple[str, Curve]] = []
+
+    def add(action: str, mode: str, path: Callable[[float], tuple[FloatArray, FloatArray]]) -> None:
+        times, strains = path(largest[mode])
+        amounts = strains if mode == "simple-shear" else 1.0 + strains
+        # The stress is a placeholder of the right sign: the models use the path alone.
+        tests.append((action, Curve("next", mode, rate, times, amounts, strains)))
+
+    for mode in largest:
+        if mode not in scene.modes:
+            add(f"{mode.replace('-', ' ')} to a strain of {abs(largest[mode]):.2g}", mode, lambda a: _ramp(a, rate))
+    first = scene.modes[0]
+    named = first.replace("-", " ")
+    add(f"{named} with a hold of {10 * abs(largest[first]) / rate:.3g} s", first, lambda a: _hold(a, rate))
+    add(f"{named} ten times as fast", first, lambda a: _ramp(a, 10.0 * rate))
+    add(f"{named}, unloaded and loaded again", first, lambda a: _again(a, rate))
+    for mode in scene.modes:
+        wide = min(1.5 * abs(largest[mode]), 0.7) if mode == "compression" else 1.5 * abs(largest[mode])
+        named = mode.replace("-", " ")
+        further = float(np.sign(largest[mode])) * wide
+        add(f"{named} to a strain of {wide:.2g}", mode, partial(_to, further, rate))
+    return tests
+
+
+def _ramp(largest: float, rate: float) -> tuple[FloatArray, FloatArray]:
+    strains = np.linspace(0.0, largest, _ROWS)
+    return np.abs(strains) / rate, strains
+
+
+def _to(largest: float, rate: float, _: float) -> tuple[FloatArray, FloatArray]:
+    return _ramp(largest, rate)
+
+
+def _hold(largest: float, rate: float) -> tuple[FloatArray, FloatArray]:
+    times, strains = _ramp(largest, rate)
+    later = times[-1] * (1.0 + np.geomspace(0.05, 10.0, _ROWS))
+    return np.concatenate([times, later]), np.concatenate([strains, np.full(_ROWS, largest)])
+
+
+def _again(largest: float, rate: float) -> tuple[FloatArray, FloatArray]:
+    up = np.linspace(0.0, largest, _ROWS)
+    strains = np.concatenate([up, up[-2::-1], up[1:]])
+    return np.cumsum(np.abs(np.diff(strains, prepend=0.0))) / rate, strains

@@ -1,0 +1,282 @@
+"""The answer as JSON and sentences: schema ``tissuereg.diagnosis/1`` with stresses in kPa in place of millimetres."""
+
+import platform
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._version import __version__
+from tissuereg.diagnosis.material.advice import best_test
+from tissuereg.diagnosis.material.causes import CAUSES
+from tissuereg.diagnosis.material.data import BoolArray
+from tissuereg.diagnosis.material.fit import Fit, effects_of
+from tissuereg.diagnosis.material.search import LEAST_SEPARABILITY, Finding
+from tissuereg.diagnosis.material.verdict import MISFIT, Outcome
+from tissuereg.experiment.effects import Effect
+from tissuereg.experiment.effects.history import Relaxation
+from tissuereg.experiment.material_experiment import Curve, MaterialExperiment
+
+SCHEMA = "tissuereg.diagnosis/1"
+EXTENDED_FILE = "experiment.extended.toml"
+
+
+def answer_of(experiment: MaterialExperiment, outcome: Outcome, seed: int) -> dict[str, Any]:
+    """Return the answer in JSON's types.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Believed law and measured curves.
+    outcome : Outcome
+        Result of all steps.
+    seed : int
+        Seed of the simulated null experiments.
+
+    Returns
+    -------
+    dict
+        The schema of bodies with ``kind = "material-test"``; lengths become stresses (``rms_base_kpa``), and
+        ``held_out`` also has ``unit`` and ``by_case``.
+    """
+    parameters = {} if outcome.refined is None else parameters_of(outcome.refined.fit, outcome.known.ids)
+    causes = [
+        {
+            "id": finding.id,
+            "group": list(finding.group),
+            "probability": finding.probability,
+            "log_bayes_factor": finding.log_bayes_factor,
+            "threshold": outcome.threshold,
+            "parameters": parameters[finding.id],
+            "held_out": _held_out(outcome),
+            "sentence": _sentence(outcome, finding),
+        }
+        for finding in outcome.findings
+    ]
+    return {
+        "schema": SCHEMA,
+        "kind": "material-test",
+        "verdict": outcome.verdict,
+        "causes": causes,
+        "candidates": [
+            {
+                "id": c.id,
+                "probability": c.probability,
+                "log_bayes_factor": c.log_bayes_factor,
+                "detectability": c.detectability,
+            }
+            for c in outcome.candidates
+        ],
+        "p_misfit": outcome.p_misfit,
+        "explained": outcome.explained if outcome.known.ids else None,
+        "held_out": _held_out(outcome),
+        "discrepancy": _discrepancy(outcome),
+        "noise": {
+            "std_kpa": dict(zip(_names(experiment.curves), outcome.noise.std.tolist(), strict=True)),
+            "specimen_factor": outcome.noise.factor,
+            "along_curve": outcome.noise.along,
+            "repeats": outcome.noise.repeats,
+        },
+        "extended_model": EXTENDED_FILE,
+        "next_experiment": _next(experiment, outcome),
+        "sentences": _sentences(outcome),
+        "weighting": outcome.refined.weighting if outcome.refined else None,
+        "provisional": outcome.unit == "part",
+        "seed": seed,
+        "versions": {"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
+    }
+
+
+def parameters_of(fit: Fit, ids: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+    """Return the parameters of every finding, with standard deviations by linear propagation of the fit's covariance.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of all findings together.
+    ids : sequence of str
+        Ids of its forms, in their order.
+
+    Returns
+    -------
+    dict of str to dict of str to [float, float]
+        By id, then by key of the effect's table: value and standard deviation.
+    """
+    plain = [_numbers(effect) for effect in fit.effects]
+    columns: list[list[FloatArray]] = [[] for _ in plain]
+    for i, std in enumerate(np.sqrt(np.diag(fit.covariance))):
+        moved = fit.x.copy()
+        moved[i] += 1e-3 * std
+        for column, before, effect in zip(columns, plain, effects_of(fit.forms, moved), strict=True):
+            after = _numbers(effect)
+            column.append(np.array([(after[key] - before[key]) / (1e-3 * std) for key in before]))
+    parameters = {}
+    for id, before, column in zip(ids, plain, columns, strict=True):
+        slopes = np.stack(column, axis=1)
+        spread = np.sqrt(np.einsum("pi,ij,pj->p", slopes, fit.covariance, slopes))
+        parameters[id] = {key: [value, float(s)] for (key, value), s in zip(before.items(), spread, strict=True)}
+    return parameters
+
+
+def _numbers(effect: Effect) -> dict[str, float]:
+    """Return the numbers of an effect's table; lists get numbered keys."""
+    numbers: dict[str, float] = {}
+    for key, value in effect.table().items():
+        if isinstance(value, list):
+            numbers |= {f"{key}_{i + 1}": float(v) for i, v in enumerate(value)}
+        elif isinstance(value, float):
+            numbers[key] = value
+    return numbers
+
+
+def _held_out(outcome: Outcome) -> dict[str, Any]:
+    base, named, generic = outcome.before, outcome.after, outcome.patch
+    by_case = {
+        case: {
+            "rms_base_kpa": base.rms[case],
+            "rms_named_kpa": named.rms.get(case),
+            "rms_generic_kpa": generic.rms.get(case),
+        }
+        for case in base.rms
+    }
+    noise = float(np.sqrt(np.mean(np.diag(outcome.bench.noise))))
+    return {
+        "unit": outcome.unit,
+        "cases": list(base.rms),
+        "rms_base_kpa": base.rms_all,
+        "rms_named_kpa": named.rms_all,
+        "rms_generic_kpa": generic.rms_all,
+        "noise_kpa": noise,
+        "chi_base": base.chi,
+        "chi_named": named.chi,
+        "chi_generic": generic.chi,
+        "by_case": by_case,
+    }
+
+
+def _discrepancy(outcome: Outcome) -> dict[str, Any]:
+    """Return in which curves and parts of them the believed law differs from the measured stress."""
+    data = outcome.bench.problem.data
+    residual = data.stress - data.modelled(outcome.believed.model)
+    chi = residual / np.sqrt(np.diag(outcome.bench.noise))
+    sizes = {
+        name: float(np.sqrt(np.mean(chi[data.curve_of == i] ** 2)))
+        for i, name in enumerate(_names(data.curves))
+        if (data.curve_of == i).any()
+    }
+    worst = sorted(sizes, key=lambda name: -sizes[name])[:2]
+    modes = np.array(data.modes)
+    under = max(dict.fromkeys(modes.tolist()), key=lambda mode: float(np.mean(chi[modes == mode] ** 2)))
+    return {
+        "rms_kpa": float(np.sqrt(np.mean(residual**2))),
+        "in_sigma": float(np.sqrt(np.mean(chi**2))),
+        "where": worst,
+        "when": _when(outcome, chi),
+        "under": under,
+    }
+
+
+def _names(curves: Sequence[Curve]) -> list[str]:
+    """Return the names of curves; curves of the same name are numbered."""
+    seen: Counter[str] = Counter()
+    several = Counter(curve.name for curve in curves)
+    names = []
+    for curve in curves:
+        seen[curve.name] += 1
+        names.append(curve.name if several[curve.name] == 1 else f"{curve.name}, number {seen[curve.name]}")
+    return names
+
+
+def _when(outcome: Outcome, chi: FloatArray) -> str:
+    data = outcome.bench.problem.data
+    parts: dict[str, BoolArray] = {"at small strain": np.abs(data.strain) < 1 / 3}
+    parts["at middle strain"] = (np.abs(data.strain) >= 1 / 3) & (np.abs(data.strain) < 2 / 3)
+    parts["at large strain"] = np.abs(data.strain) >= 2 / 3
+    held, back = [], []
+    for curve, rows in zip(data.curves, data.rows, strict=True):
+        moves = np.diff(np.abs(curve.strains), prepend=0.0)
+        still = np.abs(moves) < 1e-3 * np.abs(curve.strains).max()
+        held.append(still[rows])
+        back.append((moves < 0)[rows] & ~still[rows])
+    parts["while the strain is held"], parts["while unloading"] = np.concatenate(held), np.concatenate(back)
+    seen = {name: float(np.mean(chi[rows] ** 2)) for name, rows in parts.items() if rows.sum() >= 3}
+    return max(seen, key=lambda name: seen[name])
+
+
+def _sentence(outcome: Outcome, finding: Finding) -> str:
+    assert outcome.refined is not None  # there is a finding
+    fit = outcome.refined.fit
+    effect = fit.effects[outcome.known.ids.index(finding.id)]
+    table: Mapping[str, object] = effect.table()
+    sentence = CAUSES[finding.id].sentence(table)
+    if isinstance(effect, Relaxation):
+        sentence += f" Instantaneous Young's modulus: {np.exp(fit.x[0]):.3g} kPa."
+    if len(finding.group) > 1:
+        tied = " or ".join(finding.group[1:])
+        largest = max(finding.separability.values())
+        needed = f"separability {largest:.1f}, {LEAST_SEPARABILITY:g} are needed"
+        sentence += f" These data cannot distinguish it from {tied} ({needed})."
+    return sentence
+
+
+def _sentences(outcome: Outcome) -> list[str]:
+    base, named = outcome.before, outcome.after
+    sentences = [_sentence(outcome, finding) for finding in outcome.findings]
+    if outcome.verdict == "consistent":
+        return [f"The believed law explains these curves within their noise (p = {outcome.p_misfit:.2g})."]
+    if outcome.verdict == "unexplained":
+        nearest = [c.id for c in outcome.candidates if c.id != "unknown"][:2]
+        share = f" The best of them explain {outcome.explained:.0%} of the misfit." if outcome.known.ids else ""
+        return [
+            "The believed law does not explain these curves, nor does any cause of the catalogue; "
+            f"the nearest are {' and '.join(nearest) or 'none'}.{share}"
+        ]
+    what = {"part": "the last part of each curve", "mode": "a mode", "rate": "a rate", "specimen": "a specimen"}
+    change = f"from {base.rms_all:.3g} to {named.rms_all:.3g} kPa"
+    sentences.append(f"The prediction error of {what[outcome.unit]} that is held out changes {change}.")
+    if outcome.p_misfit <= MISFIT:
+        sentences.append(f"A misfit beyond the noise remains: {outcome.explained:.0%} of it are explained.")
+        assert outcome.refined is not None  # there are findings
+        sentences.append(
+            f"The form found has a model error of some {outcome.refined.form_error:.1%} of the stress; the stated "
+            "deviations include it for the modes, rates and strains tested."
+        )
+    if outcome.unit == "part":
+        sentences.append(
+            "Only the last part of the curves could be held out: provisional until another mode, rate or specimen is "
+            "tested; the stated deviations do not cover those."
+        )
+    return sentences
+
+
+def _again(outcome: Outcome) -> dict[str, Any]:
+    """Return which test to repeat: the mode and the part of the curves with the largest residual."""
+    worst = _discrepancy(outcome)
+    mode, curves = worst["under"].replace("-", " "), outcome.bench.problem.data.curves
+    others = len({curve.specimen for curve in curves if curve.mode == worst["under"]}) > 1
+    with_what = "a further specimen" if others else "another specimen"
+    action = (
+        f"measure {mode} again with {with_what}, with more rows {worst['when']}: the residual is largest there, worst "
+        f"in {' and '.join(worst['where'])}; a deviation that does not repeat is no property of the material"
+    )
+    check = {"kind": "mode", "name": worst["under"], "where": worst["where"], "when": worst["when"]}
+    return {"action": action, "separates": [], "separability": None, "check": check}
+
+
+def _next(experiment: MaterialExperiment, outcome: Outcome) -> dict[str, Any] | None:
+    """Return the test that distinguishes tied causes; where nothing explains the curves, the test to repeat."""
+    if outcome.verdict == "unexplained":
+        return _again(outcome)
+    for finding in outcome.findings:
+        for rival in finding.group[1:]:
+            other = finding.rivals[rival].fit.model
+            advice = best_test(experiment, outcome.scene, outcome.known.fit.model, other)
+            if advice is not None:
+                return {
+                    "action": advice.action,
+                    "separates": [[finding.id, rival]],
+                    "separability": advice.separability,
+                }
+    return None

@@ -1,0 +1,112 @@
+"""Elastic response to homogeneous deformation: second Piola-Kirchhoff stress and isochoric energy.
+
+All of them are the solver's own point: of bars free across by `tissuereg.experiment.material_tests`, of plane
+deformations, whose
+whole tensor is needed because memory acts on its parts, by the first Piola-Kirchhoff stress at ``F = C^(1/2)``.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.material import Material
+from tissuereg.experiment.material_tests import uniaxial_stress
+
+
+def axial_second_pk(material: Material, stretch: FloatArray) -> FloatArray:
+    """Return the axial second Piola-Kirchhoff stress of a bar with free lateral surfaces.
+
+    Parameters
+    ----------
+    material : Material
+        Homogeneous.
+    stretch : ndarray of float64, shape (n,)
+        Positive.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+        kPa; NaN where the law has no solution.
+    """
+    return np.asarray(uniaxial_stress(material, stretch) / stretch)
+
+
+def shear_metric(shear: FloatArray) -> FloatArray:
+    """Return ``C`` in the plane of simple shear ``F = I + shear e0 e1``.
+
+    Parameters
+    ----------
+    shear : ndarray of float64, shape (n,)
+        Amounts.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 2, 2)
+        Determinant 1.
+    """
+    metric = np.zeros((len(shear), 2, 2))
+    metric[:, 0, 0] = 1.0
+    metric[:, 0, 1] = metric[:, 1, 0] = shear
+    metric[:, 1, 1] = 1.0 + shear**2
+    return metric
+
+
+def plane_second_pk(material: Material, metric: FloatArray) -> FloatArray:
+    """Return the second Piola-Kirchhoff stress of an area-preserving plane deformation.
+
+    Parameters
+    ----------
+    material : Material
+        Homogeneous; not of the law hooke.
+    metric : ndarray of float64, shape (n, 2, 2)
+        ``C`` in the plane, determinant 1.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 2, 2)
+        kPa, in the plane.
+    """
+    identity = np.eye(2)
+    # The root of a matrix of determinant 1.
+    stretch = (metric + identity) / np.sqrt(metric[:, 0, 0] + metric[:, 1, 1] + 2.0)[:, None, None]
+    gradients = np.zeros((len(metric), 3, 3))
+    gradients[:, :2, :2] = stretch - identity
+    _, stress = material.core_law().response(gradients, *_moduli(material))
+    return np.asarray(_inverse(stretch) @ stress[:, :2, :2])
+
+
+def isochoric_energy(material: Material, stretches: FloatArray) -> FloatArray:
+    """Return the energy density at volume-preserving principal stretches, without fibres.
+
+    Parameters
+    ----------
+    material : Material
+        Homogeneous.
+    stretches : ndarray of float64, shape (n, 3)
+        Of product 1.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+        kPa.
+    """
+    young, poisson = _moduli(material)
+    # Without a lambda, St. Venant and Kirchhoff's energy is that of the change of shape; Hooke's is taken for it.
+    law = "st-venant-kirchhoff" if material.law == "hooke" else material.law
+    gradients = np.zeros((len(stretches), 3, 3))
+    gradients[:, range(3), range(3)] = stretches - 1.0
+    plain = replace(material, law=law, fibre=None)
+    return plain.core_law().response(gradients, young / (1.0 + poisson), 0.0)[0]
+
+
+def _moduli(material: Material) -> tuple[float, float]:
+    return float(material.young_array[0]), float(material.poisson_array[0])
+
+
+def _inverse(metric: FloatArray) -> FloatArray:
+    inverse = np.empty_like(metric)
+    inverse[:, 0, 0], inverse[:, 1, 1] = metric[:, 1, 1], metric[:, 0, 0]
+    inverse[:, 0, 1] = inverse[:, 1, 0] = -metric[:, 0, 1]
+    determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
+    return np.asarray(inverse / determinant[:, None, None])

@@ -1,0 +1,209 @@
+"""Fit of one hypothesis: nonlinear least squares (Levenberg-Marquardt), and evidence by Laplace's approximation.
+
+With whitened residual r(x) and z = (x - mean) / std in units of the Gaussian prior, |r|^2 + |z|^2 is minimised; the log
+evidence is -1/2 (|r|^2 + |z|^2) - 1/2 log det(1 + share^2 Lambda) - 1/2 log det(J^T J), with J the Jacobian of (r, z)
+by z and Lambda the spectrum of the generic misfit (`weights`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.material.causes import WIDE_YOUNG, Form
+from tissuereg.diagnosis.material.data import Data
+from tissuereg.diagnosis.material.model import Model
+from tissuereg.diagnosis.material.weights import Weights
+from tissuereg.errors import TissueRegError
+from tissuereg.experiment.effects import Effect
+from tissuereg.experiment.effects.elastic import Stiffness
+
+Residuals = Callable[[FloatArray], FloatArray]
+
+#: Whitened residual where a law has no stress.
+_NO_STRESS = 1e4
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Data, weights and believed model of a fit.
+
+    Attributes
+    ----------
+    base : Model
+        The believed model.
+    data : Data
+        Rows that are fitted.
+    weights : Weights
+        Whitening of these rows.
+    young_log : float
+        Prior mean of the logarithm of the modulus in kPa.
+    young_std : float
+        Prior standard deviation of the logarithm.
+    """
+
+    base: Model
+    data: Data
+    weights: Weights
+    young_log: float
+    young_std: float
+
+    def model(self, forms: Sequence[Form], x: FloatArray) -> Model:
+        """Return the model for parameters x: the modulus' logarithm, then those of every form."""
+        model = self.base.with_material(young=float(np.exp(np.clip(x[0], -30.0, 30.0))))
+        for effect in effects_of(forms, x):
+            if not isinstance(effect, Stiffness):
+                model = model.with_effect(effect)
+        return model
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted hypothesis.
+
+    Attributes
+    ----------
+    forms : tuple of Form
+        Forms of its causes.
+    x : ndarray of float64, shape (n,)
+        Logarithm of the modulus, then the parameters of each form.
+    covariance : ndarray of float64, shape (n, n)
+        Of `x`, from the curvature; valid if form and noise model are correct. `deviations.stated` gives the covariance
+        that is reported.
+    share : float
+        Size of the generic misfit in its covariance, over the stress; 0 for none.
+    evidence : float
+        Log evidence, up to a constant that all hypotheses have in common.
+    log_posterior : float
+        Log posterior density at `x`: the log evidence without Occam's factor.
+    model : Model
+        Fitted.
+    """
+
+    forms: tuple[Form, ...]
+    x: FloatArray
+    covariance: FloatArray
+    share: float
+    evidence: float
+    log_posterior: float
+    model: Model
+
+    @property
+    def effects(self) -> list[Effect]:
+        """Effects of the forms, in their order."""
+        return effects_of(self.forms, self.x)
+
+
+def effects_of(forms: Sequence[Form], x: FloatArray) -> list[Effect]:
+    """Return the effects of fitted parameters, one for each form."""
+    effects: list[Effect] = []
+    first = 1
+    for form in forms:
+        last = first + len(form.mean)
+        if form.effect is None:
+            effects.append(Stiffness(young_kpa=float(np.exp(x[0]))))
+        else:
+            effects.append(form.effect(x[first:last]))
+        first = last
+    return effects
+
+
+def prior_of(problem: Problem, forms: Sequence[Form]) -> tuple[FloatArray, FloatArray]:
+    """Return prior mean and standard deviation of the fitted parameters."""
+    wide = any(form.effect is None for form in forms)
+    mean = np.concatenate([[problem.young_log], *(form.mean for form in forms)])
+    std = np.concatenate([[WIDE_YOUNG if wide else problem.young_std], *(form.std for form in forms)])
+    return mean, std
+
+
+def fitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArray], share: float = 0.0) -> Fit:
+    """Return the fit of a hypothesis, the best from several starts.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data, weights and believed model.
+    forms : sequence of Form
+        Forms of its causes.
+    starts : sequence of ndarray of float64, shape (n,)
+        First guesses.
+    share : float
+        Size of the generic misfit in its covariance, over the stress; 0 for none.
+
+    Returns
+    -------
+    Fit
+        With the largest log posterior.
+    """
+    ends = [_descent(problem, forms, start, share) for start in starts]
+    return max(ends, key=lambda fit: fit.log_posterior)
+
+
+def _descent(problem: Problem, forms: Sequence[Form], start: FloatArray, share: float) -> Fit:
+    mean, std = prior_of(problem, forms)
+    measured = problem.data.stress
+
+    def residuals(z: FloatArray) -> FloatArray:
+        try:
+            modelled = problem.data.modelled(problem.model(forms, mean + std * z))
+        except TissueRegError:
+            modelled = np.full(len(measured), np.nan)
+        if not np.isfinite(modelled).all():
+            return np.concatenate([np.full(len(measured), _NO_STRESS), z])
+        white = problem.weights.whitened(measured - modelled, share)
+        return np.concatenate([np.clip(white, -1e8, 1e8), z])
+
+    z, value, jacobian = _levenberg(residuals, (start - mean) / std)
+    curvature = jacobian.T @ jacobian
+    log_posterior = -0.5 * float(value @ value) - problem.weights.log_size(share)
+    # With the prior every eigenvalue is at least 1, but for rounding errors where the stress becomes huge.
+    occam = 0.5 * max(0.0, float(np.linalg.slogdet(curvature)[1]))
+    # Keeps it regular against the same rounding errors.
+    rounding = 1e-13 * float(np.trace(curvature)) * np.eye(len(z))
+    covariance = std[:, None] * np.linalg.inv(curvature + rounding) * std[None, :]
+    x = mean + std * z
+    model = problem.model(forms, x)
+    return Fit(tuple(forms), x, covariance, share, log_posterior - occam, log_posterior, model)
+
+
+def _levenberg(residuals: Residuals, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Minimise half the sum of squared residuals, which include the prior, by damped Gauss-Newton steps.
+
+    The Jacobian is taken by finite differences, which cost less than analytic derivatives of the stress.
+    """
+    z = np.clip(z, -6.0, 6.0)
+    value = residuals(z)
+    jacobian = _differences(residuals, z, value)
+    damping = 1e-2
+    for _ in range(40):
+        gradient = jacobian.T @ value
+        curvature = jacobian.T @ jacobian
+        cost = float(value @ value)
+        while damping < 1e8:
+            damped = curvature + damping * np.diag(np.diag(curvature)) + 1e-13 * np.trace(curvature) * np.eye(len(z))
+            step = -np.linalg.solve(damped, gradient)
+            tried = z + np.clip(step, -2.0, 2.0)
+            new = residuals(tried)
+            if float(new @ new) < cost:
+                break
+            damping *= 4.0
+        else:
+            break
+        gain = cost - float(new @ new)
+        z, value = tried, new
+        damping = max(damping / 8.0, 1e-9)
+        jacobian = _differences(residuals, z, value)
+        if gain < 1e-3:
+            break
+    return z, value, jacobian
+
+
+def _differences(residuals: Residuals, z: FloatArray, value: FloatArray) -> FloatArray:
+    columns = []
+    for i in range(len(z)):
+        moved = z.copy()
+        moved[i] += _STEP
+        columns.append((residuals(moved) - value) / _STEP)
+    return np.stack(columns, axis=1)

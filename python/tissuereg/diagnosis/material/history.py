@@ -1,0 +1,228 @@
+"""Stress along a curve of a model with an elastic law and memory.
+
+The formulas are those of the solver (`crates/fem/src/history`) at one point of homogeneous deformation, with rows as
+time steps. Relaxation acts on the second Piola-Kirchhoff stress with an instantaneous modulus; softening multiplies the
+isochoric stress; the set is a stress-free stretch ``exp(fraction E_max)``, constant within a step; viscosity is the
+Cauchy stress ``2 eta D``. The lateral stress of a bar is zero: without lateral elastic stress there is none to relax
+either, so relaxation is exact at any Poisson's ratio; softening and viscosity of a bar are those of its incompressible
+limit (with an error of the order of 1 - 2 nu).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.material import Fibre, Material
+from tissuereg.diagnosis.material.elastic import axial_second_pk, isochoric_energy, plane_second_pk, shear_metric
+from tissuereg.diagnosis.material.model import Model
+from tissuereg.experiment.effects.history import Relaxation, Softening
+from tissuereg.experiment.material_experiment import Curve
+from tissuereg.experiment.material_tests import shear_stress, uniaxial_stress
+
+
+@dataclass(frozen=True)
+class _Law:
+    """Everything that the elastic stress of modulus 1 depends on, as a cache key."""
+
+    law: str
+    shape: tuple[tuple[str, tuple[float, ...]], ...]
+    poisson: float
+    volumetric: str
+    fibre: tuple[float, float, tuple[float, ...], bool] | None
+    set_fraction: float
+
+    def material(self) -> Material:
+        """Return the law with a modulus of 1 kPa."""
+        shape = {key: list(values) if key in ("alpha", "weight") else values[0] for key, values in self.shape}
+        fibre = None if self.fibre is None else Fibre(*self.fibre)
+        return Material(1.0, self.poisson, self.law, shape=shape, volumetric=self.volumetric, fibre=fibre)
+
+
+def stress_of(model: Model, curve: Curve, rows: Sequence[int] | IntArray | None = None) -> FloatArray:
+    """Return the nominal stress of a model along a curve.
+
+    Parameters
+    ----------
+    model : Model
+        Law and memory.
+    curve : Curve
+        Path and times; its stress is not used. Without times relaxation and viscosity are left out.
+    rows : array_like of int, optional
+        Rows to return; all where absent. The history includes all rows in either case.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_rows,)
+        kPa, compression negative; NaN where the law has no solution.
+    """
+    wanted = np.arange(len(curve.amounts)) if rows is None else np.asarray(rows, dtype=np.int64)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if not model.remembers:
+            amounts, sheared = curve.amounts[wanted], curve.mode == "simple-shear"
+            return shear_stress(model.material, amounts) if sheared else uniaxial_stress(model.material, amounts)
+        stress = (_sheared if curve.mode == "simple-shear" else _stretched)(model, curve)
+        return np.asarray(stress[1:][wanted])
+
+
+def _law_of(model: Model) -> _Law:
+    material, fibre = model.material, model.material.fibre
+    shape = {key: tuple(float(v) for v in np.atleast_1d(value)) for key, value in material.shape.items()}
+    key = None
+    if fibre is not None:
+        direction = tuple(float(v) for v in np.asarray(fibre.direction).reshape(3))
+        key = (float(fibre.k1_over_mu), float(fibre.k2), direction, fibre.tension_only)
+    fraction = 0.0 if model.set is None else model.set.fraction
+    poisson = float(material.poisson_array[0])
+    return _Law(material.law, tuple(sorted(shape.items())), poisson, material.volumetric, key, fraction)
+
+
+def _young(model: Model) -> float:
+    return float(model.material.young_array[0])
+
+
+@lru_cache(maxsize=256)
+def _from_rest(curve: Curve) -> tuple[FloatArray, FloatArray]:
+    """Return path and times, preceded by the state of rest; from there to the first row at the curve's rate, if any."""
+    rest = 0.0 if curve.mode == "simple-shear" else 1.0
+    times = curve.clock
+    if not curve.timed:
+        times = np.zeros(len(times))
+    lead = 0.0 if math.isnan(curve.rate) else abs(float(curve.strains[0])) / curve.rate
+    return np.concatenate([[rest], curve.amounts]), np.concatenate([[times[0] - lead], times])
+
+
+def _stretched(model: Model, curve: Curve) -> FloatArray:
+    stretch, times = _from_rest(curve)
+    unit, energy = _stretched_unit(_law_of(model), curve)
+    second = _young(model) * unit
+    if model.softening is not None:
+        second = second * _softened(model.softening, _young(model) * energy)
+    if model.relaxation is not None and curve.timed:
+        second = _relaxed(model.relaxation, second, times)
+    nominal = stretch * second
+    if model.rate is not None and curve.timed:
+        along = _viscous(stretch**2, times)
+        aside = _viscous(1.0 / stretch, times)
+        # The lateral stress is zero: Cauchy stress along minus across, over the stretch.
+        nominal = nominal + model.rate.viscosity_kpa_s * (stretch * along - aside / stretch**2)
+    return np.asarray(nominal)
+
+
+@lru_cache(maxsize=256)
+def _stretched_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray]:
+    """Return axial stress and isochoric energy along a path, per kPa of the modulus."""
+    material, (stretch, _) = law.material(), _from_rest(curve)
+    stays = np.exp(law.set_fraction * _largest_before(np.log(stretch)))
+    elastic = stretch / stays
+    across = elastic**-0.5
+    energy = isochoric_energy(material, np.stack([elastic, across, across], axis=1))
+    return axial_second_pk(material, elastic) / stays**2, energy
+
+
+def _sheared(model: Model, curve: Curve) -> FloatArray:
+    shear, times = _from_rest(curve)
+    across, along, energy = _sheared_unit(_law_of(model), curve)
+    parts = _young(model) * np.stack([across, along])
+    if model.softening is not None:
+        parts = parts * _softened(model.softening, _young(model) * energy)
+    if model.relaxation is not None and curve.timed:
+        parts = _relaxed(model.relaxation, parts, times)
+    nominal = parts[0] + shear * parts[1]
+    if model.rate is not None and curve.timed:
+        nominal = nominal + model.rate.viscosity_kpa_s * _viscous_shear(shear, times)
+    return np.asarray(nominal)
+
+
+@lru_cache(maxsize=256)
+def _sheared_unit(law: _Law, curve: Curve) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return stress components 01 and 11 and isochoric energy along a path, per kPa of the modulus."""
+    material, (shear, _) = law.material(), _from_rest(curve)
+    metric = shear_metric(shear)
+    back = None if law.set_fraction == 0 else _shear_back(law.set_fraction, metric, shear)
+    elastic = metric if back is None else back @ metric @ back
+    # Principal stretches in a plane of constant area: their squares have this sum and the product 1.
+    half = 0.5 * (elastic[:, 0, 0] + elastic[:, 1, 1])
+    larger = np.sqrt(half + np.sqrt(np.maximum(half**2 - 1.0, 0.0)))
+    energy = isochoric_energy(material, np.stack([larger, 1.0 / larger, np.ones(len(larger))], axis=1))
+    if law.law == "hooke":
+        return shear_stress(material, shear), np.zeros(len(shear)), energy
+    second = plane_second_pk(material, elastic)
+    if back is not None:
+        second = back @ second @ back
+    return second[:, 0, 1], second[:, 1, 1], energy
+
+
+def _shear_back(fraction: float, metric: FloatArray, shear: FloatArray) -> FloatArray:
+    """Return the inverse of the permanent stretch in simple shear at every row, shape (n, 2, 2).
+
+    It is ``exp(-fraction E_max)``, with E_max the logarithmic strain of the row of largest shear before. `metric` is
+    the right Cauchy-Green tensor (n, 2, 2) of every row in the plane of shear.
+    """
+    sizes = np.abs(shear)
+    best = np.maximum.accumulate(sizes)
+    first = np.concatenate([[True], sizes[1:] > best[:-1]])
+    source = np.maximum.accumulate(np.where(first, np.arange(len(shear)), 0))
+    before = np.concatenate([[0], source[:-1]])
+    values, vectors = np.linalg.eigh(metric[before])
+    return np.asarray(np.einsum("np,nip,njp->nij", values ** (-0.5 * fraction), vectors, vectors))
+
+
+def _largest_before(values: FloatArray) -> FloatArray:
+    """Return, at every row, the value of the largest size in the rows before it; 0 at the first."""
+    sizes = np.abs(values)
+    best = np.maximum.accumulate(sizes)
+    first = np.concatenate([[True], sizes[1:] > best[:-1]])
+    source = np.maximum.accumulate(np.where(first, np.arange(len(values)), 0))
+    return np.concatenate([[0.0], values[source[:-1]]])
+
+
+def _softened(softening: Softening, energy: FloatArray) -> FloatArray:
+    from scipy.special import erf
+
+    if softening.form == "damage":
+        return np.asarray(1.0 + (1.0 - 1.0 / softening.r) * np.expm1(-np.maximum.accumulate(energy) / softening.m_kpa))
+    largest = np.concatenate([[0.0], np.maximum.accumulate(energy)[:-1]])
+    below = np.maximum(largest - energy, 0.0)
+    return np.asarray(1.0 - erf(below / (softening.m_kpa + softening.beta * largest)) / softening.r)
+
+
+def _relaxed(relaxation: Relaxation, elastic: FloatArray, times: FloatArray) -> FloatArray:
+    """Return ``(1 - sum g) S + sum g_i H_i`` by Simo's recursion, `elastic` (..., n) linear in time within a step.
+
+    ``H_n = e_n H_n-1 + beta_n dS_n`` is evaluated for all steps at once by recursive doubling.
+    """
+    shares, taus = np.array(relaxation.g), np.array(relaxation.tau_s)
+    x = np.diff(times) / taus[:, None]
+    beta = np.where(x > 0, -np.expm1(-x) / np.where(x > 0, x, 1.0), 1.0)
+    changes = np.diff(elastic, axis=-1)[..., None, :] * beta
+    held = np.concatenate([np.broadcast_to(elastic[..., None, :1], (*changes.shape[:-1], 1)), changes], axis=-1)
+    decay = np.concatenate([np.zeros((len(taus), 1)), np.exp(-x)], axis=1)
+    joined = 1
+    while joined < len(times):
+        held[..., joined:] = held[..., joined:] + decay[:, joined:] * held[..., :-joined]
+        decay[:, joined:] = decay[:, joined:] * decay[:, :-joined]
+        joined *= 2
+    return np.asarray((1.0 - shares.sum()) * elastic + np.einsum("i,...in->...n", shares, held))
+
+
+def _viscous(square: FloatArray, times: FloatArray) -> FloatArray:
+    """Return ``2 / dt C_n^-1 dE C_n^-1`` of a principal direction with ``C = square``, 1/s; 0 where no time passes."""
+    steps = np.diff(times)
+    flow = np.diff(square) / square[:-1] ** 2
+    return np.concatenate([[0.0], np.where(steps > 0, flow / np.where(steps > 0, steps, 1.0), 0.0)])
+
+
+def _viscous_shear(shear: FloatArray, times: FloatArray) -> FloatArray:
+    """Return the nominal shear stress of unit viscosity, 1/s."""
+    metric, steps = shear_metric(shear), np.diff(times)
+    before = shear[:-1]
+    inverse = np.empty((len(before), 2, 2))
+    inverse[:, 0, 0], inverse[:, 1, 1] = 1.0 + before**2, 1.0
+    inverse[:, 0, 1] = inverse[:, 1, 0] = -before
+    flow = inverse @ np.diff(metric, axis=0) @ inverse
+    nominal = flow[:, 0, 1] + shear[1:] * flow[:, 1, 1]
+    return np.concatenate([[0.0], np.where(steps > 0, nominal / np.where(steps > 0, steps, 1.0), 0.0)])

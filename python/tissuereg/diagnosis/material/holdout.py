@@ -1,0 +1,188 @@
+"""Held-out proof for material tests: prediction of a mode, rate, specimen or last part of the curves from the rest."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.material.data import BoolArray, Data
+from tissuereg.diagnosis.material.fit import Fit, Problem, fitted
+from tissuereg.diagnosis.material.weights import block, patched, weights_of
+from tissuereg.experiment.material_experiment import HELD_OUT, MaterialExperiment
+
+#: Specimens are divided into so many folds at most.
+_MAX_FOLDS = 4
+#: Progress along the load history up to which a single curve is fitted; the rest is predicted.
+_PART = 0.8
+#: Rates with a ratio below this are held out together, because one would predict the other.
+_SAME_RATE = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """Rows that are held out together.
+
+    Attributes
+    ----------
+    name : str
+        For instance ``compression``.
+    held_out : ndarray of bool, shape (n,)
+        Which rows.
+    """
+
+    name: str
+    held_out: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Everything that held-out proofs need.
+
+    Attributes
+    ----------
+    unit : str
+        ``mode``, ``rate``, ``specimen`` or ``part``.
+    folds : tuple of Fold
+        Every row is held out once at most.
+    problem : Problem
+        Of all rows.
+    noise, generic : ndarray of float64, shape (n, n)
+        Covariances of the noise and of a generic misfit of size 1, kPa^2.
+    repeats : int
+        Number of curves that repeat another one; without any the noise is an assumption.
+    fitting : ndarray of float64, shape (n, n), optional
+        Covariance that weights the fits, in place of `noise`.
+    """
+
+    unit: str
+    folds: tuple[Fold, ...]
+    problem: Problem
+    noise: FloatArray
+    generic: FloatArray
+    repeats: int = 0
+    fitting: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """Errors of a hypothesis' predictions of held-out rows.
+
+    Attributes
+    ----------
+    rms : dict of str to float
+        Root mean square error by fold, kPa.
+    chi : float
+        Root mean square of the error over its standard deviation, all folds together.
+    misfits : dict of str to float
+        Half the sum of squared whitened errors, by fold.
+    rms_all : float
+        Root mean square error of all folds together, kPa.
+    """
+
+    rms: dict[str, float]
+    chi: float
+    misfits: dict[str, float]
+    rms_all: float
+
+    @property
+    def total(self) -> float:
+        """Sum of the misfits of all folds."""
+        return sum(self.misfits.values())
+
+
+def folds_of(experiment: MaterialExperiment, data: Data) -> tuple[str, tuple[Fold, ...]]:
+    """Return the folds: sets of rows that are held out in turn.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Its `hold_out` is the unit where it is given; else the first of mode, rate and specimen with two values.
+    data : Data
+        Rows used.
+
+    Returns
+    -------
+    unit : str
+        As in `Bench`.
+    folds : tuple of Fold
+        At least one.
+    """
+    wanted = HELD_OUT if experiment.hold_out is None else (experiment.hold_out,)
+    for unit in wanted:
+        values = experiment.values(unit)
+        if len(values) > 1 and not (unit == "rate" and len(_alike(values)) < 2):
+            sets: Sequence[Sequence[object]] = _alike(values) if unit == "rate" else [[v] for v in values]
+            if unit == "specimen" and len(values) > _MAX_FOLDS:
+                sets = [values[i::_MAX_FOLDS] for i in range(_MAX_FOLDS)]
+            own = np.array([str(getattr(curve, unit)) for curve in data.curves])[data.curve_of]
+            return unit, tuple(Fold(_named(unit, s), np.isin(own, [str(v) for v in s])) for s in sets)
+    beyond = data.arc > _PART
+    return "part", (Fold("the last part of the load history", beyond),)
+
+
+def _alike(rates: Sequence[object]) -> list[list[object]]:
+    """Return rates in sets of nearby values."""
+    sets: list[list[object]] = []
+    for rate in sorted(float(str(r)) for r in rates):
+        if sets and rate < _SAME_RATE * float(str(sets[-1][-1])):
+            sets[-1].append(rate)
+        else:
+            sets.append([rate])
+    return sets
+
+
+def _named(unit: str, values: Sequence[object]) -> str:
+    if unit == "rate":
+        return ", ".join(f"{float(str(v)):g}/s" for v in values)
+    return ", ".join(str(v) for v in values)
+
+
+def held_out_errors(bench: Bench, fit: Fit, *, patch_share: float | None = None) -> HeldOutErrors:
+    """Return the errors of a hypothesis on every fold, each predicted by a fit to all other rows.
+
+    Parameters
+    ----------
+    bench : Bench
+        Rows, covariances and folds.
+    fit : Fit
+        Of all rows; its parameters are the first guess.
+    patch_share : float, optional
+        Size of a generic misfit (Gaussian process) that is conditioned on the fitted rows and added to the prediction;
+        none where absent. Without it, the believed law is fitted with independent rows, as a user would do: with
+        correlated errors a wrong law would be fitted to slopes alone.
+
+    Returns
+    -------
+    HeldOutErrors
+        NaN where no fold could be predicted.
+    """
+    data = bench.problem.data
+    errors, pointwise, rms, misfits = [], [], {}, {}
+    for fold in bench.folds:
+        known, left_out = np.flatnonzero(~fold.held_out), np.flatnonzero(fold.held_out)
+        if not len(left_out) or len(known) <= len(fit.x):
+            continue
+        own = block(bench.noise if bench.fitting is None else bench.fitting, known)
+        if not fit.forms and patch_share is None:
+            own = np.diag(np.diag(own))
+        weights = weights_of(own, block(bench.generic, known))
+        problem = replace(bench.problem, data=data.part(~fold.held_out), weights=weights)
+        again = fitted(problem, fit.forms, [fit.x], fit.share if patch_share is None else patch_share)
+        error = data.stress[left_out] - data.part(fold.held_out).modelled(again.model)
+        if patch_share is not None:
+            residual = problem.data.stress - problem.data.modelled(again.model)
+            error = error - patched(bench.noise, bench.generic, patch_share, known, left_out, residual)
+        # Where the law has no stress, the prediction is zero.
+        error = np.where(np.isfinite(error), error, data.stress[left_out])
+        own = block(bench.noise, left_out)
+        white = np.linalg.solve(np.linalg.cholesky(own), error)
+        misfits[fold.name] = 0.5 * float(white @ white)
+        pointwise.append(error / np.sqrt(np.diag(own)))
+        errors.append(error)
+        rms[fold.name] = float(np.sqrt(np.mean(error**2)))
+    if not errors:
+        return HeldOutErrors({}, math.nan, {}, math.nan)
+    point, every = np.concatenate(pointwise), np.concatenate(errors)
+    return HeldOutErrors(rms, float(np.sqrt(np.mean(point**2))), misfits, float(np.sqrt(np.mean(every**2))))

@@ -1,0 +1,183 @@
+"""Hypotheses: a set of causes, each in one of its forms, with or without a generic misfit in addition.
+
+The evidence of a hypothesis is the mean over the forms tried and over the sizes of a generic misfit (a Gaussian process
+that no cause explains), with prior weights.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.material.causes import CAUSES, Form
+from tissuereg.diagnosis.material.fit import Fit, Problem, fitted
+from tissuereg.diagnosis.material.weights import SHARES, weights_of
+
+#: Prior probability that there is no generic misfit in addition to the causes; the rest is divided among its sizes.
+NO_MISFIT = 0.5
+
+#: Log evidence that a form must gain over one with fewer parameters.
+_SIMPLER = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A set of causes, fitted.
+
+    Attributes
+    ----------
+    ids : tuple of str
+        Ids of the causes in the order of their discovery; empty for the believed model.
+    fit : Fit
+        Fit in the best forms.
+    evidence : float
+        Log evidence, averaged over the forms tried and over the sizes of a generic misfit.
+    forms : tuple of Fit
+        Fits with the newest cause in each form tried, likeliest first.
+    """
+
+    ids: tuple[str, ...]
+    fit: Fit
+    evidence: float
+    forms: tuple[Fit, ...] = ()
+
+
+def null_hypothesis(problem: Problem) -> Hypothesis:
+    """Return the null hypothesis: the believed law holds, with the modulus within its prior."""
+    fit = fitted(problem, (), [np.array([problem.young_log])])
+    return Hypothesis((), fit, fit.evidence)
+
+
+def plain_fit(problem: Problem, noise: FloatArray) -> Fit:
+    """Return the believed law fitted with independent rows, as a user would do.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data, weights and believed model.
+    noise : ndarray of float64, shape (n, n)
+        Covariance of the rows, kPa^2, of which only the diagonal is used.
+
+    Returns
+    -------
+    Fit
+        Its evidence cannot be compared with that of a hypothesis.
+    """
+    weights = weights_of(np.diag(np.diag(noise)), np.zeros_like(noise))
+    return fitted(replace(problem, weights=weights), (), [np.array([problem.young_log])])
+
+
+def unknown(problem: Problem, known: Hypothesis) -> Hypothesis:
+    """Return the generic rival: the causes found so far, and a smooth misfit that no cause explains.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data, weights and believed model.
+    known : Hypothesis
+        Causes found so far.
+
+    Returns
+    -------
+    Hypothesis
+        With the fit of the likeliest size, and the evidence averaged over all sizes.
+    """
+    fits = [fitted(problem, known.fit.forms, [known.fit.x], share) for share in SHARES]
+    best = max(fits, key=lambda fit: fit.evidence)
+    evidence = float(np.logaddexp.reduce([fit.evidence for fit in fits])) - math.log(len(SHARES))
+    return Hypothesis((*known.ids, "unknown"), best, evidence)
+
+
+def with_cause(problem: Problem, known: Hypothesis, cause: str, forms: Sequence[Form]) -> Hypothesis:
+    """Return the hypothesis with one more cause, in its best form.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data, weights and believed model.
+    known : Hypothesis
+        Causes found so far; their forms are kept, their parameters are fitted again.
+    cause : str
+        Id of the new cause.
+    forms : sequence of Form
+        Its forms, at least one.
+
+    Returns
+    -------
+    Hypothesis
+        Evidence averaged over the forms.
+    """
+    found: list[tuple[Fit, float]] = []
+    # The fit of a simpler form gives a first guess for a richer one.
+    x = known.fit.x
+    for form in forms:
+        starts = [np.concatenate([x, start]) for start in form.starts]
+        starts += [np.concatenate([x, *more]) for more in _grown(form, found)]
+        found.append(refitted(problem, (*known.fit.forms, form), starts))
+    # Of forms with about the same evidence, that with the fewest parameters.
+    highest = max(pair[1] for pair in found)
+    as_good = [pair for pair in found if pair[1] >= highest - _SIMPLER]
+    best = min(as_good, key=lambda pair: (len(pair[0].x), -pair[1]))
+    evidence = float(np.logaddexp.reduce([pair[1] for pair in found])) - math.log(len(forms))
+    ordered = sorted(found, key=lambda pair: -pair[1])
+    return Hypothesis((*known.ids, cause), best[0], evidence, tuple(fit for fit, _ in ordered))
+
+
+def refitted(problem: Problem, forms: Sequence[Form], starts: Sequence[FloatArray]) -> tuple[Fit, float]:
+    """Return the fit of forms with or without a generic misfit, and their evidence.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data, weights and believed model.
+    forms : sequence of Form
+        Forms of the causes.
+    starts : sequence of ndarray of float64
+        First guesses.
+
+    Returns
+    -------
+    fit : Fit
+        The likelier of the two.
+    evidence : float
+        Log of the mean evidence with and without the generic misfit, weighted by their prior probabilities.
+    """
+    plain = fitted(problem, forms, starts)
+    share = _likeliest_share(problem, plain)
+    small = math.log((1.0 - NO_MISFIT) / len(SHARES))
+    if share == 0.0:
+        return plain, plain.evidence + math.log(NO_MISFIT)
+    smooth = fitted(problem, forms, [plain.x], share)
+    evidence = float(np.logaddexp(plain.evidence + math.log(NO_MISFIT), smooth.evidence + small))
+    return (smooth if smooth.evidence + small > plain.evidence + math.log(NO_MISFIT) else plain), evidence
+
+
+def forms_of(cause: str, known: Sequence[str], forms: dict[str, list[Form]]) -> list[Form]:
+    """Return the forms of a cause given those found; none where one of those excludes it (`Cause.slot`)."""
+    taken = {CAUSES[other].slot for other in known}
+    return [] if CAUSES[cause].slot in taken else forms[cause]
+
+
+def _likeliest_share(problem: Problem, fit: Fit) -> float:
+    residual = problem.data.stress - problem.data.modelled(fit.model)
+
+    def score(share: float) -> float:
+        white = problem.weights.whitened(residual, share)
+        prior = NO_MISFIT if share == 0.0 else (1.0 - NO_MISFIT) / len(SHARES)
+        return -0.5 * float(white @ white) - problem.weights.log_size(share) + math.log(prior)
+
+    return max((0.0, *SHARES), key=score)
+
+
+def _grown(form: Form, found: Sequence[tuple[Fit, float]]) -> list[list[FloatArray]]:
+    """Return first guesses for a relaxation from the fit with one term less."""
+    if not found or not form.label.startswith("prony") or not found[-1][0].forms[-1].label.startswith("prony"):
+        return []
+    last = found[-1][0]
+    n = len(form.mean) // 2
+    numbers = last.x[len(last.x) - 2 * (n - 1) :]
+    shares, times = numbers[: n - 1], numbers[n - 1 :]
+    ends = (times.min() - 1.5, times.max() + 1.5)
+    return [[np.append(shares, -1.5), np.append(times, new)] for new in ends]

@@ -1,0 +1,121 @@
+"""Threshold and p-value from simulated null experiments, which have noise but no effect."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.material.causes import Form
+from tissuereg.diagnosis.material.fit import Fit, Problem, prior_of
+from tissuereg.diagnosis.material.weights import SHARES, Weights
+from tissuereg.errors import TissueRegError
+
+#: Least threshold, nats.
+LEAST_THRESHOLD = 5.0
+#: Relative uncertainty of the white noise, which is estimated from some tens of rows.
+_NOISE_OF_NOISE = 0.15
+
+
+def threshold(
+    problem: Problem, known: Fit, forms: Mapping[str, Sequence[Form]], rng: np.random.Generator, n_nulls: int = 400
+) -> float:
+    """Return the log Bayes factor that the best cause exceeds in one of a hundred null experiments.
+
+    Every form is linearised about its first guesses: one column of stress with a unit prior amplitude, in addition to
+    the column of the modulus.
+
+    Parameters
+    ----------
+    problem : Problem
+        Data, weights and believed model.
+    known : Fit
+        Of the believed model.
+    forms : mapping of str to sequence of Form
+        By id.
+    rng : numpy.random.Generator
+        For the noise.
+    n_nulls : int
+        Number of null experiments.
+
+    Returns
+    -------
+    float
+        Nats, at least `LEAST_THRESHOLD`.
+    """
+    draws = rng.standard_normal((len(problem.data.stress), n_nulls))
+    young = _young_column(problem, known)
+    best = np.full(n_nulls, -np.inf)
+    for kinds in forms.values():
+        for form in kinds:
+            columns = _columns(problem, known, form)
+            if columns.size:
+                scores = np.array([_evidence(draws, np.column_stack([young, c])) for c in columns.T])
+                best = np.maximum(best, np.logaddexp.reduce(scores, axis=0) - np.log(len(scores)))
+    best = best - _evidence(draws, young[:, None])
+    return max(LEAST_THRESHOLD, float(np.quantile(best, 0.99)))
+
+
+def misfit_probability(weights: Weights, residual: FloatArray, rng: np.random.Generator, n_nulls: int = 500) -> float:
+    """Return the p-value of the structure in a residual.
+
+    The statistic is the largest log likelihood ratio of a generic misfit against none, over its sizes.
+
+    Parameters
+    ----------
+    weights : Weights
+        Whitening of the rows.
+    residual : ndarray of float64, shape (n,)
+        Measured minus modelled, kPa.
+    rng : numpy.random.Generator
+        For the noise.
+    n_nulls : int
+        Number of residuals of noise alone, of uncertain size.
+
+    Returns
+    -------
+    float
+        From 1 / (n_nulls + 1) to 1.
+    """
+    found = _structure(weights, weights.whitened(residual)[:, None])[0]
+    scale = np.exp(_NOISE_OF_NOISE * rng.standard_normal(n_nulls))
+    nulls = _structure(weights, rng.standard_normal((len(residual), n_nulls)) * scale)
+    return float((1 + (nulls >= found).sum()) / (1 + n_nulls))
+
+
+def _structure(weights: Weights, white: FloatArray) -> FloatArray:
+    gains = []
+    for share in SHARES:
+        grown = share**2 * weights.spectrum
+        gains.append(0.5 * (white**2).T @ (grown / (1.0 + grown)) - 0.5 * np.log1p(grown).sum())
+    return np.asarray(np.max(gains, axis=0))
+
+
+def _evidence(draws: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return the linear-Gaussian log evidence of columns with unit prior amplitudes, for every draw."""
+    inner = np.eye(columns.shape[1]) + columns.T @ columns
+    pulled = columns.T @ draws
+    gain = 0.5 * np.einsum("in,in->n", pulled, np.linalg.solve(inner, pulled))
+    return np.asarray(gain - 0.5 * np.linalg.slogdet(inner)[1])
+
+
+def _young_column(problem: Problem, known: Fit) -> FloatArray:
+    _, std = prior_of(problem, ())
+    moved = problem.model((), known.x + np.array([1e-3]))
+    change = (problem.data.modelled(moved) - problem.data.modelled(known.model)) / 1e-3
+    column: FloatArray = problem.weights.whitened(change * float(std[0]))
+    return column
+
+
+def _columns(problem: Problem, known: Fit, form: Form) -> FloatArray:
+    plain = problem.data.modelled(known.model)
+    columns = []
+    for start in (*form.starts, tuple(form.mean)):
+        if not len(start):
+            continue
+        try:
+            changed = problem.data.modelled(problem.model((form,), np.concatenate([known.x, start])))
+        except TissueRegError:
+            continue
+        if np.isfinite(changed).all():
+            columns.append(problem.weights.whitened(changed - plain))
+    return np.stack(columns, axis=1) if columns else np.zeros((len(plain), 0))

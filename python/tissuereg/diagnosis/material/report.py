@@ -1,0 +1,194 @@
+"""The self-contained HTML page of a diagnosed material test: curves, findings, ranking, held-out errors."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.material.extend import predicted_stresses
+from tissuereg.diagnosis.material.history import stress_of
+from tissuereg.diagnosis.report import svg
+from tissuereg.diagnosis.report.ranking import chance, plain_name, ranking, separated
+from tissuereg.io.material_experiments import material_experiment_text
+from tissuereg.report.markup import document, escape, table
+
+if TYPE_CHECKING:
+    from tissuereg.diagnosis.material import MaterialDiagnosis
+    from tissuereg.experiment.material_experiment import Curve
+
+_STYLE = """
+.verdict { font-size: 1.2rem; } h3 { margin: 1.2rem 0 .3rem; } code { font-size: .85em; color: #555; }
+svg { display: block; font-family: system-ui, sans-serif; margin: .4rem 0; }
+.key span { display: inline-block; width: 1.4em; height: .7em; margin: 0 .3em 0 1em; }
+pre { background: #f4f6f8; padding: .8rem; overflow: auto; font-size: 13px; }
+"""
+
+_SAID = {
+    "named": "The believed law does not explain the curves; the cause is named.",
+    "group": "The believed law does not explain the curves; the cause is known up to a group that these curves cannot "
+    "distinguish.",
+    "consistent": "The curves are consistent with the believed law.",
+    "unexplained": "The believed law does not explain the curves, nor does any cause of the catalogue.",
+}
+
+#: Models whose held-out errors are listed.
+_MODELS = (("base", "believed law"), ("named", "with the findings"), ("generic", "with a generic patch"))
+
+_MEASURED = "#555"
+_WIDTH, _LEFT, _RIGHT, _HEIGHT = 900.0, 70.0, 20.0, 300.0
+
+#: Number of points of a curve that are drawn, at most.
+_MOST_POINTS = 300
+
+
+def material_page(found: "MaterialDiagnosis", folder: Path) -> str:
+    """Return the page that will lie in a folder.
+
+    Parameters
+    ----------
+    found : MaterialDiagnosis
+        The diagnosis.
+    folder : Path
+        Folder of the page, to which paths in the extended model are relative.
+
+    Returns
+    -------
+    str
+        HTML without external resources.
+    """
+    answer = found.answer
+    tone = "yes" if answer["verdict"] == "consistent" else "no"
+    parts = [
+        f"<h1>What the law of {escape(found.experiment.name)} gets wrong</h1>",
+        f"<p class='verdict'><b class='{tone}'>{_SAID[answer['verdict']]}</b></p>",
+        *(f"<p>{escape(sentence)}</p>" for sentence in answer["sentences"]),
+        f"<p>{escape(_discrepancy(answer))}</p>",
+        *(_finding(cause) for cause in answer["causes"]),
+        "<h2>Curves</h2>",
+        f"<p class='key'>{_key(found)}</p>",
+        *_charts(found),
+        "<h2>All causes that were tried</h2>",
+        "<p>The log Bayes factor (in nats) measures how much better a cause predicts the curves than the law without "
+        "it; it includes the penalty for the cause's free parameters. The red line is the threshold, which curves "
+        "without any effect exceed rarely.</p>",
+        _ranking(found),
+        "<h2>Prediction of held-out data</h2>",
+        _held_out(answer["held_out"]),
+        "<h2>What to measure next</h2>",
+        f"<p>{escape(_advice(answer['next_experiment']))}</p>",
+        "<h2>What was assumed</h2>",
+        _assumed(answer),
+    ]
+    text = escape(material_experiment_text(found.extended, folder))
+    parts.append(f"<h2>The extended model</h2><pre>{text}</pre>")
+    return document("Diagnosis", parts, _STYLE)
+
+
+def _discrepancy(answer: dict[str, Any]) -> str:
+    before = answer["discrepancy"]
+    return (
+        f"The residual of the believed law, fitted, is {before['rms_kpa']:.3g} kPa (rms), {before['in_sigma']:.1f} "
+        f"times the uncertainty of the stress; largest in {before['under']} and {before['when']}, worst in "
+        f"{' and '.join(before['where'])}. With the findings, curves without further effects would misfit as much with "
+        f"probability {chance(answer['p_misfit'])}."
+    )
+
+
+def _finding(cause: dict[str, Any]) -> str:
+    rows = [(escape(key), f"{value:.4g} \u00b1 {spread:.2g}") for key, (value, spread) in cause["parameters"].items()]
+    tied = ", ".join(plain_name(name) for name in cause["group"][1:])
+    return (
+        f"<h3>{escape(plain_name(cause['id']))} <code>{escape(cause['id'])}</code></h3>"
+        f"<p>Probability {chance(cause['probability'])}; log Bayes factor {cause['log_bayes_factor']:.1f} (threshold "
+        f"{cause['threshold']:.1f}).{f' Tied with: {escape(tied)}.' if tied else ''}</p>"
+        + table(("parameter", "value \u00b1 standard deviation"), rows)
+    )
+
+
+def _key(found: "MaterialDiagnosis") -> str:
+    shown = [(_MEASURED, "measured"), (svg.BEFORE, "believed law, fitted")]
+    shown += [(svg.AFTER, "with the findings")] if found.answer["causes"] else []
+    return "".join(svg.swatch(colour, said) for colour, said in shown)
+
+
+def _charts(found: "MaterialDiagnosis") -> list[str]:
+    """Return one chart for each mode, with all of its curves, measured and modelled."""
+    curves = found.experiment.curves
+    believed = [stress_of(found.outcome.believed.model, curve) for curve in curves]
+    after = predicted_stresses(found.extended) if found.answer["causes"] else None
+    charts = []
+    for mode in dict.fromkeys(curve.mode for curve in curves):
+        mine = [i for i, curve in enumerate(curves) if curve.mode == mode]
+        drawn = [(curves[i], believed[i], None if after is None else after[i]) for i in mine]
+        charts.append(f"<h3>{escape(mode)}</h3>{_chart(mode, drawn)}")
+    return charts
+
+
+def _chart(mode: str, drawn: Sequence[tuple["Curve", FloatArray, FloatArray | None]]) -> str:
+    amounts = np.concatenate([curve.amounts for curve, *_ in drawn])
+    stresses = np.concatenate([row for curve, *models in drawn for row in (curve.stress, *models) if row is not None])
+    known = stresses[np.isfinite(stresses)]
+    low, high = float(known.min()), float(known.max())
+    across = svg.Scale(float(amounts.min()), float(amounts.max()), _LEFT, _WIDTH - _RIGHT)
+    up = svg.Scale(min(low, 0.0), max(high, 0.0), _HEIGHT - 40.0, 20.0)
+    parts = [
+        svg.level(up(tick), _LEFT, _WIDTH - _RIGHT, "#e3e6ea")
+        + svg.text(_LEFT - 6.0, up(tick) + 4.0, f"{tick:g}", "end", more="font-size='11'")
+        for tick in up.ticks()
+    ]
+    parts += [
+        svg.text(across(tick), _HEIGHT - 24.0, f"{tick:g}", "middle", more="font-size='11'") for tick in across.ticks(8)
+    ]
+    parts.append(svg.text(_LEFT, 12.0, "nominal stress, kPa", more="font-size='12'"))
+    what = "amount of shear" if mode == "simple-shear" else "stretch"
+    parts.append(svg.text(_WIDTH - _RIGHT, _HEIGHT - 6.0, what, "end", more="font-size='12'"))
+    for curve, *models in drawn:
+        rows = slice(None, None, -(-len(curve.amounts) // _MOST_POINTS))
+        x = np.array([across(amount) for amount in curve.amounts[rows]])
+        dots = zip(x, (up(stress) for stress in curve.stress[rows]), strict=True)
+        parts += [f"<circle cx='{a:.1f}' cy='{b:.1f}' r='1.6' fill='{_MEASURED}'/>" for a, b in dots if np.isfinite(b)]
+        for stress, colour in zip(models, (svg.BEFORE, svg.AFTER), strict=True):
+            if stress is not None:
+                y = np.array([up(value) for value in stress[rows]])
+                parts.append(svg.line(x, y, colour, "stroke-width='1.6'"))
+    return svg.picture(_WIDTH, _HEIGHT, parts, f"Curves in {mode}")
+
+
+def _ranking(found: "MaterialDiagnosis") -> str:
+    candidates = found.answer["candidates"]
+    named = {name for cause in found.answer["causes"] for name in cause["group"]}
+    thresholds = {row["id"]: found.outcome.threshold for row in candidates if row["id"] != "unknown"}
+    return ranking(candidates, thresholds, named, "First round")
+
+
+def _held_out(held: dict[str, Any]) -> str:
+    def cell(value: float | None) -> str:
+        return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"
+
+    rows = [(escape(case), *(cell(by[f"rms_{key}_kpa"]) for key, _ in _MODELS)) for case, by in held["by_case"].items()]
+    rows.append(("all", *(cell(held[f"rms_{key}_kpa"]) for key, _ in _MODELS)))
+    rows.append(("all, over their uncertainty", *(cell(held[f"chi_{key}"]) for key, _ in _MODELS)))
+    head = (f"{held['unit']} held out, rms kPa", *(name for _, name in _MODELS))
+    return table(head, rows) + f"<p>Noise of a stress: {held['noise_kpa']:.2g} kPa (rms).</p>"
+
+
+def _advice(advice: dict[str, Any] | None) -> str:
+    if advice is None:
+        return "There is no tie that a further test of the usual kinds would resolve."
+    if not advice["separates"]:
+        return f"Next: {advice['action']}."
+    return f"{advice['action']}: it separates {separated(advice)} by {advice['separability']:.1f} noise deviations."
+
+
+def _assumed(answer: dict[str, Any]) -> str:
+    noise = answer["noise"]
+    items = [f"{name}: noise of one stress {std:.2g} kPa." for name, std in noise["std_kpa"].items()]
+    items.append(
+        f"Specimens differ by {100 * noise['specimen_factor']:.1f} %; correlated errors along a curve: "
+        f"{100 * noise['along_curve']:.1f} %; curves that repeat another: {noise['repeats']}."
+    )
+    items.append(f"Seed of all random draws: {answer['seed']}.")
+    items.append("Versions: " + ", ".join(f"{name} {version}" for name, version in answer["versions"].items()) + ".")
+    return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"

@@ -1,0 +1,336 @@
+"""Selection of causes: forward steps with held-out proof, exchange of earlier causes, backward elimination.
+
+In a forward step every remaining cause is fitted together with those found (a race, ranked by evidence); the best one
+that exceeds the threshold and predicts held-out data better than the model without it and than the generic rival is
+added. An earlier cause is exchanged where another then explains more, and removed in the end where the others have made
+it redundant.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tissuereg.diagnosis.material.causes import CAUSES, Form
+from tissuereg.diagnosis.material.fit import Fit
+from tissuereg.diagnosis.material.holdout import Bench, HeldOutErrors, held_out_errors
+from tissuereg.diagnosis.material.hypothesis import Hypothesis, forms_of, refitted, unknown, with_cause
+
+#: Separability below which two causes form a group (a difference of 8 in log posterior), and its members at most.
+LEAST_SEPARABILITY = 4.0
+LARGEST_GROUP = 3
+#: Number of findings, at most.
+MOST_FINDINGS = 3
+#: Required gain in log predictive density on held-out data, nats.
+LEAST_GAIN = 4.0
+#: Required share of the generic patch's gain where specimens or rates are held out: the patch then copies other curves.
+_SHARE_OF_PATCH = 0.75
+#: A cause that removes this share of the misfit on held-out data may predict one fold worse.
+_MOST_OF_MISFIT = 0.5
+
+#: A modulus is a finding beyond so many prior standard deviations.
+FAR_YOUNG = 3.0
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One cause in the race of single causes.
+
+    Attributes
+    ----------
+    id : str
+        Of the cause.
+    log_bayes_factor : float
+        Against the same hypothesis without it, nats.
+    detectability : float
+        Root of twice the gain in log posterior.
+    probability : float
+        Posterior probability among all causes, no cause, and the generic rival.
+    """
+
+    id: str
+    log_bayes_factor: float
+    detectability: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """An accepted cause.
+
+    Attributes
+    ----------
+    id : str
+        Id of the likeliest cause.
+    group : tuple of str
+        Ids that these data cannot distinguish from it, itself first.
+    probability : float
+        As in `Candidate`.
+    log_bayes_factor : float
+        Against the other findings without it, nats.
+    separability : dict of str to float
+        From each other member of the group.
+    rivals : dict of str to Hypothesis
+        The hypotheses with each of them in its place.
+    """
+
+    id: str
+    group: tuple[str, ...]
+    probability: float
+    log_bayes_factor: float
+    separability: dict[str, float]
+    rivals: dict[str, Hypothesis]
+
+
+@dataclass(eq=False)
+class Search:
+    """The selection of causes.
+
+    Parameters
+    ----------
+    bench : Bench
+        Data, believed model and folds.
+    forms : dict of str to list of Form
+        Forms by cause; causes without forms cannot be seen in these curves.
+    threshold : float
+        Log Bayes factor that null experiments exceed rarely, nats.
+    progress : callable
+        Called with the name of the step that begins.
+    """
+
+    bench: Bench
+    forms: dict[str, list[Form]]
+    threshold: float
+    progress: Progress
+    #: The race of single causes against the believed model, for the answer.
+    first_race: list[Candidate] = field(default_factory=list)
+    _tried: dict[tuple[tuple[str, ...], tuple[str, ...], str], Hypothesis] = field(default_factory=dict)
+
+    def run(self, none: Hypothesis) -> Hypothesis:
+        """Return the hypothesis with the accepted causes.
+
+        Parameters
+        ----------
+        none : Hypothesis
+            The believed model.
+
+        Returns
+        -------
+        Hypothesis
+            With at most `MOST_FINDINGS` causes.
+        """
+        known = none
+        while len(known.ids) < MOST_FINDINGS:
+            grown = self._step(known)
+            if grown is None:
+                break
+            known = self._swapped(none, grown)
+        return self._pruned(none, known)
+
+    def race(self, known: Hypothesis, skipped: tuple[str, ...] = ()) -> tuple[list[Hypothesis], Hypothesis]:
+        """Return a hypothesis with each further cause, likeliest first, and with the generic misfit."""
+        causes = [id for id in self.forms if id not in known.ids and id not in skipped]
+        found = []
+        for cause in causes:
+            forms = forms_of(cause, known.ids, self.forms)
+            if forms:
+                found.append(self._with(known, cause, forms))
+        found.sort(key=lambda hypothesis: -hypothesis.evidence)
+        return found, unknown(self.bench.problem, known)
+
+    def _with(self, known: Hypothesis, cause: str, forms: list[Form]) -> Hypothesis:
+        key = (known.ids, tuple(form.label for form in known.fit.forms), cause)
+        if key not in self._tried:
+            self._tried[key] = with_cause(self.bench.problem, known, cause, forms)
+        return self._tried[key]
+
+    def in_forms(self, rest: Hypothesis, cause: str) -> tuple[Fit, ...]:
+        """Return the fits with one more cause, in each of its forms, likeliest first."""
+        return self._with(rest, cause, self.forms[cause]).forms
+
+    def _step(self, known: Hypothesis) -> Hypothesis | None:
+        self.progress(f"fits of all causes given {', '.join(known.ids) or 'none'}")
+        racers, generic = self.race(known)
+        if not self.first_race:
+            self.first_race = candidates(known, racers, generic)
+        if not racers:
+            return None
+        near = racers[0].evidence - 0.5 * LEAST_SEPARABILITY**2
+        for racer in [racer for racer in racers if racer.evidence >= near]:
+            enough = racer.evidence - known.evidence > self.required(known, racer)
+            if enough and self.is_proved(known, racer, generic):
+                return racer
+        return self._pair(known, racers[0], generic)
+
+    def required(self, known: Hypothesis, grown: Hypothesis) -> float:
+        """Return the log Bayes factor that a further cause requires, nats.
+
+        Without repeated curves the noise is an assumption, and the model error of the first cause is easily taken for
+        another cause: further causes then need the evidence that they would need under noise twice as large.
+        """
+        guessed = self.bench.repeats == 0 and len(known.ids) > 0 and grown.ids[-1] != "stiffness"
+        return self.threshold * (4.0 if guessed else 1.0)
+
+    def _pair(self, known: Hypothesis, first: Hypothesis, generic: Hypothesis) -> Hypothesis | None:
+        """Return a hypothesis with two more causes where the first has evidence but no proof without the second."""
+        worth = first.evidence - max(generic.evidence, known.evidence)
+        if worth < self.threshold or len(first.ids) == MOST_FINDINGS:
+            return None
+        self.progress(f"pairs with {first.ids[-1]}")
+        racers, _ = self.race(first)
+        if racers and racers[0].evidence - first.evidence > self.required(first, racers[0]):
+            return racers[0] if self.is_proved(known, racers[0], generic) else None
+        return None
+
+    def is_proved(self, known: Hypothesis, grown: Hypothesis, generic: Hypothesis) -> bool:
+        """Return whether a cause predicts held-out data better than the model without it and than a generic patch.
+
+        Parameters
+        ----------
+        known : Hypothesis
+            Without it.
+        grown : Hypothesis
+            With it.
+        generic : Hypothesis
+            With a generic misfit in its place.
+
+        Returns
+        -------
+        bool
+            Both must hold.
+        """
+        self.progress(f"held-out proof of {grown.ids[-1]}")
+        before, after = held_out_errors(self.bench, known.fit), held_out_errors(self.bench, grown.fit)
+        if grown.ids == (*known.ids, "stiffness"):
+            # Every hypothesis fits the modulus; the criterion is its distance from the prior mean.
+            return self.far_modulus(grown.fit) and after.total < before.total + LEAST_GAIN
+        patch = held_out_errors(self.bench, known.fit, patch_share=generic.fit.share)
+        if self._proved(before, after, patch):
+            return True
+        # Beyond the fitted strains of a single curve the forms of a cause differ widely; one of them suffices as proof.
+        others = grown.forms if self.bench.unit == "part" else ()
+        return any(
+            self._proved(before, held_out_errors(self.bench, fit), patch) for fit in others if fit is not grown.fit
+        )
+
+    def far_modulus(self, fit: Fit) -> bool:
+        """Return whether the prior mean is far from the range between the instantaneous and the relaxed modulus."""
+        problem, relaxation = self.bench.problem, fit.model.relaxation
+        relaxed = 0.0 if relaxation is None else float(np.log1p(-min(sum(relaxation.g), 0.999)))
+        above, below = fit.x[0] + relaxed - problem.young_log, problem.young_log - fit.x[0]
+        return bool(max(above, below) > FAR_YOUNG * problem.young_std)
+
+    def _proved(self, before: HeldOutErrors, after: HeldOutErrors, patch: HeldOutErrors) -> bool:
+        gains = np.array([before.misfits[name] - after.misfits[name] for name in after.misfits])
+        if not gains.size or gains.sum() <= LEAST_GAIN:
+            return False
+        # One fold is no proof: all folds gain, or the mean gain is significant, or most of the misfit is removed.
+        clear = gains.size == 1 or gains.mean() > 2.0 * gains.std(ddof=1) / np.sqrt(gains.size)
+        if not (gains.min() > 0 or clear or gains.sum() > _MOST_OF_MISFIT * before.total):
+            return False
+        if self.bench.unit in ("specimen", "rate"):
+            # A patch that copies other specimens or nearby rates is close to the best possible prediction.
+            possible = before.chi - patch.chi
+            if before.chi - after.chi > _SHARE_OF_PATCH * possible:
+                return True
+        return bool(after.chi < patch.chi or after.rms_all < patch.rms_all)
+
+    def alternatives(self, none: Hypothesis, known: Hypothesis, cause: str) -> tuple[Hypothesis, list[Hypothesis]]:
+        """Return the hypothesis without a cause, and those with each other cause in its place, likeliest first."""
+        rest = self.without(none, known, cause)
+        racers, _ = self.race(rest, skipped=(cause,))
+        return rest, racers
+
+    def without(self, none: Hypothesis, known: Hypothesis, cause: str) -> Hypothesis:
+        """Return the hypothesis without one cause, fitted again."""
+        kept = [(id, form) for id, form in zip(known.ids, known.fit.forms, strict=True) if id != cause]
+        if not kept:
+            return none
+        forms = tuple(form for _, form in kept)
+        first, parts = 1, [known.fit.x[:1]]
+        for id, form in zip(known.ids, known.fit.forms, strict=True):
+            last = first + len(form.mean)
+            if id != cause:
+                parts.append(known.fit.x[first:last])
+            first = last
+        fit, evidence = refitted(self.bench.problem, forms, [np.concatenate(parts)])
+        return Hypothesis(tuple(id for id, _ in kept), fit, evidence)
+
+    def _swapped(self, none: Hypothesis, known: Hypothesis) -> Hypothesis:
+        """Return the hypothesis with earlier causes replaced where another explains more given the newest."""
+        for cause in known.ids[:-1]:
+            self.progress(f"exchange of {cause}")
+            _, racers = self.alternatives(none, known, cause)
+            if racers and racers[0].evidence > known.evidence + 0.5 * LEAST_SEPARABILITY**2:
+                known = racers[0]
+        return known
+
+    def _pruned(self, none: Hypothesis, known: Hypothesis) -> Hypothesis:
+        """Return the hypothesis without causes that the others have made redundant."""
+        for cause in known.ids:
+            rest = self.without(none, known, cause)
+            last = Hypothesis((*rest.ids, cause), known.fit, known.evidence)
+            if len(known.ids) > 1 and known.evidence - rest.evidence < self.required(rest, last):
+                known = rest
+        return known
+
+    def finding(self, none: Hypothesis, known: Hypothesis, cause: str) -> Finding:
+        """Return the finding of one accepted cause.
+
+        Parameters
+        ----------
+        none : Hypothesis
+            The believed model.
+        known : Hypothesis
+            With all accepted causes.
+        cause : str
+            One of its ids.
+
+        Returns
+        -------
+        Finding
+            With its group.
+        """
+        self.progress(f"rivals of {cause}")
+        rest, racers = self.alternatives(none, known, cause)
+        generic = unknown(self.bench.problem, rest)
+        apart = {r.ids[-1]: _separability(known, r) for r in racers}
+        seen = [r for r in racers if r.evidence - rest.evidence > self.required(rest, r)]
+        tied = sorted((r for r in seen if apart[r.ids[-1]] < LEAST_SEPARABILITY), key=lambda r: apart[r.ids[-1]])
+        tied = tied[: LARGEST_GROUP - 1]
+        among = [known.evidence, rest.evidence, generic.evidence, *(r.evidence for r in racers)]
+        probability = float(np.exp(known.evidence - np.logaddexp.reduce(among)))
+        return Finding(
+            cause,
+            (cause, *(r.ids[-1] for r in tied)),
+            probability,
+            known.evidence - rest.evidence,
+            {r.ids[-1]: apart[r.ids[-1]] for r in tied},
+            {r.ids[-1]: r for r in tied},
+        )
+
+
+def candidates(known: Hypothesis, racers: list[Hypothesis], generic: Hypothesis) -> list[Candidate]:
+    """Return the entries of the answer for a race, the generic rival included."""
+    everyone = [*racers, generic]
+    total = np.logaddexp.reduce([known.evidence, *(h.evidence for h in everyone)])
+    return [
+        Candidate(
+            hypothesis.ids[-1],
+            hypothesis.evidence - known.evidence,
+            float(np.sqrt(max(0.0, 2.0 * (hypothesis.fit.log_posterior - known.fit.log_posterior)))),
+            float(np.exp(hypothesis.evidence - total)),
+        )
+        for hypothesis in everyone
+    ]
+
+
+def visible(forms: dict[str, list[Form]]) -> dict[str, list[Form]]:
+    """Return the causes that have forms, in the catalogue's order."""
+    return {id: forms[id] for id in CAUSES if forms.get(id)}
+
+
+def _separability(one: Hypothesis, other: Hypothesis) -> float:
+    return float(np.sqrt(max(0.0, 2.0 * (one.fit.log_posterior - other.fit.log_posterior))))

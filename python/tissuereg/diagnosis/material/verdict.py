@@ -1,0 +1,182 @@
+"""The sequence of steps of a material diagnosis: fit of the believed law, threshold, search, proof, verdict."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.material.causes import CAUSES
+from tissuereg.diagnosis.material.data import data_of
+from tissuereg.diagnosis.material.fit import Fit, Problem
+from tissuereg.diagnosis.material.holdout import Bench, HeldOutErrors, folds_of, held_out_errors
+from tissuereg.diagnosis.material.hypothesis import Hypothesis, null_hypothesis, plain_fit, unknown
+from tissuereg.diagnosis.material.model import model_of
+from tissuereg.diagnosis.material.noise import Noise, covariance, noise_of
+from tissuereg.diagnosis.material.nulls import misfit_probability, threshold
+from tissuereg.diagnosis.material.refine import Refined, refined
+from tissuereg.diagnosis.material.scene import Scene, scene_of
+from tissuereg.diagnosis.material.search import Candidate, Finding, Search, visible
+from tissuereg.diagnosis.material.weights import generic_covariance, weights_of
+from tissuereg.experiment.material_experiment import MaterialExperiment
+
+#: Default standard deviation of the logarithm of the modulus.
+USUAL_YOUNG = 0.3
+#: Level of the misfit test: a residual with a smaller p-value is a misfit.
+MISFIT = 0.01
+#: Share of the misfit that findings must explain where a misfit remains.
+EXPLAINED = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The result of all steps.
+
+    Attributes
+    ----------
+    verdict : {"named", "group", "consistent", "unexplained"}
+        Verdict.
+    known : Hypothesis
+        The believed law with the causes found.
+    believed : Fit
+        The believed law, fitted with independent rows.
+    refined : Refined or None
+        The reported fit of the findings; None without findings.
+    findings : tuple of Finding
+        Empty where the verdict is consistent or unexplained.
+    candidates : tuple of Candidate
+        The race of single causes, the generic rival included.
+    threshold : float
+        Log Bayes factor that a cause must exceed, nats.
+    p_misfit : float
+        p-value of the residual after the findings.
+    explained : float
+        Share of the misfit (in squared units of noise) that the findings explain; NaN without findings.
+    before, after, patch : HeldOutErrors
+        Of the believed law, with the findings, and with a generic patch.
+    unit : str
+        Unit that was held out.
+    noise : Noise
+        Noise of the curves.
+    bench : Bench
+        Rows, covariances and folds.
+    scene : Scene
+        Scope of the curves.
+    """
+
+    verdict: str
+    known: Hypothesis
+    believed: Fit
+    refined: Refined | None
+    findings: tuple[Finding, ...]
+    candidates: tuple[Candidate, ...]
+    threshold: float
+    p_misfit: float
+    explained: float
+    before: HeldOutErrors
+    after: HeldOutErrors
+    patch: HeldOutErrors
+    unit: str
+    noise: Noise
+    bench: Bench
+    scene: Scene
+
+
+def find_out(experiment: MaterialExperiment, seed: int, progress: Callable[[str], None]) -> Outcome:
+    """Return the result of all steps of a material diagnosis.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Believed law and measured curves.
+    seed : int
+        Seed of the simulated null experiments.
+    progress : callable
+        Called with the name of the step that begins.
+
+    Returns
+    -------
+    Outcome
+        Everything that the answer is made from.
+    """
+    rng = np.random.default_rng(seed)
+    bench, noise = bench_of(experiment)
+    problem, scene = bench.problem, scene_of(experiment)
+    none = null_hypothesis(problem)
+    forms = visible({id: cause.forms(scene) for id, cause in CAUSES.items()})
+    progress("threshold from null experiments")
+    limit = threshold(problem, none.fit, forms, rng)
+    search = Search(bench, forms, limit, progress)
+    known = _without_near_modulus(search, none, search.run(none))
+    data = problem.data
+    believed = plain_fit(problem, bench.noise)
+    residual = data.stress - data.modelled(known.fit.model)
+    p_misfit = misfit_probability(problem.weights, residual, rng)
+    explained = _explained(bench, data.stress - data.modelled(believed.model), residual) if known.ids else math.nan
+    generic = unknown(problem, none)
+    verdict = "consistent" if p_misfit > MISFIT else "unexplained"
+    findings: tuple[Finding, ...] = ()
+    if known.ids and (p_misfit > MISFIT or explained > EXPLAINED):
+        findings = tuple(search.finding(none, known, cause) for cause in known.ids)
+        verdict = "group" if any(len(finding.group) > 1 for finding in findings) else "named"
+    progress("form and weights that predict best")
+    reported = refined(search, none, known, noise) if findings else None
+    before = held_out_errors(bench, believed)
+    after = before if reported is None else reported.held_out
+    patch = held_out_errors(bench, none.fit, patch_share=generic.fit.share)
+    return Outcome(
+        verdict,
+        known,
+        believed,
+        reported,
+        findings,
+        tuple(search.first_race),
+        limit,
+        p_misfit,
+        explained,
+        before,
+        after,
+        patch,
+        bench.unit,
+        noise,
+        bench,
+        scene,
+    )
+
+
+def bench_of(experiment: MaterialExperiment) -> tuple[Bench, Noise]:
+    """Return everything that fits and held-out proofs of an experiment need.
+
+    Parameters
+    ----------
+    experiment : MaterialExperiment
+        Believed law and measured curves.
+
+    Returns
+    -------
+    bench : Bench
+        Rows, covariances and folds.
+    noise : Noise
+        Noise of the curves.
+    """
+    data, noise = data_of(experiment), noise_of(experiment)
+    own, generic = covariance(data, noise), generic_covariance(data)
+    base = model_of(experiment)
+    young = float(base.material.young_array[0])
+    std = USUAL_YOUNG if experiment.young_std is None else math.log1p(experiment.young_std / young)
+    problem = Problem(base, data, weights_of(own, generic), math.log(young), std)
+    unit, folds = folds_of(experiment, data)
+    return Bench(unit, folds, problem, own, generic, noise.repeats), noise
+
+
+def _without_near_modulus(search: Search, none: Hypothesis, known: Hypothesis) -> Hypothesis:
+    """Return the hypothesis without a finding of the modulus where that lies within its prior."""
+    if "stiffness" not in known.ids:
+        return known
+    return known if search.far_modulus(known.fit) else search.without(none, known, "stiffness")
+
+
+def _explained(bench: Bench, before: FloatArray, after: FloatArray) -> float:
+    sizes = [float(np.sum(bench.problem.weights.whitened(error) ** 2)) - len(error) for error in (before, after)]
+    return 1.0 - max(sizes[1], 0.0) / sizes[0] if sizes[0] > 0 else 0.0

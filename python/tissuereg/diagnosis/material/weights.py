@@ -1,0 +1,123 @@
+"""Whitening of residuals by the noise covariance, with or without a generic misfit.
+
+The generic misfit is a Gaussian process in strain, progress and rate, common to all curves of a mode, whose standard
+deviation is `share` times the stress. In the eigenvectors of its covariance, whitened by the noise, the whitening for
+any share is a division:
+
+    C(share) = L U (1 + share^2 Lambda) U^T L^T,      L L^T = noise
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.diagnosis.material.data import Data
+from tissuereg.diagnosis.material.noise import ROUGH
+
+#: Sizes of a generic misfit over the stress.
+SHARES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
+#: Correlation lengths of a generic misfit: strain over the largest, progress (long and short), decades of rate.
+_STRAIN, _ARC, _SHORT_ARC, _RATE = 0.5, 0.25, 0.06, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Whitening of some rows.
+
+    Attributes
+    ----------
+    whitener : ndarray of float64, shape (n, n)
+        ``U^T L^-1``, 1/kPa.
+    spectrum : ndarray of float64, shape (n,)
+        ``Lambda``.
+    """
+
+    whitener: FloatArray
+    spectrum: FloatArray
+
+    def whitened(self, residual: FloatArray, share: float = 0.0) -> FloatArray:
+        """Return whitened residuals.
+
+        Parameters
+        ----------
+        residual : ndarray of float64, shape (n,) or (n, k)
+            kPa.
+        share : float
+            Size of the generic misfit over the stress.
+
+        Returns
+        -------
+        ndarray of float64, of that shape
+            Dimensionless.
+        """
+        turned = self.whitener @ residual
+        size = np.sqrt(1.0 + share**2 * self.spectrum)
+        return np.asarray(turned / (size if turned.ndim == 1 else size[:, None]))
+
+    def log_size(self, share: float) -> float:
+        """Return half the log determinant of the covariance with a generic misfit over that of the noise."""
+        return 0.5 * float(np.log1p(share**2 * self.spectrum).sum())
+
+
+def weights_of(noise: FloatArray, generic: FloatArray) -> Weights:
+    """Return the whitening of a noise covariance and a generic one.
+
+    Parameters
+    ----------
+    noise, generic : ndarray of float64, shape (n, n)
+        kPa^2; `generic` for a share of 1.
+
+    Returns
+    -------
+    Weights
+        Costs one Cholesky factor and one eigenvalue problem.
+    """
+    factor = np.linalg.cholesky(noise)
+    inverse = np.linalg.inv(factor)
+    spectrum, vectors = np.linalg.eigh(inverse @ generic @ inverse.T)
+    return Weights(vectors.T @ inverse, np.maximum(spectrum, 0.0))
+
+
+def generic_covariance(data: Data) -> FloatArray:
+    """Return the covariance of a generic misfit of size 1, kPa^2, shape (n, n)."""
+
+    def near(values: FloatArray, length: float) -> FloatArray:
+        return np.asarray(np.exp(-0.5 * ((values[:, None] - values[None, :]) / length) ** 2))
+
+    modes = np.array(data.modes)
+    path = 0.7 * near(data.arc, _ARC) + 0.3 * near(data.arc, _SHORT_ARC)
+    alike = near(data.strain, _STRAIN) * path * near(data.log_rate, _RATE)
+    alike = (1.0 - ROUGH) * alike * (modes[:, None] == modes[None, :]) + ROUGH * np.eye(len(modes))
+    return np.asarray(np.outer(data.level, data.level) * alike)
+
+
+def patched(
+    noise: FloatArray, generic: FloatArray, share: float, known: IntArray, left_out: IntArray, residual: FloatArray
+) -> FloatArray:
+    """Return the posterior mean of a generic misfit at some rows, given the residual at others.
+
+    Parameters
+    ----------
+    noise, generic : ndarray of float64, shape (n, n)
+        Covariances, kPa^2.
+    share : float
+        Size of the misfit over the stress.
+    known, left_out : ndarray of int64
+        Rows.
+    residual : ndarray of float64, shape (n_known,)
+        Measured minus modelled there, kPa.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_left_out,)
+        To be added to the model, kPa.
+    """
+    own = noise[np.ix_(known, known)] + share**2 * generic[np.ix_(known, known)]
+    across = share**2 * generic[np.ix_(left_out, known)]
+    return np.asarray(across @ np.linalg.solve(own, residual))
+
+
+def block(matrix: FloatArray, rows: IntArray) -> FloatArray:
+    """Return the submatrix of some rows and the same columns."""
+    return np.asarray(matrix[np.ix_(rows, rows)])

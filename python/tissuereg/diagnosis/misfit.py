@@ -1,0 +1,159 @@
+"""Misfit test of a model's residual against those of effect-free data.
+
+A battery of statistics is computed from the residual, each a sum of squares (over everything, a case, a pad's force,
+a smooth subspace) or a largest one (over markers, over frames). Sums over single cases, markers and frames detect large
+local residuals. A wrong cause leaves small, smooth residuals in phase with the load; sums over subspaces of smooth
+patterns, which hold little of the noise, detect those. The logarithm of each statistic is standardised by its mean and
+standard deviation over null draws, and the p-value is that of the largest of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import gumbel_r
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.generic import histories
+from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.patterns import force_columns, marker_columns, smooth_patterns
+from tissuereg.diagnosis.signals import Layout
+
+#: Number of patterns over the markers in a smooth subspace, the smoothest ones.
+SMOOTH = 3
+
+#: Singular values below this share of the largest are taken for zero.
+_LEAST = 1e-6
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Result of the misfit test.
+
+    Attributes
+    ----------
+    p : float
+        p-value: probability that effect-free data misfit as much.
+    explained, explained_there : float
+        Share of the believed model's misfit (statistic minus its mean over null draws) that the judged model removes:
+        in the sum of all squares, and in the statistic that is largest for the judged model.
+    """
+
+    p: float
+    explained: float
+    explained_there: float
+
+
+class Battery:
+    """The statistics of the misfit test, each a sum of squares of residuals or the largest of several such sums.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the data.
+    subspaces : sequence of ndarray of float64, shapes (k, size)
+        Orthonormal rows; see `smooth_subspaces`.
+    """
+
+    def __init__(self, layout: Layout, subspaces: Sequence[FloatArray]) -> None:
+        self.layout = layout
+        self.subspaces = subspaces
+
+    def judge(self, before: FloatArray, after: FloatArray, nulls: FloatArray) -> Misfit:
+        """Return the misfit test of a model's residual.
+
+        Parameters
+        ----------
+        before, after : ndarray of float64, shape (size,)
+            Reduced residuals (`Null.reduced`) of the believed model and of the model that is judged.
+        nulls : ndarray of float64, shape (n, size)
+            Reduced residuals of null draws.
+
+        Returns
+        -------
+        Misfit
+            The p-value of the largest standardised statistic: its rank among the null draws, and the tail of a Gumbel
+            distribution fitted to them by moments where it exceeds all draws.
+        """
+        sums, drawn = self.sums(np.stack([before, after])), self.sums(nulls)
+        logs = np.log(drawn)
+        centre, spread = logs.mean(axis=0), np.maximum(logs.std(axis=0), 1e-9)
+        excess = (np.log(sums[1]) - centre) / spread
+        worst = int(excess.argmax())
+        largest = float(excess[worst])
+        of_nulls = ((logs - centre) / spread).max(axis=1)
+        share = float((of_nulls >= largest).mean())
+        # Maxima follow a Gumbel distribution; its tail extends the p-value beyond the number of draws.
+        width = float(of_nulls.std()) * np.sqrt(6.0) / np.pi
+        tail = float(gumbel_r.sf(largest, of_nulls.mean() - np.euler_gamma * width, width))
+        return Misfit(
+            p=max(share, tail) if share > 0.0 else min(tail, 1.0 / len(nulls)),
+            explained=_removed(sums[:, 0], drawn[:, 0], without_misfit=1.0),
+            explained_there=_removed(sums[:, worst], drawn[:, worst], without_misfit=0.0),
+        )
+
+    def sums(self, residuals: FloatArray) -> FloatArray:
+        """Return all statistics, shape (n, n_statistics), positive; the sum of all squares first."""
+        layout, rows = self.layout, [(residuals**2).sum(axis=1)]
+        per_marker = np.zeros((len(residuals), len(layout.marker_names)))
+        per_frame = []
+        for part in layout.parts:
+            markers = part.markers(residuals) ** 2
+            rows.append(markers.sum(axis=(1, 2, 3)))
+            per_marker += markers.sum(axis=(1, 3))
+            per_frame.append(markers.sum(axis=(2, 3)))
+            for i in range(len(part.pads)):
+                forces = part.forces(residuals)[:, :, i] ** 2
+                rows.append(forces.sum(axis=(1, 2)))
+                per_frame.append(forces.sum(axis=2))
+        rows.append(per_marker.max(axis=1))
+        rows.append(np.concatenate(per_frame, axis=1).max(axis=1))
+        rows += [((residuals @ basis.T) ** 2).sum(axis=1) for basis in self.subspaces]
+        return np.asarray(np.maximum(np.stack(rows, axis=1), 1e-12))
+
+
+def smooth_subspaces(layout: Layout, base: FloatArray, extent: float, noise: Noise) -> list[FloatArray]:
+    """Return the subspaces of smooth changes: per case, one for each time history and one for all of them together.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the data.
+    base : ndarray of float64, shape (size,)
+        Prediction of the believed model, mm and mN.
+    extent : float
+        Extent of the body, mm.
+    noise : Noise
+        Measurement noise.
+
+    Returns
+    -------
+    list of ndarray of float64, shapes (k, size)
+        Orthonormal rows over whitened data.
+    """
+    patterns = smooth_patterns(layout.reference, extent)[:SMOOTH]
+    found = []
+    for part in layout.parts:
+        of_case = []
+        for history in histories(part, base):
+            markers = marker_columns(layout, part, history, patterns).reshape(-1, layout.size)
+            forces = [force_columns(layout, part, pad, history) for pad in range(len(part.pads))]
+            of_case.append(noise.whitened(np.concatenate([markers, *forces]), layout))
+        found += [_basis(columns) for columns in (*of_case, np.concatenate(of_case))]
+    return [basis for basis in found if len(basis)]
+
+
+def _removed(sums: FloatArray, drawn: FloatArray, without_misfit: float) -> float:
+    """Return the share of a statistic's excess over its null mean that is removed, of (before, after) in `sums`."""
+    (before, after), expected = sums.tolist(), float(drawn.mean())
+    return float((before - after) / (before - expected)) if before > expected else without_misfit
+
+
+def _basis(columns: FloatArray) -> FloatArray:
+    """Return orthonormal rows that span the given vectors (k, size)."""
+    lengths = np.linalg.norm(columns, axis=1)
+    columns = columns[lengths > 0.0] / lengths[lengths > 0.0, None]
+    if not len(columns):
+        return columns
+    _, sizes, rows = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(rows[sizes > _LEAST * sizes[0]])

@@ -1,0 +1,99 @@
+"""The modulus as a finding: it is fitted in every model, and named where it lies far from its prior mean.
+
+The log Bayes factor is half the square of its distance from the prior mean in prior standard deviations, in the
+logarithm of the modulus; like any cause, it must predict held-out data better than the believed value and the generic
+rival.
+"""
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from tissuereg.diagnosis.answer import Finding
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.fit import Target, fit
+from tissuereg.diagnosis.probability import LOOK_ALIKE, TEMPER
+from tissuereg.diagnosis.proof import (
+    BEFORE,
+    GENERIC,
+    NAMED,
+    figure_blocks,
+    held_out,
+    held_out_figures,
+    linear_model,
+    proof_blocks,
+)
+from tissuereg.diagnosis.screen import Screen
+from tissuereg.diagnosis.search import Search, rival_columns
+
+#: The modulus is a finding beyond this many prior deviations, if its posterior deviation is at most this share of the
+#: prior's.
+BEYOND, DETERMINED = 3.0, 0.3
+
+#: Prior deviation, in the modulus' logarithm, that fixes it at the believed value.
+_PINNED = 1e-9
+
+
+def modulus_finding(target: Target, screen: Screen, found: Search) -> Finding | None:
+    """Return the modulus as a finding where it lies beyond its prior, the data determine it, and it is proved.
+
+    Parameters
+    ----------
+    target : Target
+        Target of the first fit.
+    screen : Screen
+        With the generic rival.
+    found : Search
+        With the causes found; the modulus is the first parameter of their fit.
+
+    Returns
+    -------
+    Finding or None
+        The log Bayes factor compares a free modulus with its log-normal prior: half the square of the distance in prior
+        deviations, which is the same for half and for twice the believed modulus. The held-out proof compares with the
+        model whose modulus is fixed at the believed value. Also None where that model has no equilibrium.
+    """
+    target = found.target or target
+    final, bench = found.final, target.bench
+    excess = float(abs(final.x[0])) / bench.young_spread
+    deviation = float(np.sqrt(final.covariance[0, 0]))
+    if excess < BEYOND or deviation > DETERMINED * bench.young_spread or "stiffness" in final.ids:
+        return None
+    pinned = replace(target, bench=_pinned(bench))
+    start = final.x.copy()
+    start[0] = 0.0
+    before = fit(pinned, final.parts, start=start) or fit(pinned, final.parts)
+    believed = fit(pinned, []) if final.parts else before
+    if before is None or believed is None:
+        return None
+    rival = linear_model(target, before, rival_columns(screen, target, before))
+    models = [linear_model(target, before), linear_model(target, final), rival, linear_model(target, believed)]
+    slopes = target.white(final.jacobian[:1]) * final.deviation[:1, None]
+    change = target.white(final.prediction - before.prediction)
+    proof = held_out(models, proof_blocks(bench.layout, slopes))
+    density = proof.log_density.sum(axis=1)
+    if density[NAMED] <= max(density[BEFORE], density[GENERIC]):
+        return None
+    young = final.young(bench.young)
+    values = {"young_kpa": young}
+    figures = held_out(models, figure_blocks(bench.layout, slopes, change))
+    return Finding(
+        id="stiffness",
+        group=("stiffness",),
+        probability=float((1.0 - LOOK_ALIKE) / (1.0 + np.exp(-0.5 * (excess**2 - BEYOND**2) / TEMPER))),
+        log_bayes_factor=0.5 * excess**2,
+        threshold=0.5 * BEYOND**2,
+        parameters=values,
+        deviations={"young_kpa": young * deviation},
+        held_out=held_out_figures(bench.layout, target.noise, proof, figures),
+        sentence=CAUSES["stiffness"].sentence(values),
+    )
+
+
+def _pinned(bench: Bench) -> Bench:
+    """Return the same bench with the modulus fixed at the believed value; computed results are shared."""
+    other = copy(bench)
+    other.young_spread = _PINNED
+    return other

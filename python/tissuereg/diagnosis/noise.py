@@ -1,0 +1,227 @@
+"""The noise model of the measurement, its estimation from rest frames and holds, and whitening by it.
+
+A frame of markers is split into its mean (motion of the camera) and the deviations from it (each marker's own noise).
+Both are first-order autoregressive in time; noise of forces is white. The stated standard deviations are kept unless a
+chi-square test on frames without change of load contradicts them. Whitened noise is uncorrelated with unit variance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.diagnosis.signals import CasePart, Layout
+from tissuereg.errors import NoiseError
+from tissuereg.experiment.experiment import Experiment
+
+#: Level of the test of the stated standard deviations against rest frames.
+LEVEL = 1e-3
+
+#: Least estimate of the noise, as a share of the stated one: rest frames may be simulated and without noise.
+LEAST_SHARE = 0.1
+
+#: Least number of frames for an estimate, and of frames in a hold that is used.
+LEAST_FRAMES, LEAST_HOLD = 6, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """The noise of markers and forces.
+
+    Attributes
+    ----------
+    marker_std : ndarray of float64, shape (n_markers,)
+        Standard deviation of every marker's own noise, mm.
+    common_std : float
+        Standard deviation of the motion common to all markers, mm.
+    memory, common_memory : float
+        Correlation of both between frames that are `step_s` apart.
+    step_s : float
+        Median time between frames, s.
+    force_std : float
+        Standard deviation of a force component, mN.
+    from_rest : bool
+        Whether there were enough rest frames for an estimate.
+    """
+
+    marker_std: FloatArray
+    common_std: float
+    memory: float
+    common_memory: float
+    step_s: float
+    force_std: float
+    from_rest: bool
+
+    def whitened(self, flat: FloatArray, layout: Layout) -> FloatArray:
+        """Return whitened vectors; entries that were not measured become zero.
+
+        Parameters
+        ----------
+        flat : ndarray of float64, shape (..., size)
+            Residuals or columns, mm and mN.
+        layout : Layout
+            Their order.
+
+        Returns
+        -------
+        ndarray of float64, shape (..., size)
+            Dimensionless. The map is linear.
+        """
+        white = np.zeros_like(flat)
+        for part in layout.parts:
+            measured = part.markers(layout.measured)
+            part.markers(white)[:] = self._markers(part.markers(flat), np.isfinite(measured), part)
+            known = np.isfinite(part.forces(layout.measured))
+            part.forces(white)[:] = np.where(known, part.forces(flat), 0.0) / self.force_std
+        return white
+
+    def draw(self, layout: Layout, generator: np.random.Generator) -> FloatArray:
+        """Return one draw of the whitened noise, shape (size,)."""
+        return np.where(layout.seen, generator.standard_normal(layout.size), 0.0)
+
+    def _markers(self, moved: FloatArray, seen: BoolArray, part: CasePart) -> FloatArray:
+        moved = np.where(seen, moved, 0.0) / self.marker_std[:, None]
+        # In units of the markers' own noise the common motion lies along one direction.
+        shared = np.where(seen, 1.0 / self.marker_std[:, None], 0.0)
+        length = np.maximum(np.linalg.norm(shared, axis=1, keepdims=True), 1e-300)
+        along = shared / length
+        common = (moved * along).sum(axis=-2, keepdims=True)
+        step = np.diff(part.times, prepend=np.nan)
+        own = self._faded(moved - along * common, self.memory, step, seen)
+        common = common / np.sqrt(1.0 + (length * self.common_std) ** 2)
+        together = self._faded(common, self.common_memory, step, np.asarray(seen.any(axis=1, keepdims=True)))
+        return np.where(seen, own + along * together, 0.0)
+
+    def _faded(self, values: FloatArray, memory: float, step: FloatArray, seen: BoolArray) -> FloatArray:
+        """Return the innovations of an autoregressive process (..., n_frames, k, 3), scaled to unit variance."""
+        if memory == 0.0:
+            return values
+        share = memory ** (np.nan_to_num(step[1:], nan=self.step_s) / self.step_s)[:, None, None]
+        both = seen[1:] & seen[:-1]
+        later = (values[..., 1:, :, :] - share * values[..., :-1, :, :]) / np.sqrt(1.0 - share**2)
+        white = values.copy()
+        white[..., 1:, :, :] = np.where(both, later, values[..., 1:, :, :])
+        return np.asarray(white)
+
+
+def estimate_noise(experiment: Experiment, layout: Layout) -> Noise:
+    """Return the noise estimated from rest frames and holds, or the stated one where they do not contradict it.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With the stated standard deviations, and optionally a rest case.
+    layout : Layout
+        Its measured numbers.
+
+    Returns
+    -------
+    Noise
+        The stated standard deviations, white in time, where there are no rest frames.
+
+    Raises
+    ------
+    NoiseError
+        If forces were measured and their standard deviation is not stated.
+    """
+    n_markers = len(experiment.marker_names)
+    stated = np.full(n_markers, experiment.marker_std)
+    force_std = experiment.force_std
+    if force_std is None:
+        if any(part.pads for part in layout.parts):
+            message = "`[forces]` must state `std_mN` where forces were measured"
+            raise NoiseError(message, where="forces")
+        force_std = 1.0
+    white = Noise(stated, 0.0, 0.0, 0.0, 1.0, force_std, False)
+    still = _still(experiment, layout)
+    if sum(len(values) for values, _ in still) < LEAST_FRAMES or n_markers < 2:
+        return white
+    axes = float(still[0][0].shape[-1])
+    means = [values.mean(axis=1, keepdims=True) for values, _ in still]
+    own = [values - mean for (values, _), mean in zip(still, means, strict=True)]
+    shapes = [(len(values), fitted) for values, fitted in still]
+    memory = _memory(own, shapes)
+    # Subtracting the mean of correlated frames removes a part of the noise.
+    freedom = axes * (1.0 - 1.0 / n_markers) * _expected(memory, shapes)[0]
+    # Median absolute deviations: a single jump does not make a marker noisy. Their efficiency is 0.37.
+    spread = 1.4826 * np.median(np.abs(np.concatenate(own)), axis=(0, 2))
+    whole = axes * sum(frames for frames, _ in shapes)
+    variance, freedom = spread**2 * whole / freedom, 0.37 * freedom
+    # The median over markers, since one may be noisier; it lies below the mean of equally noisy ones.
+    pooled, together = float(np.median(variance)) * freedom / float(chi2.median(freedom)), freedom * n_markers
+    marker_std = _believed(stated, np.full(n_markers, np.sqrt(pooled)), pooled * together / stated**2, together)
+    # A marker that is noisier than the others.
+    marker_std = _believed(marker_std, np.sqrt(variance), variance * freedom / marker_std**2, freedom)
+    common_freedom = axes * _expected(memory, shapes)[0]
+    common = float(sum((mean**2).sum() for mean in means)) / common_freedom
+    expected = float((marker_std**2).mean() / n_markers)
+    alike = chi2.sf(common_freedom * common / expected, common_freedom) < LEVEL
+    common_std = float(np.sqrt(max(common - expected, 0.0))) if alike else 0.0
+    step = float(np.median(np.concatenate([np.diff(part.times) for part in layout.parts])))
+    common_memory = _memory(means, shapes) if alike else memory
+    return Noise(marker_std, common_std, memory, common_memory, step, force_std, True)
+
+
+def _still(experiment: Experiment, layout: Layout) -> list[tuple[FloatArray, int]]:
+    """Return runs of frames without change of load: the rest case minus its mean, holds minus a straight line in time.
+
+    Each (n_frames, n_markers, n_axes), with the number of parameters fitted to every coordinate; axes along which
+    nothing was measured are omitted. The line removes slow changes, such as relaxation, from a hold.
+    """
+    found = []
+    along = np.any([np.isfinite(part.markers(layout.measured)).any(axis=(0, 1)) for part in layout.parts], axis=0)
+    for part in layout.parts:
+        case, frames = experiment.cases[part.name], part.markers(layout.measured)[..., along]
+        whole = np.asarray(np.isfinite(frames).all(axis=(1, 2)))
+        if part.name == experiment.rest_case:
+            if whole.sum() > 1:
+                found.append((frames[whole] - frames[whole].mean(axis=0), 1))
+            continue
+        given = [*case.displacements.values(), *case.applied_forces.values()]
+        if experiment.rest_case is None or not given:
+            continue
+        acts = np.concatenate(given, axis=1)
+        same = np.concatenate([[False], (acts[1:] == acts[:-1]).all(axis=1) & acts[1:].any(axis=1)])
+        begins = np.flatnonzero(~same)
+        for begin, end in zip(begins, [*begins[1:], len(same)], strict=True):
+            # The first frame of a hold may still show fast relaxation.
+            rows = np.arange(begin + 1, end)
+            rows = rows[whole[rows]]
+            if len(rows) >= LEAST_HOLD:
+                line = np.stack([np.ones(len(rows)), part.times[rows] - part.times[rows].mean()], axis=1)
+                values = frames[rows].reshape(len(rows), -1)
+                values = values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
+                found.append((values.reshape(len(rows), *frames.shape[1:]), 2))
+    return found
+
+
+def _believed(stated: FloatArray, found: FloatArray, statistic: FloatArray, freedom: float) -> FloatArray:
+    """Return the stated deviations where a chi-square test does not contradict them, the estimated ones elsewhere."""
+    tail = 2.0 * np.minimum(chi2.sf(statistic, freedom), chi2.cdf(statistic, freedom))
+    return np.where(tail < LEVEL, np.maximum(found, LEAST_SHARE * stated), stated)
+
+
+def _memory(runs: list[FloatArray], shapes: list[tuple[int, int]]) -> float:
+    """Return the correlation of values (n_frames, k, 3) from frame to frame, over all runs; 0 if there is none."""
+    power = float(sum((values**2).sum() for values in runs))
+    if power == 0.0:
+        return 0.0
+    found = float(sum((values[1:] * values[:-1]).sum() for values in runs)) / power
+    tried = np.linspace(0.0, 0.95, 96)
+    expected = np.array([pairs / squares for squares, pairs in (_expected(memory, shapes) for memory in tried)])
+    error = 1.0 / np.sqrt(sum(values[1:].size for values in runs))
+    return float(tried[np.argmin(np.abs(expected - found))]) if found > expected[0] + 4.0 * error else 0.0
+
+
+def _expected(memory: float, shapes: list[tuple[int, int]]) -> tuple[float, float]:
+    """Return expected sums of squares and of products of neighbours for unit noise in runs minus their mean or line."""
+    power = pairs = 0.0
+    for n_frames, fitted in shapes:
+        frames = np.arange(n_frames)
+        line = np.linalg.qr(np.stack([np.ones(n_frames), frames - frames.mean()], axis=1)[:, :fitted])[0]
+        projector = np.eye(n_frames) - line @ line.T
+        covariance = projector @ memory ** np.abs(frames[:, None] - frames).astype(np.float64) @ projector
+        power += float(np.trace(covariance))
+        pairs += float(np.trace(covariance, offset=1))
+    return power, pairs

@@ -1,0 +1,232 @@
+"""Nuisance parameters: modulus, tracker frame, drift, shape, remaining discretisation error; never findings.
+
+Each is a sensitivity column times a prior standard deviation. Together with the noise they form the null covariance
+``C0 = I + N N^T`` (`evidence`), so that they are integrated out of every comparison.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.patterns import force_columns, load_history, marker_columns, smooth_patterns
+from tissuereg.diagnosis.shape_columns import shape_columns
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.experiment.effects.base import rotation_from_vector
+
+#: Prior deviations of the tracker's frame: shifts in mm, turns in degrees.
+FRAME_SHIFT, FRAME_TURN = 0.02, 0.02
+
+#: Prior deviation of the drift of the camera over the whole session, mm.
+DRIFT = 0.02
+
+#: Remaining discretisation error of the corrected markers, as a share of the difference between fine meshes.
+MESH_SHARE = 0.4
+
+#: The same for forces, whose difference between meshes is in large part due to the shape of the pads.
+FORCE_SHARE = 0.2
+
+#: Least relative error of forces; and one that is quadratic in the force, as a share of the largest force: strains at
+#: the rim of a pad, where they are singular, grow faster than the load.
+FORCE_LEFT, FORCE_BENT = 0.0015, 0.007
+
+#: Error of a found cause's form and of its correction, as a share of the change it makes.
+EFFECT_ERROR = 0.07
+
+#: Error of a found cause's form along its other hypotheses, as a share of its change; which hypotheses count: those
+#: that reproduce this share of the change, in squares; and the number of directions kept.
+FORM_ERROR, ALIKE, MOST_FORMS = 0.3, 0.5, 12
+
+#: Directions shorter than this share of the change are dropped.
+_LEAST_FORM = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisances:
+    """Nuisance parameters with their columns.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One for each column.
+    columns : ndarray of float64, shape (n, size)
+        Change by one prior standard deviation, mm and mN, on the fine mesh at the believed modulus.
+    """
+
+    names: tuple[str, ...]
+    columns: FloatArray
+
+    def but(self, name: str) -> BoolArray:
+        """Return which columns have another name, shape (n,)."""
+        return np.array([other != name for other in self.names], bool)
+
+
+def make_nuisances(bench: Bench, mesh_errors: FloatArray, correction: Correction) -> Nuisances:
+    """Return the nuisances of an experiment.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    mesh_errors : ndarray of float64, shape (n_meshes, size)
+        Predictions on further fine meshes minus those on the correcting one, mm and mN.
+    correction : Correction
+        Correction of the discretisation error, at the believed modulus.
+
+    Returns
+    -------
+    Nuisances
+        Modulus, six of the tracker's frame, three of its drift, the shape of the body and of its patches (`shape`); for
+        the remaining discretisation error, which is proportional to the load, smooth patterns over the markers and the
+        three components of every force in each case, of the size by which fine meshes differ; where ``trial_share`` is
+        stated, the difference between trials of one case.
+    """
+    layout = bench.layout
+    names, columns = ["stiffness"], [bench.young_spread * bench.by_young[0]]
+    clock = layout.times()
+    span = max(float(np.ptp(clock)), 1e-9)
+    for axis, (shift, turn) in enumerate(frame_columns(layout, bench.base)):
+        drift = np.zeros(layout.size)
+        for part in layout.parts:
+            part.markers(drift)[..., axis] = DRIFT * (part.times[:, None] - clock.min()) / span
+        names += [f"frame shift {axis}", f"frame turn {axis}", f"drift {axis}"]
+        columns += [shift, turn, drift]
+    patterns = smooth_patterns(layout.reference, bench.extent)
+    for part in layout.parts:
+        load = load_history(part, bench.base)
+        if not load.any():
+            continue
+        top = load > 0.5
+        for axis, smooth in enumerate(marker_columns(layout, part, load, patterns)):
+            size = MESH_SHARE * _rms(part.markers(mesh_errors)[:, top][..., axis])
+            names += [f"mesh {part.name} {axis} {number}" for number in range(len(patterns))]
+            columns += list(size * smooth)
+        for i, pad in enumerate(() if bench.is_exact else part.pads):
+            strength = np.linalg.norm(part.forces(bench.base)[:, i], axis=1)
+            errors = part.forces(mesh_errors)[:, top, i] / max(float(strength.max()), 1e-9)
+            # A pad on a curved body has a different tilt on every mesh, so that a difference in one component of its
+            # force may as well occur in another.
+            size = max(FORCE_SHARE * _rms(errors), FORCE_LEFT)
+            largest = max(float(strength.max()), 1e-9)
+            for word, history, share in (("mesh", strength, size), ("bent", strength**2 / largest, FORCE_BENT)):
+                for axis, column in enumerate(force_columns(layout, part, i, history)):
+                    names.append(f"{word} {part.name} {pad} {axis}")
+                    columns.append(share * column)
+    for name, column in _trials(bench, patterns):
+        names.append(name)
+        columns.append(column)
+    columns = list(correction.of_columns(np.array(columns)))
+    for name, column in _shapes(bench, correction):
+        names.append(name)
+        columns.append(column)
+    kept = [i for i, column in enumerate(columns) if column.any()]
+    return Nuisances(tuple(names[i] for i in kept), np.array([columns[i] for i in kept]))
+
+
+def frame_columns(layout: Layout, base: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield, axis by axis, the columns of a shift and of a rotation of the tracker's frame, each (size,), in mm.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the columns.
+    base : ndarray of float64, shape (size,)
+        Displacements of the markers, mm.
+    """
+    middle = layout.reference.mean(axis=0)
+    for axis in range(3):
+        shift, turn = np.zeros(layout.size), np.zeros(layout.size)
+        rotation = rotation_from_vector(tuple(FRAME_TURN * np.eye(3)[axis])) - np.eye(3)
+        for part in layout.parts:
+            part.markers(shift)[..., axis] = FRAME_SHIFT
+            part.markers(turn)[:] = (layout.reference + part.markers(base) - middle) @ rotation.T
+        yield shift, turn
+
+
+def _rms(errors: FloatArray) -> float:
+    """Return the root mean square; 0 where there is nothing."""
+    return float(np.sqrt((errors**2).mean())) if errors.size else 0.0
+
+
+def _trials(bench: Bench, patterns: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the difference between trials of one case: smooth over the markers, a share of each measured motion."""
+    layout, share = bench.layout, bench.experiment.trial_share
+    for part in layout.parts if share else ():
+        moved = np.nan_to_num(np.linalg.norm(part.markers(layout.measured), axis=-1))
+        for axis, smooth in enumerate(marker_columns(layout, part, share * moved, patterns)):
+            for number, column in enumerate(smooth):
+                yield f"trial {part.name} {axis} {number}", column
+
+
+def _shapes(bench: Bench, correction: Correction) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the columns of the shape of the body and of its patches."""
+    if not bench.is_exact:
+        for direction, column in shape_columns(bench, correction.corrected(bench.base)):
+            yield direction.name, direction.std_mm * column
+
+
+def effect_nuisances(bench: Bench, change: FloatArray) -> FloatArray:
+    """Return nuisances for the model error of the causes found, whose laws are only approximately the body's own.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    change : ndarray of float64, shape (size,)
+        Change that the causes found so far make, mm and mN.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, size)
+        In every case the change itself, smooth patterns over the markers and the components of every force, by one
+        prior standard deviation.
+    """
+    layout = bench.layout
+    patterns = smooth_patterns(layout.reference, bench.extent)
+    columns = []
+    for part in layout.parts:
+        mine = np.zeros(layout.size)
+        part.markers(mine)[:] = EFFECT_ERROR * part.markers(change)
+        columns.append(mine)
+        history = EFFECT_ERROR * np.sqrt((part.markers(change) ** 2).mean(axis=(1, 2)))
+        columns += list(marker_columns(layout, part, history, patterns).reshape(-1, layout.size))
+        for i in range(len(part.pads)):
+            strength = EFFECT_ERROR * np.linalg.norm(part.forces(change)[:, i], axis=1)
+            columns += list(force_columns(layout, part, i, strength))
+    return np.array([column for column in columns if column.any()]).reshape(-1, layout.size)
+
+
+def other_forms(hypotheses: FloatArray, change: FloatArray) -> FloatArray:
+    """Return nuisances for the form of a found cause: another place, onset, history or exponent than fitted.
+
+    Without them the difference between the fitted and the true form would be taken for a further cause.
+
+    Parameters
+    ----------
+    hypotheses : ndarray of float64, shape (n_variants, p, size)
+        Whitened columns of all hypotheses of the cause.
+    change : ndarray of float64, shape (size,)
+        Fitted change, whitened.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, size)
+        Orthogonal to the change, by one prior standard deviation: each hypothesis that reproduces the share `ALIKE` of
+        the change is fitted to it and scaled to its norm, and its part orthogonal to the change is kept; all together
+        have the size `FORM_ERROR`.
+    """
+    power, found = float(change @ change), []
+    for columns in hypotheses:
+        amplitudes = np.linalg.lstsq(columns.T, change, rcond=None)[0]
+        alike = amplitudes @ columns
+        if float(alike @ alike) >= ALIKE * power > 0.0:
+            alike *= np.sqrt(power / float(alike @ alike))
+            found.append(alike - (alike @ change) / power * change)
+    if not found:
+        return np.zeros((0, len(change)))
+    _, sizes, rows = np.linalg.svd(np.array(found) * (FORM_ERROR / np.sqrt(len(found))), full_matrices=False)
+    kept = sizes > _LEAST_FORM * np.sqrt(power)
+    return np.asarray((sizes[:, None] * rows)[kept][:MOST_FORMS])

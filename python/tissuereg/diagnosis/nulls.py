@@ -1,0 +1,106 @@
+"""Null draws: residuals of effect-free data of the same rig, and the thresholds that follow from them.
+
+A draw is the sum of measurement noise of uncertain size, nuisance parameters from their priors, and the discretisation
+error of a mesh that is neither the user's nor the correcting one; noise alone would give much lower thresholds. The log
+Bayes factors of all causes are computed for every draw, and each cause gets a quantile of its own as threshold, the
+same for all and such that any cause passes in a share `LEVEL` of the draws.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.nuisances import MESH_SHARE
+from tissuereg.diagnosis.screen import UNKNOWN, Screen
+from tissuereg.diagnosis.signals import Layout
+
+#: Number of draws, and the share of them in which any cause may pass its threshold (false-alarm rate).
+DRAWS = 500
+LEVEL = 0.02
+
+#: Number of false-alarm rates of a single cause that are tried.
+SHARES = 40
+
+#: Least threshold, nats.
+LEAST_THRESHOLD = 6.0
+
+#: Relative uncertainty of the noise's size, as a whole and marker by marker.
+NOISE_SPREAD, MARKER_SPREAD = 0.03, 0.05
+
+#: Discretisation errors are drawn larger or smaller than computed, by this factor at most.
+MESH_SPREAD = 1.3
+
+
+@dataclass(frozen=True, eq=False)
+class Nulls:
+    """Reduced residuals of effect-free data.
+
+    Attributes
+    ----------
+    residuals : ndarray of float64, shape (n, size)
+        Whitened and reduced.
+    thresholds : mapping of str to float
+        Log Bayes factor that each cause must exceed, nats. Higher for causes that resemble a discretisation error.
+    """
+
+    residuals: FloatArray
+    thresholds: Mapping[str, float]
+
+
+def draw_nulls(
+    screen: Screen, null: Null, noise: Noise, layout: Layout, mesh_errors: Sequence[FloatArray], seed: int
+) -> Nulls:
+    """Return null draws and the thresholds that follow.
+
+    Parameters
+    ----------
+    screen : Screen
+        All hypotheses.
+    null : Null
+        Nuisances.
+    noise : Noise
+        Measurement noise.
+    layout : Layout
+        Order of the data.
+    mesh_errors : sequence of ndarray of float64, shape (size,)
+        Predictions on further fine meshes minus those on the correcting one, mm and mN.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    Nulls
+        `DRAWS` residuals, and thresholds.
+    """
+    generator = np.random.default_rng([seed, 5])
+    white = [noise.whitened(error, layout) for error in mesh_errors]
+    draws = np.empty((DRAWS, layout.size))
+    for i in range(DRAWS):
+        drawn = noise.draw(layout, generator) * (1.0 + NOISE_SPREAD * generator.standard_normal())
+        sizes = 1.0 + MARKER_SPREAD * generator.standard_normal(len(layout.marker_names))
+        for part in layout.parts:
+            part.markers(drawn)[:] *= sizes[:, None]
+        drawn += generator.standard_normal(len(null.nuisances)) @ null.nuisances
+        if white:
+            size = generator.choice([-1.0, 1.0]) * generator.uniform(1.0 / MESH_SPREAD, MESH_SPREAD)
+            drawn += MESH_SHARE * size * white[i % len(white)]
+        draws[i] = drawn
+    residuals = null.reduced(draws)
+    found = screen.many(residuals)
+    found.pop(UNKNOWN)
+    return Nulls(residuals, _thresholds(found))
+
+
+def _thresholds(found: Mapping[str, FloatArray]) -> dict[str, float]:
+    """Return a quantile of every cause's log Bayes factors (n,), such that any exceeds its own in `LEVEL` of draws."""
+    values = np.array(list(found.values()))
+    # The last share is Bonferroni's bound, which holds however the causes are correlated.
+    for share in LEVEL * np.geomspace(1.0, 1.0 / len(values), SHARES):
+        least = np.maximum(np.quantile(values, 1.0 - share, axis=1), LEAST_THRESHOLD)
+        if (values > least[:, None]).any(axis=0).mean() <= LEVEL:
+            break
+    return dict(zip(found, least.tolist(), strict=True))

@@ -1,0 +1,89 @@
+"""Columns of smooth changes: Gaussian-process patterns over the markers times a history over the frames of a case."""
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.signals import CasePart, Layout
+
+#: Number of patterns.
+MODES = 10
+
+#: Correlation length of the Gaussian process over the extent of the body.
+LENGTH = 0.35
+
+
+def smooth_patterns(places: FloatArray, extent: float) -> FloatArray:
+    """Return the leading eigenvectors of a Gaussian process of unit variance over places.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (n, 3)
+        mm.
+    extent : float
+        Extent of the body, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_patterns, n)
+        Scaled by the roots of their eigenvalues, so that their squares sum to nearly 1 at every place.
+    """
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * (distance / (LENGTH * extent)) ** 2))
+    chosen = np.argsort(values)[::-1][:MODES]
+    return np.asarray((np.sqrt(np.maximum(values[chosen], 0.0)) * vectors[:, chosen]).T)
+
+
+def load_history(part: CasePart, base: FloatArray) -> FloatArray:
+    """Return the predicted size of the marker motion in every frame over its largest, 0 to 1; 0 in a rest case."""
+    moved = np.sqrt((part.markers(base) ** 2).sum(axis=(1, 2)))
+    return np.asarray(moved / moved.max()) if moved.max() > 1e-6 else np.zeros(part.n_frames)
+
+
+def marker_columns(layout: Layout, part: CasePart, history: FloatArray, patterns: FloatArray) -> FloatArray:
+    """Return columns in which the markers of one case move along one axis, by a pattern times a history.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the columns.
+    part : CasePart
+        The case; all others are zero.
+    history : ndarray of float64, shape (n_frames,) or (n_frames, n_markers)
+        For all markers, or for each, mm.
+    patterns : ndarray of float64, shape (n_patterns, n_markers)
+        Over the markers.
+
+    Returns
+    -------
+    ndarray of float64, shape (3, n_patterns, size)
+        Axes first.
+    """
+    columns = np.zeros((3, len(patterns), layout.size))
+    for axis in range(3):
+        part.markers(columns)[axis, ..., axis] = history.reshape(part.n_frames, -1) * patterns[:, None, :]
+    return columns
+
+
+def force_columns(layout: Layout, part: CasePart, pad: int, history: FloatArray) -> FloatArray:
+    """Return columns in which one component of a pad's force follows a history.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the columns.
+    part : CasePart
+        The case; all others are zero.
+    pad : int
+        Its number in `CasePart.pads`.
+    history : ndarray of float64, shape (n_frames,)
+        mN.
+
+    Returns
+    -------
+    ndarray of float64, shape (3, size)
+        One for each component.
+    """
+    columns = np.zeros((3, layout.size))
+    for axis in range(3):
+        part.forces(columns)[axis, :, pad, axis] = history
+    return columns

@@ -1,0 +1,173 @@
+"""Predictions of all measured numbers by the believed model with any further effects, on the user's mesh."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.errors import ConvergenceError, ExperimentError, MaterialError, SupportError
+from tissuereg.experiment.effects import ChainEffect, Effect, extended, seen_markers
+from tissuereg.experiment.experiment import Experiment
+from tissuereg.simulation.experiment import Simulators, solve_cases
+from tissuereg.simulation.frames import Rigs
+from tissuereg.simulation.memory import goes_through_time
+
+#: Residual over load. The error is some 1e-6 mm and 1e-3 mN, 1e-4 mm at most: far below any noise.
+TOLERANCE = 1e-5
+
+#: Errors of a model without equilibrium, or whose effects do not apply, on the user's mesh.
+NO_ANSWER = (ConvergenceError, ExperimentError, MaterialError, SupportError)
+
+#: Number of solutions that are kept for models that differ in the tracker alone.
+MOST_SOLVED = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """The solution of a model, before the tracker's effects."""
+
+    effects: tuple[Effect, ...]
+    young: float | None
+    places: dict[str, FloatArray]
+    forces: dict[str, dict[str, FloatArray]]
+    times: dict[str, FloatArray]
+    fields: dict[str, FloatArray]
+
+
+class Predictor:
+    """The believed model of an experiment, solved with varying further effects.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The believed model, with its own effects.
+    layout : Layout
+        Order of the predictions.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    threads : int
+        Threads to use; 0 takes all cores.
+    """
+
+    def __init__(self, experiment: Experiment, layout: Layout, *, element: str = "tet4", threads: int = 0) -> None:
+        self.experiment = experiment
+        self.layout = layout
+        self.element = element
+        self.threads = threads
+        self.observation = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
+        self._simulators: Simulators = {}
+        self._rigs: Rigs = {}
+        self._solved: list[Solved] = []
+
+    def predict(
+        self,
+        effects: Sequence[Effect] = (),
+        *,
+        young: float | None = None,
+        threads: int | None = None,
+        near: Solved | None = None,
+    ) -> FloatArray:
+        """Return the prediction with further effects.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            In addition to those of the experiment.
+        young : float, optional
+            Factor on the believed modulus.
+        threads : int, optional
+            Threads to use; the predictor's own number where absent.
+        near : Solved, optional
+            A similar model, from which frames that are solved one after another start; the believed one where absent.
+
+        Returns
+        -------
+        ndarray of float64, shape (size,)
+            As `Layout.measured`, everywhere finite.
+
+        Raises
+        ------
+        ConvergenceError
+            If a frame has no equilibrium.
+        ExperimentError
+            If an effect does not apply to the experiment.
+        """
+        believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
+        solved = self.solved(effects, young=young, threads=threads, near=near)
+        seen = {name: seen_markers(believed, places, solved.times[name]) for name, places in solved.places.items()}
+        return self.layout.flatten(seen, solved.forces)
+
+    def solved(
+        self,
+        effects: Sequence[Effect] = (),
+        *,
+        young: float | None = None,
+        threads: int | None = None,
+        near: Solved | None = None,
+    ) -> Solved:
+        """Return the solution for the arguments of `predict`; the last few are kept."""
+        # The tracker does not act on the body: models that differ in it alone have one solution.
+        bodily = tuple(effect for effect in effects if not isinstance(effect, ChainEffect))
+        for solved in reversed(self._solved):
+            if solved.young == young and solved.effects == bodily:
+                return solved
+        found = self._solve(bodily, young, self.threads if threads is None else threads, near)
+        self._solved = [*self._solved, found][-MOST_SOLVED:]
+        return found
+
+    @cached_property
+    def _believed(self) -> Solved:
+        """The solution of the believed model."""
+        return self._solve((), None, self.threads, None)
+
+    def _solve(self, effects: tuple[Effect, ...], young: float | None, threads: int, near: Solved | None) -> Solved:
+        believed = replace(self.experiment, effects=(*self.experiment.effects, *effects))
+        if young is not None:
+            believed = replace(believed, material=believed.material.scaled(young))
+        worked = extended(believed, self.element)
+        cases = list(worked.cases.values())
+        if near is None and (effects or young is not None) and goes_through_time(worked):
+            near = self._believed
+        solved = solve_cases(
+            worked,
+            cases,
+            element=self.element,
+            tolerance=TOLERANCE,
+            threads=threads,
+            simulators=self._simulators,
+            near=None if near is None else near.fields,
+            rigs=self._rigs,
+        )
+        places, forces = {}, {}
+        for case in cases:
+            found = solved[case.name]
+            refuse_failures(case.name, found.failed)
+            moved = self.observation.predict(found.displacement[:, self.observation.nodes])
+            places[case.name] = worked.marker_reference + moved
+            forces[case.name] = found.forces
+        times = {case.name: case.times for case in cases}
+        fields = {name: found.all_displacement for name, found in solved.items()}
+        return Solved(effects, young, places, forces, times, fields)
+
+
+def refuse_failures(case: str, failed: Sequence[tuple[int, str]]) -> None:
+    """Raise for a case with a frame that has no equilibrium.
+
+    Parameters
+    ----------
+    case : str
+        Its name.
+    failed : sequence of (int, str)
+        Frames without equilibrium, with the reason.
+
+    Raises
+    ------
+    ConvergenceError
+        If there is one; it names the first.
+    """
+    if failed:
+        frame, why = failed[0]
+        message = f"every frame must find equilibrium; frame {frame} of case '{case}' does not: {why}"
+        raise ConvergenceError(message, where=case)

@@ -1,0 +1,226 @@
+"""Held-out proof: the predictive density that a model, fitted without a block of the data, gives to that block.
+
+Models are linearised at their fit (`Fit.jacobian`). Holding a block out is then exact linear algebra: the posterior of
+parameters and nuisances given all other data, and the Gaussian predictive density of the block. A cause must predict
+better than the model without it and than the generic rival: an empirical discrepancy term interpolates well but
+extrapolates badly, a physical cause does both (Brynjarsdottir and O'Hagan, Inverse Problems 30, 2014).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.diagnosis.fit import Fit, Target
+from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.signals import CasePart, Layout
+
+#: A case is held out only if the other data determine the cause's parameters: their posterior variance without the case
+#: is at most this share of the prior variance, on average.
+DETERMINED = 0.5
+
+#: Errors are stated for a case only if the other data determine the cause's change in it: the predictive variance of
+#: the change is at most this share of its square.
+UNDETERMINED = 0.75
+
+#: Rows of a proof: model before the cause, model with it, the former plus the generic rival, the believed model.
+BEFORE, NAMED, GENERIC, BELIEVED = range(4)
+
+#: Number of blocks of frames, where one case alone shows a cause.
+TIME_BLOCKS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A model linear in its parameters: residual = columns^T x + white noise, x ~ N(0, I).
+
+    Attributes
+    ----------
+    residual : ndarray of float64, shape (size,)
+        Measured minus predicted at x = 0, whitened.
+    columns : ndarray of float64, shape (p, size)
+        Whitened, times prior standard deviations.
+    """
+
+    residual: FloatArray
+    columns: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Predictions of blocks of data by models that were fitted without them.
+
+    Attributes
+    ----------
+    blocks : tuple of str
+        Names of the blocks.
+    log_density : ndarray of float64, shape (n_models, n_blocks)
+        Log predictive density of every block given all others.
+    residuals : ndarray of float64, shape (n_models, size)
+        Whitened residuals of the predictions, NaN outside all blocks.
+    """
+
+    blocks: tuple[str, ...]
+    log_density: FloatArray
+    residuals: FloatArray
+
+
+def linear_model(target: Target, fit: Fit, extra: FloatArray | None = None) -> Linear:
+    """Return a fit as a linear model whose columns are nuisances, the fit's Jacobian, and further ones (p, size)."""
+    slopes = target.white(fit.jacobian) * fit.deviation[:, None]
+    # The model is linear about the fit; x = 0 is the prior mean.
+    residual = fit.residual + slopes.T @ ((fit.x - fit.mean) / fit.deviation)
+    parts = [target.null.nuisances, slopes] + ([] if extra is None else [extra])
+    return Linear(residual, np.concatenate(parts))
+
+
+def held_out(models: list[Linear], blocks: dict[str, BoolArray]) -> HeldOut:
+    """Return the predictions of blocks, each from all other data.
+
+    Parameters
+    ----------
+    models : list of Linear
+        To be compared.
+    blocks : dict of str to ndarray of bool, shape (size,)
+        Entries that are held out together.
+
+    Returns
+    -------
+    HeldOut
+        Log densities without the constant that all models have in common.
+    """
+    size = len(models[0].residual)
+    density = np.zeros((len(models), len(blocks)))
+    residuals = np.full((len(models), size), np.nan)
+    for m, model in enumerate(models):
+        whole = model.columns @ model.columns.T
+        along = model.columns @ model.residual
+        for b, mask in enumerate(blocks.values()):
+            mine = model.columns[:, mask]
+            inner = np.eye(len(whole)) + whole - mine @ mine.T
+            mean = np.linalg.solve(inner, along - mine @ model.residual[mask])
+            rest = model.residual[mask] - mean @ mine
+            residuals[m, mask] = rest
+            # The block's predictive covariance is I + A^T inner^-1 A; by Woodbury only (p, p) matrices are needed.
+            full = inner + mine @ mine.T
+            half = mine @ rest
+            power = rest @ rest - half @ np.linalg.solve(full, half)
+            logdet = np.linalg.slogdet(full)[1] - np.linalg.slogdet(inner)[1]
+            density[m, b] = -0.5 * power - 0.5 * logdet
+    return HeldOut(tuple(blocks), density, residuals)
+
+
+def proof_blocks(layout: Layout, slopes: FloatArray) -> dict[str, BoolArray]:
+    """Return the blocks that are held out to prove a cause by its predictive density.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the data.
+    slopes : ndarray of float64, shape (k, size)
+        The cause's whitened sensitivity columns, times prior standard deviations.
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (size,)
+        The load cases in which the cause shows and without which its parameters are still determined (`DETERMINED`);
+        if there is none, blocks of frames of the case that shows it most.
+    """
+
+    def determined(mask: BoolArray) -> bool:
+        return bool(np.trace(_spread(slopes, mask)) / len(slopes) <= DETERMINED)
+
+    return _blocks(layout, (slopes**2).sum(axis=0), determined)
+
+
+def figure_blocks(layout: Layout, slopes: FloatArray, change: FloatArray) -> dict[str, BoolArray]:
+    """Return the blocks for which prediction errors with and without a cause are stated.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the data.
+    slopes : ndarray of float64, shape (k, size)
+        The cause's whitened sensitivity columns, times prior standard deviations.
+    change : ndarray of float64, shape (size,)
+        Whitened change that the cause makes.
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (size,)
+        The load cases whose change the other data determine (`UNDETERMINED`); if there is none, blocks of frames of the
+        case with the largest change. Undetermined parameters do no harm where their columns vanish.
+    """
+
+    def determined(mask: BoolArray) -> bool:
+        mine = slopes[:, mask]
+        return bool(np.trace(_spread(slopes, mask) @ mine @ mine.T) <= UNDETERMINED * (change[mask] ** 2).sum())
+
+    return _blocks(layout, change**2, determined)
+
+
+def held_out_figures(layout: Layout, noise: Noise, proof: HeldOut, figures: HeldOut) -> dict[str, object]:
+    """Return the held-out errors of a finding: of markers in mm, and of markers and forces in noise deviations.
+
+    Parameters
+    ----------
+    layout : Layout
+        Order of the data.
+    noise : Noise
+        Measurement noise.
+    proof, figures : HeldOut
+        On the blocks of `proof_blocks` and of `figure_blocks`; rows as this module names them.
+
+    Returns
+    -------
+    dict
+        ``held_out`` of the answer.
+    """
+    markers = layout.of_markers() & layout.seen
+    chi = [_rms(row[layout.seen & np.isfinite(row)]) for row in figures.residuals]
+    typical = float(noise.marker_std.mean())
+    rms = [typical * _rms(row[markers & np.isfinite(row)]) for row in figures.residuals]
+    return {
+        "rms_base_mm": rms[BELIEVED],
+        "rms_named_mm": rms[NAMED],
+        "rms_generic_mm": rms[GENERIC],
+        "noise_mm": typical,
+        "chi_base": chi[BELIEVED],
+        "chi_named": chi[NAMED],
+        "chi_generic": chi[GENERIC],
+        "log_density_gain": float(proof.log_density[NAMED].sum() - proof.log_density[BEFORE].sum()),
+        "cases": list(figures.blocks),
+    }
+
+
+def frame_blocks(layout: Layout, part: CasePart) -> dict[str, BoolArray]:
+    """Return blocks of frames of one case, every `TIME_BLOCKS`-th frame each."""
+    blocks = {}
+    for number in range(min(TIME_BLOCKS, part.n_frames)):
+        mask = np.zeros(layout.size, bool)
+        part_mask = np.zeros(part.n_frames, bool)
+        part_mask[number::TIME_BLOCKS] = True
+        part.markers(mask)[part_mask] = True
+        part.forces(mask)[part_mask] = True
+        whole = part.n_frames == 1
+        blocks[part.name if whole else f"{part.name}, every {TIME_BLOCKS}th frame from {number}"] = mask
+    return blocks
+
+
+def _blocks(layout: Layout, shown: FloatArray, determined: Callable[[BoolArray], bool]) -> dict[str, BoolArray]:
+    """Return the cases with a change that are determined without them; else blocks of frames of the largest change."""
+    power = {part.name: float(shown[layout.of_case(part.name)].sum()) for part in layout.parts}
+    masks = {name: layout.of_case(name) for name, size in power.items() if size > 1.0}
+    cases = {name: mask for name, mask in masks.items() if determined(mask)}
+    return cases or frame_blocks(layout, layout[max(power, key=lambda name: power[name])])
+
+
+def _spread(slopes: FloatArray, mask: BoolArray) -> FloatArray:
+    """Return the posterior covariance of parameters, in units of their prior deviations, given data without a block."""
+    others = slopes[:, ~mask]
+    return np.asarray(np.linalg.inv(np.eye(len(slopes)) + others @ others.T))
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -1,0 +1,134 @@
+"""The HTML page of a diagnosis: its sections in order, with the view's data and script."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissuereg.diagnosis.report import viewer_text
+from tissuereg.diagnosis.report.history import SHARE, histories
+from tissuereg.diagnosis.report.proved import proved
+from tissuereg.diagnosis.report.ranking import rankings
+from tissuereg.diagnosis.report.scene import scene, script_text
+from tissuereg.diagnosis.report.svg import AFTER, BEFORE, FLOOR, GENERIC, swatch
+from tissuereg.diagnosis.report.words import assumed, findings, summary, ties
+from tissuereg.errors import ExperimentError
+from tissuereg.io.atomic import atomic_file
+from tissuereg.io.experiment_out import experiment_text
+from tissuereg.report.markup import document, escape
+
+if TYPE_CHECKING:
+    from tissuereg.diagnosis.answer import Diagnosis
+
+#: File of the extended model in the page's folder.
+MODEL = "experiment.extended.toml"
+
+_STYLE = """
+.verdict { font-size: 1.2rem; } .finding { border-left: 4px solid #1f5fa8; padding-left: 1rem; margin: 1rem 0; }
+.finding p { margin: .4rem 0; } h3 { margin: 1.2rem 0 .3rem; } code { font-size: .85em; color: #555; }
+svg { display: block; font-family: system-ui, sans-serif; margin: .4rem 0; }
+#stage { position: relative; }
+#view { width: 100%; height: 30rem; border: 1px solid #d7dbe0; touch-action: none; cursor: grab; }
+#tip { position: absolute; display: none; background: #fffffff0; border: 1px solid #9aa2ab; padding: .2rem .5rem;
+  font-size: 13px; white-space: pre; pointer-events: none; }
+.controls label { margin-right: 1.2rem; white-space: nowrap; } .controls input[type=range] { vertical-align: middle; }
+.key span { display: inline-block; width: 1.4em; height: .7em; margin: 0 .3em 0 1em; }
+pre { background: #f4f6f8; padding: .8rem; overflow: auto; max-height: 24rem; font-size: 13px; }
+summary { cursor: pointer; }
+"""
+
+
+def write_report(found: "Diagnosis", path: Path, *, seen_from: str | os.PathLike[str] | None = None) -> Path:
+    """Write the page, whole or not at all.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        The diagnosis. Without its details the page has text and the ranking alone.
+    path : Path
+        File to write.
+    seen_from : path-like, optional
+        Final folder of the page, where it is written elsewhere first.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    folder = Path(path).parent if seen_from is None else Path(seen_from)
+    text = document("Diagnosis", page_parts(found, folder), _STYLE)
+    with atomic_file(path) as draft:
+        draft.write_text(text, encoding="utf-8")
+    return path
+
+
+def page_parts(found: "Diagnosis", folder: Path) -> list[str]:
+    """Return the sections of the page that will lie in a folder, HTML."""
+    drawn = {"search", "layout", "target"} <= set(found.details)
+    parts = [summary(found), "<h2>Findings</h2>", findings(found)]
+    if drawn:
+        parts += [_body(found), _history(found)]
+    parts += [_ranking(found), "<h2>Prediction of what was not fitted</h2>", proved(found)]
+    parts += ["<h2>Causes that cannot be distinguished, and what to measure next</h2>", ties(found)]
+    parts += ["<h2>What was assumed</h2>", assumed(found), _model(found, folder)]
+    if drawn:
+        parts.append(f"<script type='application/json' id='scene'>{script_text(scene(found))}</script>")
+        parts.append(f"<script>\n{viewer_text()}</script>")
+    return parts
+
+
+def _body(found: "Diagnosis") -> str:
+    same = "" if found.details["search"].final.parts else " No cause was added, so that both are the same."
+    return f"""<h2>Where the simulation is wrong</h2>
+<p>The body at rest, with the residual (measured minus predicted) at every marker:
+<b style='color:{BEFORE}'>before</b>, of the believed model, and <b style='color:{AFTER}'>after</b>, of the extended
+one.{same} Residuals of forces at pads are <b style='color:{FLOOR}'>green</b>, on a scale of their own.
+Drag to rotate, wheel or two fingers to zoom, shift and drag to move; point at a marker for its numbers. Ochre and other
+coloured patches are the pads, dark grey is held; a red cage is an inclusion that was found, a grey one was in the
+believed model; red circles mark markers that a finding names.</p>
+<div class='controls'>
+<label>case <select id='case'></select></label>
+<label>frame <input id='frame' type='range' min='0' max='0' value='0'> <span id='moment'></span></label>
+<label><input id='before' name='when' type='radio' checked> before</label>
+<label><input id='after' name='when' type='radio'> after</label>
+<label>arrows <input id='grow' type='range' min='0.1' max='4' step='0.05' value='1'></label>
+<label>opacity <input id='opacity' type='range' min='0.1' max='1' step='0.05' value='0.6'></label>
+</div>
+<div id='stage'><canvas id='view'></canvas><div id='tip'></div></div><p id='figures'></p>"""
+
+
+def _history(found: "Diagnosis") -> str:
+    after = swatch(AFTER, "after, with the findings") if found.details["search"].final.parts else ""
+    lines = swatch(BEFORE, "before") + after
+    return f"""<h2>When, and under which load</h2>
+<p>Root mean square residual of every frame in noise deviations, whitened by noise and nuisance parameters. Noise alone
+lies in the green band in {100 * SHARE:.0f} % of all frames.</p>
+<p class='key'>{lines}{swatch(FLOOR, "noise")}</p>
+{histories(found)}"""
+
+
+def _ranking(found: "Diagnosis") -> str:
+    return f"""<h2>All causes that were tried</h2>
+<p>The log Bayes factor (in nats) measures how much better a cause predicts the data than the model without it; it
+includes the penalty for the cause's free parameters. Red lines are the thresholds of the causes, which data without any
+effect exceed rarely. The axis is linear near 0 and logarithmic beyond; bars end at -10. "Size" is the norm of the
+change that the cause makes, in noise deviations: about 8 are needed for detection.</p>
+<p class='key'>{swatch(AFTER, "found, or tied with what was found")}{swatch(GENERIC, "not accepted")}</p>
+{rankings(found)}"""
+
+
+def _model(found: "Diagnosis", folder: Path) -> str:
+    try:
+        text = f"<pre>{escape(experiment_text(found.extended, folder))}</pre>"
+    except ExperimentError as error:
+        text = f"<p>It cannot be written as a file: {escape(error)}</p>"
+    return (
+        f"<h2>The extended model</h2><p>The believed experiment with the findings as effects, and with the fitted "
+        "modulus where the data determine it, "
+        f"<a href='{MODEL}'>{MODEL}</a>, runs in <code>simulate</code>, <code>register</code> and "
+        f"<code>diagnose</code> like any other.</p><details><summary>Its text</summary>{text}</details>"
+    )

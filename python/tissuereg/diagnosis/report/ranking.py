@@ -1,0 +1,154 @@
+"""Charts of the log Bayes factors of all causes that were tried, with their thresholds."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from tissuereg.diagnosis.candidates import required_thresholds
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.report import svg
+from tissuereg.diagnosis.screen import UNKNOWN
+from tissuereg.report.markup import escape
+
+if TYPE_CHECKING:
+    from tissuereg.diagnosis.answer import Diagnosis
+    from tissuereg.diagnosis.search import Step
+
+_WIDTH, _LEFT, _RIGHT, _ROW = 900.0, 160.0, 250.0, 21.0
+_TICKS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4, 1e5, 1e6)
+
+#: Lower end of the bars: differences among unlikely causes are of no interest.
+_LEAST = -10.0
+
+
+def plain_name(cause: str) -> str:
+    """Return a cause's id as words."""
+    return "something else (generic)" if cause == UNKNOWN else cause.replace("_", " ")
+
+
+def separated(advice: Mapping[str, Any]) -> str:
+    """Return the pairs of causes that an advised action separates, plain text for a sentence."""
+    return "; ".join(" from ".join(plain_name(name) for name in pair) for pair in advice["separates"])
+
+
+def gloss(cause: str) -> str:
+    """Return one line that explains a cause."""
+    if cause == UNKNOWN:
+        return "Any smooth change over the body, the load and time, without a physical cause."
+    return ((type(CAUSES[cause]).__doc__ if cause in CAUSES else None) or "").partition("\n")[0].partition(" (`")[0]
+
+
+def thresholds_of(found: "Diagnosis") -> dict[str, float]:
+    """Return the thresholds of the first round by cause; those of the findings alone where details are missing."""
+    if "thresholds" in found.details:
+        return dict(found.details["thresholds"])
+    return {finding.id: finding.threshold for finding in found.findings if finding.id != "stiffness"}
+
+
+def rankings(found: "Diagnosis") -> str:
+    """Return the chart of the first round, and those of later rounds in collapsed sections, HTML."""
+    thresholds = thresholds_of(found)
+    search = found.details.get("search")
+    steps = [] if search is None else search.steps
+    # Findings are in the order of the steps; only the modulus may precede them.
+    first = max(0, len(found.findings) - sum(step.found is not None for step in steps))
+    rounds = [number for number, step in enumerate(steps) if step.found is not None]
+    groups = {number: set(one.group) for number, one in zip(rounds, found.findings[first:], strict=False)}
+    early = {name for finding in found.findings[: first if steps else None] for name in finding.group}
+    parts = [ranking(found.candidates, thresholds, early | groups.get(0, set()), "First round")]
+    for number, step in enumerate(steps[1:], start=1):
+        before = [earlier.found.id for earlier in steps[:number] if earlier.found is not None]
+        known = ", ".join(map(plain_name, before)) if before else "a cause that was removed later"
+        title = f"Round {number + 1}: further causes, given {known}"
+        chart = ranking(_rows(step, before), required_thresholds(thresholds, before), groups.get(number, set()), title)
+        parts.append(f"<details><summary>{escape(title)}</summary>{chart}</details>")
+    return "\n".join(parts)
+
+
+def ranking(rows: Sequence[Mapping[str, Any]], thresholds: Mapping[str, float], named: "set[str]", title: str) -> str:
+    """Return the bars of one round.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        As `Diagnosis.candidates`; ``probability`` may be absent.
+    thresholds : mapping of str to float
+        By id; drawn as lines across the bars.
+    named : set of str
+        Ids that are highlighted as found.
+    title : str
+        Plain text.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    if not rows:
+        return "<p>No cause of the catalogue applies to this experiment.</p>"
+    values = [float(row["log_bayes_factor"]) for row in rows]
+    limits = [thresholds.get(str(row["id"])) for row in rows]
+    most = max([_scaled(v) for v in [*values, *(limit for limit in limits if limit is not None)]] + [1.0])
+    least = min([_scaled(max(v, _LEAST)) for v in values] + [0.0])
+    across = svg.Scale(least, most, _LEFT, _WIDTH - _RIGHT)
+    bottom = 26.0 + _ROW * len(rows)
+    heads = (
+        ("log_bayes_factor", "log Bayes factor", _WIDTH - _RIGHT + 10.0, "start"),
+        ("probability", "probability", _WIDTH - 80.0, "end"),
+        ("detectability", "size, sd", _WIDTH, "end"),
+    )
+    parts = [svg.text(x, 12.0, head, anchor, more="font-size='11'") for key, head, x, anchor in heads if key in rows[0]]
+    for tick in (*(-t for t in _TICKS), 0.0, *_TICKS):
+        if least <= _scaled(tick) <= most:
+            parts.append(svg.upright(across(_scaled(tick)), 20.0, bottom, "#e3e6ea"))
+            parts.append(svg.text(across(_scaled(tick)), bottom + 13.0, f"{tick:g}", "middle", more="font-size='10'"))
+    for i, (row, value, limit) in enumerate(zip(rows, values, limits, strict=True)):
+        y = 22.0 + _ROW * i
+        found, name = row["id"] in named, str(row["id"])
+        colour = svg.AFTER if found else svg.GENERIC
+        weight = "font-size='12' font-weight='700'" if found else "font-size='12'"
+        line, tip = "", gloss(name)
+        if limit is not None:
+            line = svg.upright(across(_scaled(limit)), y, y + _ROW, "#a3180d", "stroke-width='1.5'")
+            tip += f" (threshold {limit:.1f})"
+        parts.append(
+            f"<g><title>{escape(tip)}</title>"
+            + svg.text(_LEFT - 8.0, y + 14.0, plain_name(name), "end", more=weight)
+            + svg.bar(across(0.0), y + 3.0, across(_scaled(max(value, _LEAST))) - across(0.0), _ROW - 6.0, colour)
+            + svg.text(_WIDTH - _RIGHT + 10.0, y + 14.0, f"{value:.1f}", more=weight)
+            + (
+                svg.text(_WIDTH - 80.0, y + 14.0, chance(row["probability"]), "end", more=weight)
+                if "probability" in row
+                else ""
+            )
+            + (
+                svg.text(_WIDTH, y + 14.0, f"{row['detectability']:.1f}", "end", more=weight)
+                if "detectability" in row
+                else ""
+            )
+            + line
+            + "</g>"
+        )
+    parts.append(svg.upright(across(0.0), 20.0, bottom, "#555"))
+    return svg.picture(_WIDTH, bottom + 20.0, parts, title)
+
+
+def chance(probability: float) -> str:
+    """Return a probability as text, never as 0 or 1."""
+    if probability > 0.995:
+        return "> 0.99"
+    return f"{probability:.2f}" if probability >= 0.005 else "< 0.01"
+
+
+def _scaled(value: float) -> float:
+    """Return a value on an axis that is linear about zero and logarithmic far away."""
+    return math.copysign(math.log10(1.0 + abs(value)), value)
+
+
+def _rows(step: "Step", before: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the causes tried in a later round; those already in the model only if they were fitted again."""
+    gains = {name: screened.log_bayes_factor for name, screened in step.screened.items()}
+    gains |= {candidate.id: candidate.gain for candidate in step.candidates}
+    tried = {candidate.id for candidate in step.candidates}
+    order = sorted(gains.items(), key=lambda item: -item[1])
+    return [{"id": name, "log_bayes_factor": gain} for name, gain in order if name in tried or name not in before]

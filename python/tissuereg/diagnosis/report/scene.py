@@ -1,0 +1,123 @@
+"""Data of the three-dimensional view as one JSON: surface, markers with residuals, forces, inclusions."""
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.report.surface import drawn_surface
+from tissuereg.experiment.effects import Inclusion
+from tissuereg.io.json import plain
+
+if TYPE_CHECKING:
+    from tissuereg.diagnosis.answer import Diagnosis
+    from tissuereg.diagnosis.search import Search
+    from tissuereg.diagnosis.signals import CasePart, Layout
+    from tissuereg.experiment.experiment import Experiment
+
+#: Number of residual vectors in a page, before and after together, at most; of longer cases every nth frame is shown.
+MOST_VECTORS = 60_000
+
+
+def scene(found: "Diagnosis", most: int = MOST_VECTORS) -> dict[str, Any]:
+    """Return the scene of a diagnosis.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        With its details.
+    most : int
+        Number of residual vectors at most.
+
+    Returns
+    -------
+    dict
+        Of JSON's types. Lengths in micrometres, forces in mN, None = not measured. Residuals are measured minus
+        predicted.
+    """
+    layout, search = found.details["layout"], found.details["search"]
+    body = found.extended
+    surface = drawn_surface(body)
+    vectors = 2 * sum(part.n_frames * part.n_markers for part in layout.parts)
+    stride = max(1, -(-vectors // most))
+    cases = [_case(layout, search, part, stride) for part in layout.parts]
+    return {
+        "nodes": _micrometres(surface.nodes),
+        "triangles": surface.triangles.ravel().tolist(),
+        "patch": surface.patch.tolist(),
+        "pads": [_pad(body, actuator.name) for actuator in body.actuators],
+        "markers": {"names": list(layout.marker_names), "places": _micrometres(layout.reference)},
+        "named": sorted({name for effect in _new(found) for name in _markers_of(effect)}),
+        "targets": [{"name": name, "place": _micrometres(place)} for name, place in body.targets.items()],
+        "inclusions": [
+            {
+                "centre": _micrometres(np.array(effect.centre_mm)),
+                "axes": _micrometres(np.array(effect.semi_axes_mm)),
+                "contrast": effect.contrast,
+                "found": any(effect is other for other in _new(found)),
+            }
+            for effect in body.effects
+            if isinstance(effect, Inclusion)
+        ],
+        "cases": cases,
+        "start": _worst(cases),
+    }
+
+
+def script_text(value: dict[str, Any]) -> str:
+    """Return a value as JSON that is safe inside a script element, whatever its strings contain."""
+    text = json.dumps(plain(value), separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _case(layout: "Layout", search: "Search", part: "CasePart", stride: int) -> dict[str, Any]:
+    rows = slice(None, None, stride)
+    case: dict[str, Any] = {"name": part.name, "times": np.round(part.times[rows], 4).tolist(), "pads": list(part.pads)}
+    for when, fit in (("before", search.base), ("after", search.final)):
+        residual = np.where(layout.seen, layout.measured - fit.prediction, np.nan)
+        case[when] = _micrometres(part.markers(residual)[rows])
+        case[f"forces_{when}"] = _plain(np.round(part.forces(residual)[rows], 2))
+    return case
+
+
+def _pad(body: "Experiment", name: str) -> dict[str, Any]:
+    nodes = body.mesh.nodes[body.actuator(name).nodes]
+    return {"name": name, "centre": _micrometres(nodes.mean(axis=0)), "nodes": _micrometres(nodes)}
+
+
+def _worst(cases: list[dict[str, Any]]) -> list[int]:
+    """Return the number of the case and of its frame with the largest residuals before."""
+    sizes = [
+        (sum(x * x for x in frame if x is not None), number, row)
+        for number, case in enumerate(cases)
+        for row, frame in enumerate(_rows(case["before"], len(case["times"])))
+    ]
+    return list(max(sizes)[1:]) if sizes else [0, 0]
+
+
+def _rows(flat: list[Any], count: int) -> list[list[Any]]:
+    width = len(flat) // max(count, 1)
+    return [flat[i * width : (i + 1) * width] for i in range(count)]
+
+
+def _new(found: "Diagnosis") -> tuple[Any, ...]:
+    """Return the effects that the diagnosis added."""
+    target = found.details.get("target")
+    believed = () if target is None else target.bench.experiment.effects
+    return tuple(effect for effect in found.extended.effects if not any(effect is other for other in believed))
+
+
+def _markers_of(effect: Any) -> tuple[str, ...]:
+    one = getattr(effect, "marker", None)
+    return (one,) if one is not None else tuple(getattr(effect, "markers", ()))
+
+
+def _micrometres(places: FloatArray) -> list[int | None]:
+    """Return lengths in mm, flattened, as whole micrometres: short text, and far below any noise."""
+    flat = np.asarray(places, np.float64).ravel()
+    return [round(1000.0 * x) if np.isfinite(x) else None for x in flat.tolist()]
+
+
+def _plain(values: FloatArray) -> list[float | None]:
+    return [x if np.isfinite(x) else None for x in values.ravel().tolist()]

@@ -1,0 +1,118 @@
+"""Revision of causes that were found one after another: redundant ones are removed, rivals are tried in their place.
+
+The first cause was accepted while the later ones were still missing from the model. Each cause is therefore removed
+again, and stays removed if the evidence falls by less than its threshold; then it is exchanged for the candidates that
+came close to it in its round.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.fit import Fit, Part, Target, fit
+from tissuereg.diagnosis.recorrect import CORRECTION_GAIN, corrected_fit
+
+#: Gain in log evidence, in nats, that an exchange requires.
+BETTER = 2.0
+
+
+def without(target: Target, current: Fit, part: int, *, hopeless: float = np.inf) -> Fit | None:
+    """Return the fit of a model without one of its causes.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    current : Fit
+        With all causes.
+    part : int
+        Number of the cause that is removed.
+    hopeless : float
+        As in `fit`.
+
+    Returns
+    -------
+    Fit or None
+        None where there is no equilibrium.
+    """
+    mine = current.slices()[part]
+    others = [*current.parts[:part], *current.parts[part + 1 :]]
+    return fit(target, others, start=np.delete(current.x, np.r_[mine]), hopeless=hopeless)
+
+
+def without_redundant(target: Target, current: Fit, thresholds: Mapping[str, float]) -> tuple[Target, Fit, list[int]]:
+    """Return the fit without redundant causes: those whose removal costs less evidence than their threshold.
+
+    The discretisation error of the causes is corrected in every fit.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    current : Fit
+        With all causes.
+    thresholds : mapping of str to float
+        Nats, by id.
+
+    Returns
+    -------
+    tuple of Target, Fit and list of int
+        Target and fit of the causes that stay, and their numbers among the parts of `current`; one at least.
+    """
+    kept = list(range(len(current.parts)))
+    while len(kept) > 1:
+        redundant: list[tuple[int, Target, Fit]] = []
+        for number, name in enumerate(current.ids):
+            # The log evidence at which a fit shows that the cause it lacks is redundant.
+            least = current.log_evidence - thresholds[name]
+            reached = _reaching(least, target, without(target, current, number, hopeless=CORRECTION_GAIN - least))
+            if reached is not None:
+                redundant.append((number, *reached))
+        if not redundant:
+            break
+        # Where either of two causes suffices, the likelier one stays, whatever their thresholds are.
+        number, target, current = max(redundant, key=lambda row: row[2].log_evidence)
+        del kept[number]
+    return target, current, kept
+
+
+def exchanged(target: Target, current: Fit, part: int, rivals: Sequence[tuple[Part, FloatArray]]) -> tuple[Target, Fit]:
+    """Return the fit with the best of some rivals in place of one cause, where that gains `BETTER` nats.
+
+    The discretisation error of the causes is corrected in every fit.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    current : Fit
+        With all causes.
+    part : int
+        Number of the cause that may be replaced.
+    rivals : sequence of (Part, ndarray of float64, shape (k,))
+        Rivals, with the parameters at which their fits begin.
+
+    Returns
+    -------
+    tuple of Target and Fit
+        The given ones where no rival is better.
+    """
+    mine = current.slices()[part]
+    best, of_best = current, target
+    for rival, knobs in rivals:
+        parts = [*current.parts[:part], rival, *current.parts[part + 1 :]]
+        start = np.concatenate([current.x[: mine.start], knobs, current.x[mine.stop :]])
+        least = max(best.log_evidence, current.log_evidence + BETTER)
+        reached = _reaching(least, target, fit(target, parts, start=start, hopeless=CORRECTION_GAIN - least))
+        if reached is not None:
+            of_best, best = reached
+    return of_best, best
+
+
+def _reaching(least: float, target: Target, fitted: Fit | None) -> tuple[Target, Fit] | None:
+    """Return a fit with its discretisation error corrected, if its log evidence then exceeds the least."""
+    if fitted is None or fitted.log_evidence < least - CORRECTION_GAIN:
+        return None
+    better, again = corrected_fit(target, fitted)
+    return (better, again) if again.log_evidence > least else None

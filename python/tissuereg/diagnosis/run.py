@@ -1,0 +1,220 @@
+"""Diagnosis of a body: the sequence of steps from measurements to verdict.
+
+Input is an `Experiment` (believed model and measurements), output a `Diagnosis`. The steps: noise model, bank of
+hypotheses, correction of the discretisation error, nuisance parameters, linear evidence of all causes, thresholds from
+null draws, search with nonlinear fits and held-out proof, test of the residual, verdict and advice. Each is a module of
+this package; ``docs/diagnose.md`` describes them in this order.
+"""
+
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._version import __version__
+from tissuereg.diagnosis.advice import advise
+from tissuereg.diagnosis.answer import Diagnosis, Finding
+from tissuereg.diagnosis.bank import make_bank
+from tissuereg.diagnosis.bench import Bench
+from tissuereg.diagnosis.correction import Correction, make_correction
+from tissuereg.diagnosis.discrepancy import describe
+from tissuereg.diagnosis.evidence import Null
+from tissuereg.diagnosis.findings import candidates_of, findings_of
+from tissuereg.diagnosis.fit import Target, fit
+from tissuereg.diagnosis.generic import generic_columns
+from tissuereg.diagnosis.localisation import next_check
+from tissuereg.diagnosis.misfit import Battery, Misfit, smooth_subspaces
+from tissuereg.diagnosis.noise import Noise, estimate_noise
+from tissuereg.diagnosis.nuisances import Nuisances, make_nuisances
+from tissuereg.diagnosis.nulls import draw_nulls
+from tissuereg.diagnosis.refined import entry_of, refined_predictions
+from tissuereg.diagnosis.residual import nearest_cause, residual_summary
+from tissuereg.diagnosis.screen import Screen
+from tissuereg.diagnosis.search import Search, search
+from tissuereg.diagnosis.signals import Layout
+from tissuereg.diagnosis.targets import target_rms
+from tissuereg.experiment.effects import Effect, Stiffness
+from tissuereg.experiment.experiment import Experiment
+
+#: Level of the misfit test: a residual with a smaller p-value is a misfit.
+MISFIT = 0.01
+
+#: Findings with a misfit are named only if they explain this share of the believed model's misfit, both in total and in
+#: the statistic that is still largest; the total alone counts where one finding is far ahead of all rivals.
+EXPLAINED = 0.5
+
+
+def diagnose_body(
+    experiment: Experiment,
+    *,
+    seed: int,
+    threads: int,
+    keep: bool,
+    element: str | None,
+    progress: Callable[[str], None] | None,
+) -> Diagnosis:
+    """Return the diagnosis of a body; see `tissuereg.diagnosis.diagnose`."""
+    experiment = _own_modulus(experiment)
+    simulated = experiment.simulated
+    plain = simulated is not None and simulated.model == "plain"
+    element = element or (simulated.element if simulated is not None and plain else "tet4")
+    layout = Layout(experiment)
+    noise = estimate_noise(experiment, layout)
+    bench = Bench(experiment, layout, element=element, threads=threads)
+    bank = make_bank(bench, keep=keep, progress=progress)
+    believed = make_believed(bench, noise, keep=keep, progress=progress)
+    target, nuisances, null = believed.target, believed.nuisances, believed.null
+    generic = generic_columns(bench, float(noise.marker_std.mean()))
+    if progress is not None:
+        progress("screening")
+    screen = Screen(bank, generic, noise, layout, target.correction, null)
+    nulls = draw_nulls(screen, null, noise, layout, list(believed.mesh_errors), seed)
+    found = search(target, screen, nulls.thresholds, progress=progress)
+    battery = Battery(layout, smooth_subspaces(layout, bench.base, bench.extent, noise))
+    before = target.null.reduced(found.base.residual)
+    misfit = battery.judge(before, found.reduced, nulls.residuals)
+    findings = findings_of(target, screen, found, nulls.thresholds)
+    withdrawn = bool(findings) and not _explains_enough(misfit, found)
+    if withdrawn:
+        # At best the findings are the causes most similar to the true one.
+        findings, found = [], found.withdrawn(target)
+        misfit = battery.judge(before, found.reduced, nulls.residuals)
+    verdict = _verdict(findings, misfit.p, withdrawn=withdrawn)
+    effects: tuple[Effect, ...] = found.final.effects(bench.young)
+    if abs(found.final.x[0]) > 1e-6 and found.final.covariance[0, 0] < (0.5 * bench.young_spread) ** 2:
+        young = found.final.young(bench.young)
+        if not any(isinstance(effect, Stiffness) for effect in effects):
+            effects = (Stiffness(young_kpa=young), *effects)
+    extended = replace(experiment, effects=(*experiment.effects, *effects))
+    findings = _with_targets(findings, experiment, extended, element=element, threads=threads)
+    following = advise(target, found.steps, findings)
+    if verdict == "unexplained":
+        following = next_check(bench, found.reduced, nearest_cause(screen, found))
+    return Diagnosis(
+        verdict=verdict,
+        findings=tuple(findings),
+        candidates=candidates_of(screen, found.steps[0]),
+        p_misfit=misfit.p,
+        left=residual_summary(layout, screen, found, misfit) if findings and misfit.p < MISFIT else None,
+        discrepancy=describe(layout, found.base, found.final),
+        extended=extended,
+        next_experiment=following,
+        seed=seed,
+        versions={"tissuereg": __version__, "numpy": np.__version__, "python": platform.python_version()},
+        details={
+            "search": found,
+            "layout": layout,
+            "noise": noise,
+            "target": target,
+            "nuisances": nuisances,
+            "thresholds": nulls.thresholds,
+        },
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """The believed model, corrected for discretisation error, with its nuisance parameters.
+
+    Attributes
+    ----------
+    target : Target
+        What fits need: corrected model, noise, and the null covariance of all nuisances but the modulus.
+    nuisances : Nuisances
+        Nuisance parameters with their columns.
+    null : Null
+        Null covariance of all nuisances, the modulus included.
+    mesh_errors : ndarray of float64, shape (n_meshes, size)
+        Predictions on further fine meshes minus those on the mesh that corrects, mm and mN.
+    """
+
+    target: Target
+    nuisances: Nuisances
+    null: Null
+    mesh_errors: FloatArray
+
+
+def make_believed(
+    bench: Bench, noise: Noise, *, keep: bool = True, progress: Callable[[str], None] | None = None
+) -> Believed:
+    """Return the believed model, corrected for discretisation error, with its nuisance parameters.
+
+    Parameters
+    ----------
+    bench : Bench
+        The believed model.
+    noise : Noise
+        Measurement noise.
+    keep : bool
+        Whether predictions on fine meshes are read from and written to the cache.
+    progress : callable of str, optional
+        Called with the name of the step that begins.
+
+    Returns
+    -------
+    Believed
+
+    Raises
+    ------
+    ConvergenceError
+        If a frame has no equilibrium on a fine mesh.
+    """
+    layout = bench.layout
+    if bench.is_exact:
+        fine, others = bench.base, np.zeros((0, layout.size))
+    else:
+        fine, others = refined_predictions(bench, entry_of(bench.experiment) if keep else None, progress=progress)
+    correction = make_correction(layout, bench.base, fine)
+    nuisances = make_nuisances(bench, others - fine, correction)
+    correction = _at_modulus(bench, noise, correction, nuisances)
+    white = noise.whitened(correction.at_modulus(nuisances.columns), layout)
+    target = Target(bench, noise, correction, Null(white[nuisances.but("stiffness")]))
+    return Believed(target, nuisances, Null(white), others - fine)
+
+
+def _at_modulus(bench: Bench, noise: Noise, correction: Correction, nuisances: Nuisances) -> Correction:
+    """Return a correction at the modulus fitted to the data, if the modulus does nothing but scale forces."""
+    if not bench.scales_forces:
+        return correction
+    others = noise.whitened(correction.at_modulus(nuisances.columns[nuisances.but("stiffness")]), bench.layout)
+    found = fit(Target(bench, noise, correction, Null(others)), [])
+    return correction if found is None else replace(correction, modulus=found.young(1.0))
+
+
+def _with_targets(
+    findings: list[Finding], experiment: Experiment, extended: Experiment, *, element: str, threads: int
+) -> list[Finding]:
+    """Return findings with the errors at inner targets without and with all findings; unchanged without targets."""
+    if not findings or not experiment.targets:
+        return findings
+    gains = {
+        "target_rms_base_mm": target_rms(experiment, element=element, threads=threads),
+        "target_rms_named_mm": target_rms(extended, element=element, threads=threads),
+    }
+    return [replace(finding, held_out={**finding.held_out, **gains}) for finding in findings]
+
+
+def _own_modulus(experiment: Experiment) -> Experiment:
+    """Return the experiment with the modulus of a `stiffness` effect moved into its material, which fits scale."""
+    stated = [effect for effect in experiment.effects if isinstance(effect, Stiffness)]
+    if not stated:
+        return experiment
+    young, before = stated[-1].young_kpa, float(experiment.material.young_array.mean())
+    spread = None if experiment.young_std is None else experiment.young_std * young / before
+    others = tuple(effect for effect in experiment.effects if not isinstance(effect, Stiffness))
+    return replace(experiment, material=replace(experiment.material, young=young), young_std=spread, effects=others)
+
+
+def _explains_enough(misfit: Misfit, found: Search) -> bool:
+    """Return whether findings may be named: no misfit is left, or enough of it is explained (`EXPLAINED`)."""
+    if misfit.p >= MISFIT or min(misfit.explained, misfit.explained_there) >= EXPLAINED:
+        return True
+    return misfit.explained >= EXPLAINED and any(step.is_clear for step in found.steps)
+
+
+def _verdict(findings: list[Finding], misfit: float, *, withdrawn: bool) -> str:
+    if not findings:
+        return "consistent" if misfit >= MISFIT and not withdrawn else "unexplained"
+    return "group" if any(len(finding.group) > 1 for finding in findings) else "named"

@@ -1,0 +1,135 @@
+"""Screening: the exact linear-Gaussian evidence of every hypothesis in the bank, and of the generic rival.
+
+Input is a reduced residual, output the log Bayes factor of every cause against no cause: that of each hypothesis
+(`evidence`), averaged over the hypotheses of the cause. The average is the penalty for having searched in many places.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.bank import Bank
+from tissuereg.diagnosis.causes import Variant
+from tissuereg.diagnosis.correction import Correction
+from tissuereg.diagnosis.evidence import Blocks, Null, fit_amplitudes, log_mean_exp
+from tissuereg.diagnosis.noise import Noise
+from tissuereg.diagnosis.signals import Layout
+
+#: Id of the generic rival.
+UNKNOWN = "unknown"
+
+#: Columns that are reduced at a time, to bound memory.
+_AT_A_TIME = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """Linear evidence of one cause.
+
+    Attributes
+    ----------
+    log_bayes_factor : float
+        Of the cause against no cause: logarithm of the mean Bayes factor of its hypotheses.
+    best : Variant or None
+        The likeliest hypothesis; None for the generic rival.
+    amplitudes : ndarray of float64, shape (p,)
+        Posterior mean of its amplitudes, in prior standard deviations.
+    """
+
+    log_bayes_factor: float
+    best: Variant | None
+    amplitudes: FloatArray
+
+
+class Screen:
+    """All hypotheses, corrected, whitened and reduced once for any number of residuals.
+
+    Parameters
+    ----------
+    bank : Bank
+        Hypotheses in mm and mN.
+    generic : ndarray of float64, shape (n_sizes, p, size)
+        Columns of the generic rival.
+    noise : Noise
+        Measurement noise.
+    layout : Layout
+        Order of all columns.
+    correction : Correction
+        Correction of the discretisation error.
+    null : Null
+        Null covariance: noise and nuisances.
+
+    Attributes
+    ----------
+    generic_white : ndarray of float64, shape (n_sizes, p, size)
+        The rival's columns, whitened and not reduced.
+    """
+
+    def __init__(
+        self, bank: Bank, generic: FloatArray, noise: Noise, layout: Layout, correction: Correction, null: Null
+    ) -> None:
+        self.bank = bank
+        self.null = null
+        self._white: Callable[[FloatArray], FloatArray] = lambda columns: noise.whitened(
+            correction.of_columns(columns), layout
+        )
+        self.generic_white: FloatArray = np.stack(
+            [noise.whitened(replace(correction, modulus=1.0).of_columns(block), layout) for block in generic]
+        )
+
+        def reduced(columns: FloatArray) -> FloatArray:
+            flat = columns.reshape(-1, columns.shape[-1])
+            parts = [
+                null.reduced(noise.whitened(correction.of_columns(flat[i : i + _AT_A_TIME].astype(np.float64)), layout))
+                for i in range(0, len(flat), _AT_A_TIME)
+            ]
+            return np.concatenate(parts).astype(np.float32).reshape(columns.shape)  # type: ignore[return-value]
+
+        self.blocks = {
+            name: Blocks(reduced(np.stack([v.columns for v in variants])), positive=variants[0].positive)
+            for name, variants in bank.items()
+        }
+        self.generic = [Blocks(null.reduced(columns)[None].astype(np.float32)) for columns in self.generic_white]
+
+    def of(self, residual: FloatArray) -> dict[str, Screened]:
+        """Return the evidence of every cause for one reduced residual (size,)."""
+        found: dict[str, Screened] = {}
+        for name, blocks in self.blocks.items():
+            variants = self.bank[name]
+            each = self._each(name, residual[None])[0]
+            top = int(np.argmax(each))
+            if variants[top].fixed:
+                amplitudes = np.ones(1)
+            else:
+                amplitudes = fit_amplitudes(residual, blocks.columns[top].astype(np.float64)).mean
+            found[name] = Screened(float(log_mean_exp(each)), variants[top], amplitudes)
+        each = np.array([block.log_bayes_factors(residual[None])[0, 0] for block in self.generic])
+        found[UNKNOWN] = Screened(float(log_mean_exp(each)), None, np.empty(0))
+        return found
+
+    def white_columns(self, name: str) -> FloatArray:
+        """Return the whitened columns of all hypotheses of a cause, (n_variants, p, size), not reduced."""
+        return np.stack([self._white(variant.columns.astype(np.float64)) for variant in self.bank[name]])
+
+    def detectability(self, name: str, variant: Variant, amplitudes: FloatArray) -> float:
+        """Return the norm of the change that a hypothesis makes, whitened by the null covariance (noise deviations)."""
+        number = next(i for i, other in enumerate(self.bank[name]) if other is variant)
+        return float(np.linalg.norm(amplitudes @ self.blocks[name].columns[number].astype(np.float64)))
+
+    def many(self, residuals: FloatArray) -> dict[str, FloatArray]:
+        """Return log Bayes factors of every cause for many reduced residuals (n, size), generic rival included."""
+        found = {name: log_mean_exp(self._each(name, residuals)) for name in self.blocks}
+        each = [block.log_bayes_factors(residuals)[:, 0] for block in self.generic]
+        found[UNKNOWN] = log_mean_exp(np.stack(each, axis=-1))
+        return found
+
+    def _each(self, name: str, residuals: FloatArray) -> FloatArray:
+        """Return log Bayes factors of all hypotheses of a cause, shape (n, n_variants)."""
+        blocks = self.blocks[name]
+        if self.bank[name][0].fixed:
+            shift = blocks.columns[:, 0]
+            power = np.einsum("vs,vs->v", shift, shift, dtype=np.float64)
+            return np.asarray(residuals.astype(np.float32) @ shift.T - 0.5 * power, np.float64)
+        return blocks.log_bayes_factors(residuals)

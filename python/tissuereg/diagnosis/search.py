@@ -1,0 +1,286 @@
+"""The search for causes: forward selection with held-out proof, then elimination and exchange.
+
+Each round screens all causes on the residual of the current model, fits the likely ones, and accepts the first that
+passes its threshold and the held-out proof (`proof`). The found cause joins the model together with nuisances for its
+own error (`nuisances.effect_nuisances`, `nuisances.other_forms`). With two or more causes, each is tested for
+redundancy and exchanged for its closest rivals in the end (`revise`).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.diagnosis.candidates import Candidate, refitted, required_thresholds
+from tissuereg.diagnosis.causes import CAUSES
+from tissuereg.diagnosis.evidence import Null, fit_amplitudes
+from tissuereg.diagnosis.fit import Fit, Target, fit
+from tissuereg.diagnosis.nuisances import effect_nuisances, other_forms
+from tissuereg.diagnosis.proof import (
+    BEFORE,
+    GENERIC,
+    NAMED,
+    HeldOut,
+    Linear,
+    figure_blocks,
+    held_out,
+    linear_model,
+    proof_blocks,
+)
+from tissuereg.diagnosis.revise import exchanged, without, without_redundant
+from tissuereg.diagnosis.screen import Screen, Screened
+
+#: Number of causes in an answer, at most.
+MOST_CAUSES = 3
+
+#: Least separability of two causes that the data distinguish: the norm of the difference between their predictions in
+#: noise deviations. The log evidence then differs by half its square.
+SEPARABLE = 4.0
+
+#: Gain in log predictive density that the held-out proof requires, nats.
+PROVED = 4.0
+
+#: A cause with this gain, in nats, that predicts held-out data better than all rivals may be named despite a misfit.
+CLEAR = 100.0
+
+#: Rivals that are tried in place of one of several causes: their number, and nats within which they come to it.
+MOST_RIVALS, RIVALS_WITHIN = 2, 40.0
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One round of the search.
+
+    Attributes
+    ----------
+    screened : dict of str to Screened
+        Linear evidence of all causes.
+    candidates : list of Candidate
+        The causes that were fitted, likeliest first.
+    found : Candidate or None
+        The candidate that was accepted.
+    proof : HeldOut or None
+        Held-out proof of the accepted candidate, else of the likeliest; rows as in `proof`.
+    figures : HeldOut or None
+        Errors of the accepted candidate on the blocks of `figure_blocks`; rows as in the proof.
+    rivals : float
+        Log predictive density of the best rival on the held-out blocks of the proof: the generic rival, or a candidate
+        that the data distinguish from the accepted one.
+    """
+
+    screened: dict[str, Screened]
+    candidates: list[Candidate]
+    found: Candidate | None
+    proof: HeldOut | None
+    figures: HeldOut | None = None
+    rivals: float = np.inf
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the accepted candidate gains `CLEAR` nats and predicts held-out data better than every rival."""
+        if self.found is None or self.proof is None:
+            return False
+        return self.found.gain >= CLEAR and float(self.proof.log_density[NAMED].sum()) > self.rivals
+
+    def close(self, nats: float) -> list[Candidate]:
+        """Return the other candidates within so many nats of the accepted one, likeliest first."""
+        if self.found is None:
+            return []
+        own = next((c.gain for c in self.candidates if c.id == self.found.id), self.found.gain)
+        return [c for c in self.candidates if c.id != self.found.id and c.gain > own - nats]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """All rounds.
+
+    Attributes
+    ----------
+    base : Fit
+        The believed model.
+    final : Fit
+        With all causes found.
+    steps : list of Step
+        In order; the last one accepted nothing, unless there are `MOST_CAUSES`.
+    reduced : ndarray of float64, shape (size,)
+        Residual of the final model, reduced by all nuisances and the model's own parameters.
+    target : Target or None
+        Target of the last fit, with the discretisation error of the causes found corrected; None where none was found.
+    """
+
+    base: Fit
+    final: Fit
+    steps: list[Step] = field(default_factory=list)
+    reduced: FloatArray = field(default_factory=lambda: np.empty(0))
+    target: Target | None = None
+
+    def withdrawn(self, target: Target) -> "Search":
+        """Return the search with all findings withdrawn."""
+        steps = [replace(step, found=None) for step in self.steps]
+        return Search(self.base, self.base, steps, target.null.reduced(self.base.residual))
+
+
+def search(
+    target: Target, screen: Screen, thresholds: Mapping[str, float], *, progress: Callable[[str], None] | None = None
+) -> Search:
+    """Return the causes that the data show.
+
+    Parameters
+    ----------
+    target : Target
+        Data, believed model, noise and nuisances.
+    screen : Screen
+        All hypotheses of the bank.
+    thresholds : mapping of str to float
+        Log Bayes factor that each cause must exceed, by id.
+    progress : callable of str, optional
+        Called with the name of the step that begins.
+
+    Returns
+    -------
+    Search
+        Without causes where none is accepted.
+    """
+    base = fit(target, [])
+    assert base is not None  # the believed model has an equilibrium: it was solved before
+    current, steps, plain = base, [], target
+    while len(current.parts) < MOST_CAUSES:
+        step = _round(target, screen, base, current, thresholds, progress)
+        steps.append(step)
+        if step.found is None:
+            break
+        plain, target, current = _with_finding(plain, screen, base, current, step.found)
+    if len(current.parts) > 1:
+        if progress is not None:
+            progress("revision of the causes found")
+        target, current, steps = _revised(target, screen, base, current, steps, thresholds)
+    reduced = _null_after(target, current).reduced(current.residual)
+    return Search(base, current, steps, reduced, target if current.parts else None)
+
+
+def _round(
+    target: Target,
+    screen: Screen,
+    base: Fit,
+    current: Fit,
+    thresholds: Mapping[str, float],
+    progress: Callable[[str], None] | None,
+) -> Step:
+    """Return the candidates for the current model, and the likeliest of them that passes the held-out proof."""
+    screened = screen.of(_as_screened(screen, target, current))
+    required = required_thresholds(thresholds, current.ids)
+    candidates = refitted(target, screen, screened, current, required, progress)
+    step = Step(screened, candidates, None, None)
+    passing = [candidate for candidate in candidates if candidate.gain >= required[candidate.id]]
+    references = _references(target, screen, base, current) if passing else []
+    for candidate in passing:
+        tried = _prove(target, references, current, candidate)
+        step = replace(step, proof=step.proof or tried)
+        density = tried.log_density.sum(axis=1)
+        least_gain = 0.0 if CAUSES[candidate.id].always_fitted else PROVED
+        if density[NAMED] > density[BEFORE] + least_gain and density[NAMED] > density[GENERIC]:
+            rivals = max(float(density[GENERIC]), _best_rival(target, current, candidates, candidate))
+            figures = _figures(target, references, current, candidate)
+            return replace(step, found=candidate, proof=tried, figures=figures, rivals=rivals)
+    return step
+
+
+def _best_rival(target: Target, current: Fit, candidates: Sequence[Candidate], found: Candidate) -> float:
+    """Return the best log density, on held-out blocks, of the candidates that the data distinguish from `found`."""
+    blocks = proof_blocks(target.bench.layout, _columns_and_change(target, current, found, -1)[0])
+    others = [other for other in candidates if other.gain <= found.gain - 0.5 * SEPARABLE**2]
+    held = held_out([linear_model(target, other.fit) for other in others], blocks) if others else None
+    return -np.inf if held is None else float(held.log_density.sum(axis=1).max())
+
+
+def _with_finding(
+    plain: Target, screen: Screen, base: Fit, before: Fit, found: Candidate
+) -> tuple[Target, Target, Fit]:
+    """Return the targets after a cause was found, without and with nuisances for its size, and the fit to the last."""
+    # A found cause has a model error of its own. Its discretisation error was corrected; what remains of that, and the
+    # error of its form, are nuisances when further causes are tested.
+    forms = other_forms(screen.white_columns(found.id), plain.white(found.fit.prediction - before.prediction))
+    null = Null(np.concatenate([plain.null.nuisances, forms]))
+    plain = replace(plain, correction=found.target.correction, null=null)
+    errors = plain.white(effect_nuisances(plain.bench, found.fit.prediction - base.prediction))
+    target = replace(plain, null=Null(np.concatenate([null.nuisances, errors])))
+    return plain, target, fit(target, found.fit.parts, start=found.fit.x) or found.fit
+
+
+def _revised(
+    target: Target, screen: Screen, base: Fit, current: Fit, steps: list[Step], thresholds: Mapping[str, float]
+) -> tuple[Target, Fit, list[Step]]:
+    """Return the causes that remain after each was tested for redundancy and exchanged for its closest rivals."""
+    found = [number for number, step in enumerate(steps) if step.found is not None]
+    target, current, kept = without_redundant(target, current, thresholds)
+    found = [found[part] for part in kept]
+    steps = [step if number in found else replace(step, found=None) for number, step in enumerate(steps)]
+    for part, number in enumerate(found):
+        rivals = [c.as_rival() for c in steps[number].close(RIVALS_WITHIN) if c.id not in current.ids]
+        target, current = exchanged(target, current, part, rivals[:MOST_RIVALS])
+    for part, number in enumerate(found):
+        # The gain of a finding is the evidence that its removal costs.
+        before = without(target, current, part)
+        if before is not None:
+            gain = current.log_evidence - before.log_evidence
+            top = Candidate(current.parts[part].id, current, gain, target)
+            references = _references(target, screen, base, before)
+            proof = _prove(target, references, before, top, part)
+            figures = _figures(target, references, before, top, part)
+            steps[number] = replace(steps[number], found=top, proof=proof, figures=figures)
+    return target, current, steps
+
+
+def _prove(target: Target, references: list[Linear], current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
+    """Return the predictive densities of the models on the blocks of `proof_blocks`, rows as in `proof`."""
+    slopes, _ = _columns_and_change(target, current, candidate, part)
+    return held_out(_models(target, references, candidate), proof_blocks(target.bench.layout, slopes))
+
+
+def _figures(target: Target, references: list[Linear], current: Fit, candidate: Candidate, part: int = -1) -> HeldOut:
+    """Return the prediction errors of the same models on the blocks of `figure_blocks`."""
+    slopes, change = _columns_and_change(target, current, candidate, part)
+    return held_out(_models(target, references, candidate), figure_blocks(target.bench.layout, slopes, change))
+
+
+def _columns_and_change(target: Target, current: Fit, candidate: Candidate, part: int) -> tuple[FloatArray, FloatArray]:
+    """Return a cause's columns (k, size), times prior deviations, and the change it makes (size,), whitened."""
+    mine = candidate.fit.slices()[part]
+    slopes = target.white(candidate.fit.jacobian[mine]) * candidate.fit.deviation[mine, None]
+    change = target.white(candidate.fit.prediction - current.prediction)
+    return (slopes if len(slopes) else change[None]), change
+
+
+def _references(target: Target, screen: Screen, base: Fit, current: Fit) -> list[Linear]:
+    """Return the models a cause is compared with: that before it, that plus the generic rival, the believed one."""
+    rival = linear_model(target, current, rival_columns(screen, target, current))
+    return [linear_model(target, current), rival, linear_model(target, base)]
+
+
+def _models(target: Target, references: list[Linear], candidate: Candidate) -> list[Linear]:
+    before, *others = references
+    return [before, linear_model(target, candidate.fit), *others]
+
+
+def rival_columns(screen: Screen, target: Target, current: Fit) -> FloatArray:
+    """Return the generic rival's whitened columns (p, size), of the size with the most evidence given a fit."""
+    reduced = target.null.reduced(current.residual)
+    gains = [fit_amplitudes(reduced, target.null.reduced(columns)).log_bayes_factor for columns in screen.generic_white]
+    return np.asarray(screen.generic_white[int(np.argmax(gains))])
+
+
+def _null_after(target: Target, current: Fit) -> Null:
+    """Return the null covariance given the causes found: their parameters are nuisances too."""
+    slopes = target.white(current.jacobian) * current.deviation[:, None]
+    return Null(np.concatenate([target.null.nuisances, slopes]))
+
+
+def _as_screened(screen: Screen, target: Target, current: Fit) -> FloatArray:
+    """Return the residual of a model, reduced by the screen's null and orthogonal to the model's own columns."""
+    residual = screen.null.reduced(current.residual)
+    if not current.parts:
+        return residual
+    slopes = screen.null.reduced(target.white(current.jacobian[1:]))
+    modes = np.linalg.svd(slopes, full_matrices=False)[2]
+    return np.asarray(residual - (residual @ modes.T) @ modes)

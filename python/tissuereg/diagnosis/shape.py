@@ -1,0 +1,234 @@
+"""Uncertainty of the shape of a body and of its patches: motions of the mesh's nodes with prior deviations.
+
+The same description gives different bodies in different solvers. A pad "in a ball" may be a disc, the nodes in the
+ball, or a patch that conforms to it; flat facets differ from the smooth surface; a segmented surface is off by a
+fraction of a voxel. These are nuisances, never findings. Each is a direction, a motion of the mesh's nodes per mm:
+
+* a patch is shifted along the surface, in two directions, or is larger;
+* its rim is no circle, but a wave with two or three periods around the patch;
+* the surface under a pad lies higher, or is tilted;
+* the edge of a support is displaced;
+* the whole surface is displaced along its normal, by a smooth random field and by the gap between the facets and the
+  smooth surface through their nodes.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh, node_normals
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.experiment.experiment import Actuator, Boundary, Experiment
+from tissuereg.simulation.fine.folds import Folds, folds_of
+from tissuereg.simulation.fine.meshing import rim_of
+from tissuereg.simulation.fine.rims import sharp_nodes
+from tissuereg.simulation.fine.third import gaps
+
+#: Default prior deviations, as shares of a patch's radius: of its place and its rim's waves, its radius, its height.
+PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE = 0.03, 0.01, 0.02
+
+#: Deviation of the height of a tilted patch's edge, over the deviation of the patch's height.
+TILT_SHARE = 0.5
+
+#: Numbers of periods of a rim's wave around its patch. One period would be a shift.
+WAVES = (2, 3)
+
+#: Default correlation length of the surface's offset, over the extent of the body.
+LENGTH_SHARE = 0.2
+
+#: Share of the variance of the surface's offset that the patterns kept represent, and their number at most.
+HELD_VARIANCE, MOST_PATTERNS = 0.9, 40
+
+#: Number of places from which the patterns are computed, at most.
+MOST_PLACES = 1500
+
+#: Distance over which the mesh around a patch moves with it, over the patch's radius.
+REACH = 0.6
+
+#: A patch whose unit normals have a mean below this surrounds the body, and has no plane to be shifted in.
+_ROUND = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """One deviation of the body's shape.
+
+    Attributes
+    ----------
+    name : str
+        Name of the nuisance parameter.
+    motion : ndarray of float64, shape (n_nodes, 3)
+        Motion of the mesh's nodes per mm.
+    std_mm : float
+        Prior standard deviation.
+    """
+
+    name: str
+    motion: FloatArray
+    std_mm: float
+
+
+def shape_directions(experiment: Experiment, given: Mesh | None = None) -> list[Direction]:
+    """Return the deviations of the shape of an experiment's body.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Mesh and patches, with their deviations where stated.
+    given : Mesh, optional
+        The mesh whose facets the experiment's own mesh subdivides; gaps to the smooth surface are those of its facets.
+
+    Returns
+    -------
+    list of Direction
+        Ten for each pad, one for each support whose edge is no edge of the body, and those of the whole surface.
+    """
+    surface = _Surface(experiment, given or experiment.mesh)
+    found = [direction for pad in experiment.actuators for direction in _of_pad(surface, pad)]
+    found += [direction for support in experiment.boundaries for direction in _of_support(surface, support)]
+    return [*found, *_of_surface(surface, experiment)]
+
+
+class _Surface:
+    """The surface of a body: normals, gaps to the smooth surface, sharp edges, nodes of each patch."""
+
+    def __init__(self, experiment: Experiment, given: Mesh) -> None:
+        self.mesh: Mesh = experiment.mesh
+        self.folds: Folds = folds_of(self.mesh.nodes, self.mesh.surface)
+        self.normals = node_normals(self.mesh, self.folds.normals * self.folds.areas[:, None])
+        between = gaps(given)
+        self.facets = float(np.sqrt((between[given.surface_nodes] ** 2).sum(axis=1).mean()))
+        self.gaps = between if given is self.mesh else _carried(given, between, self.mesh)
+        self.sharp = sharp_nodes(self.mesh.nodes, self.mesh.surface)
+        self.patches: Sequence[Actuator | Boundary] = (*experiment.actuators, *experiment.boundaries)
+
+    def of(self, patch: Actuator | Boundary) -> IntArray:
+        """Return the nodes of a patch that lie on the surface."""
+        return np.intersect1d(patch.nodes, self.mesh.surface_nodes)
+
+    def radius(self, nodes: IntArray) -> float:
+        """Return the radius of a disc of a patch's area, a third of a facet for each of its corners, mm."""
+        share = np.isin(self.mesh.surface, nodes).sum(axis=1) / 3.0
+        return float(np.sqrt((share * self.folds.areas).sum() / np.pi))
+
+    def stays(self, patch: Actuator | Boundary) -> np.ndarray:
+        """Return which nodes stay when a patch moves (edges of the body, other patches), shape (n_nodes,)."""
+        others = [other.nodes for other in self.patches if other is not patch]
+        return np.isin(np.arange(self.mesh.n_nodes), np.concatenate([self.sharp, *others]))
+
+    def along(self, motion: FloatArray) -> FloatArray:
+        """Return the tangential part of a motion at the surface's nodes."""
+        return np.asarray(motion - (motion * self.normals).sum(axis=1, keepdims=True) * self.normals)
+
+
+def _of_pad(surface: _Surface, pad: Actuator) -> Iterator[Direction]:
+    mesh, inside = surface.mesh, surface.of(pad)
+    normal = surface.normals[inside].mean(axis=0) if len(inside) else np.zeros(3)
+    rim = rim_of(pad)
+    radius = surface.radius(inside) if rim is None else rim.radius
+    if np.linalg.norm(normal) < _ROUND:
+        yield from _of_grip(surface, pad, radius)
+        return
+    normal /= np.linalg.norm(normal)
+    place, size, height = (
+        share * radius if pad.edge_std is None else pad.edge_std for share in (PLACE_SHARE, SIZE_SHARE, HEIGHT_SHARE)
+    )
+    arms = mesh.nodes - (mesh.nodes[inside].mean(axis=0) if rim is None else np.asarray(rim.centre))
+    near = np.where(surface.stays(pad), 0.0, _nearness(mesh, inside, REACH * radius))[:, None]
+    first = np.linalg.svd(normal[None])[2][1]
+    sides = np.array([first, np.cross(normal, first)])
+    for number, side in enumerate(sides):
+        yield Direction(f"place of {pad.name} {number}", surface.along(near * side), place)
+    outwards = surface.along(near * arms / radius)
+    yield Direction(f"size of {pad.name}", outwards, size)
+    angle = np.arctan2(arms @ sides[1], arms @ sides[0])
+    for times in WAVES:
+        for number, wave in enumerate((np.cos(times * angle), np.sin(times * angle))):
+            yield Direction(f"rim of {pad.name} {times} {number}", wave[:, None] * outwards, place)
+    # Facets lie off the smooth surface, and each at its own angle.
+    across = float(np.hypot(height, np.sqrt((surface.gaps[inside] ** 2).sum(axis=1).mean())))
+    yield Direction(f"height of {pad.name}", near * normal, across)
+    for number, side in enumerate(sides):
+        yield Direction(
+            f"tilt of {pad.name} {number}", (arms @ side / radius)[:, None] * near * normal, TILT_SHARE * across
+        )
+
+
+def _of_grip(surface: _Surface, pad: Actuator, radius: float) -> Iterator[Direction]:
+    """Yield the directions of a pad that surrounds the body: shifts along its surface, and a displaced edge."""
+    near = np.where(surface.stays(pad), 0.0, _nearness(surface.mesh, surface.of(pad), REACH * radius))[:, None]
+    for axis, side in enumerate(np.eye(3)):
+        motion = surface.along(near * side)
+        if motion.any():
+            yield Direction(f"place of {pad.name} {axis}", motion, pad.edge_std or PLACE_SHARE * radius)
+    yield from _of_support(surface, pad)
+
+
+def _of_support(surface: _Surface, support: Actuator | Boundary) -> Iterator[Direction]:
+    mesh, inside = surface.mesh, surface.of(support)
+    beyond = mesh.surface[~np.isin(mesh.surface, inside).all(axis=1)]
+    rim = np.setdiff1d(np.intersect1d(inside, beyond), np.flatnonzero(surface.stays(support)))
+    if not len(rim):
+        return
+    outwards = np.zeros_like(mesh.nodes)
+    middles = mesh.nodes[beyond].mean(axis=1)
+    for corner in range(3):
+        np.add.at(outwards, beyond[:, corner], middles - mesh.nodes[beyond[:, corner]])
+    outwards = surface.along(outwards)
+    motion = np.zeros_like(mesh.nodes)
+    motion[rim] = outwards[rim] / np.maximum(np.linalg.norm(outwards[rim], axis=1, keepdims=True), 1e-300)
+    edge = PLACE_SHARE * surface.radius(inside) if support.edge_std is None else support.edge_std
+    yield Direction(f"edge of {support.name}", motion, edge)
+
+
+def _of_surface(surface: _Surface, experiment: Experiment) -> Iterator[Direction]:
+    mesh = surface.mesh
+    held = [support.nodes for support in experiment.boundaries]
+    free = np.setdiff1d(mesh.surface_nodes, np.concatenate(held) if held else [])
+    facets = surface.facets
+    if facets > 1e-6 * mesh.extent:
+        yield Direction("facets", surface.gaps / facets, facets)
+    std = float(np.hypot(experiment.surface_std, facets))
+    if not std > 1e-6 * mesh.extent:
+        return
+    length = experiment.surface_length or LENGTH_SHARE * mesh.extent
+    for number, pattern in enumerate(_patterns(mesh.nodes[free], length)):
+        motion = np.zeros_like(mesh.nodes)
+        motion[free] = pattern[:, None] * surface.normals[free]
+        yield Direction(f"surface {number}", motion, std)
+
+
+def _patterns(places: FloatArray, length: float) -> FloatArray:
+    """Return the leading patterns (n_patterns, n) of a Gaussian process of unit variance over places (n, 3).
+
+    Where there are many places, from an even share of them (Nystrom approximation).
+    """
+    known = places[:: -(-len(places) // MOST_PLACES)]
+
+    def alike(of: FloatArray) -> FloatArray:
+        return np.asarray(np.exp(-0.5 * ((of[:, None] - known[None]) ** 2).sum(axis=2) / length**2))
+
+    values, vectors = np.linalg.eigh(alike(known))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    enough = int(np.searchsorted(np.cumsum(values), HELD_VARIANCE * values.sum())) + 1
+    chosen = slice(min(enough, MOST_PATTERNS))
+    return np.asarray((alike(places) @ vectors[:, chosen] / np.sqrt(values[chosen])).T)
+
+
+def _carried(given: Mesh, motion: FloatArray, mesh: Mesh) -> FloatArray:
+    """Return a surface motion interpolated to a mesh that subdivides the surface, (n_nodes, 3); zero inside."""
+    places = mesh.nodes[mesh.surface_nodes]
+    between = MarkerObservation(given, places, tuple(f"node {node}" for node in mesh.surface_nodes))
+    carried = np.zeros_like(mesh.nodes)
+    carried[mesh.surface_nodes] = between.predict(motion[between.nodes])
+    return carried
+
+
+def _nearness(mesh: Mesh, nodes: IntArray, reach: float) -> FloatArray:
+    """Return a Gaussian of the distance to the given nodes, 1 on them, shape (n_nodes,)."""
+    from scipy.spatial import KDTree
+
+    away = KDTree(mesh.nodes[nodes]).query(mesh.nodes)[0]
+    return np.asarray(np.exp(-0.5 * (away / reach) ** 2))

@@ -1,0 +1,163 @@
+"""All measured numbers of an experiment as one flat vector: markers and forces of all cases in a fixed order."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.errors import ExperimentError
+from tissuereg.experiment.experiment import Case, Experiment
+
+_T = TypeVar("_T", bound=np.generic)
+
+
+@dataclass(frozen=True, eq=False)
+class CasePart:
+    """The entries of one case in the flat vector.
+
+    Attributes
+    ----------
+    name : str
+        Name of the case.
+    times : ndarray of float64, shape (n_frames,)
+        s.
+    pads : tuple of str
+        Actuators whose force was measured in it.
+    begin : int
+        First entry; markers come first, (n_frames, n_markers, 3), then forces, (n_frames, n_pads, 3).
+    n_markers : int
+        Number of markers.
+    """
+
+    name: str
+    times: FloatArray
+    pads: tuple[str, ...]
+    begin: int
+    n_markers: int
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return len(self.times)
+
+    @property
+    def middle(self) -> int:
+        """First entry of the forces."""
+        return self.begin + 3 * self.n_frames * self.n_markers
+
+    @property
+    def end(self) -> int:
+        """One past the last entry."""
+        return self.middle + 3 * self.n_frames * len(self.pads)
+
+    def markers(self, flat: NDArray[_T]) -> NDArray[_T]:
+        """Return the markers of a flat vector, or of many: a view of shape (..., n_frames, n_markers, 3)."""
+        return flat[..., self.begin : self.middle].reshape(*flat.shape[:-1], self.n_frames, self.n_markers, 3)
+
+    def forces(self, flat: NDArray[_T]) -> NDArray[_T]:
+        """Return the forces of a flat vector, or of many: a view of shape (..., n_frames, n_pads, 3)."""
+        return flat[..., self.middle : self.end].reshape(*flat.shape[:-1], self.n_frames, len(self.pads), 3)
+
+
+class Layout:
+    """The order of all measured numbers of an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With its measured cases.
+
+    Raises
+    ------
+    ExperimentError
+        If nothing was measured.
+
+    Attributes
+    ----------
+    parts : tuple of CasePart
+        One for each case, in the experiment's order.
+    size : int
+        Length of the flat vector.
+    measured : ndarray of float64, shape (size,)
+        Displacements of markers from their reference places in mm, and forces in mN; NaN = not measured.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.marker_names = experiment.marker_names
+        self.reference = experiment.marker_reference
+        parts, at = [], 0
+        for name, case in experiment.cases.items():
+            # In the order of the actuators, not of the file of forces: cached banks depend on it.
+            known = case.forces.keys() & case.displacements.keys()
+            pads = tuple(pad.name for pad in experiment.actuators if pad.name in known)
+            part = CasePart(name, case.times, pads, at, len(self.marker_names))
+            parts.append(part)
+            at = part.end
+        self.parts = tuple(parts)
+        self.size = at
+        self.measured: FloatArray = self._of_cases(experiment.cases)
+        if not np.isfinite(self.measured).any():
+            message = (
+                f"experiment '{experiment.name}' must have measured markers or forces to be diagnosed; it has none"
+            )
+            raise ExperimentError(message, where=experiment.name)
+
+    def __getitem__(self, name: str) -> CasePart:
+        """Return the part of a case."""
+        return next(part for part in self.parts if part.name == name)
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which entries were measured, shape (size,)."""
+        return np.isfinite(self.measured)
+
+    def of_markers(self) -> BoolArray:
+        """Return which entries are markers, shape (size,)."""
+        chosen = np.zeros(self.size, bool)
+        for part in self.parts:
+            chosen[part.begin : part.middle] = True
+        return chosen
+
+    def of_case(self, name: str) -> BoolArray:
+        """Return which entries belong to a case, shape (size,)."""
+        chosen = np.zeros(self.size, bool)
+        chosen[self[name].begin : self[name].end] = True
+        return chosen
+
+    def times(self) -> FloatArray:
+        """Return the time of every entry in s, shape (size,)."""
+        moments = np.zeros(self.size)
+        for part in self.parts:
+            part.markers(moments)[:] = part.times[:, None, None]
+            part.forces(moments)[:] = part.times[:, None, None]
+        return moments
+
+    def flatten(self, places: Mapping[str, FloatArray], forces: Mapping[str, Mapping[str, FloatArray]]) -> FloatArray:
+        """Return predictions as a flat vector.
+
+        Parameters
+        ----------
+        places : mapping of str to ndarray of float64, shape (n_frames, n_markers, 3)
+            Places of markers in every case, mm.
+        forces : mapping of str to mapping of str to ndarray of float64, shape (n_frames, 3)
+            Force on the body at the pads of every case, mN.
+
+        Returns
+        -------
+        ndarray of float64, shape (size,)
+            As `measured`.
+        """
+        flat = np.zeros(self.size)
+        for part in self.parts:
+            part.markers(flat)[:] = places[part.name] - self.reference
+            for i, pad in enumerate(part.pads):
+                part.forces(flat)[:, i] = forces[part.name][pad]
+        return flat
+
+    def _of_cases(self, cases: Mapping[str, Case]) -> FloatArray:
+        return self.flatten(
+            {name: case.markers for name, case in cases.items()}, {name: case.forces for name, case in cases.items()}
+        )

@@ -1,0 +1,269 @@
+"""Sensitivities of all measured numbers, from the tangent stiffness of the believed model's equilibria.
+
+Frames under the same load are one equilibrium, whose tangent is factored once. The derivative by a parameter costs one
+solution with it (direct differentiation). Derivatives by the modulus of every tetrahedron come from one adjoint
+solution for each measured number, so that an inclusion at any place is a weighted sum of them. For elastic models only;
+the causes of a model with memory are simulated at one size (`Bench.change`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.load import Load
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.diagnosis.predictor import Predictor
+from tissuereg.diagnosis.signals import CasePart
+from tissuereg.experiment.effects import ChainEffect, extended, seen_markers
+from tissuereg.experiment.experiment import Case, Experiment
+from tissuereg.simulation.experiment import believed_case
+from tissuereg.simulation.loading import distinct_states, pads_of, traction_of
+from tissuereg.simulation.sensitivity import Cause, Linearised, Observation
+from tissuereg.simulation.solve import Simulator
+
+#: Tangents of bodies up to this many nodes stay in memory; those of larger bodies are factored at each use.
+KEPT_UP_TO_NODES = 8000
+
+#: Step of finite differences by the shape, over the mesh's shortest edge.
+STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """An equilibrium of one case.
+
+    Attributes
+    ----------
+    case : Case
+        The load case.
+    frames : ndarray of int64, shape (n,)
+        Frames of the case with this equilibrium.
+    simulator : Simulator
+        With the boundaries and pads as held nodes.
+    load : Load
+        Prescribed displacements and forces.
+    pad_rows : dict of str to ndarray of int64
+        Rows of the held nodes that belong to each pad.
+    """
+
+    case: Case
+    frames: IntArray
+    simulator: Simulator
+    load: Load
+    pad_rows: dict[str, IntArray]
+
+    def moved(self, pad: str, motion: FloatArray) -> FloatArray:
+        """Return the prescribed displacements (n_held, 3) that move one pad by `motion` (3,) or (n_pad, 3)."""
+        prescribed = np.zeros((len(self.simulator.held_nodes), 3))
+        prescribed[self.pad_rows[pad]] = motion
+        return prescribed
+
+    @property
+    def frame(self) -> int:
+        """The first of its frames."""
+        return int(self.frames[0])
+
+
+class Tangents:
+    """All equilibria of an elastic model with their tangents.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        Of a model without memory, without sliding supports, and with an unloaded mesh.
+
+    Raises
+    ------
+    ConvergenceError
+        If a state has no equilibrium.
+    """
+
+    def __init__(self, predictor: Predictor) -> None:
+        self.predictor = predictor
+        self.layout = predictor.layout
+        self.worked: Experiment = extended(predictor.experiment, predictor.element)
+        self.states = [state for case in self.worked.cases.values() for state in self._of_case(case)]
+        self._kept: list[tuple[Linearised, FloatArray, FloatArray] | None] = [None] * len(self.states)
+
+    def columns(self, direction: Callable[[State], Sequence[Cause]], count: int) -> FloatArray:
+        """Return the sensitivity columns of some parameters.
+
+        Parameters
+        ----------
+        direction : callable of State
+            Returns the derivatives of the load or the material by the parameters in a state, `count` of them.
+        count : int
+            Number of parameters.
+
+        Returns
+        -------
+        ndarray of float64, shape (count, size)
+            For a unit of each parameter, mm and mN.
+        """
+        return self._seen(self._columns(lambda _, state: direction(state), count))
+
+    def _columns(self, direction: Callable[[int, State], Sequence[Cause]], count: int) -> FloatArray:
+        """Return columns as `columns`, before the tracker's effects; `direction` also gets the number of the state."""
+        flat = np.zeros((count, self.layout.size))
+        for number, state in enumerate(self.states):
+            tangent, slopes, _ = self._at(number)
+            found = tangent.derivatives(direction(number, state))
+            nodes = self.predictor.observation.nodes
+            markers = np.einsum("mxny,cny->cmx", slopes, found.displacement[:, nodes])
+            part = self.layout[state.case.name]
+            part.markers(flat)[:, state.frames] = markers[:, None]
+            for i, pad in enumerate(part.pads):
+                force = found.reactions[:, state.pad_rows[pad]].sum(axis=1)
+                part.forces(flat)[:, state.frames, i] = force[:, None]
+        return flat
+
+    def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
+        """Return the sensitivity columns of relative changes of the modulus in parts of the body.
+
+        Parameters
+        ----------
+        shares : sparse array of float64, shape (n_tets, n_fields)
+            Share of every tet that changes.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_fields, size)
+            For a modulus that is doubled where a share is 1 (derivative by the relative change), mm and mN.
+        """
+        flat = np.zeros((shares.shape[1], self.layout.size))
+        young = np.broadcast_to(_per_tet(self.worked.material.young_array), (self.worked.mesh.n_tets,))
+        for number, state in enumerate(self.states):
+            tangent, slopes, _ = self._at(number)
+            part = self.layout[state.case.name]
+            by_young = tangent.adjoints(self._observations(state, part, slopes)).young.mean(axis=2)
+            by_young = by_young * (young * tangent.simulator.n_points)
+            rates = (shares.T @ by_young.T).reshape(shares.shape[1], -1, 3)
+            n_markers = len(self.layout.marker_names)
+            part.markers(flat)[:, state.frames] = rates[:, None, :n_markers]
+            part.forces(flat)[:, state.frames] = rates[:, None, n_markers:]
+        return self._seen(flat)
+
+    def by_shapes(self, motions: Sequence[FloatArray]) -> FloatArray:
+        """Return the sensitivity columns of motions of the mesh's nodes (shape derivatives).
+
+        Parameters
+        ----------
+        motions : sequence of ndarray of float64, shape (n_nodes, 3)
+            Motions of the nodes.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_motions, size)
+            For a unit of each motion, mm and mN. Patches move with their nodes, reference places of markers do not.
+            The weight of material that the motion adds is neglected.
+
+        Notes
+        -----
+        Costs one evaluation of the internal forces (forward difference) and one solution for each motion and state.
+        """
+        longest = [max(float(np.abs(motion).max()), np.finfo(float).tiny) for motion in motions]
+        step = STEP * _shortest_edge(self.worked.mesh)
+        moved = [
+            _Moved(self.worked, self.predictor, motion, step / most)
+            for motion, most in zip(motions, longest, strict=True)
+        ]
+        plain = _Moved(self.worked, self.predictor, np.zeros_like(self.worked.mesh.nodes), step)
+        markers = np.zeros((len(motions), self.layout.size))
+
+        def direction(number: int, state: State) -> list[Cause]:
+            field = self._at(number)[2]
+            balance, places = plain.out_of_balance(field, state), plain.seen(field)
+            part = self.layout[state.case.name]
+            for i, body in enumerate(moved):
+                part.markers(markers)[i, state.frames] = (body.seen(field) - places) / body.step
+            # The imbalance of the moved body is the load of the sensitivity problem.
+            return [Load(forces=(body.out_of_balance(field, state) - balance) / body.step) for body in moved]
+
+        return self._seen(self._columns(direction, len(motions)) + markers)
+
+    def _of_case(self, case: Case) -> list[State]:
+        believed = believed_case(self.worked, case, element=self.predictor.element, threads=self.predictor.threads)
+        held = believed.simulator.held_nodes
+        rows = {pad.name: np.flatnonzero(np.isin(held, pad.nodes)) for pad in pads_of(self.worked, case)}
+        states, state_of = distinct_states(case)
+        frames = [np.flatnonzero(state_of == number) for number in range(len(states))]
+        return [State(case, mine, believed.simulator, believed.loads[mine[0]], rows) for mine in frames]
+
+    def _at(self, number: int) -> tuple[Linearised, FloatArray, FloatArray]:
+        """Return the tangent, the Jacobian of the observation and the displacement of all nodes in a state."""
+        kept = self._kept[number]
+        if kept is not None:
+            return kept
+        state = self.states[number]
+        material, threads = self.worked.material, self.predictor.threads
+        found = state.simulator.solve(state.load, material, threads=threads)
+        tangent = Linearised(state.simulator, state.load, material, found.all_displacement, threads=threads)
+        slopes = self.predictor.observation.jacobian(found.displacement[self.predictor.observation.nodes])
+        made = (tangent, slopes, found.all_displacement)
+        if self.worked.mesh.n_nodes <= KEPT_UP_TO_NODES:
+            self._kept[number] = made
+        return made
+
+    def _observations(self, state: State, part: CasePart, slopes: FloatArray) -> list[Observation]:
+        nodes = self.predictor.observation.nodes
+        observations = []
+        for weights in slopes.reshape(-1, len(nodes), 3):
+            used = np.flatnonzero(weights.any(axis=1))
+            observations.append(Observation(nodes[used], weights[used]))
+        for pad in part.pads:
+            held = state.simulator.held_nodes[state.pad_rows[pad]]
+            observations += [
+                Observation(held_nodes=held, held_weights=np.tile(np.eye(3)[x], (len(held), 1))) for x in range(3)
+            ]
+        return observations
+
+    def _seen(self, flat: FloatArray) -> FloatArray:
+        """Return columns with the believed tracker's effects, which change places by an affine map."""
+        chain = tuple(effect for effect in self.predictor.experiment.effects if isinstance(effect, ChainEffect))
+        if not chain:
+            return flat
+        tracker = replace(self.predictor.experiment, effects=chain)
+        for part in self.layout.parts:
+            # The derivative of an affine map does not depend on the place.
+            markers = part.markers(flat)
+            places = np.broadcast_to(self.layout.reference, markers.shape[1:])
+            here = seen_markers(tracker, places, part.times)
+            for row in markers:
+                row[:] = seen_markers(tracker, places + row, part.times) - here
+        return flat
+
+
+class _Moved:
+    """The body of an experiment on a mesh whose nodes were moved."""
+
+    def __init__(self, worked: Experiment, predictor: Predictor, motion: FloatArray, step: float) -> None:
+        mesh = worked.mesh
+        self.step = step
+        self._experiment = replace(worked, mesh=Mesh(mesh.nodes + step * motion, mesh.tets, mesh.node_sets))
+        self._simulator = Simulator(self._experiment.mesh, element=predictor.element)
+        layout = predictor.layout
+        self._observation = MarkerObservation(
+            self._experiment.mesh, layout.reference, layout.marker_names, like=predictor.observation
+        )
+
+    def out_of_balance(self, field: FloatArray, state: State) -> FloatArray:
+        """Return the external nodal forces of pads minus the internal ones of a displacement field, mN."""
+        held = self._simulator.internal_forces(field, self._experiment.material)
+        pulled = self._simulator.forces(Load(traction=traction_of(self._experiment, state.case, state.frame)))
+        return -held if pulled is None else pulled - held
+
+    def seen(self, field: FloatArray) -> FloatArray:
+        """Return the displacements of the markers, (n_markers, 3) in mm."""
+        return self._observation.predict(field[self._observation.nodes])
+
+
+def _shortest_edge(mesh: Mesh) -> float:
+    return float(np.linalg.norm(mesh.nodes[mesh.edges[:, 0]] - mesh.nodes[mesh.edges[:, 1]], axis=1).min())
+
+
+def _per_tet(young: FloatArray) -> FloatArray:
+    return young.mean(axis=1) if young.ndim == 2 else young

@@ -1,0 +1,60 @@
+"""Effects: what may be wrong with a believed experiment, one class an id of its ``[[effect]]`` tables.
+
+An effect is plain data that can be made in Python (`Inclusion(centre_mm=..., semi_axes_mm=..., contrast=3.0)`) or read
+from a table (`effect_from_table`). `extended` works those of body, supports and actuators into an experiment;
+`seen_markers` applies those of the measuring chain to predicted markers.
+"""
+
+from tissuereg.experiment.effects.actuators import ActuatorDirection, ActuatorGain, ActuatorOffset
+from tissuereg.experiment.effects.base import ChainEffect, Effect
+from tissuereg.experiment.effects.catalogue import (
+    EFFECTS,
+    check_effects,
+    effect_from_table,
+    extended,
+    seen_markers,
+    true_markers,
+)
+from tissuereg.experiment.effects.chain import Frame, Latency, MarkerSlip, MarkerSwap, Scale
+from tissuereg.experiment.effects.elastic import Asymmetry, Fibre, Mooney, Poisson, Stiffening, Stiffness
+from tissuereg.experiment.effects.history import Drainage, Rate, Relaxation, Set, Softening, Swelling
+from tissuereg.experiment.effects.regions import Inclusion, Layer
+from tissuereg.experiment.effects.supports import Detachment, Sliding
+from tissuereg.experiment.effects.weight import Gravity, Reference
+
+__all__ = [
+    "EFFECTS",
+    "ActuatorDirection",
+    "ActuatorGain",
+    "ActuatorOffset",
+    "Asymmetry",
+    "ChainEffect",
+    "Detachment",
+    "Drainage",
+    "Effect",
+    "Fibre",
+    "Frame",
+    "Gravity",
+    "Inclusion",
+    "Latency",
+    "Layer",
+    "MarkerSlip",
+    "MarkerSwap",
+    "Mooney",
+    "Poisson",
+    "Rate",
+    "Reference",
+    "Relaxation",
+    "Scale",
+    "Set",
+    "Sliding",
+    "Softening",
+    "Stiffening",
+    "Stiffness",
+    "Swelling",
+    "check_effects",
+    "effect_from_table",
+    "extended",
+    "seen_markers",
+    "true_markers",
+]

@@ -1,0 +1,144 @@
+"""Errors of the marker tracker: frame, scale, delay, markers that slip or are taken for each other."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.experiment.effects.base import (
+    ChainEffect,
+    Vector,
+    number,
+    numbers,
+    refuse,
+    rotation_from_vector,
+    text,
+    texts,
+)
+from tissuereg.experiment.experiment import Experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame(ChainEffect):
+    """The tracker's frame is another one: seen = R place + shift, R about the origin."""
+
+    id: ClassVar[str] = "frame"
+    rotation_deg: Vector = numbers("rotation vector of R, about the origin", 3, default=(0.0, 0.0, 0.0))
+    shift_mm: Vector = numbers("shift", 3, default=(0.0, 0.0, 0.0))
+
+    def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return turned and shifted places."""
+        return np.asarray(places @ rotation_from_vector(self.rotation_deg).T + np.asarray(self.shift_mm))
+
+    def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return places shifted and turned back."""
+        return np.asarray((seen - np.asarray(self.shift_mm)) @ rotation_from_vector(self.rotation_deg))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale(ChainEffect):
+    """The tracker's lengths are off: seen = origin + scale (place - origin)."""
+
+    id: ClassVar[str] = "scale"
+    scale: float = number("factor", above=0.0)
+    origin_mm: Vector = numbers("point that stays", 3, default=(0.0, 0.0, 0.0))
+
+    def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return stretched places."""
+        origin = np.asarray(self.origin_mm)
+        return np.asarray(origin + self.scale * (places - origin))
+
+    def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return places stretched back."""
+        origin = np.asarray(self.origin_mm)
+        return np.asarray(origin + (seen - origin) / self.scale)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Latency(ChainEffect):
+    """The tracker is late: at time t it sees the places of t - latency; before the first frame, those of the first."""
+
+    id: ClassVar[str] = "latency"
+    latency_s: float = number("delay; negative: early")
+
+    def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return places of an earlier time, linear between frames."""
+        return _at(times - self.latency_s, places, times)
+
+    def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return what was seen later, linear between frames; after the last frame, its places are used."""
+        return _at(times + self.latency_s, seen, times)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerSlip(ChainEffect):
+    """From a time on, through all later cases, a marker has slipped from its place."""
+
+    id: ClassVar[str] = "marker_slip"
+    repeatable: ClassVar[bool] = True
+    marker: str = text("name of the marker")
+    offset_mm: Vector = numbers("from its place to where it sits", 3)
+    from_time_s: float = number("from this moment on")
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse an unknown marker."""
+        _known(experiment, "marker", self.marker)
+
+    def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return places with the marker moved by its slip."""
+        return self._moved(places, times, names, 1.0)
+
+    def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return places with the marker put back."""
+        return self._moved(seen, times, names, -1.0)
+
+    def _moved(self, places: FloatArray, times: FloatArray, names: Sequence[str], sign: float) -> FloatArray:
+        moved: FloatArray = places.copy()
+        moved[times >= self.from_time_s, names.index(self.marker)] += sign * np.asarray(self.offset_mm)
+        return moved
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerSwap(ChainEffect):
+    """From a time on, through all later cases, two markers are taken for each other."""
+
+    id: ClassVar[str] = "marker_swap"
+    repeatable: ClassVar[bool] = True
+    markers: tuple[str, ...] = texts("names of the two", 2)
+    from_time_s: float = number("from this moment on")
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse unknown markers."""
+        for marker in self.markers:
+            _known(experiment, "markers", marker)
+
+    def seen(self, places: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return places with the two exchanged."""
+        one, other = (names.index(marker) for marker in self.markers)
+        rows = times >= self.from_time_s
+        swapped: FloatArray = places.copy()
+        swapped[rows, one], swapped[rows, other] = places[rows, other], places[rows, one]
+        return swapped
+
+    def undone(self, seen: FloatArray, times: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Return places with the two exchanged again."""
+        return self.seen(seen, times, names)
+
+
+def _known(experiment: Experiment, key: str, marker: str) -> None:
+    if marker not in experiment.marker_names:
+        refuse(f"`{key}` must be among {', '.join(experiment.marker_names)}", marker)
+
+
+def _at(moments: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
+    """Return values (n_frames, ...) at other moments, linear between frames and constant beyond them."""
+    later = np.clip(np.searchsorted(times, moments), 0, len(times) - 1)
+    earlier = np.maximum(later - 1, 0)
+    step = np.where(later > earlier, times[later] - times[earlier], 1.0)
+    weight = np.clip((moments - times[earlier]) / step, 0.0, 1.0)
+    # At the time of a frame its value alone counts: a missing neighbour must not make it NaN.
+    earlier, later = np.where(weight == 1.0, later, earlier), np.where(weight == 0.0, earlier, later)
+    weight = weight.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1.0 - weight) * values[earlier] + weight * values[later])

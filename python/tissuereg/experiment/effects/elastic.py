@@ -1,0 +1,120 @@
+"""What the body is made of, the same everywhere: moduli, law, fibres."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from tissuereg.body.material import SHAPE_KEYS, VOLUMETRIC, Material
+from tissuereg.body.material import Fibre as Fibres
+from tissuereg.errors import MaterialError
+from tissuereg.experiment.effects.base import Effect, Vector, flag, number, numbers, refuse, text
+from tissuereg.experiment.experiment import Experiment
+
+#: Meaning of the shape parameters, which the table of laws explains.
+_OF_LAW = "shape parameter of the law"
+
+_SHAPES = tuple(dict.fromkeys(key for keys in SHAPE_KEYS.values() for key in keys))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stiffness(Effect):
+    """Young's modulus at small strain in kPa, in place of the believed one; inclusions and layers multiply it."""
+
+    id: ClassVar[str] = "stiffness"
+    absolute: ClassVar[bool] = True
+    young_kpa: float = number("Young's modulus at small strain", above=0.0)
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with this modulus."""
+        return replace(experiment, material=replace(experiment.material, young=self.young_kpa))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poisson(Effect):
+    """Poisson's ratio at small strain, in place of the believed one."""
+
+    id: ClassVar[str] = "poisson"
+    poisson: float = number("Poisson's ratio at small strain", above=-1.0, below=0.5)
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with this ratio."""
+        return replace(experiment, material=replace(experiment.material, poisson=self.poisson))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherLaw(Effect):
+    """Another law of the same small-strain moduli, with its shape parameters."""
+
+    law: str = text("strain energy", among=tuple(SHAPE_KEYS))
+    excess: float | None = number(_OF_LAW, above=-1.0, default=None)
+    share: float | None = number(_OF_LAW, least=0.0, default=None)
+    c2_over_c1: float | None = number(_OF_LAW, default=None)
+    c3_over_c1: float | None = number(_OF_LAW, default=None)
+    alpha: tuple[float, ...] | None = numbers(_OF_LAW, default=None)
+    weight: tuple[float, ...] | None = numbers(_OF_LAW, default=None)
+    b: float | None = number(_OF_LAW, least=0.0, default=None)
+    #: As `Material.volumetric`; as believed where left out.
+    volumetric: str | None = text("energy of volume change, as believed where left out", among=VOLUMETRIC, default=None)
+
+    def check(self) -> None:
+        """Refuse missing shape parameters, and those of another law."""
+        wanted = SHAPE_KEYS[self.law]
+        for key in _SHAPES:
+            given = getattr(self, key) is not None
+            if given and key not in wanted:
+                known = ", ".join(wanted) or "none"
+                refuse(f"`{key}` must be left out with the law '{self.law}', whose shape parameters are: {known}")
+            if key in wanted and not given:
+                refuse(f"`{key}` must be given with the law '{self.law}'")
+        if self.alpha is not None and self.weight is not None and len(self.alpha) != len(self.weight):
+            refuse("`alpha` and `weight` must be of one length", [len(self.alpha), len(self.weight)])
+        # `Material` checks the ranges.
+        self.of(Material())
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with this law."""
+        return replace(experiment, material=self.of(experiment.material))
+
+    def of(self, material: Material) -> Material:
+        """Return a material with this law."""
+        try:
+            shape = {key: getattr(self, key) for key in SHAPE_KEYS[self.law]}
+            return replace(material, law=self.law, shape=shape, volumetric=self.volumetric or material.volumetric)
+        except MaterialError as error:
+            refuse(str(error))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stiffening(OtherLaw):
+    """The body stiffens as strain grows."""
+
+    id: ClassVar[str] = "stiffening"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mooney(OtherLaw):
+    """The strain energy depends on the second invariant as well as on the first."""
+
+    id: ClassVar[str] = "mooney"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asymmetry(OtherLaw):
+    """The body responds differently to tension and to compression."""
+
+    id: ClassVar[str] = "asymmetry"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fibre(Effect):
+    """One family of fibres, of stiffness ``k1_over_mu`` shear moduli and exponent ``k2``, along a direction."""
+
+    id: ClassVar[str] = "fibre"
+    k1_over_mu: float = number("stiffness k1 over the shear modulus", least=0.0)
+    k2: float = number("rate of stiffening", least=0.0)
+    direction: Vector = numbers("of the fibres; only the direction counts", 3, directed=True)
+    tension_only: bool = flag("whether shortened fibres are slack", default=True)
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with these fibres added to its law."""
+        fibre = Fibres(self.k1_over_mu, self.k2, self.direction, self.tension_only)
+        return replace(experiment, material=replace(experiment.material, fibre=fibre))

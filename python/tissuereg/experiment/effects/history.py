@@ -1,0 +1,110 @@
+"""Effects of the body's history: relaxation, viscosity, softening, set, swelling, drainage."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.experiment.effects.base import Effect, number, numbers, refuse, text
+from tissuereg.experiment.experiment import Experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory(Effect):
+    """An effect that acts while a case runs through time; fields as the solver names them."""
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment unchanged: the solver reads the effect itself."""
+        return experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxation(Memory):
+    """Prony series: shares `g` of the stress relax over the times `tau_s`; the modulus is the instantaneous one."""
+
+    id: ClassVar[str] = "relaxation"
+    g: tuple[float, ...] = numbers("shares of the stress that relax; their sum is less than 1", above=0.0, below=1.0)
+    tau_s: tuple[float, ...] = numbers("their time constants", above=0.0)
+    part: str = text("stress that relaxes", among=("whole", "isochoric"), default="whole")
+
+    def check(self) -> None:
+        """Refuse lists of two lengths, and shares that leave nothing."""
+        if len(self.g) != len(self.tau_s):
+            refuse("`g` and `tau_s` must be of one length", [len(self.g), len(self.tau_s)])
+        if sum(self.g) >= 1.0:
+            refuse("the sum of `g` must be less than 1", list(self.g))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rate(Memory):
+    """A viscous stress that grows with the rate of strain."""
+
+    id: ClassVar[str] = "rate"
+    absolute: ClassVar[bool] = True
+    viscosity_kpa_s: float = number("viscosity", least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Softening(Memory):
+    """Softening by the largest energy so far, as `simulate.behaviour.Softening`."""
+
+    id: ClassVar[str] = "softening"
+    absolute: ClassVar[bool] = True
+    r: float = number("Ogden and Roxburgh's r: at most 1/r of the stress is lost", least=1.0)
+    m_kpa: float = number("energy over which it is lost", above=0.0)
+    beta: float = number("dependence of that energy on the largest one so far", least=0.0, default=0.0)
+    form: str = text(
+        "loss on unloading (Mullins effect), or damage under a first load too",
+        among=("ogden-roxburgh", "damage"),
+        default="ogden-roxburgh",
+    )
+
+    def check(self) -> None:
+        """Refuse a `beta` other than 0 with damage."""
+        if self.form == "damage" and self.beta != 0.0:
+            refuse("`beta` must be 0 for damage", self.beta)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Set(Memory):
+    """Permanent set: a share of the largest strain so far stays when the load is gone."""
+
+    id: ClassVar[str] = "set"
+    fraction: float = number("share of the largest strain so far that stays", above=0.0, below=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swelling(Memory):
+    """Growth of all lengths by `linear_strain`, at a constant rate from one time to another; negative: drying.
+
+    Bonded pads hold their patches in place against the growth, or move as the free body would grow there.
+    """
+
+    id: ClassVar[str] = "swelling"
+    linear_strain: float = number("growth of all lengths; negative: drying", above=-1.0)
+    from_time_s: float = number("when it begins")
+    to_time_s: float = number("when it ends")
+    pads: str = text(
+        "whether bonded pads hold their patches against it or follow the growth",
+        among=("hold", "follow"),
+        default="hold",
+    )
+
+    def check(self) -> None:
+        """Refuse an end before the beginning."""
+        if self.to_time_s <= self.from_time_s:
+            refuse("`to_time_s` must lie after `from_time_s`", [self.from_time_s, self.to_time_s])
+
+    def share(self, times: FloatArray) -> FloatArray:
+        """Return which share of the growth is done at times (n,) in s."""
+        return np.clip((times - self.from_time_s) / (self.to_time_s - self.from_time_s), 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drainage(Memory):
+    """A share of the volumetric stress relaxes: a simple substitute for fluid that drains from the body."""
+
+    id: ClassVar[str] = "drainage"
+    share: float = number("share of the volumetric stress", above=0.0, below=1.0)
+    tau_s: float = number("time constant of its relaxation", above=0.0)

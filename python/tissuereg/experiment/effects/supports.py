@@ -1,0 +1,200 @@
+"""What holds the body: boundaries that slide or are detached in part."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh
+from tissuereg.experiment.effects.base import Effect, Vector, exactly_one, number, numbers, refuse, text
+from tissuereg.experiment.experiment import Boundary, Experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Support(Effect):
+    """An effect on one boundary."""
+
+    repeatable: ClassVar[bool] = True
+    boundary: str = text("name of the boundary")
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse an unknown boundary."""
+        names = [boundary.name for boundary in experiment.boundaries]
+        if self.boundary not in names:
+            refuse(f"`boundary` must be one of {', '.join(names) or 'none'}", self.boundary)
+
+    def held_by(self, experiment: Experiment) -> Boundary:
+        """Return the boundary."""
+        return next(boundary for boundary in experiment.boundaries if boundary.name == self.boundary)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sliding(_Support):
+    """A boundary that slides on its tangent plane against springs, in kPa per mm of slip, or against friction.
+
+    With friction it sticks until it is pulled harder than `cohesion_kpa` and `friction` times the pressure on it, by
+    Coulomb's law. The pressure is that which the loads add to the given shape.
+    """
+
+    id: ClassVar[str] = "sliding"
+    absolute: ClassVar[bool] = True
+    spring_kpa_per_mm: float | None = number("stiffness of springs along its tangent plane", least=0.0, default=None)
+    friction: float | None = number("or: coefficient of friction", least=0.0, default=None)
+    cohesion_kpa: float | None = number(
+        "shear stress that holds without pressure, with `friction`; 0 where left out", least=0.0, default=None
+    )
+
+    def check(self) -> None:
+        """Refuse neither or both of springs and friction, and a cohesion with springs."""
+        exactly_one(self, ("spring_kpa_per_mm",), ("friction",))
+        if self.cohesion_kpa is not None and self.friction is None:
+            refuse("`cohesion_kpa` must come with `friction`")
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse an unknown boundary, and one without a whole triangle of the surface."""
+        super().fits(experiment)
+        if not len(self.triangles(experiment)):
+            n_nodes = len(self.held_by(experiment).nodes)
+            refuse(
+                f"boundary '{self.boundary}' must hold a whole triangle of the surface to slide, it has {n_nodes} nodes"
+            )
+
+    def triangles(self, experiment: Experiment) -> IntArray:
+        """Return the surface triangles of the boundary, shape (n, 3)."""
+        surface = experiment.mesh.surface
+        return np.asarray(surface[np.isin(surface, self.held_by(experiment).nodes).all(axis=1)])
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment unchanged: the solver reads the springs from the effect."""
+        return experiment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detachment(_Support):
+    """A part of a boundary is detached, and its nodes are free.
+
+    It is either all within a ball, or a rim: seen from the boundary's centre, the part that lies farthest towards
+    `azimuth_deg` (from x to y, about z), until it makes up `share` of the boundary's area.
+    """
+
+    id: ClassVar[str] = "detachment"
+    centre_mm: Vector | None = numbers("centre of a ball that is detached", 3, default=None)
+    radius_mm: float | None = number("its radius", above=0.0, default=None)
+    azimuth_deg: float | None = number("or: direction of the detached rim, from x to y about z", default=None)
+    share: float | None = number("share of the boundary's area that it makes up", above=0.0, below=1.0, default=None)
+
+    def check(self) -> None:
+        """Refuse an incomplete ball, an incomplete rim, or both together."""
+        exactly_one(self, ("centre_mm", "radius_mm"), ("azimuth_deg", "share"))
+
+    def fits(self, experiment: Experiment) -> None:
+        """Refuse an unknown boundary, and a region that frees none of its nodes or all that is held."""
+        super().fits(experiment)
+        boundary = self.held_by(experiment)
+        freed = self.freed(experiment.mesh, boundary.nodes)
+        if not len(freed):
+            refuse(f"the region must hold a node of boundary '{self.boundary}', which has {len(boundary.nodes)}")
+        if len(freed) == len(boundary.nodes) and len(experiment.boundaries) == 1:
+            refuse(f"the region must leave a part of '{self.boundary}', the one boundary, it frees all {len(freed)}")
+
+    def freed(self, mesh: Mesh, nodes: IntArray) -> IntArray:
+        """Return the detached nodes of a boundary.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Reference shape.
+        nodes : ndarray of int64, shape (n,)
+            Of the boundary.
+
+        Returns
+        -------
+        ndarray of int64, shape (n_freed,)
+            The detached ones.
+        """
+        places = mesh.nodes[nodes]
+        if self.centre_mm is not None and self.radius_mm is not None:
+            inside = np.linalg.norm(places - np.asarray(self.centre_mm), axis=1) <= self.radius_mm
+            return np.asarray(nodes[inside])
+        assert self.share is not None  # `check` has seen it
+        order, _, areas = self._towards(mesh, nodes)
+        return np.sort(nodes[order[freeing_shares(areas) < self.share]])
+
+    def edges(self, mesh: Mesh, nodes: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return where the edge of a detached rim passes a boundary's nodes, the outermost one first.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Reference shape.
+        nodes : ndarray of int64, shape (n,)
+            Of the boundary.
+
+        Returns
+        -------
+        tuple of ndarray of float64, each of shape (n,)
+            Distance of each node behind the outermost one, along `azimuth_deg`, mm, never decreasing; and the share of
+            the boundary's area that the node represents.
+        """
+        order, towards, areas = self._towards(mesh, nodes)
+        return towards[order[0]] - towards[order], areas
+
+    def _towards(self, mesh: Mesh, nodes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return the nodes' order, outermost first, coordinates along the azimuth, and area shares in that order."""
+        assert self.azimuth_deg is not None  # `check` has seen it
+        angle = np.deg2rad(self.azimuth_deg)
+        towards = mesh.nodes[nodes] @ np.array([np.cos(angle), np.sin(angle), 0.0])
+        order = np.argsort(-towards, kind="stable")
+        area = node_areas(mesh, nodes)[order]
+        return order, towards, area / area.sum()
+
+    def applied(self, experiment: Experiment, element: str) -> Experiment:
+        """Return the experiment with the freed nodes taken from the boundary and from the mesh's held set."""
+        old = self.held_by(experiment)
+        kept = np.setdiff1d(old.nodes, self.freed(experiment.mesh, old.nodes))
+        boundaries = tuple(
+            replace(old, nodes=kept, rule=None) if boundary is old else boundary for boundary in experiment.boundaries
+        )
+        held = np.unique(np.concatenate([boundary.nodes for boundary in boundaries]))
+        mesh = experiment.mesh.with_node_set(old.name, kept).with_node_set("fixed", held)
+        return replace(experiment, boundaries=boundaries, mesh=mesh)
+
+
+def freeing_shares(areas: FloatArray) -> FloatArray:
+    """Return the detached share from which on each node of a rim is free: when half of its area has detached.
+
+    Parameters
+    ----------
+    areas : ndarray of float64, shape (n,)
+        Share of the boundary's area that each node represents, the outermost node first.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+        Increasing.
+    """
+    return np.asarray(np.cumsum(areas) - 0.5 * areas)
+
+
+def node_areas(mesh: Mesh, nodes: IntArray) -> FloatArray:
+    """Return the area of surface that each node of a patch represents.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    nodes : ndarray of int64, shape (n,)
+        Sorted, of the surface.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+        A third of the patch's triangles at each node, mm^2; 1 each where the patch holds no whole triangle.
+    """
+    triangles = mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
+    corners = mesh.nodes[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    thirds = np.repeat(np.linalg.norm(normal, axis=1) / 6.0, 3)
+    areas = np.bincount(np.searchsorted(nodes, triangles.ravel()), thirds, len(nodes)).astype(np.float64)
+    return areas if areas.any() else np.ones(len(nodes))

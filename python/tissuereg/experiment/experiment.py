@@ -1,0 +1,392 @@
+"""An experiment: the believed model of a rig, and everything that was measured on it.
+
+Plain data; `tissuereg.read_experiment` makes it from a folder. Times in s on one clock through all cases,
+lengths in mm, forces in mN, stresses in kPa.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissuereg._base.arguments import each, maybe, named, of_kind, real, text
+from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg.body.markers import Markers
+from tissuereg.body.material import GRAVITY_MM_PER_S2, Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ExperimentError
+
+if TYPE_CHECKING:
+    from tissuereg.experiment.effects.base import Effect
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """The model by which this package simulated the data of an experiment.
+
+    Attributes
+    ----------
+    model : {"fine", "plain"}
+        The fine model (`tissuereg.FineModel`), or the mesh as it is.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Of the plain model; the fine one has ten-node elements.
+    """
+
+    model: str
+    element: str
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity:
+    """The body's own weight.
+
+    Attributes
+    ----------
+    direction : ndarray of float64, shape (3,)
+        Direction; any length but zero.
+    g_mm_per_s2 : float
+        Acceleration in mm/s^2.
+    in_reference : bool
+        Whether the mesh was imaged under it.
+    """
+
+    direction: FloatArray
+    in_reference: bool
+    g_mm_per_s2: float = GRAVITY_MM_PER_S2
+
+
+@dataclass(frozen=True, eq=False)
+class Boundary:
+    """A patch that is held.
+
+    Attributes
+    ----------
+    name : str
+        Also the name of its node set.
+    nodes : ndarray of int64, shape (n,)
+        Sorted.
+    kind : str
+        ``"fixed"``.
+    rule : str or mapping, optional
+        Rule by which the experiment file selects the nodes; None if they were given directly.
+    edge_std : float, optional
+        Standard deviation of the position of its edge, mm; None if it is not stated.
+    """
+
+    name: str
+    nodes: IntArray
+    kind: str = "fixed"
+    rule: str | Mapping[str, Any] | None = None
+    edge_std: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Actuator:
+    """A patch that is moved or pulled.
+
+    Attributes
+    ----------
+    name : str
+        Also the name of its node set.
+    nodes : ndarray of int64, shape (n,)
+        Sorted.
+    kind : {"displacement", "force"}
+        Quantity that is prescribed.
+    contact : str
+        ``"bonded"``.
+    rule : str or mapping, optional
+        Rule by which the experiment file selects the nodes; None if they were given directly.
+    edge_std : float, optional
+        Standard deviation of the position of its edge, mm; None if it is not stated.
+    """
+
+    name: str
+    nodes: IntArray
+    kind: str
+    contact: str = "bonded"
+    rule: str | Mapping[str, Any] | None = None
+    edge_std: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One load history from rest.
+
+    Attributes
+    ----------
+    name : str
+        As in the tables.
+    times : ndarray of float64, shape (n_frames,)
+        Frames in s, increasing.
+    markers : ndarray of float64, shape (n_frames, n_markers, 3)
+        Measured places in mm, NaN = not seen, in the experiment's order of markers.
+    displacements : mapping of str to ndarray of float64, shape (n_frames, 3)
+        Command of each displacement actuator that is present, in mm relative to the shape of the body at the start of
+        the case.
+    applied_forces : mapping of str to ndarray of float64, shape (n_frames, 3)
+        Command of each force actuator that is present, in mN.
+    forces : mapping of str to ndarray of float64, shape (n_frames, 3)
+        Measured force on the body at an actuator in mN, NaN = not measured.
+    targets : mapping of str to ndarray of float64, shape (n_frames, 3)
+        Measured inner points in mm, NaN = not measured.
+    """
+
+    name: str
+    times: FloatArray
+    markers: FloatArray
+    displacements: Mapping[str, FloatArray] = field(default_factory=dict)
+    applied_forces: Mapping[str, FloatArray] = field(default_factory=dict)
+    forces: Mapping[str, FloatArray] = field(default_factory=dict)
+    targets: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def frame_step(self) -> float:
+        """Median time between frames in s; 0 for a single frame."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
+
+    def index(self, time: float) -> int:
+        """Return the frame nearest to a time.
+
+        Parameters
+        ----------
+        time : float
+            In s, on the experiment's clock.
+
+        Returns
+        -------
+        int
+            Row of `times`.
+
+        Raises
+        ------
+        ExperimentError
+            If no frame lies within half a frame step.
+        """
+        of_kind("time", time, (int, float, np.number), error=ExperimentError)
+        nearest = int(np.argmin(np.abs(self.times - time)))
+        if not abs(self.times[nearest] - time) <= 0.5 * self.frame_step + 1e-6:
+            message = (
+                f"case '{self.name}' must have a frame within half a step of {time:g} s; its {len(self.times)} "
+                f"frames run from {self.times[0]:g} to {self.times[-1]:g} s, the nearest is at "
+                f"{self.times[nearest]:g} s"
+            )
+            raise ExperimentError(message, where=self.name)
+        return nearest
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One moment of one case.
+
+    Attributes
+    ----------
+    case : str
+        Name of the case.
+    time : float
+        Time of the frame in s.
+    index : int
+        Row of the case.
+    markers : Markers
+        Reference and measured places, mm.
+    displacements : dict of str to ndarray of float64, shape (3,)
+        Commands of the displacement actuators, mm.
+    applied_forces : dict of str to ndarray of float64, shape (3,)
+        Commands of the force actuators, mN.
+    targets : dict of str to ndarray of float64, shape (3,)
+        Measured inner points in mm, NaN = not measured.
+    """
+
+    case: str
+    time: float
+    index: int
+    markers: Markers
+    displacements: dict[str, FloatArray]
+    applied_forces: dict[str, FloatArray]
+    targets: dict[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """The believed model of a rig, and its measured cases.
+
+    Attributes
+    ----------
+    name : str
+        Title.
+    folder : Path
+        Folder of its tables.
+    mesh_file : Path
+        File of its mesh.
+    mesh : Mesh
+        Node set ``fixed`` is all fixed boundaries together; each boundary and actuator has a set of its name.
+    material : Material
+        Prior mean of the material.
+    young_std : float or None
+        Prior standard deviation of Young's modulus in kPa, if stated.
+    poisson_std : float or None
+        Prior standard deviation of Poisson's ratio, if stated.
+    gravity : Gravity or None
+        None if the file has no such table.
+    boundaries : tuple of Boundary
+        Held patches.
+    actuators : tuple of Actuator
+        Moved or pulled patches; absent from a case in which they have no rows.
+    marker_names : tuple of str
+        Order of all marker arrays.
+    marker_reference : ndarray of float64, shape (n_markers, 3)
+        Places on the body in the reference shape, mm.
+    marker_std : float
+        Standard deviation of a measured coordinate, mm.
+    targets : dict of str to ndarray of float64, shape (3,)
+        Inner points in the reference shape, mm.
+    cases : dict of str to Case
+        In file order.
+    force_std : float or None
+        Standard deviation of a measured force component in mN; None without measured forces.
+    rest_case : str or None
+        Case without load, for the noise model.
+    effects : tuple of Effect
+        ``[[effect]]`` tables in file order (`tissuereg.experiment.effects`): further parts of the believed model.
+    trial_share : float
+        Standard deviation of the difference between two trials of one case, smooth over the markers, over their motion.
+    surface_std : float
+        Standard deviation of the distance between the body's surface and the mesh's, along its normal, mm.
+    surface_length : float or None
+        Correlation length of that distance, mm; None if it is not stated.
+    simulated : Simulated or None
+        Model by which this package simulated the data; None if they were measured, or made by others.
+    """
+
+    name: str
+    folder: Path
+    mesh_file: Path
+    mesh: Mesh
+    material: Material
+    young_std: float | None
+    poisson_std: float | None
+    gravity: Gravity | None
+    boundaries: tuple[Boundary, ...]
+    actuators: tuple[Actuator, ...]
+    marker_names: tuple[str, ...]
+    marker_reference: FloatArray
+    marker_std: float
+    targets: dict[str, FloatArray]
+    cases: dict[str, Case]
+    force_std: float | None = None
+    rest_case: str | None = None
+    effects: "tuple[Effect, ...]" = ()
+    trial_share: float = 0.0
+    surface_std: float = 0.0
+    surface_length: float | None = None
+    simulated: Simulated | None = None
+
+    def __post_init__(self) -> None:
+        text("name", self.name, error=ExperimentError)
+        of_kind("mesh", self.mesh, Mesh, error=ExperimentError)
+        of_kind("material", self.material, Material, error=ExperimentError)
+        maybe("gravity", self.gravity, Gravity, error=ExperimentError)
+        maybe("simulated", self.simulated, Simulated, error=ExperimentError)
+        for name, kind in (
+            ("boundaries", Boundary),
+            ("actuators", Actuator),
+            ("marker_names", str),
+            ("effects", object),
+        ):
+            each(name, getattr(self, name), kind, error=ExperimentError)
+        float_array("marker_reference", self.marker_reference, (len(self.marker_names), 3))
+        real("marker_std", self.marker_std, above=0.0, unit="mm", error=ExperimentError)
+        for name in ("young_std", "poisson_std", "force_std", "surface_length"):
+            if getattr(self, name) is not None:
+                real(name, getattr(self, name), above=0.0, error=ExperimentError)
+        for name in ("trial_share", "surface_std"):
+            real(name, getattr(self, name), least=0.0, error=ExperimentError)
+        named("targets", self.targets, error=ExperimentError)
+        each("cases", named("cases", self.cases, error=ExperimentError).values(), Case, error=ExperimentError)
+        if self.rest_case is not None:
+            text("rest_case", self.rest_case, error=ExperimentError)
+
+    def __repr__(self) -> str:
+        frames = sum(len(case.times) for case in self.cases.values())
+        return (
+            f"Experiment('{self.name}', {self.mesh.n_nodes} nodes, {len(self.marker_names)} markers, "
+            f"{len(self.actuators)} actuators, {len(self.cases)} cases, {frames} frames)"
+        )
+
+    def case(self, name: str) -> Case:
+        """Return a case by name.
+
+        Parameters
+        ----------
+        name : str
+            As in the tables.
+
+        Returns
+        -------
+        Case
+            Its history.
+
+        Raises
+        ------
+        ExperimentError
+            If there is no such case.
+        """
+        if text("name of a case", name, error=ExperimentError) not in self.cases:
+            message = f"experiment '{self.name}' must have a case '{name}'; it has: {', '.join(self.cases)}"
+            raise ExperimentError(message, where=name)
+        return self.cases[name]
+
+    def actuator(self, name: str) -> Actuator:
+        """Return an actuator by name.
+
+        Parameters
+        ----------
+        name : str
+            As in the experiment file.
+
+        Returns
+        -------
+        Actuator
+            Its patch and kind.
+
+        Raises
+        ------
+        ExperimentError
+            If there is no such actuator.
+        """
+        text("name of an actuator", name, error=ExperimentError)
+        for actuator in self.actuators:
+            if actuator.name == name:
+                return actuator
+        known = ", ".join(actuator.name for actuator in self.actuators) or "none"
+        message = f"experiment '{self.name}' must have an actuator '{name}'; it has: {known}"
+        raise ExperimentError(message, where=name)
+
+    def frame(self, case: str, time: float) -> Frame:
+        """Return one moment of one case.
+
+        Parameters
+        ----------
+        case : str
+            Name of the case.
+        time : float
+            In s; the nearest frame within half a frame step is taken.
+
+        Returns
+        -------
+        Frame
+            Markers, commands of the actuators, measured targets.
+        """
+        history = self.case(case)
+        row = history.index(time)
+        markers = Markers(self.marker_reference, history.markers[row], self.marker_std, self.marker_names)
+        return Frame(
+            case=case,
+            time=float(history.times[row]),
+            index=row,
+            markers=markers,
+            displacements={name: values[row] for name, values in history.displacements.items()},
+            applied_forces={name: values[row] for name, values in history.applied_forces.items()},
+            targets={name: values[row] for name, values in history.targets.items()},
+        )

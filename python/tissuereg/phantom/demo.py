@@ -1,0 +1,102 @@
+"""A registration of the embedded phantom, end to end, with the errors against its simulated truth."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.clock import Clock
+from tissuereg.io.atomic import atomic_folder
+from tissuereg.io.meshes import write_vtu
+from tissuereg.io.tables import write_markers, write_points
+from tissuereg.phantom.event import LESION_MM, PhantomEvent, make_event
+from tissuereg.registration.register import register
+from tissuereg.registration.result import Registration
+from tissuereg.simulation.solve import simulate
+
+
+def run_demo(out: str | os.PathLike[str], *, seed: int = 0, threads: int = 0) -> dict[str, Any]:
+    """Register the phantom and write the result.
+
+    Parameters
+    ----------
+    out : path-like
+        Folder for ``registered.vtu``, ``targets.csv``, ``targets.mrk.json``, ``registration.json``, ``registered.png``,
+        ``report.html``, and ``input/`` with the mesh, markers, targets and simulation that the command ``register``
+        takes.
+    seed : int
+        Seed of markers, noise and ensemble.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+
+    Returns
+    -------
+    dict
+        The registration's JSON with ``truth``: errors in mm (mean Euclidean) before and after, at the markers, at
+        the lesion and over the body, and whether the lesion's 90 % region contains the truth.
+    """
+    clock = Clock()
+    with clock.stage("measure"):
+        event = make_event(seed=seed)
+    with clock.stage("simulate"):
+        simulation = simulate(event.mesh, event.load, event.material, threads=threads).displacement
+    result = register(
+        event.mesh,
+        event.markers,
+        model="phantom",
+        simulation=simulation,
+        targets={"lesion": LESION_MM},
+        seed=seed,
+        threads=threads,
+    )
+    seconds = {**clock.seconds, **result.seconds}
+    seconds["total"] += sum(clock.seconds.values())
+    answer = {**result.to_json(), "truth": _errors(event, simulation, result), "seconds": seconds}
+    with atomic_folder(out) as draft:
+        result.save(draft, {"truth": answer["truth"], "seconds": seconds})
+        result.report(draft / "report.html")
+        _write_input(draft / "input", event, simulation)
+    return answer
+
+
+def _write_input(folder: Path, event: PhantomEvent, simulation: FloatArray) -> None:
+    """Write the input of `register` as files that the command `register` takes."""
+    folder.mkdir()
+    held = np.zeros(event.mesh.n_nodes, dtype=np.int8)
+    held[event.mesh.fixed_nodes] = 1
+    write_vtu(folder / "body.vtu", event.mesh, {"fixed": held})
+    write_markers(folder / "markers.csv", event.markers)
+    write_points(folder / "targets.csv", {"lesion": LESION_MM})
+    np.savez_compressed(folder / "simulation.npz", displacement_mm=simulation)
+
+
+def _errors(event: PhantomEvent, simulation: FloatArray, result: Registration) -> dict[str, Any]:
+    """Return the errors before and after, mean Euclidean, mm."""
+    lesion = result.target("lesion")
+    registered = event.markers.measured - np.array([result.markers.residual_mm[n] for n in event.markers.names])
+    true_places = event.markers.reference + event.true_markers
+    before = lesion.simulation if lesion.simulation is not None else lesion.reference
+    return {
+        "markers": {
+            "before_mm": _mean(result.start_markers - true_places),
+            "after_mm": _mean(registered - true_places),
+        },
+        "targets": {
+            "lesion": {
+                "true_mm": event.true_lesion.tolist(),
+                "before_mm": _mean(before - event.true_lesion),
+                "after_mm": _mean(lesion.mean - event.true_lesion),
+                "inside_region90": lesion.region(0.90).contains(event.true_lesion),
+            }
+        },
+        "body": {
+            "before_mm": _mean(simulation - event.true_displacement),
+            "after_mm": _mean(result.displacement - event.true_displacement),
+        },
+    }
+
+
+def _mean(vectors: FloatArray) -> float:
+    return float(np.linalg.norm(np.atleast_2d(vectors), axis=1).mean())

@@ -1,0 +1,241 @@
+"""The result of a registration by contacts, assembled from its fit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.clock import Clock
+from tissuereg.body.mesh import det_f
+from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
+from tissuereg.registration.contacts.fit import ContactFit
+from tissuereg.registration.contacts.found import find_contacts
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.seen import SeenMarkers
+from tissuereg.registration.contacts.spread import Points, Spread
+from tissuereg.registration.contacts.surface_fit import SurfaceFit
+from tissuereg.registration.contacts.surface_points import SeenPoints
+from tissuereg.registration.inputs import RegisterInput, rms_length
+from tissuereg.registration.result import NO_MARKER, MarkerFit, Registration, Target
+from tissuereg.registration.trust import LEVEL, Trust, judge
+
+#: A target is flagged if the markers remove less than this share of its variance under unseen contacts.
+LEAST_CONSTRAINED = 0.8
+
+#: A marker that is wrong with at least this probability is dropped.
+_WRONG = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Registered targets and markers.
+
+    Attributes
+    ----------
+    used, lost : ndarray of int64
+        Markers that were used, and those that were not seen or are wrong.
+    displacement : ndarray of float64, shape (n_targets + n_markers, 3)
+        In the tracker's frame, targets first, mm.
+    points : Points
+        Uncertainty of the targets, then of the lost markers.
+    """
+
+    used: IntArray
+    lost: IntArray
+    displacement: FloatArray
+    points: Points
+
+
+def known_of(given: RegisterInput, fit: ContactFit, spread: Spread) -> Known:
+    """Return the registered targets and markers."""
+    moment, observed, inner = fit.moment, given.observed, given.targets
+    n_targets = len(inner.names)
+    seen = np.isfinite(given.markers.measured).any(axis=1)
+    counts = np.asarray(seen & (fit.wrong < _WRONG))
+    used, lost = np.flatnonzero(counts), np.flatnonzero(~counts)
+    here = moment.displacement[observed.nodes]
+    moved = np.concatenate([inner.predict(moment.displacement[inner.nodes]), observed.predict(here)])
+    reference = np.concatenate([inner.reference.reshape(-1, 3), given.markers.reference])
+    of_markers = observed.rows(here) if len(lost) else []
+    rows = [*inner.rows(), *(of_markers[3 * marker + axis] for marker in lost for axis in range(3))]
+    some = np.concatenate([np.arange(n_targets), n_targets + lost])
+    points = spread.points(rows, (reference + moved)[some])
+    return Known(used, lost, moment.frame.apply(reference + moved) - reference, points)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """All parts of a registration by contacts.
+
+    Attributes
+    ----------
+    given : RegisterInput
+        Checked input.
+    fit : ContactFit
+        The fit after its last pass.
+    start : Moment
+        The body under the believed load.
+    knows : bool
+        Whether a load is believed, so that the targets have a predicted place.
+    known : Known
+        Targets and markers.
+    nodes : NodesOfContacts
+        Spread of the nodes.
+    draw : Draws
+        Posterior fields.
+    surface : SurfaceFit or None
+        Fit of the points of the surface.
+    """
+
+    given: RegisterInput
+    fit: ContactFit
+    start: Moment
+    knows: bool
+    known: Known
+    nodes: NodesOfContacts
+    draw: Draws
+    surface: SurfaceFit | None
+
+    def registration(self, clock: Clock) -> Registration:
+        """Return the result."""
+        given, fit, markers = self.given, self.fit, self.given.markers
+        mesh, moment, names = given.mesh, fit.moment, given.markers.names
+        body = moment.displacement[: mesh.n_nodes]
+        fitted = self._of_markers(self.known.displacement)
+        used, lost = self.known.used, self.known.lost
+        some = np.asarray(np.isfinite(markers.measured).any(axis=1))
+        start_displacement, ratios = self._start_displacement(), det_f(mesh, body)
+        unseen = [self._unseen(k, start_displacement[i]) for k, i in enumerate(lost)]
+        return Registration(
+            mesh=mesh,
+            displacement=moment.frame.apply(mesh.nodes + body) - mesh.nodes,
+            nodes=self.nodes,
+            targets=self._targets(),
+            unseen={names[i]: target for i, target in zip(lost, unseen, strict=True)},
+            markers=MarkerFit(
+                used=tuple(names[i] for i in used),
+                dropped=tuple((names[i], "wrong" if some[i] else "not seen") for i in lost),
+                before_rms_mm=rms_length(markers.displacement[used] - start_displacement[used]),
+                after_rms_mm=rms_length(markers.displacement[used] - fitted[used]),
+                residual_mm={names[i]: markers.displacement[i] - fitted[i] for i in used},
+            ),
+            all_markers=markers,
+            start_markers=markers.reference + start_displacement,
+            min_det_f=float(ratios.min()),
+            inverted_tets=int((ratios <= 0).sum()),
+            trust=self._trust(unseen, float(ratios.min())),
+            surface=self.surface,
+            model={"kind": "contacts", "source": "fitted here", "patches": fit.columns.n_patches},
+            seconds=clock.seconds,
+            seed=given.seed,
+            dropped_members=[],
+            contacts=find_contacts(fit),
+            work=dict(fit.counters),
+            forces=_forces(fit),
+            draw=self.draw,
+        )
+
+    def _of_markers(self, both: FloatArray) -> FloatArray:
+        """Return the markers' part of an array with the targets first."""
+        return both[len(self.given.targets.names) :]
+
+    def _start_displacement(self) -> FloatArray:
+        """Return the displacement of the markers under the believed load, (n_markers, 3) in mm."""
+        observed, reference, start = self.given.observed, self.given.markers.reference, self.start
+        start_displacement = observed.predict(start.displacement[observed.nodes])
+        return start.frame.apply(reference + start_displacement) - reference
+
+    def _targets(self) -> dict[str, Target]:
+        inner, start = self.given.targets, self.start
+        predicted = start.frame.apply(inner.reference + inner.predict(start.displacement[inner.nodes]))
+        covariance = self.known.points.covariance
+        return {
+            name: self._target(i, inner.reference[i], self.known.displacement[i], covariance[i], predicted[i])
+            for i, name in enumerate(inner.names)
+        }
+
+    def _unseen(self, position: int, start_displacement: FloatArray) -> Target:
+        """Return the predicted measurement of a lost marker, given its position among the lost ones."""
+        markers, marker = self.given.markers, int(self.known.lost[position])
+        index = len(self.given.targets.names) + position
+        covariance = self.known.points.covariance[index] + np.diag(markers.axis_std[marker] ** 2)
+        moved = self._of_markers(self.known.displacement)[marker]
+        reference = markers.reference[marker]
+        return self._target(index, reference, moved, covariance, reference + start_displacement)
+
+    def _target(
+        self, index: int, reference: FloatArray, moved: FloatArray, covariance: FloatArray, predicted: FloatArray
+    ) -> Target:
+        share = float(self.known.points.constrained[index])
+        return Target(
+            reference,
+            reference + moved,
+            covariance,
+            predicted if self.knows else None,
+            share,
+            NO_MARKER if share < LEAST_CONSTRAINED else None,
+        )
+
+    def _wrong(self, unseen: list[Target]) -> list[str]:
+        """Return a reason for every dropped marker outside the region that is predicted from the others.
+
+        A dropped marker inside its region contradicts nothing: no sampled contact reaches it, and the region is wide.
+        """
+        markers, limit = self.given.markers, LEVEL / max(len(self.given.markers), 1)
+        return [
+            f"wrong marker: {markers.names[i]} does not fit the others (probability {self.fit.wrong[i]:.2f})"
+            for i, target in zip(self.known.lost, unseen, strict=True)
+            if _chance(markers.measured[i] - target.mean, target.covariance) < limit
+        ]
+
+    def _residual_variance(self, moved: FloatArray) -> FloatArray:
+        """Return the variance of the markers' residuals, (n_markers, 3) in mm^2: that of the tracker and of the model.
+
+        At the rim of a contact the motion varies strongly across an element and the mesh cannot resolve it: the model's
+        part grows there, in this test alone. `moved` is the length of each marker's motion, mm.
+        """
+        settings, observed = self.given.settings.contacts, self.given.observed
+        local = observed.variation(self.fit.moment.displacement[observed.nodes])
+        model = (settings.model_error * moved) ** 2 + (settings.local_error * local) ** 2
+        return np.asarray(self.given.markers.axis_std**2 + model[:, None])
+
+    def _trust(self, unseen: list[Target], min_det_f: float) -> Trust:
+        used = self.known.used
+        given, fit, markers, surface = self.given, self.fit, self.given.markers, self.surface
+        notes = [*given.suspicions, *self._wrong(unseen)]
+        notes += [] if surface is None else surface.reasons()
+        points = (0.0, 0) if surface is None else (surface.misfit, surface.used)
+        residual = markers.displacement[used] - self._of_markers(self.known.displacement)[used]
+        moved = SeenMarkers(given.observed, markers, given.settings.contacts.model_error).moved(fit.moment.frame)
+        variance = self._residual_variance(moved)[used].ravel()
+        # Wrong markers were detected with the contacts; here each residual is compared with its noise alone.
+        spread = np.zeros((3 * len(used), 3 * len(used)))
+        names = tuple(markers.names[i] for i in used)
+        # The misfit of the innovation contains the data term; the rest is the prior's.
+        prior_term = max(0.0, fit.misfit - float(np.nansum(residual.ravel() ** 2 / variance)))
+        return judge(names, residual, np.diag(variance), spread, prior_term, min_det_f, notes, points)
+
+
+def _chance(residual: FloatArray, covariance: FloatArray) -> float:
+    """Return the p-value of an offset; components that are NaN are ignored."""
+    from scipy.stats import chi2
+
+    seen = np.flatnonzero(np.isfinite(residual))
+    score = residual[seen] @ np.linalg.solve(covariance[np.ix_(seen, seen)], residual[seen])
+    return float(chi2.sf(score, max(len(seen), 1)))
+
+
+def surface_fit(given: RegisterInput, points: SeenPoints | None, start: Moment, end: Moment) -> SurfaceFit | None:
+    """Return the fit of the points of the surface; None if there are none."""
+    if given.surface is None or points is None:
+        return None
+    return SurfaceFit.of(points, given.surface, start, end)
+
+
+def _forces(fit: ContactFit) -> FloatArray:
+    """Return the nodal forces (n_nodes, 3) of the mean load in the tracker's frame, mN."""
+    forces = np.asarray(fit.columns.load(fit.moment.coefficients).forces)
+    return np.asarray(forces[: fit.columns.body.mesh.n_nodes] @ fit.moment.frame.rotation.T)
+
+
+__all__ = ["LEAST_CONSTRAINED", "Answer", "Known", "known_of", "surface_fit"]

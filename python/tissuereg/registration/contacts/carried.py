@@ -1,0 +1,115 @@
+"""Where the passes of one moment ended, as the start of the next moment's."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.body.material import Material
+from tissuereg.errors import ConvergenceError
+from tissuereg.registration.contacts.columns import Columns
+from tissuereg.registration.contacts.draws import Draws
+from tissuereg.registration.contacts.fit import Samples
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.tangent import Tangent
+from tissuereg.simulation.sensitivity import Cause
+
+#: Relative change of the load below which the body's equilibrium is still that of the moment before.
+_SAME_LOAD = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """What one moment leaves for the next.
+
+    Attributes
+    ----------
+    columns : Columns
+        Causes, with the stiffness of doubtful supports that was found.
+    moment : Moment
+        The equilibrium under the mean load.
+    samples : tuple of ndarray
+        Slots, levels and wrong markers of every sample; the last has a column for each marker of the next moment.
+    tangent : Tangent
+        The tangent near that equilibrium.
+    material : Material
+        Material, with the graded stiffness that was found.
+    further : list of (Cause, float)
+        Other uncertain parameters, each with its standard deviation.
+    residual : float
+        Root mean square residual over standard deviations that was left.
+    moments : int
+        Moments through which the samples have gone on.
+    """
+
+    columns: Columns
+    moment: Moment
+    samples: Samples
+    tangent: Tangent
+    material: Material
+    further: list[tuple[Cause, float]]
+    residual: float
+    moments: int
+
+    @classmethod
+    def of(cls, draw: Draws, before: BoolArray, now: BoolArray) -> "Carried":
+        """Return what a registration leaves.
+
+        Parameters
+        ----------
+        draw : Draws
+            Of the registration.
+        before, now : ndarray of bool, shape (n_markers,)
+            Markers that were seen at that moment, and those that are seen now.
+
+        Returns
+        -------
+        Carried
+            Markers that were not seen before are taken for right.
+        """
+        fit = draw.fit
+        slots, levels, wrong = fit.samples
+        every = np.zeros((len(wrong), len(before)), wrong.dtype)
+        every[:, before] = wrong
+        samples = (slots, levels, np.ascontiguousarray(every[:, now]))
+        left = min(fit.residual_rms)
+        return cls(fit.columns, fit.moment, samples, fit.tangent, draw.material, list(draw.further), left, draw.moments)
+
+    def columns_for(self, columns: Columns) -> Columns | None:
+        """Return the columns of the next moment with what was found; None if body or causes are others."""
+        if columns.body is not self.columns.body or columns.n_columns != self.columns.n_columns:
+            return None
+        return columns.made_of(self.material).on(self.columns.springs)
+
+    def begin(self, columns: Columns, solve: Callable[[FloatArray], FloatArray]) -> Moment | None:
+        """Return the body under the contacts of the moment before and the believed load of the next one.
+
+        Parameters
+        ----------
+        columns : Columns
+            Of the next moment.
+        solve : callable of ndarray (n_columns,) -> ndarray of float64, shape (n_element_nodes, 3)
+            Returns the equilibrium under coefficients, mm.
+
+        Returns
+        -------
+        Moment or None
+            None if that load has no equilibrium near the state before.
+        """
+        coefficients = self.moment.coefficients
+        if _differ(columns, self.columns, coefficients) <= _SAME_LOAD:
+            return self.moment
+        try:
+            return Moment(coefficients, solve(coefficients), self.moment.frame)
+        except ConvergenceError:
+            return None
+
+
+def _differ(here: Columns, there: Columns, coefficients: FloatArray) -> float:
+    """Return the relative difference of two loads, the motion of held nodes included."""
+    loads = [columns.load(coefficients) for columns in (here, there)]
+    parts = [
+        np.concatenate([np.ravel(load.forces), np.ravel(load.body_force), np.ravel(load.prescribed)]) for load in loads
+    ]
+    return float(np.abs(parts[0] - parts[1]).max() / max(float(np.abs(parts[1]).max()), 1e-300))

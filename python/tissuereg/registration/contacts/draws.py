@@ -1,0 +1,104 @@
+"""Posterior fields in equilibrium, and the spread of every node."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.material import Material
+from tissuereg.errors import ConvergenceError
+from tissuereg.registration.contacts.fit import ContactFit
+from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.spread import Spread
+from tissuereg.simulation.sensitivity import Cause
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Posterior displacement fields in equilibrium.
+
+    Attributes
+    ----------
+    fit : ContactFit
+        Where the passes ended.
+    spread : Spread
+        Its uncertainty.
+    material : Material
+        Material of the body.
+    seed, threads : int
+        Of the registration.
+    further : sequence of (Cause, float)
+        Uncertain parameters of the model beside the moduli, each with its standard deviation.
+    moments : int
+        Moments through which the samples have gone on, this one included.
+    """
+
+    fit: ContactFit
+    spread: Spread
+    material: Material
+    seed: int
+    threads: int
+    further: Sequence[tuple[Cause, float]] = ()
+    moments: int = 1
+
+    def __call__(self, count: int) -> FloatArray:
+        """Return fields (count, n_nodes, 3) in the tracker's frame, mm.
+
+        Raises
+        ------
+        ConvergenceError
+            If a drawn load finds no equilibrium.
+        """
+        fit = self.fit
+        rng = np.random.default_rng([self.seed, 8])
+        coefficients = self.spread.coefficients(rng, count)
+        simulator, mesh = fit.columns.body.simulator, fit.columns.body.mesh
+        found = simulator.solve_many(
+            [fit.columns.load(one) for one in coefficients],
+            [self.material] * count,
+            start=fit.moment.displacement,
+            springs=fit.columns.springs,
+            threads=self.threads,
+            tolerance=1e-6,
+        )
+        if found.failed:
+            index, reason = found.failed[0]
+            message = (
+                f"every draw must find equilibrium; {len(found.failed)} of {count} do not, the first of them: {reason}"
+            )
+            raise ConvergenceError(message, where=f"draw {index}")
+        frames = [self._frame(one) for one in coefficients]
+        moved = mesh.nodes + found.displacement
+        return np.stack([frame.apply(places) for frame, places in zip(frames, moved, strict=True)]) - mesh.nodes
+
+    def _frame(self, coefficients: FloatArray) -> Frame:
+        columns = self.fit.columns
+        first = self.fit.moment.frame if columns.body.supports.moves else Frame.still()
+        return first.followed_by(columns.frame(coefficients), columns.rigid)
+
+
+@dataclass(frozen=True, eq=False)
+class NodesOfContacts:
+    """The covariance of every node, computed on call.
+
+    Attributes
+    ----------
+    spread : Spread
+        Uncertainty of the fit.
+    seed : int
+        Of the registration.
+    fields : ndarray of float64, shape (n_draws, n_nodes, 3), or None
+        Posterior fields in equilibrium, if they have been solved; else linear draws are used.
+    """
+
+    spread: Spread
+    seed: int
+    fields: FloatArray | None = field(default=None, repr=False)
+
+    def __call__(self) -> FloatArray:
+        """Return the covariance of every node (n_nodes, 3, 3), mm^2; the same at every call."""
+        return self.spread.nodes(np.random.default_rng([self.seed, 9]), self.fields)
+
+
+__all__ = ["Draws", "NodesOfContacts"]

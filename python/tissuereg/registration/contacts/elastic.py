@@ -1,0 +1,192 @@
+r"""Linear elastic priors of displacement fields: which fields a body at rest may take, to first order.
+
+With the stiffness K of the body at rest and C what the markers see of a field, each function returns a `LinearPrior`:
+
+* `least_energy`: ``P = K^-1``. The most probable field has the least strain energy ``u' K u / 2`` of all that explain
+  the markers equally well; its forces act at the markers.
+* `patch_loads`: ``P = K^-1 B B' K^-1``, independent loads on patches of the surface that overlap: smooth tractions.
+* `control_loads`: ``P = F E^-1 F'`` with the responses F to unit loads on cells of the surface and their strain
+  energies E: the field of least strain energy among their combinations.
+
+A body whose support gives moves as a whole, too: `ElasticBody.given_way` adds that to any of them.
+"""
+
+from functools import cached_property
+
+import numpy as np
+
+from tissuereg._base.arguments import real, whole
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.load import Load
+from tissuereg.body.markers import Markers
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.observe import MarkerObservation
+from tissuereg.registration.contacts.patches import Patches, make_patches, surface_of_nodes
+from tissuereg.registration.contacts.places import gathered
+from tissuereg.registration.linear_prior import LinearPrior
+from tissuereg.simulation.sensitivity import Linearised, Observation
+from tissuereg.simulation.solve import Simulator
+
+
+class ElasticBody:
+    """A body at rest with markers, linearised once for any number of priors.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body; its node set ``fixed`` is held.
+    material : Material
+        Material; its law does not matter at rest.
+    markers : Markers
+        Reference places and noise; what was measured does not matter.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements of the solver.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Raises
+    ------
+    MarkerError
+        If a marker lies far from the body.
+    SupportError, MeshError, MaterialError
+        If the body cannot be linearised.
+
+    Attributes
+    ----------
+    observed : MarkerObservation
+        Attachment of the markers.
+
+    Notes
+    -----
+    Cost: a factorisation and one right-hand side per coordinate of a marker; each prior one or two times as many again.
+    """
+
+    def __init__(
+        self, mesh: Mesh, material: Material, markers: Markers, *, element: str = "tet4", threads: int = 0
+    ) -> None:
+        self.mesh = mesh
+        self.observed = MarkerObservation.of(mesh, markers)
+        self._std = markers.std
+        self._young = float(np.median(material.young_array))
+        simulator = Simulator(mesh, element=element)
+        self._linearised = Linearised(
+            simulator, Load(), material, np.zeros((simulator.body.n_nodes, 3)), threads=threads
+        )
+
+    @cached_property
+    def rows(self) -> list[tuple[IntArray, FloatArray]]:
+        """What each coordinate of a marker sees: nodes and their weights, 3 n_markers rows."""
+        return self.observed.rows(np.zeros((len(self.observed.nodes), 3)))
+
+    @cached_property
+    def _at_markers(self) -> FloatArray:
+        """K^-1 C', (3 n_markers, n_element_nodes, 3) in mm/mN: the field under a unit force along each coordinate."""
+        return self._linearised.compliance([Observation(*row) for row in self.rows]).forces
+
+    @cached_property
+    def _free(self) -> IntArray:
+        """Nodes of the surface that are not held."""
+        return np.setdiff1d(self.mesh.surface_nodes, self.mesh.fixed_nodes)
+
+    @cached_property
+    def patches(self) -> Patches:
+        """Patches of the free surface."""
+        return make_patches(self.mesh, self._free)
+
+    def seen(self, fields: FloatArray) -> FloatArray:
+        """Return what the markers see, (n_fields, 3 n_markers), of fields (n_fields, n_nodes, 3), to first order."""
+        columns = [np.einsum("fkx,kx->f", fields[:, nodes], weights) for nodes, weights in self.rows]
+        return np.stack(columns, axis=1)
+
+    def residual(self, displacement_mm: FloatArray, seen: IntArray, simulation_mm: FloatArray | None) -> FloatArray:
+        """Return what displacements (n_seen, 3) of the markers `seen` have in excess of a simulation's, mm.
+
+        Parameters
+        ----------
+        displacement_mm : ndarray of float64, shape (n_seen, 3)
+        seen : ndarray of int64, shape (n_seen,)
+        simulation_mm : ndarray of float64, shape (n_nodes, 3), or None
+            None: the body at rest.
+        """
+        if simulation_mm is None:
+            return displacement_mm
+        return displacement_mm - self.observed.predict(simulation_mm[self.observed.nodes])[seen]
+
+    def least_energy(self) -> LinearPrior:
+        """Return the prior of the strain energy, ``P = K^-1``."""
+        fields = self._at_markers[:, : self.mesh.n_nodes]
+        return LinearPrior(self.seen(fields), np.moveaxis(fields, 0, -1), self._std)
+
+    def patch_loads(self, level: int) -> LinearPrior:
+        """Return the prior of independent loads on patches of one radius.
+
+        Parameters
+        ----------
+        level : int
+            Which radius of `patches`, 0 the smallest. Of scale one a patch alone moves by about 1 mm.
+        """
+        whole("level", level, most=int(self.patches.level.max()))
+        shapes = self._young * self.patches.shapes[np.flatnonzero(self.patches.level == level)]
+        fields = self._at_markers[:, : self.mesh.n_nodes]
+        by_patch = np.stack([fields[:, :, axis] @ shapes.T for axis in range(3)], axis=-1)
+        forces = np.zeros_like(self._at_markers)
+        for axis in range(3):
+            forces[:, : self.mesh.n_nodes, axis] = by_patch[:, :, axis] @ shapes
+        moved = self._linearised.responses(forces)[:, : self.mesh.n_nodes]
+        flat = by_patch.reshape(len(fields), -1)
+        return LinearPrior(flat @ flat.T, np.moveaxis(moved, 0, -1), self._std)
+
+    def control_loads(self, n_cells: int) -> LinearPrior:
+        """Return the prior of the strain energy among combinations of responses to unit loads on cells of the surface.
+
+        Parameters
+        ----------
+        n_cells : int
+            Number of cells, into which the free nodes of the surface are gathered; at most one a node.
+        """
+        areas, _ = surface_of_nodes(self.mesh)
+        cell = gathered(self.mesh.nodes[self._free], areas[self._free], whole("n_cells", n_cells, least=1))
+        count = int(cell.max()) + 1
+        share = areas[self._free] / np.bincount(cell, areas[self._free])[cell]
+        forces = np.zeros((3 * count, self._at_markers.shape[1], 3))
+        for axis in range(3):
+            forces[3 * cell + axis, self._free, axis] = share
+        responses = self._linearised.responses(forces)
+        flat = responses.reshape(3 * count, -1)
+        energies = forces.reshape(3 * count, -1) @ flat.T
+        moved = responses[:, : self.mesh.n_nodes]
+        seen = self.seen(moved)
+        best = np.linalg.solve(0.5 * (energies + energies.T), seen)
+        return LinearPrior(seen.T @ best, np.einsum("lnx,lo->nxo", moved, best, optimize=True), self._std)
+
+    def priors(self, smooth: bool = True, rigid: float = 1.0) -> dict[str, LinearPrior]:
+        """Return priors by name of which the one of the highest evidence is to be taken.
+
+        Parameters
+        ----------
+        smooth : bool
+            Whether smooth tractions on patches of several radii are among them beside the strain energy.
+        rigid : float
+            Variance of the markers by rigid motions of the whole body over that by elasticity: a base may give.
+        """
+        found = {"least energy": self.least_energy()}
+        for level in range(int(self.patches.level.max()) + 1 if smooth else 0):
+            radius = float(self.patches.radii[self.patches.level == level][0])
+            found[f"patches of {radius:.3g} mm"] = self.patch_loads(level)
+        return {name: self.given_way(prior, rigid) for name, prior in found.items()}
+
+    def given_way(self, prior: LinearPrior, share: float) -> LinearPrior:
+        """Return a prior with small rigid motions of the whole body, held nodes included, added.
+
+        Parameters
+        ----------
+        prior : LinearPrior
+            Of this body.
+        share : float
+            Variance of the markers by these motions over that by `prior`; 0 adds none.
+        """
+        off = self.mesh.nodes - self.mesh.nodes.mean(axis=0)
+        turns = np.cross(np.eye(3)[:, None], off) / np.sqrt(np.mean(off**2))
+        motions = np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns])
+        return prior.plus(motions, self.seen(motions), real("share", share, least=0.0))

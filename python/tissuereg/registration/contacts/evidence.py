@@ -1,0 +1,144 @@
+"""Evidence of a stiffness or of supports: how well a body explains the markers, before contacts are sampled.
+
+The contacts of all radii are approximated by one Gaussian; its size and those of all families are maximised over. The
+cost is one factorisation and one right-hand side per marker component; for supports of any stiffness, three more per
+cell of them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.registration.contacts.columns import Columns
+from tissuereg.registration.contacts.condensed import Condensed
+from tissuereg.registration.contacts.fit import Passes, start_of
+from tissuereg.registration.contacts.frame import Frame
+
+#: Candidate sizes of contacts, mm.
+_SIZES_MM = 10.0 ** np.arange(-2.0, 2.01, 0.25)
+
+#: Rounds over all sizes at most, and the gain that ends them.
+_ROUNDS, _LEAST_GAIN = 3, 1e-3
+
+
+def log_evidence(passes: Passes, frame: Frame) -> float:
+    """Return the logarithm of the evidence of a body, up to a constant of its markers.
+
+    Parameters
+    ----------
+    passes : Passes
+        Body, material, data. Its work is counted.
+    frame : Frame
+        Rigid motion to begin with.
+
+    Returns
+    -------
+    float
+        At the best sizes, with their prior.
+    """
+    start = start_of(passes.columns, passes.material, None, frame, passes.threads)
+    problem = passes.posed(start)
+    parts = _parts(passes.columns, problem.responses)
+    return _best_over_sizes(problem.innovation, np.diag(problem.variances), parts)
+
+
+@dataclass(frozen=True)
+class SupportStiffness:
+    """Stiffness of doubtful supports, one number per set of springs, in Young's modulus over extent.
+
+    Attributes
+    ----------
+    best : tuple of float
+        Of the highest evidence.
+    log_std : tuple of float
+        Standard deviation of the logarithm of each, with the others fixed.
+    """
+
+    best: tuple[float, ...]
+    log_std: tuple[float, ...]
+
+
+def support_stiffness(passes: Passes, frame: Frame) -> SupportStiffness:
+    """Return the stiffness of doubtful supports that has the highest evidence.
+
+    Parameters
+    ----------
+    passes : Passes
+        Body, material, data.
+    frame : Frame
+        Rigid motion to begin with.
+
+    Returns
+    -------
+    SupportStiffness
+        The best common value for all sets of springs, then the best for one set after the other, twice. Cost: one
+        factorisation, one right-hand side per marker component and three per cell, for any number of candidates.
+    """
+    tried = passes.settings.stiffness_tried
+    n_sets = len(passes.columns.body.springs)
+    if not n_sets:
+        return SupportStiffness((), ())
+    condensed = Condensed.of(passes, frame, tried[len(tried) // 2])
+    parts = _parts(condensed.columns, condensed.responses)
+    noise = np.diag(condensed.variances)
+    known: dict[tuple[int, ...], float] = {}
+
+    def value(levels: tuple[int, ...]) -> float:
+        if levels not in known:
+            there = condensed.on([tried[level] for level in levels])
+            seen = [(there.observed(covariance), factors, log_prior) for covariance, factors, log_prior in parts]
+            known[levels] = _best_over_sizes(there.innovation, noise, seen)
+        return known[levels]
+
+    def others(levels: tuple[int, ...], index: int) -> list[tuple[int, ...]]:
+        return [(*levels[:index], level, *levels[index + 1 :]) for level in range(len(tried))]
+
+    best = max(((level,) * n_sets for level in range(len(tried))), key=value)
+    for index in [*range(n_sets)] * 2:
+        best = max(others(best, index), key=value)
+    spread = []
+    for index in range(n_sets):
+        chances = np.exp([value(levels) - value(best) for levels in others(best, index)])
+        logs, chances = np.log(tried), chances / chances.sum()
+        spread.append(float(np.sqrt(chances @ (logs - chances @ logs) ** 2)))
+    return SupportStiffness(tuple(tried[level] for level in best), tuple(spread))
+
+
+def _parts(columns: Columns, responses: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return covariances of the observations with factors and log priors: one contact anywhere, then all families."""
+    patches = columns.body.patches
+    count = np.bincount(patches.level)
+    likely = np.repeat(1.0 / (3.0 * len(count) * count[patches.level]), 3)
+    own = responses[:, : len(likely)]
+    parts = [((own * likely) @ own.T, _SIZES_MM**2, np.zeros(len(_SIZES_MM)))]
+    for variances, factors, log_prior in columns.core_families():
+        parts.append(((responses * variances) @ responses.T, factors, log_prior))
+    return parts
+
+
+def _best_over_sizes(
+    innovation: FloatArray, noise: FloatArray, parts: list[tuple[FloatArray, FloatArray, FloatArray]]
+) -> float:
+    """Return the log evidence maximised over the sizes of all parts, one part after the other."""
+    levels = [int(np.argmin(np.abs(np.log(factors)))) for _, factors, _ in parts]
+    total = noise + sum(part[0] * part[1][level] for part, level in zip(parts, levels, strict=True))
+    best = -np.inf
+    for _ in range(_ROUNDS):
+        before = best
+        for index, (covariance, factors, log_prior) in enumerate(parts):
+            rest = total - factors[levels[index]] * covariance
+            values = np.array([_log_normal(innovation, rest + factor * covariance) for factor in factors]) + log_prior
+            levels[index] = int(np.argmax(values))
+            total = rest + factors[levels[index]] * covariance
+        best = _log_normal(innovation, total) + sum(float(p[2][i]) for p, i in zip(parts, levels, strict=True))
+        if best - before < _LEAST_GAIN:
+            break
+    return best
+
+
+def _log_normal(innovation: FloatArray, covariance: FloatArray) -> float:
+    """Return the logarithm of a normal density of mean zero, up to a constant."""
+    factor = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(factor, innovation)
+    return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())

@@ -1,0 +1,461 @@
+"""From data to contacts: linearise, sample, solve, until the body meets the measurements.
+
+A pass takes the sensitivities of all observations at the present equilibrium, samples which contacts explain the
+residual, and solves the equilibrium under the mean load. Model error enters the sampling only as noise of the data: as
+unknowns of its own it would explain part of the motion, which the solved equilibrium would then lack. Points without
+labels are matched anew in every pass: first fewer of them, in more passes, then all.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.clock import Clock
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.errors import ConvergenceError
+from tissuereg.registration.contacts.columns import Columns
+from tissuereg.registration.contacts.frame import Frame
+from tissuereg.registration.contacts.linear import AtBody, Linear
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.posed import Posed
+from tissuereg.registration.contacts.seen import Seen
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.tangent import Tangent
+
+#: Relative residual of an equilibrium that is linearised.
+TOLERANCE = 3e-7
+
+#: Shortest share of a step towards the mean load.
+_SHORTEST_STEP = 0.02
+
+#: A load that takes more iterations than this is abandoned: a shorter step is tried.
+_MOST_ITERATIONS = 150
+
+#: A step must reduce the residual by this share of the predicted reduction, or to within this many times the limit.
+_DECREASE, _GOOD_ENOUGH = 0.3, 1.5
+
+#: The same share if points without labels are matched anew: the first steps gain least.
+_DECREASE_UNMATCHED = 0.01
+
+#: In that case a step of at least this length is accepted if it reduces the residual at all.
+_SHORTEST_UNMATCHED = 0.2
+
+#: Least number of first passes while the residual of the points is above the limit.
+_LEAST_ROUGH = 4
+
+#: Passes with markers alone, if there are markers as well as points.
+_MARKER_PASSES = 2
+
+#: Most passes with few points, and with all of them.
+_COARSE_PASSES, _FINE_PASSES = 8, 5
+
+#: Shares of the extent within which the errors of first matches are correlated: the second is tried if the first
+#: leaves more than this share of the points as outliers.
+_WIDTHS, _MOST_OUTLIERS = (0.12, 0.2), 0.13
+
+#: A step ended as predicted if its residual exceeds the predicted one by no more than this.
+_AS_PREDICTED = 0.2
+
+#: Matches have settled if a pass reduces the residual by less than this share.
+_SETTLED = 0.05
+
+Samples = tuple[Any, Any, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """One pass: its end, its samples, and the linear problem at its start.
+
+    `residual` is the root mean square residual over standard deviations, `predicted` the linear model's prediction of
+    it, `misfit` the mean over samples of the squared Mahalanobis length of the innovation.
+    """
+
+    moment: Moment
+    samples: Samples
+    at: AtBody
+    residual: float
+    predicted: float
+    misfit: float
+
+    @property
+    def as_predicted(self) -> bool:
+        """Whether the step ended as the linear model predicted, so that the linearisation also holds at its end."""
+        return self.residual < self.predicted + _AS_PREDICTED
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """The numbers that are kept of every pass: see `_Pass`."""
+
+    residual: float
+    predicted: float
+
+
+@dataclass(frozen=True, eq=False)
+class ContactFit:
+    """The result of the passes.
+
+    Attributes
+    ----------
+    columns : Columns
+        Causes.
+    moment : Moment
+        The equilibrium under the mean load.
+    tangent : Tangent
+        The tangent there, or at the start of the last step if that step ended as its linear model predicted.
+    posed : Posed
+        Data at that tangent, in the sampler's form.
+    sampler : _core.Contacts
+        Dictionary, prior and data there.
+    samples : tuple of ndarray
+        Slots, levels and wrong groups of every sample.
+    wrong : ndarray of float64, shape (n_markers,)
+        Probability that each marker is wrong; zero for markers that were not seen.
+    misfit : float
+        Mean over samples of the squared Mahalanobis length of the innovation at the end.
+    residual_rms : list of float
+        Root mean square residual after each pass, over standard deviations.
+    counters : collections.Counter
+        Work counters.
+    """
+
+    columns: Columns
+    moment: Moment
+    tangent: Tangent
+    posed: Posed
+    sampler: Any
+    samples: Samples
+    wrong: FloatArray
+    misfit: float
+    residual_rms: list[float]
+    counters: Counter[str]
+
+
+@dataclass(eq=False)
+class Passes:
+    """The loop over passes with its data and settings.
+
+    Parameters
+    ----------
+    columns : Columns
+        Causes.
+    seen : Seen
+        Data.
+    material : Material
+        Material of the body.
+    settings : ContactSettings
+        Prior and chains.
+    rng : numpy.random.Generator
+        Source of all random numbers.
+    threads : int
+        Threads to use; 0 takes all cores.
+    clock : Clock
+        Records the times of the stages.
+    progress : callable of (int, int), optional
+        Called with passes finished and passes at most.
+    before : tuple of ndarray, optional
+        Samples from which the first pass goes on, if the data are not matched anew.
+    kept : Tangent, optional
+        A tangent near the start.
+    """
+
+    columns: Columns
+    seen: Seen
+    material: Material
+    settings: ContactSettings
+    rng: np.random.Generator
+    threads: int
+    clock: Clock
+    progress: Callable[[int, int], None] | None = None
+    before: Samples | None = None
+    kept: Tangent | None = None
+    counters: Counter[str] = field(default_factory=Counter)
+
+    @cached_property
+    def linear(self) -> Linear:
+        """The linearisation; its work is counted with that of the passes."""
+        return Linear(self.columns, self.material, self.settings, self.threads, self.clock, self.counters, self.kept)
+
+    def run(self, start: Moment) -> ContactFit:
+        """Return the fit from a start in equilibrium.
+
+        Parameters
+        ----------
+        start : Moment
+            The body under the believed load, zero coefficients.
+
+        Returns
+        -------
+        ContactFit
+            With a linearisation at its end.
+
+        Raises
+        ------
+        ConvergenceError
+            If no pass is allowed.
+        """
+        full = self.seen
+        best: tuple[_Pass, list[float]] | None = None
+        for width in _WIDTHS if full.rematches else (0.0,):
+            found = self._from(start, self._stages(full, width))
+            if best is None or found[0].residual < best[0].residual:
+                best = found
+            if full.outliers(found[0].moment) < _MOST_OUTLIERS:
+                break
+        if best is None:
+            message = "at least one width must be tried"
+            raise ConvergenceError(message, where="load")
+        last, history = best
+        self.seen = full
+        return self._fit(last, self._at_end(last, full), history)
+
+    def _at_end(self, last: "_Pass", full: Seen) -> AtBody:
+        """Return the linear problem at the end of a pass, or that at its start if the step ended as predicted."""
+        if last.as_predicted and not full.rematches:
+            return last.at
+        try:
+            return self.linear.at(last.moment, full)
+        except ConvergenceError:
+            return last.at
+
+    def _from(self, start: Moment, stages: list[tuple[Seen, int]]) -> tuple["_Pass", list[float]]:
+        """Return the closest pass from a start, and the cost after each pass."""
+        last, moment, history = None, start, list[float]()
+        samples = None if self.seen.weighed or self.seen.rematches else self.before
+        for seen, most in stages:
+            if self.seen.weighed != seen.weighed:
+                samples = None  # samples of markers with indicators do not fit weights
+            self.seen = seen
+            last, reached = self._approach(moment, samples, most)
+            moment, samples = last.moment, last.samples
+            history += reached
+        if last is None:
+            message = "at least one pass must be allowed"
+            raise ConvergenceError(message, where="max_passes")
+        return last, history
+
+    def _stages(self, full: Seen, width: float) -> list[tuple[Seen, int]]:
+        """Return the data of each stage with its largest number of passes."""
+        if not full.rematches:
+            return [(full, self.settings.max_passes)]
+        stages = [(full.coarser(width), _COARSE_PASSES), (full, _FINE_PASSES)]
+        # Markers have labels: they bring the body close before points are matched.
+        return stages if full.markers is None else [(Seen.of(full.markers), _MARKER_PASSES), *stages]
+
+    def _approach(self, moment: Moment, samples: Samples | None, most: int) -> tuple["_Pass", list[float]]:
+        """Return the pass with the smallest residual of at most `most` passes, and all residuals."""
+        reached: list[_Residuals] = []
+        closest: _Pass | None = None
+        while len(reached) < max(most, 1) and not self._ended(reached):
+            try:
+                made = self._one_pass(moment, samples)
+            except ConvergenceError:
+                # There is no tangent at a limit point: use the passes so far.
+                if closest is None:
+                    raise
+                break
+            moment, samples = made.moment, made.samples
+            reached.append(_Residuals(made.residual, made.predicted))
+            # Past a limit point of the load passes may lead away again: the best one is kept, and only that one, since
+            # each holds a factor.
+            if closest is None or made.residual < closest.residual:
+                closest = made
+            del made
+            if self.progress is not None:
+                most_passes = _COARSE_PASSES + _FINE_PASSES if self.seen.rematches else self.settings.max_passes
+                self.progress(min(self.counters["passes"], most_passes), most_passes)
+        assert closest is not None  # the loop runs once at least
+        return closest, [one.residual for one in reached]
+
+    def _one_pass(self, moment: Moment, samples: Samples | None) -> "_Pass":
+        """Return the pass that begins at a body, with samples that go on from those before."""
+        at = self.linear.at(moment, self.seen)
+        drawn = self._sample(at.sampler, samples)
+        with self.clock.stage("solve"):
+            wanted, misfit = self._mean(at, drawn)
+            predicted = _predicted_residual(at.posed, wanted, drawn)
+            reached = self._solve(at, drawn, moment, wanted)
+        return _Pass(reached, drawn, at, self.residual_rms(reached, drawn), predicted, misfit)
+
+    def posed(self, moment: Moment) -> Posed:
+        """Return the data at a body with their responses to the columns."""
+        tangent = self.linear.tangent(moment)
+        return self.linear.posed(tangent, self.seen.read(moment), moment.coefficients, self.seen)
+
+    def _sample(self, core: Any, before: Samples | None) -> Samples:
+        settings = self.settings
+        powers, n_chains = settings.powers_again, settings.n_chains
+        if before is None:
+            powers, n_chains = settings.powers, settings.n_chains_first
+        count = core.n_uniforms(len(powers), settings.n_local, settings.n_level)
+        with self.clock.stage("sample"):
+            samples, _, counters = core.run(
+                self.rng.random((n_chains, count)),
+                powers=list(powers),
+                n_kept=settings.n_kept,
+                sharpness=settings.sharpness,
+                n_local=settings.n_local,
+                n_level=settings.n_level,
+                starts=None
+                if before is None
+                else [np.ascontiguousarray(a[settings.n_kept - 1 :: settings.n_kept]) for a in before],
+                threads=self.threads,
+            )
+        self.counters["passes"] += 1
+        self.counters["sweeps"] += n_chains * len(powers)
+        for name, value in counters.items():
+            self.counters[name if name != "factorisations" else "small_factorisations"] += value
+        return tuple(samples)
+
+    def _mean(self, at: AtBody, samples: Samples) -> tuple[FloatArray, float]:
+        """Return the mean coefficients (n_columns,) over samples, and their misfit."""
+        no_points = np.zeros((0, self.columns.n_columns))
+        found = at.sampler.moments(list(samples), no_points, threads=self.threads)
+        return found[0], float(found[5])
+
+    def _solve(self, at: AtBody, samples: Samples, moment: Moment, wanted: FloatArray) -> Moment:
+        """Return the equilibrium under the wanted coefficients, or after the longest step that reduces the residual."""
+        share, decrease = 1.0, _DECREASE_UNMATCHED if self.seen.rematches else _DECREASE
+        # Points are matched anew, but keep the weights for which the step was predicted.
+        std = self.seen.read(moment).std if self.seen.rough else None
+        before = self.residual_rms(moment, samples, std)
+        best: tuple[float, Moment] | None = None
+        while share > (_SHORTEST_UNMATCHED if self.seen.rematches and best is not None else _SHORTEST_STEP):
+            found = self._towards(at.tangent, moment, moment.coefficients + share * (wanted - moment.coefficients))
+            if found is not None:
+                residual = self.residual_rms(found, samples, std)
+                if best is None or residual < best[0]:
+                    best = (residual, found)
+                enough = 0.0 if self.seen.rematches else _GOOD_ENOUGH * self.settings.fit_limit
+                if residual < max((1.0 - decrease * share) * before, enough):
+                    return found
+            share *= 0.5
+            self.counters["halved_steps"] += 1
+        if best is None or (best[0] >= before and self.seen.rematches):
+            # No load on the way has an equilibrium, or none reduces the residual: the next samples may.
+            self.counters["stuck_passes"] += 1
+            return moment
+        return best[1]
+
+    def _towards(self, tangent: Tangent, moment: Moment, coefficients: FloatArray) -> Moment | None:
+        """Return the equilibrium under coefficients; None where there is none."""
+        try:
+            load = self.columns.load(coefficients)
+            found = tangent.linearised.solve_near(
+                load, springs=self.columns.springs, tolerance=TOLERANCE, max_iterations=_MOST_ITERATIONS
+            )
+        except ConvergenceError:
+            return None
+        self.counters["solves"] += 1
+        self.counters["iterations"] += int(found.report["iterations"])
+        turned = self.columns.frame(coefficients)
+        if not self.columns.body.supports.moves:
+            # A drift is small and keeps its prior: its coefficients are relative to no motion.
+            return Moment(coefficients, found.all_displacement, Frame.still().followed_by(turned, self.columns.rigid))
+        frame = moment.frame.followed_by(turned, self.columns.rigid)
+        return Moment(self.columns.without_frame(coefficients), found.all_displacement, frame)
+
+    def residual_rms(self, moment: Moment, samples: Samples, std: FloatArray | None = None) -> float:
+        """Return the root mean square residual over standard deviations, observations weighted by not being wrong."""
+        reading = self.seen.read(moment)
+        if std is not None:
+            return float(np.sqrt(np.mean((reading.residual / std) ** 2)))
+        weights = np.ones(len(reading.cost))
+        for group, wrong in zip(reading.groups, samples[2].mean(axis=0), strict=True):
+            weights[group] = max(1.0 - wrong, 1e-6)
+        return float(np.sqrt(np.average(reading.cost, weights=weights)))
+
+    def _ended(self, reached: list["_Residuals"]) -> bool:
+        """Return whether the data are met as well as the linear model predicted, or the last passes brought nothing."""
+        # A first pass from samples of the moment before is no first look.
+        if len(reached) < (2 if self.before is None else 1):
+            return False
+        residual = reached[-1].residual
+        if self.seen.rematches:
+            before = reached[-2].residual if len(reached) > 1 else np.inf
+            few = len(reached) < _LEAST_ROUGH and self.seen.rough and residual > self.settings.fit_limit
+            return not few and residual > (1.0 - _SETTLED) * before
+        met = residual < self.settings.fit_limit and residual < reached[-1].predicted + self.settings.promise_margin
+        residuals = [one.residual for one in reached]
+        return met or (len(reached) > 3 and min(residuals[-2:]) > 0.95 * min(residuals[:-2]))
+
+    def _fit(self, last: "_Pass", at: AtBody, history: list[float]) -> ContactFit:
+        misfit = last.misfit if at is last.at else self._mean(at, last.samples)[1]
+        wrong = self._wrong(last.moment, last.samples)
+        return ContactFit(
+            self.columns,
+            last.moment,
+            at.tangent,
+            at.posed,
+            at.sampler,
+            last.samples,
+            wrong,
+            misfit,
+            history,
+            self.counters,
+        )
+
+    def _wrong(self, moment: Moment, samples: Samples) -> FloatArray:
+        """Return the probability that each marker is wrong, (n_markers,); zero for markers that were not seen."""
+        markers = self.seen.markers
+        if markers is None:
+            return np.zeros(0)
+        wrong = np.zeros(len(markers.markers))
+        found = samples[2].mean(axis=0)
+        if self.seen.weighed:
+            spread = self.settings.wrong_share * self.columns.body.mesh.extent
+            found = markers.wrong(moment, float(np.log(self.settings.wrong_odds)), spread)
+        wrong[np.unique(markers.rows // 3)] = found
+        return wrong
+
+
+def _predicted_residual(problem: Posed, coefficients: FloatArray, samples: Samples) -> float:
+    """Return the root mean square residual that the linear model predicts, over standard deviations."""
+    residual = (problem.innovation - problem.responses @ coefficients) ** 2 / problem.variances
+    weights = np.ones(len(residual))
+    for group, wrong in zip(problem.groups, samples[2].mean(axis=0), strict=True):
+        weights[group] = max(1.0 - wrong, 1e-6)
+    return float(np.sqrt(np.average(residual, weights=weights)))
+
+
+def start_of(columns: Columns, material: Material, simulation: FloatArray | None, frame: Frame, threads: int) -> Moment:
+    """Return the body under the believed load.
+
+    Parameters
+    ----------
+    columns : Columns
+        Causes.
+    material : Material
+        Material of the body.
+    simulation : ndarray of float64, shape (n_element_nodes, 3), or None
+        The displacement under the believed load, if it is known.
+    frame : Frame
+        Initial rigid motion.
+    threads : int
+        Threads to use.
+
+    Returns
+    -------
+    Moment
+        Zero coefficients.
+
+    Raises
+    ------
+    ConvergenceError
+        If the believed load finds no equilibrium.
+    """
+    zero = np.zeros(columns.n_columns)
+    simulator = columns.body.simulator
+    if simulation is not None:
+        return Moment(zero, simulation, frame)
+    if all(part is None for part in columns.believed.values()):
+        return Moment(zero, np.zeros((simulator.body.n_nodes, 3)), frame)
+    load: Load = columns.load(zero)
+    found = simulator.solve(load, material, springs=columns.springs, tolerance=TOLERANCE, threads=threads)
+    return Moment(zero, found.all_displacement, frame)

@@ -1,0 +1,117 @@
+"""Contacts on which samples agree: position, size, force and probability."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.registration.contacts.fit import ContactFit
+
+#: Contacts less probable than this are not listed.
+_LEAST_PROBABILITY = 0.2
+
+#: Largest number of contacts that are listed.
+_MOST = 4
+
+
+@dataclass(frozen=True, eq=False)
+class FoundContact:
+    """One place where the body is probably pushed or pulled.
+
+    Attributes
+    ----------
+    centre_mm : ndarray of float64, shape (3,)
+        On the undeformed surface.
+    radius_mm : float
+        Mean radius of its patches.
+    direction : ndarray of float64, shape (3,)
+        Unit vector of the force on the registered body.
+    size_mm : float
+        Displacement of the surface there.
+    force_mN : float
+        Size of the force at the believed modulus.
+    probability : float
+        Share of samples that have a contact there.
+    """
+
+    centre_mm: FloatArray
+    radius_mm: float
+    direction: FloatArray
+    size_mm: float
+    force_mN: float  # noqa: N815 (the unit's name)
+    probability: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain numbers and lists."""
+        return {
+            "centre_mm": self.centre_mm.tolist(),
+            "radius_mm": self.radius_mm,
+            "direction": self.direction.tolist(),
+            "size_mm": self.size_mm,
+            "force_mN": self.force_mN,
+            "probability": self.probability,
+        }
+
+
+def find_contacts(fit: ContactFit) -> tuple[FoundContact, ...]:
+    """Return the contacts of a fit, the most probable first.
+
+    Parameters
+    ----------
+    fit : ContactFit
+        Where the passes ended.
+
+    Returns
+    -------
+    tuple of FoundContact
+        Patches of all samples, clustered around the most frequent one.
+    """
+    slots = np.asarray(fit.samples[0])[:, :, 0]
+    left = slots >= 0
+    found: list[FoundContact] = []
+    while len(found) < _MOST and left.any():
+        contact, taken = _next(fit, slots, left)
+        left &= ~taken
+        if contact.probability < _LEAST_PROBABILITY:
+            break
+        if contact.force_mN > 0.0:
+            found.append(contact)
+    return tuple(sorted(found, key=lambda contact: -contact.probability))
+
+
+def _next(fit: ContactFit, slots: Any, left: BoolArray) -> tuple[FoundContact, BoolArray]:
+    """Return the contact around the most frequent patch that remains, and the slots that belong to it."""
+    patches = fit.columns.body.patches
+    count = np.bincount(slots[left], minlength=patches.n_patches)
+    # Nearby patches are the same contact: weigh each by all within its radius.
+    occurring = np.flatnonzero(count)
+    gaps = np.linalg.norm(patches.centres[occurring][:, None] - patches.centres[occurring][None], axis=2)
+    reach = np.maximum(patches.radii[occurring][:, None], patches.radii[occurring][None])
+    near = gaps <= reach
+    members = occurring[near[np.argmax(near @ count[occurring])]]
+    taken = left & np.isin(slots, members)
+    weights = count[members] / count[members].sum()
+    centre = weights @ patches.centres[members]
+    radius = float(weights @ patches.radii[members])
+    force = fit.moment.frame.rotation @ _force(fit, centre, radius)
+    size = float(np.linalg.norm(force))
+    nodes = fit.columns.body.mesh.surface_nodes
+    node = nodes[np.argmin(np.linalg.norm(fit.columns.body.mesh.nodes[nodes] - centre, axis=1))]
+    return FoundContact(
+        centre,
+        radius,
+        force / max(size, 1e-300),
+        float(np.linalg.norm(fit.moment.displacement[node])),
+        size,
+        float(taken.any(axis=1).mean()),
+    ), taken
+
+
+def _force(fit: ContactFit, centre: FloatArray, radius: float) -> FloatArray:
+    """Return the mean force on the surface within a ball, mN."""
+    columns = fit.columns
+    within = np.linalg.norm(columns.body.mesh.nodes - centre, axis=1) <= 1.2 * radius
+    loads = columns.load(fit.moment.coefficients)
+    forces = np.asarray(loads.forces)[: columns.body.mesh.n_nodes]
+    return np.asarray(forces[within].sum(axis=0))

@@ -1,0 +1,93 @@
+"""A rigid motion between the body's frame and the tracker's."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choice import check_choice
+from tissuereg.errors import SupportError
+
+#: How the tracker's frame may behave relative to a body that is held.
+FRAMES = ("known", "drifts")
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A rotation and a translation: tracker place = rotation body place + shift.
+
+    Attributes
+    ----------
+    rotation : ndarray of float64, shape (3, 3)
+        T_tracker_from_body's rotation.
+    shift : ndarray of float64, shape (3,)
+        mm.
+    """
+
+    rotation: FloatArray
+    shift: FloatArray
+
+    @classmethod
+    def still(cls) -> "Frame":
+        """Return the identity."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def between(cls, body: FloatArray, tracker: FloatArray) -> "Frame":
+        """Return the best rigid motion (Kabsch) of places (n, 3) to places (n, 3)."""
+        middle, goal = body.mean(axis=0), tracker.mean(axis=0)
+        u, _, vt = np.linalg.svd((tracker - goal).T @ (body - middle))
+        proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+        rotation = u @ proper @ vt
+        return cls(rotation, goal - rotation @ middle)
+
+    @property
+    def moves(self) -> bool:
+        """Whether this motion is not the identity."""
+        return not (np.array_equal(self.rotation, np.eye(3)) and not self.shift.any())
+
+    def apply(self, places: FloatArray) -> FloatArray:
+        """Return places (..., 3) of the body's frame in the tracker's."""
+        return np.asarray(places @ self.rotation.T + self.shift)
+
+    def undo(self, places: FloatArray) -> FloatArray:
+        """Return places (..., 3) of the tracker's frame in the body's."""
+        return np.asarray((places - self.shift) @ self.rotation)
+
+    def followed_by(self, coefficients: FloatArray, rigid: FloatArray) -> "Frame":
+        """Return this motion after a small one in the body's frame.
+
+        Parameters
+        ----------
+        coefficients : ndarray of float64, shape (6,)
+            Translations in mm and rotations in mm at `rigid`'s length.
+        rigid : ndarray of float64, shape (2, 3)
+            Pivot and length, mm.
+        """
+        pivot, length = rigid
+        turn = _rotation(coefficients[3:] / length[0])
+        # x -> pivot + turn (x - pivot) + t, then this motion.
+        move = pivot - turn @ pivot + coefficients[:3]
+        return Frame(self.rotation @ turn, self.rotation @ move + self.shift)
+
+
+def drifts(frame: str) -> bool:
+    """Return whether the tracker's frame drifts.
+
+    Raises
+    ------
+    SupportError
+        If `frame` is neither "known" nor "drifts".
+    """
+    check_choice("frame", frame, FRAMES, SupportError)
+    return frame == "drifts"
+
+
+def _rotation(vector: FloatArray) -> FloatArray:
+    """Return the rotation about a vector by its length (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

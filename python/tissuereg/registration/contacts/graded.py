@@ -1,0 +1,136 @@
+r"""A stiffness that changes across the body, estimated from the markers before contacts are sampled.
+
+Gels, scars and organs with a capsule are softer on one side. The logarithm of Young's modulus is then modelled as that
+of the material plus a function that is linear across the body,
+
+    ln E = ln E_0 + sum_a g_a xi_a,      xi_a from -1 to 1 along principal axis a, g_a ~ N(0, s^2).
+
+The rates g maximise the evidence (`tissuereg.registration.contacts.evidence`); fitting stiffness and loads
+alternately would oscillate.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.choice import check_choice
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import MaterialError
+from tissuereg.registration.contacts.evidence import log_evidence
+from tissuereg.registration.contacts.fit import Passes
+from tissuereg.registration.contacts.frame import Frame
+
+#: Values of `stiffness`.
+STIFFNESS = ("believed", "graded")
+
+#: First and shortest step of the search, in units of the prior's standard deviation.
+_FIRST_STEP, _LAST_STEP = 1.0, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Grading:
+    """An estimated graded stiffness.
+
+    Attributes
+    ----------
+    material : Material
+        With one modulus per tet.
+    rates : ndarray of float64, shape (3,)
+        g along the principal axes.
+    std : ndarray of float64, shape (3,)
+        Their standard deviations.
+    profiles : ndarray of float64, shape (3, n_tets)
+        xi along the principal axes at the middle of every tet.
+    """
+
+    material: Material
+    rates: FloatArray
+    std: FloatArray
+    profiles: FloatArray
+
+
+def is_graded(stiffness: str) -> bool:
+    """Return whether a stiffness may change across the body.
+
+    Raises
+    ------
+    MaterialError
+        If `stiffness` is neither "believed" nor "graded".
+    """
+    check_choice("stiffness", stiffness, STIFFNESS, MaterialError)
+    return stiffness == "graded"
+
+
+def profiles_of(mesh: Mesh) -> FloatArray:
+    """Return the coordinates (3, n_tets) of all tets along the principal axes, from -1 to 1 across the body."""
+    centred = mesh.nodes - mesh.nodes.mean(axis=0)
+    axes = np.linalg.eigh(centred.T @ centred)[1]
+    along = mesh.nodes @ axes
+    middle, half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
+    return np.asarray(((mesh.nodes[mesh.tets].mean(axis=1) @ axes - middle) / half).T)
+
+
+def grade(passes: Passes, frame: Frame) -> Grading:
+    """Return the grading of highest evidence.
+
+    Parameters
+    ----------
+    passes : Passes
+        Causes, data and believed material.
+    frame : Frame
+        Initial rigid motion.
+
+    Returns
+    -------
+    Grading
+        Cost: about twenty evaluations of the evidence.
+    """
+    trial = _Trial(passes, frame, profiles_of(passes.columns.body.mesh))
+    prior = passes.settings.graded_log_std
+    best, value = np.zeros(3), trial.log_evidence(np.zeros(3))
+    std, step = np.full(3, prior), _FIRST_STEP * prior
+    while step >= _LAST_STEP * prior:
+        for axis in range(3):
+            best, value, std[axis] = _along(trial, best, value, axis, step)
+        step *= 0.5
+    return Grading(trial.material(best), best, std, trial.profiles)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Inputs of every evaluation."""
+
+    passes: Passes
+    frame: Frame
+    profiles: FloatArray
+
+    def material(self, rates: FloatArray) -> Material:
+        """Return the material at rates (3,)."""
+        return self.passes.material.scaled(np.exp(rates @ self.profiles))
+
+    def log_evidence(self, rates: FloatArray) -> float:
+        """Return the logarithm of the evidence times the prior of the rates, up to a constant."""
+        material = self.material(rates)
+        trial = replace(self.passes, material=material, columns=self.passes.columns.made_of(material))
+        prior = -0.5 * float(np.sum((rates / trial.settings.graded_log_std) ** 2))
+        return log_evidence(trial, self.frame) + prior
+
+
+def _along(trial: _Trial, best: FloatArray, value: float, axis: int, step: float) -> tuple[FloatArray, float, float]:
+    """Return the best rates along one axis, their evidence, and the standard deviation by its curvature."""
+    limit = trial.passes.settings.graded_log_std
+    found = [(0.0, value)]
+    found += [(side, trial.log_evidence(best + side * np.eye(3)[axis])) for side in (-step, step)]
+    curvature = (found[1][1] + found[2][1] - 2.0 * value) / step**2
+    slope = (found[2][1] - found[1][1]) / (2.0 * step)
+    if curvature < 0.0:
+        top = float(np.clip(-slope / curvature, -2.0 * step, 2.0 * step))
+        found.append((top, trial.log_evidence(best + top * np.eye(3)[axis])))
+    shift, highest = max(found, key=lambda one: one[1])
+    std = min(limit, float(1.0 / np.sqrt(max(-curvature, 1e-12))))
+    return best + shift * np.eye(3)[axis], highest, std
+
+
+__all__ = ["Grading", "grade", "is_graded", "profiles_of"]

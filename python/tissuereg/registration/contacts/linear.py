@@ -1,0 +1,125 @@
+"""The linearisation at one body: tangent, responses of the observations to the causes, and the sampler's problem."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.clock import Clock
+from tissuereg.body.material import Material
+from tissuereg.registration.contacts.columns import Columns, sampler
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.posed import (
+    MOST_KEPT,
+    MOST_KEPT_COARSE,
+    Basis,
+    Posed,
+    moving_variances,
+    plain,
+    projected,
+)
+from tissuereg.registration.contacts.seen import Reading, Seen
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.tangent import Row, Tangent, tangent_at
+
+
+@dataclass(frozen=True, eq=False)
+class AtBody:
+    """Everything that is linearised at one body.
+
+    Attributes
+    ----------
+    tangent : Tangent
+        The linearised equilibrium.
+    posed : Posed
+        Observations with their responses to the columns.
+    sampler : _core.Contacts
+        Dictionary, prior and data.
+    """
+
+    tangent: Tangent
+    posed: Posed
+    sampler: Any
+
+
+@dataclass(eq=False)
+class Linear:
+    """Linearises; counts its work and caches the projection of many observations while the data stay the same.
+
+    Parameters
+    ----------
+    columns : Columns
+        Causes.
+    material : Material
+        Material of the body.
+    settings : ContactSettings
+        Prior.
+    threads : int
+        Threads to use.
+    clock : Clock
+        Records the times of the stages.
+    counters : collections.Counter
+        Records the work.
+    kept : Tangent, optional
+        A tangent near the first body, in place of the one there.
+    """
+
+    columns: Columns
+    material: Material
+    settings: ContactSettings
+    threads: int
+    clock: Clock
+    counters: Counter[str]
+    kept: Tangent | None = None
+    _basis: tuple[Seen, Basis] | None = field(default=None, repr=False)
+
+    def at(self, moment: Moment, seen: Seen) -> AtBody:
+        """Return data, tangent and sampler at a body."""
+        tangent = self.tangent(moment)
+        with self.clock.stage("match"):
+            reading = seen.read(moment)
+        posed = self.posed(tangent, reading, moment.coefficients, seen)
+        with self.clock.stage("prepare"):
+            data = {"innovation": posed.innovation, "noise": np.diag(posed.variances), "groups": posed.groups}
+            return AtBody(tangent, posed, sampler(self.columns, self.settings, posed.responses, data))
+
+    def tangent(self, moment: Moment) -> Tangent:
+        """Return the tangent at a body, or, once, the one that was kept."""
+        if self.kept is not None:
+            found, self.kept = self.kept, None
+            return found
+        with self.clock.stage("linearise"):
+            found, factored = tangent_at(self.columns, self.material, moment, self.threads)
+        self.counters["factorisations"] += factored
+        return found
+
+    def posed(self, tangent: Tangent, reading: Reading, coefficients: FloatArray, seen: Seen) -> Posed:
+        """Return observations as they are, or, if they are many, a projection that keeps nearly all information."""
+        rigid = self.columns.rigid_rows(reading.places, reading.directions)
+        if not seen.weighed:
+            return plain(reading, self._responses(tangent, reading.rows, rigid), coefficients)
+        if self._basis is None or self._basis[0] is not seen:
+            every = self._responses(tangent, reading.rows, rigid)
+            with self.clock.stage("prepare"):
+                most = MOST_KEPT_COARSE if seen.rough else MOST_KEPT
+                basis = Basis.of(reading, every, moving_variances(self.columns, self.settings), most)
+            self._basis = (seen, basis)
+            return projected(reading, basis, (basis.vectors / reading.std) @ every, coefficients)
+        basis = self._basis[1]
+        few = self._responses(tangent, basis.rows(reading), (basis.vectors / reading.std) @ rigid)
+        return projected(reading, basis, few, coefficients)
+
+    def _responses(self, tangent: Tangent, rows: list[Row], rigid: FloatArray) -> FloatArray:
+        """Return the responses of rows of nodes and weights to the columns, (n_rows, n_columns)."""
+        with self.clock.stage("sensitivities"):
+            compliance, solved = tangent.compliance(rows, self._solved)
+            self.counters["right_hand_sides"] += solved
+            return self.columns.responses(compliance, np.empty((0, 3)), rigid)
+
+    def _solved(self, done: int, in_all: int) -> None:
+        self.clock.tell("stage", f"sensitivities {done} of {in_all}")
+
+
+__all__ = ["AtBody", "Linear"]

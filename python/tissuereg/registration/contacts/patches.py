@@ -1,0 +1,221 @@
+r"""Patches on the free surface of a mesh at which contacts may act.
+
+One unit of a patch with centre c and radius r is the nodal force
+
+    A_n (1 - |x_n - c|^2 / r^2)_+ E / (1.6 r)
+
+along each axis, where A_n is the surface area of node n. One unit moves its patch by about 1 mm, so that Young's
+modulus cancels from everything but the forces.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh
+
+#: Radii of patches over the extent of the body.
+RADII_SHARES = (0.05, 0.083, 0.133, 0.208, 0.333)
+
+#: The smallest radius over the mean edge of the surface.
+_LEAST_EDGES = 1.2
+
+#: Centres of one radius are thinned to this share of it.
+_THINNING = 0.7
+
+#: Nodes whose normal differs from the centre's by more (cosine) are on the other side of a sheet: they do not belong to
+#: the patch, and do not exclude other centres.
+_LEAST_COSINE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Patches of one mesh.
+
+    Attributes
+    ----------
+    centres : ndarray of float64, shape (n_patches, 3)
+        mm, undeformed.
+    radii : ndarray of float64, shape (n_patches,)
+        mm.
+    level : ndarray of int64, shape (n_patches,)
+        Which radius, 0 the smallest.
+    normals : ndarray of float64, shape (n_patches, 3)
+        Outward unit normal at the centre.
+    shapes : scipy.sparse.csr_array, shape (n_patches, n_nodes)
+        Nodal force of one unit over Young's modulus, mm^2 per mm.
+    texture : tuple of ndarray
+        For each patch the next smaller ones inside, as first entries, entries, and ratios of standard deviations.
+    neighbours : tuple of ndarray
+        For each patch the similar ones, as first entries and entries.
+    """
+
+    centres: FloatArray
+    radii: FloatArray
+    level: IntArray
+    normals: FloatArray
+    shapes: Any
+    texture: tuple[IntArray, IntArray, FloatArray]
+    neighbours: tuple[IntArray, IntArray]
+
+    @property
+    def n_patches(self) -> int:
+        """Number of patches."""
+        return len(self.centres)
+
+
+def make_patches(mesh: Mesh, free: IntArray, *, by_area: bool = True) -> Patches:
+    """Return the patches of a part of a mesh's surface.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    free : ndarray of int64, shape (n_free,)
+        Nodes of the surface that patches may contain.
+    by_area : bool
+        Whether shapes are forces, as above; else the profile alone, for supports that move.
+
+    Returns
+    -------
+    Patches
+        About a thousand; larger radii have fewer centres.
+    """
+    areas, normals = surface_of_nodes(mesh)
+    places = mesh.nodes[free]
+    edges = mesh.nodes[mesh.surface] - mesh.nodes[np.roll(mesh.surface, 1, axis=1)]
+    edge = float(np.linalg.norm(edges, axis=2).mean())
+    radii = _radii(mesh.extent, edge)
+    chosen = [_thinned(places, normals[free], _THINNING * radius) for radius in radii]
+    level = np.repeat(np.arange(len(radii)), [len(c) for c in chosen])
+    nodes = free[np.concatenate(chosen)]
+    centres, across, radius = mesh.nodes[nodes], normals[nodes], radii[level]
+    weights = areas[free] if by_area else np.ones(len(free))
+    scale = 1.6 * radius if by_area else np.ones(len(radius))
+    shapes = _shapes((places, normals[free], weights, free), (centres, across, radius, scale), mesh.n_nodes)
+    return Patches(
+        centres,
+        radius,
+        level,
+        across,
+        shapes,
+        _texture(centres, across, radius, level),
+        _neighbours(centres, across, radius, level),
+    )
+
+
+def surface_of_nodes(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
+    """Return the surface area (n_nodes,) in mm^2 and the outward normal (n_nodes, 3) of every node, zero inside."""
+    a, b, c = (mesh.nodes[mesh.surface[:, i]] for i in range(3))
+    across = 0.5 * np.cross(b - a, c - a)
+    area, normal = np.zeros(mesh.n_nodes), np.zeros((mesh.n_nodes, 3))
+    for corner in range(3):
+        np.add.at(area, mesh.surface[:, corner], np.linalg.norm(across, axis=1) / 3.0)
+        np.add.at(normal, mesh.surface[:, corner], across)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return area, normal / np.where(length > 0, length, 1.0)
+
+
+def _radii(extent: float, edge: float) -> FloatArray:
+    """Return radii in mm, ascending: shares of the extent, none below `_LEAST_EDGES` mean edges of the surface."""
+    wanted = np.array(RADII_SHARES) * extent
+    least = _LEAST_EDGES * edge
+    return np.asarray(np.concatenate([[max(least, wanted[0])], wanted[wanted > 1.3 * max(least, wanted[0])]]))
+
+
+def _thinned(places: FloatArray, normals: FloatArray, gap: float) -> IntArray:
+    """Return indices of places of which no two on the same side are closer than a gap, in their order."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(places)
+    left = np.ones(len(places), bool)
+    kept = []
+    for index in range(len(places)):
+        if left[index]:
+            kept.append(index)
+            near = np.asarray(tree.query_ball_point(places[index], gap))
+            # The other side of a sheet has its own centres.
+            left[near[normals[near] @ normals[index] > _LEAST_COSINE]] = False
+            left[index] = False
+    return np.array(kept, np.int64)
+
+
+def _shapes(
+    surface: tuple[FloatArray, FloatArray, FloatArray, IntArray],
+    patches: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    n_nodes: int,
+) -> Any:
+    """Return the profile of every patch at every node, times the node's weight, over the patch's scale."""
+    places, normals, weights, nodes = surface
+    centres, across, radii, scale = patches
+    from scipy.sparse import csr_array
+    from scipy.spatial import cKDTree
+
+    found = cKDTree(places).query_ball_point(centres, radii)
+    rows = np.repeat(np.arange(len(centres)), [len(f) for f in found])
+    own = np.concatenate([np.asarray(f, np.int64) for f in found])
+    distance = np.linalg.norm(places[own] - centres[rows], axis=1)
+    same_side = np.einsum("ij,ij->i", normals[own], across[rows]) > _LEAST_COSINE
+    profile = np.clip(1.0 - (distance / radii[rows]) ** 2, 0.0, None)
+    values = np.where(same_side, weights[own] * profile / scale[rows], 0.0)
+    shapes = csr_array((values, (rows, nodes[own])), shape=(len(centres), n_nodes))
+    shapes.eliminate_zeros()
+    return shapes
+
+
+def _texture(
+    centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return, for each patch, those of the next smaller radius whose centre lies inside."""
+    trees = _trees(centres, level)
+    found = [_pairs(trees, (coarse, coarse - 1), radii, across) for coarse in range(1, len(trees))]
+    first, inside, patches = _by_patch(found, len(centres))
+    return first, inside, np.asarray(0.5 * radii[inside] / radii[patches])
+
+
+def _neighbours(
+    centres: FloatArray, across: FloatArray, radii: FloatArray, level: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Return, for each patch, those of its radius next to it and those of the next radii about its centre."""
+    trees, reach = _trees(centres, level), _THINNING * radii
+    found = []
+    for of in range(len(trees)):
+        found.append(_pairs(trees, (of, of), 1.5 * reach, across))
+        for other in (of - 1, of + 1):
+            if 0 <= other < len(trees):
+                larger = 0.7 * np.maximum(reach, reach[trees[other][0][0]])
+                found.append(_pairs(trees, (of, other), larger, across))
+    return _by_patch(found, len(centres))[:2]
+
+
+def _trees(centres: FloatArray, level: IntArray) -> list[tuple[IntArray, Any]]:
+    """Return, for each level, its patches and the tree of their centres."""
+    from scipy.spatial import cKDTree
+
+    members = [np.flatnonzero(level == one) for one in range(int(level.max(initial=-1)) + 1)]
+    return [(own, cKDTree(centres[own])) for own in members]
+
+
+def _pairs(
+    trees: list[tuple[IntArray, Any]], levels: tuple[int, int], reach: FloatArray, across: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Return patches of one level and, of another, those on the same side nearer than the first one's reach."""
+    (own, of), (theirs, tree) = trees[levels[0]], trees[levels[1]]
+    # Exclude those exactly at the reach.
+    found = tree.query_ball_point(of.data, np.nextafter(reach[own], 0.0))
+    patches = np.repeat(own, [len(one) for one in found])
+    others = theirs[np.concatenate([np.asarray(one, np.int64) for one in found])]
+    same_side = np.einsum("ij,ij->i", across[patches], across[others]) > _LEAST_COSINE
+    kept = same_side & (patches != others)
+    return patches[kept], others[kept]
+
+
+def _by_patch(found: list[tuple[IntArray, IntArray]], n_patches: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Return where each patch's others begin, the others in ascending order, and the patch of each."""
+    patches = np.concatenate([np.empty(0, np.int64), *(one[0] for one in found)])
+    others = np.concatenate([np.empty(0, np.int64), *(one[1] for one in found)])
+    order = np.lexsort((others, patches))
+    count = np.bincount(patches, minlength=n_patches)
+    return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), others[order], patches[order]

@@ -1,0 +1,120 @@
+r"""Input of the sampler: the observations as they are, or, if they are many, a projection of them.
+
+The cost of sampling grows with the square of the number of observations. Hundreds of points of one surface hold little
+independent information: with responses J, noise C and prior variances D of the columns, the eigenvectors of
+
+    G = C^{-1/2} J D J' C^{-1/2}
+
+with large eigenvalues span nearly everything that any cause can do to the observations. D is the variance of each patch
+if it is pushed, summed over patches, so that in a direction with eigenvalue s no single contact has a signal of more
+than sqrt(s) standard deviations. The projection has the identity as noise covariance. The eigenvectors of one pass are
+reused in later passes with the same points, so that only the sensitivities of the projection are needed there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.registration.contacts.columns import Columns, contact_sizes
+from tissuereg.registration.contacts.seen import Reading
+from tissuereg.registration.contacts.settings import ContactSettings
+
+#: Directions with a smaller signal (squared, over the noise) are dropped.
+LEAST_SIGNAL = 0.3
+
+#: Largest number of directions kept; fewer in first passes, whose answer is rough.
+MOST_KEPT, MOST_KEPT_COARSE = 80, 36
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """Data of one linearisation.
+
+    Attributes
+    ----------
+    responses : ndarray of float64, shape (n_kept, n_columns)
+        Their responses to the causes.
+    innovation : ndarray of float64, shape (n_kept,)
+        Measured minus predicted at zero coefficients.
+    variances : ndarray of float64, shape (n_kept,)
+        Variances of their independent noise.
+    groups : list of list of int
+        Observations that may be wrong together.
+    rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
+        Nodes and weights of each observation.
+    dropped_signal : float
+        Largest signal of a dropped direction.
+    """
+
+    responses: FloatArray
+    innovation: FloatArray
+    variances: FloatArray
+    groups: list[list[int]]
+    rows: list[tuple[IntArray, FloatArray]]
+    dropped_signal: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Directions of whitened observations that span the effects of all causes.
+
+    Attributes
+    ----------
+    vectors : ndarray of float64, shape (n_kept, n_obs)
+        Orthonormal rows.
+    dropped_signal : float
+        Largest signal, squared and over the noise, of a direction that was dropped.
+    """
+
+    vectors: FloatArray
+    dropped_signal: float
+
+    @classmethod
+    def of(cls, reading: Reading, responses: FloatArray, variances: FloatArray, most: int) -> "Basis":
+        """Return the basis of observations with given responses (n_obs, n_columns) to causes of given variances."""
+        white = responses / reading.std[:, None]
+        signals, vectors = np.linalg.eigh((white * variances) @ white.T)
+        n_kept = min(most, max(1, int(np.sum(signals > LEAST_SIGNAL))))
+        dropped = float(signals[-n_kept - 1]) if n_kept < len(signals) else 0.0
+        return cls(np.ascontiguousarray(vectors[:, ::-1][:, :n_kept].T), max(dropped, 0.0))
+
+    def rows(self, reading: Reading) -> list[tuple[IntArray, FloatArray]]:
+        """Return nodes and weights of the projected observations."""
+        nodes, root = self.nodes(reading), self.vectors / reading.std
+        weights = np.zeros((len(reading.rows), len(nodes), 3))
+        for row, (own, given) in enumerate(reading.rows):
+            np.add.at(weights[row], np.searchsorted(nodes, own), given)
+        joined = np.tensordot(root, weights, 1)
+        return [(nodes, one) for one in joined]
+
+    @staticmethod
+    def nodes(reading: Reading) -> IntArray:
+        """Return all nodes on which observations depend, sorted."""
+        return np.unique(np.concatenate([own for own, _ in reading.rows]))
+
+
+def plain(reading: Reading, responses: FloatArray, coefficients: FloatArray) -> Posed:
+    """Return observations as they are, with their responses (n_obs, n_columns) at the present coefficients."""
+    return Posed(responses, reading.residual + responses @ coefficients, reading.std**2, reading.groups, reading.rows)
+
+
+def projected(reading: Reading, basis: Basis, responses: FloatArray, coefficients: FloatArray) -> Posed:
+    """Return projected observations with their responses (n_kept, n_columns) at the present coefficients."""
+    root = basis.vectors / reading.std
+    innovation = root @ reading.residual + responses @ coefficients
+    return Posed(responses, innovation, np.ones(len(root)), [], basis.rows(reading), basis.dropped_signal)
+
+
+def moving_variances(columns: Columns, settings: ContactSettings) -> FloatArray:
+    """Return the variance (n_columns,) of each coefficient if its cause acts."""
+    patches = columns.body.patches
+    sizes = contact_sizes(columns, settings)
+    weights = np.exp(-0.5 * (sizes / (settings.largest_share * patches.radii[:, None])) ** 2)
+    variances = np.zeros(columns.n_columns)
+    by_patch = (weights @ sizes**2) / weights.sum(axis=1)
+    variances[: 3 * patches.n_patches] = np.repeat(by_patch, 3)
+    for family in columns.families[1:]:
+        prior = np.exp(family.log_prior - family.log_prior.max())
+        variances[family.columns] = family.variance * float(prior @ family.factors) / float(prior.sum())
+    return variances

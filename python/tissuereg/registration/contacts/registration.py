@@ -1,0 +1,319 @@
+"""Registration with an unknown load: the contacts that explain the markers, and the equilibrium under them."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._base.clock import Clock
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ConvergenceError, MaterialError
+from tissuereg.registration.contacts.answer import Answer, known_of, surface_fit
+from tissuereg.registration.contacts.body import ContactBody
+from tissuereg.registration.contacts.carried import Carried
+from tissuereg.registration.contacts.columns import Columns, spring_stiffness
+from tissuereg.registration.contacts.draws import Draws, NodesOfContacts
+from tissuereg.registration.contacts.evidence import support_stiffness
+from tissuereg.registration.contacts.fit import TOLERANCE, ContactFit, Passes, start_of
+from tissuereg.registration.contacts.frame import Frame, drifts
+from tissuereg.registration.contacts.graded import grade, is_graded
+from tissuereg.registration.contacts.icp import closest_frame
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.seen import Seen, SeenMarkers
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.size import announce
+from tissuereg.registration.contacts.spread import Spread
+from tissuereg.registration.contacts.supports import Supports
+from tissuereg.registration.contacts.surface_points import SeenPoints
+from tissuereg.registration.inputs import RegisterInput
+from tissuereg.registration.result import Registration
+from tissuereg.simulation.sensitivity import Cause, Field, Parameter
+from tissuereg.simulation.solve import LoadParts
+
+#: Meshes with at most this many nodes get averaged elements, and so do materials with a larger Poisson's ratio.
+COARSE_NODES, STIFF_POISSON = 3000, 0.475
+
+#: The fit is repeated without the believed load if the markers' root mean square residual exceeds this many standard
+#: deviations; the belief is dropped if the residual is then less than this share.
+_UNMET, _MUCH_LESS = 3.0, 0.5
+
+#: A search from the contacts of the moment before is given up if it leaves so many times its residual.
+_MUCH_MORE = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class ContactInput:
+    """Believed load, material and supports.
+
+    Attributes
+    ----------
+    load : Load or None
+        Believed load.
+    simulation : ndarray of float64, shape (n_nodes, 3), or None
+        A displacement; the forces that hold it in equilibrium are the believed load.
+    material : Material
+        Material of the body.
+    element : str
+        Elements of the solver.
+    held : str
+        How the node set ``fixed`` is taken.
+    held_nodes : array_like of int or None
+        Nodes to use instead.
+    frame : str
+        Whether the tracker drifts.
+    stiffness : str
+        Whether the stiffness changes across the body.
+    progress : callable or None
+        Called with passes finished and passes at most.
+    ensemble : int
+        Number of posterior loads solved for the covariance of nodes; 0: linear draws.
+    """
+
+    load: Load | None
+    simulation: FloatArray | None
+    material: Material
+    element: str
+    held: str
+    held_nodes: Any
+    frame: str
+    stiffness: str
+    progress: Callable[[int, int], None] | None
+    ensemble: int = 0
+
+    @property
+    def any_load(self) -> bool:
+        """Whether there is a believed load."""
+        return self.load is not None or self.simulation is not None
+
+
+def register_by_contacts(
+    given: RegisterInput, believed: ContactInput, clock: Clock, after: Registration | None = None
+) -> Registration:
+    """Register without a model.
+
+    Parameters
+    ----------
+    given : RegisterInput
+        Checked input.
+    believed : ContactInput
+        Believed load, material and supports.
+    clock : Clock
+        Records the times of the stages.
+    after : Registration, optional
+        Of a moment shortly before, with the same markers: its contacts are the start, and what it found of supports and
+        graded stiffness is kept.
+
+    Returns
+    -------
+    Registration
+        The equilibrium under the posterior mean of the load.
+
+    Raises
+    ------
+    ConvergenceError
+        If no equilibrium is found.
+    SupportError, LoadError, MaterialError
+        If a believed quantity does not fit the body.
+    """
+    settings = given.settings.contacts
+    if given.suspicions:
+        # Misread input is not worth many passes: the answer will not be trusted.
+        settings = replace(settings, max_passes=1)
+    with clock.stage("body"):
+        supports = Supports.of(given.mesh, believed.held, believed.held_nodes)
+        body = ContactBody.of(given.mesh, supports, believed.element)
+    points = None if given.surface is None else SeenPoints.of(given.mesh, given.surface, settings.model_error)
+    seen = Seen.of(SeenMarkers(given.observed, given.markers, settings.model_error), points)
+    announce(body, seen, given, clock)
+    found, note = _Search(given, body, seen, settings, clock, _carried(after, given)).least_left(believed)
+    if note:
+        given = replace(given, suspicions=(*given.suspicions, note))
+    with clock.stage("spread"):
+        spread = Spread(found.fit, found.material, settings, given.threads, found.further)
+        known = known_of(given, found.fit, spread)
+    draw = Draws(found.fit, spread, found.material, given.seed, given.threads, found.further, found.moments)
+    fields = None
+    if believed.ensemble:
+        with clock.stage("ensemble"):
+            fields = draw(believed.ensemble)
+    nodes = NodesOfContacts(spread, given.seed, fields)
+    fared = surface_fit(given, points, found.start, found.fit.moment)
+    return Answer(given, found.fit, found.start, believed.any_load, known, nodes, draw, fared).registration(clock)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A fit with the state from which its passes began, the material and supports estimated before, and its moments."""
+
+    fit: ContactFit
+    start: Moment
+    material: Material
+    further: list[tuple[Cause, float]]
+    moments: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The search for contacts, for any believed load."""
+
+    given: RegisterInput
+    body: ContactBody
+    seen: Seen
+    settings: ContactSettings
+    clock: Clock
+    carried: Carried | None = None
+
+    def least_left(self, believed: ContactInput) -> tuple[_Found, str]:
+        """Return the fit with the believed load; or, if that leaves large residuals, one without it, and the reason."""
+        if not believed.any_load:
+            return self.found(believed), ""
+        found = None
+        with suppress(ConvergenceError):
+            found = self.found(believed)
+        if found is not None and min(found.fit.residual_rms) < _UNMET:
+            return found, ""
+        try:
+            without = self.found(replace(believed, load=None, simulation=None))
+        except ConvergenceError:
+            if found is None:
+                raise
+            return found, ""
+        if found is None:
+            return without, "the believed load was left out: no equilibrium is found under it"
+        if min(without.fit.residual_rms) < _MUCH_LESS * min(found.fit.residual_rms):
+            return without, "the believed load was left out: no contacts added to it explain the markers"
+        return found, ""
+
+    def found(self, believed: ContactInput) -> _Found:
+        """Return the fit with the believed load."""
+        given, body, settings, clock, material = self.given, self.body, self.settings, self.clock, believed.material
+        with clock.stage("simulate"):
+            parts, field = _believed(body, believed, settings)
+            columns = Columns.of(body, material, parts, settings, drifts=drifts(believed.frame))
+        rng = np.random.default_rng([given.seed, 7])
+        passes = Passes(columns, self.seen, material, settings, rng, given.threads, clock, believed.progress)
+        frame = _first_frame(given, body.supports)
+        if self.carried is not None:
+            gone_on = self._gone_on(self.carried, passes, field, frame)
+            if gone_on is not None:
+                return gone_on
+        further: list[tuple[Cause, float]] = []
+        if body.base is not None and field is None:
+            passes, further = _supported(passes, frame)
+        if is_graded(believed.stiffness):
+            passes, slopes = _graded(passes, frame, field)
+            further += slopes
+        with clock.stage("simulate"):
+            start = start_of(passes.columns, passes.material, field, frame, given.threads)
+        return _Found(passes.run(start), start, passes.material, further)
+
+    def _gone_on(self, carried: Carried, passes: Passes, field: FloatArray | None, frame: Frame) -> _Found | None:
+        """Return the fit that goes on from the moment before; None if that is of no use."""
+        columns = carried.columns_for(passes.columns)
+        if columns is None:
+            return None
+        # Chains that go on do not repeat their random numbers: what they miss in one moment they find in a later one.
+        rng = np.random.default_rng([self.given.seed, 7, carried.moments])
+        passes = replace(
+            passes, columns=columns, material=carried.material, rng=rng, before=carried.samples, kept=carried.tangent
+        )
+
+        def solve(coefficients: FloatArray) -> FloatArray:
+            near = carried.tangent.linearised
+            return near.solve_near(
+                columns.load(coefficients), springs=columns.springs, tolerance=TOLERANCE
+            ).all_displacement
+
+        with self.clock.stage("simulate"):
+            start = start_of(columns, carried.material, field, frame, self.given.threads)
+            begin = carried.begin(columns, solve)
+        if begin is None:
+            return None
+        try:
+            fit = passes.run(begin)
+        except ConvergenceError:
+            return None
+        if min(fit.residual_rms) > max(self.settings.fit_limit, _MUCH_MORE * carried.residual):
+            # The contacts of the moment before lead nowhere: look everywhere.
+            return None
+        return _Found(fit, start, carried.material, carried.further, carried.moments + 1)
+
+
+def fitting_element(mesh: Mesh, material: Material) -> str:
+    """Return the elements that suit a mesh: averaged ones where plain four-node tets would be much too stiff."""
+    coarse = mesh.n_nodes <= COARSE_NODES
+    return "tet4-averaged" if coarse or float(np.max(material.poisson_array)) > STIFF_POISSON else "tet4"
+
+
+def _carried(after: Registration | None, given: RegisterInput) -> Carried | None:
+    """Return what a registration of the same markers leaves; None without one, or if it was made otherwise."""
+    if after is None or given.surface is not None or not isinstance(after.draw, Draws) or after.surface is not None:
+        return None
+    names, seen = after.all_markers.names, np.isfinite(after.all_markers.measured).any(axis=1)
+    now = np.isfinite(given.markers.measured).any(axis=1)
+    if names != given.markers.names or after.draw.fit.samples[2].shape[1] != int(seen.sum()):
+        return None
+    return Carried.of(after.draw, np.asarray(seen), np.asarray(now))
+
+
+def _supported(passes: Passes, frame: Frame) -> tuple[Passes, list[tuple[Cause, float]]]:
+    """Return the passes with supports of the stiffness of highest evidence, and its remaining uncertainty."""
+    found = support_stiffness(passes, frame)
+    columns = passes.columns.on_springs(found.best)
+    springs = np.zeros((0, 2)) if columns.springs is None else columns.springs
+    causes: list[tuple[Cause, float]] = []
+    for index, (stiffness, log_std) in enumerate(zip(springs, found.log_std, strict=True)):
+        names = ("springs.normal_kpa_per_mm", "springs.tangential_kpa_per_mm")
+        causes += [(Parameter(name, index), log_std * float(k)) for name, k in zip(names, stiffness, strict=True)]
+    return replace(passes, columns=columns), causes
+
+
+def _graded(passes: Passes, frame: Frame, simulation: FloatArray | None) -> tuple[Passes, list[tuple[Cause, float]]]:
+    """Return the passes with the graded stiffness of highest evidence, and its remaining uncertainty."""
+    if simulation is not None:
+        message = "a graded stiffness needs a load or none: it would change the forces that hold a `simulation`"
+        raise MaterialError(message, where="stiffness")
+    found = grade(passes, frame)
+    young = passes.columns.body.simulator.moduli(found.material)[0]
+    by_tet = young if young.ndim == 1 else young.mean(axis=1)
+    slopes: list[tuple[Cause, float]] = [
+        (Field("young", profile * by_tet), float(std)) for std, profile in zip(found.std, found.profiles, strict=True)
+    ]
+    return replace(passes, material=found.material, columns=passes.columns.made_of(found.material)), slopes
+
+
+def _believed(
+    body: ContactBody, believed: ContactInput, settings: ContactSettings
+) -> tuple[LoadParts, FloatArray | None]:
+    """Return the parts of the believed load and, if it is known, the displacement under it."""
+    simulator = body.simulator
+    if believed.simulation is None:
+        return simulator.load_parts(believed.load or Load()), None
+    field = np.zeros((simulator.body.n_nodes, 3))
+    field[: body.mesh.n_nodes] = believed.simulation
+    middles = simulator.body.mid_edges
+    if len(middles):
+        field[body.mesh.n_nodes :] = field[middles].mean(axis=1)
+    springs = spring_stiffness(body, believed.material, settings.support_stiffness)
+    forces = simulator.internal_forces(field, believed.material, springs=springs)
+    forces[simulator.held_nodes] = 0.0
+    parts: LoadParts = {"forces": forces, "body_force": None, "prescribed": field[simulator.held_nodes]}
+    return parts, field
+
+
+def _first_frame(given: RegisterInput, supports: Supports) -> Frame:
+    """Return the initial rigid motion, from the markers or else the points, if nothing is surely held."""
+    if not supports.moves or supports.holds:
+        return Frame.still()
+    whole = given.markers.seen
+    if whole.sum() >= 3:
+        return Frame.between(given.markers.reference[whole], given.markers.measured[whole])
+    return Frame.still() if given.surface is None else closest_frame(given.mesh, given.surface.places)
+
+
+__all__ = ["ContactInput", "fitting_element", "register_by_contacts"]

@@ -1,0 +1,283 @@
+"""Uncertainty of a registration: regions of points, spread of nodes, and how much the markers constrain a point.
+
+The covariance of a point has three parts. The first, from the contacts, is the mixture over samples. The second is the
+effect of errors in stiffness and Poisson's ratio on the answer: such an error moves the point and the markers, and the
+fit's reaction to the markers moves the point once more, through the gain. The third allows for one more contact,
+anywhere, that no sample contains because no marker detected it: its variance given the markers, times a probability.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.material import Material
+from tissuereg.registration.contacts.fit import ContactFit
+from tissuereg.registration.contacts.patches import Patches
+from tissuereg.registration.contacts.places import smooth_fields
+from tissuereg.registration.contacts.settings import ContactSettings
+from tissuereg.registration.contacts.tangent import Row
+from tissuereg.simulation.sensitivity import Cause, Compliance, Field
+
+#: Number of smooth fields of the stiffness of doubtful supports.
+_N_SUPPORT_FIELDS = 12
+
+#: Fields of the whole body made at the same time: a multiple of the solver's block, whatever the number of threads.
+_AT_ONCE = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Uncertainty of points of the body.
+
+    Attributes
+    ----------
+    covariance : ndarray of float64, shape (n_points, 3, 3)
+        mm^2, contacts and model.
+    constrained : ndarray of float64, shape (n_points,)
+        Share of the variance under unseen contacts that the markers remove, 0 to 1.
+    unseen_std : ndarray of float64, shape (n_points,)
+        Standard deviation due to an unseen contact, given the markers, mm.
+    """
+
+    covariance: FloatArray
+    constrained: FloatArray
+    unseen_std: FloatArray
+
+
+class Spread:
+    """Uncertainty of one fit.
+
+    Parameters
+    ----------
+    fit : ContactFit
+        The fit after its last pass.
+    material : Material
+        Material of the body.
+    settings : ContactSettings
+        Uncertainty of the model.
+    threads : int
+        Threads to use.
+    further : sequence of (Cause, float)
+        Other uncertain parameters of the model, each with its standard deviation.
+    """
+
+    def __init__(
+        self,
+        fit: ContactFit,
+        material: Material,
+        settings: ContactSettings,
+        threads: int,
+        further: Sequence[tuple[Cause, float]] = (),
+    ) -> None:
+        self._fit, self._settings, self._threads = fit, settings, threads
+        errors = _model_errors(fit, material, settings)
+        scales = np.array([1.0] * len(errors) + [scale for _, scale in further])
+        causes = [*errors, *(cause for cause, _ in further)]
+        self._model_forces = _forces_of_errors(fit, (causes, scales), _support_errors(fit, settings))
+        self._model_at_data = self._by_model(self._compliance(fit.posed.rows))
+        self._suggested: FloatArray | None = None
+        self._unseen_variances = unseen_variances(fit.columns.body.patches, settings, fit.columns.n_columns)
+
+    def _compliance(self, rows: Sequence[Row]) -> Compliance:
+        found, solved = self._fit.tangent.compliance(rows)
+        self._fit.counters["right_hand_sides"] += solved
+        return found
+
+    def _moments(self, responses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return means and covariances of points, and the spurious loads by which the fit compensates model errors.
+
+        The last, (n_columns, n_errors), do not depend on the points.
+        """
+        fit = self._fit
+        _, gain, means, covariance, *_ = fit.sampler.moments(
+            list(fit.samples), np.ascontiguousarray(responses), threads=self._threads
+        )
+        self._suggested = np.asarray(gain @ self._model_at_data)
+        return means, covariance, self._suggested
+
+    def _by_model(self, compliance: Compliance) -> FloatArray:
+        """Return the effects of model errors on observations, (n_rows, n_errors), mm."""
+        n_errors = len(self._model_forces)
+        return np.asarray(
+            compliance.forces.reshape(len(compliance.forces), self._model_forces[0].size)
+            @ self._model_forces.reshape(n_errors, -1).T
+        )
+
+    def points(self, rows: Sequence[tuple[IntArray, FloatArray]], places: FloatArray) -> Points:
+        """Return the uncertainty of points.
+
+        Parameters
+        ----------
+        rows : list of (ndarray, ndarray)
+            Nodes and weights, three rows per point.
+        places : ndarray of float64, shape (n_points, 3)
+            Their positions in the body's frame, mm.
+
+        Returns
+        -------
+        Points
+            Cost: one right-hand side per row.
+        """
+        fit = self._fit
+        compliance = self._compliance(rows)
+        responses = fit.columns.responses(compliance, places)
+        means, covariance, suggested = self._moments(responses)
+        # Second moment about the answer, which is not quite the mean of the last linearisation.
+        off = means - (responses @ fit.moment.coefficients).reshape(-1, 3)
+        covariance = covariance + np.einsum("pa,pb->pab", off, off)
+        remaining = self._by_model(compliance) - responses @ suggested
+        remaining = remaining.reshape(len(places), 3, len(self._model_forces))
+        covariance = covariance + np.einsum("pak,pbk->pab", remaining, remaining)
+        unseen, constrained = self._unseen(responses)
+        turn = fit.moment.frame.rotation
+        covariance = covariance + self._settings.unseen_chance * unseen
+        std = np.sqrt(np.maximum(np.trace(unseen, axis1=1, axis2=2), 0.0))
+        return Points(turn @ covariance @ turn.T, constrained, std)
+
+    @cached_property
+    def _under_unseen(self) -> FloatArray:
+        """Cholesky factor (n_obs, n_obs) of the covariance of the observations under one more contact alone."""
+        own = self._fit.posed.responses
+        return np.asarray(
+            np.linalg.cholesky((own * self._unseen_variances) @ own.T + np.diag(self._fit.posed.variances))
+        )
+
+    def _unseen(self, responses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the covariance (n, 3, 3) of points under one more contact given the markers, and the share removed."""
+        cross = (responses * self._unseen_variances) @ self._fit.posed.responses.T
+        taken = np.linalg.solve(self._under_unseen, cross.T).T.reshape(len(cross) // 3, 3, cross.shape[1])
+        scaled = (responses * np.sqrt(self._unseen_variances)).reshape(len(taken), 3, responses.shape[1])
+        before, after = (np.matmul(part, np.moveaxis(part, 1, 2)) for part in (scaled, taken))
+        remaining = before - after
+        traces = [np.maximum(np.trace(part, axis1=1, axis2=2), 0.0) for part in (remaining, before)]
+        return remaining, np.asarray(1.0 - traces[0] / np.maximum(traces[1], 1e-300))
+
+    def _unseen_draws(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Return coefficients (count, n_columns) of one more contact, drawn given that the markers detected none."""
+        own, variances = self._fit.posed.responses, self._unseen_variances
+        drawn = np.sqrt(variances) * rng.standard_normal((count, len(variances)))
+        seen = drawn @ own.T + np.sqrt(self._fit.posed.variances) * rng.standard_normal((count, len(own)))
+        half = np.linalg.solve(self._under_unseen, seen.T)
+        return np.asarray(drawn - (variances * (own.T @ np.linalg.solve(self._under_unseen.T, half)).T))
+
+    def nodes(self, rng: np.random.Generator, fields: FloatArray | None = None) -> FloatArray:
+        """Return the covariance of every node, from draws.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of all random numbers.
+        fields : ndarray of float64, shape (n_draws, n_nodes, 3), optional
+            Posterior fields in equilibrium, tracker's frame, mm; linear draws if absent.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_nodes, 3, 3)
+            mm^2, contacts and model, tracker's frame. Cost: one right-hand side per draw.
+        """
+        fit = self._fit
+        turn = fit.moment.frame.rotation
+        drawn = np.zeros((self._settings.n_draws, fit.columns.n_columns))
+        if fields is None:
+            drawn = self.coefficients(rng, self._settings.n_draws) - fit.moment.coefficients
+        errors = rng.standard_normal((len(drawn), len(self._model_forces)))
+        suggested = self._suggested
+        if suggested is None:
+            suggested = self._moments(np.zeros((0, fit.columns.n_columns)))[2]
+        drawn = drawn - errors @ suggested.T
+        drawn += np.sqrt(self._settings.unseen_chance) * self._unseen_draws(rng, len(drawn))
+        n_nodes = fit.columns.body.mesh.n_nodes
+        spread = np.zeros((n_nodes, 3, 3))
+        for some in _in_parts(len(drawn)):
+            moved = linear_fields(fit, drawn[some], np.tensordot(errors[some], self._model_forces, 1))
+            moved = moved[:, :n_nodes] @ turn.T
+            spread += np.einsum("dna,dnb->nab", moved, moved)
+        spread /= len(drawn)
+        if fields is not None:
+            off = fields - fields.mean(axis=0)
+            spread += np.einsum("dna,dnb->nab", off, off) / max(1, len(fields) - 1)
+        return np.asarray(spread)
+
+    def coefficients(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Return coefficients drawn from the posterior, shape (count, n_columns)."""
+        fit = self._fit
+        n_obs, n_samples = len(fit.posed.variances), len(fit.samples[0])
+        order = (
+            (np.arange(count) * max(1, n_samples // count)) % n_samples if count < n_samples else np.arange(n_samples)
+        )
+        chosen = [np.ascontiguousarray(part[order]) for part in fit.samples]
+        normals = rng.standard_normal((count, fit.columns.n_columns + n_obs))
+        return np.asarray(fit.sampler.draws(chosen, normals, threads=self._threads))
+
+
+def _in_parts(count: int) -> Iterator[slice]:
+    """Yield consecutive slices of a count: whole fields are large and are made in blocks."""
+    for first in range(0, count, _AT_ONCE):
+        yield slice(first, min(first + _AT_ONCE, count))
+
+
+def _forces_of_errors(
+    fit: ContactFit, errors: tuple[Sequence[Cause], FloatArray], of_supports: FloatArray
+) -> FloatArray:
+    """Return the unbalanced forces due to model errors at their sizes, (n_errors, n_element_nodes, 3), mN."""
+    causes, scales = errors
+    forces = np.empty((len(causes) + len(of_supports), *of_supports.shape[1:]))
+    for some in _in_parts(len(causes)):
+        forces[some] = fit.tangent.linearised.unbalanced(causes[some])
+        forces[some] *= -scales[some, None, None]
+    forces[len(causes) :] = of_supports
+    return forces
+
+
+def unseen_variances(patches: Patches, settings: ContactSettings, n_columns: int) -> FloatArray:
+    """Return the variances (n_columns,) of one more contact anywhere: each patch is as likely as in the prior."""
+    count = np.bincount(patches.level)
+    likely = 1.0 / (len(count) * count[patches.level])
+    variances = np.zeros(n_columns)
+    variances[: 3 * patches.n_patches] = np.repeat(likely * (settings.unseen_share * patches.radii) ** 2 / 3.0, 3)
+    return variances
+
+
+def linear_fields(fit: ContactFit, change: FloatArray, forces: FloatArray) -> FloatArray:
+    """Return displacement fields (n, n_element_nodes, 3) of changes of coefficients and of further nodal forces."""
+    columns = fit.columns
+    total = forces + columns.forces(change)
+    fields = fit.tangent.linearised.responses(np.ascontiguousarray(total))
+    if columns.moves:
+        places = columns.body.simulator.body.nodes + fit.moment.displacement
+        rigid = columns.rigid_field(places)
+        frames = np.stack([columns.frame(one) for one in change])
+        fields = fields + np.tensordot(frames, rigid, 1)
+    return np.asarray(fields)
+
+
+def _model_errors(fit: ContactFit, material: Material, settings: ContactSettings) -> list[Cause]:
+    """Return stiffness along smooth fields and Poisson's ratio, each perturbed by one standard deviation."""
+    simulator = fit.columns.body.simulator
+    young = simulator.moduli(material)[0]
+    by_tet = young if young.ndim == 1 else young.mean(axis=1)
+    fields = fit.columns.body.blobs * (settings.young_log_std * by_tet)
+    poisson = np.full(simulator.mesh.n_tets, settings.poisson_std)
+    return [*(Field("young", one) for one in fields), Field("poisson", poisson)]
+
+
+def _support_errors(fit: ContactFit, settings: ContactSettings) -> FloatArray:
+    """Return the forces (n_fields, n_element_nodes, 3) due to smooth variations of the supports' stiffness, in mN."""
+    columns = fit.columns
+    simulator = columns.body.simulator
+    if columns.body.base is None or columns.springs is None:
+        return np.zeros((0, simulator.body.n_nodes, 3))
+    forces = np.asarray(simulator.spring_forces(fit.moment.displacement, springs=columns.springs)).sum(axis=0)
+    nodes = np.flatnonzero(np.abs(forces).max(axis=1) > 0.0)
+    if not len(nodes):
+        return np.zeros((0, simulator.body.n_nodes, 3))
+    smooth = smooth_fields(simulator.body.nodes[nodes], _N_SUPPORT_FIELDS)
+    fields = np.zeros((len(smooth), simulator.body.n_nodes))
+    fields[:, nodes] = smooth
+    return np.asarray(settings.support_log_std * fields[:, :, None] * forces)
+
+
+__all__ = ["Points", "Spread", "linear_fields", "unseen_variances"]

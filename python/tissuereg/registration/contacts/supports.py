@@ -1,0 +1,140 @@
+"""Supports of a body: nodes that are surely held, nodes that may be held, or only a soft bed around it."""
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray, index_array
+from tissuereg._base.choice import check_choice
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import SupportError
+
+#: Name of the node set that may or may not be held.
+PERHAPS = "perhaps_fixed"
+
+#: Ways to take the node set ``fixed``.
+HELD = ("sure", "perhaps", "free")
+
+#: Stiffness of the bed around a free body, in Young's modulus over extent.
+_BED = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Supports:
+    """Nodes that are held.
+
+    Attributes
+    ----------
+    sure : ndarray of int64, shape (n,)
+        Surely held.
+    perhaps : ndarray of int64, shape (m,)
+        Doubtful: on springs of unknown stiffness, with unknown tractions.
+    """
+
+    sure: IntArray
+    perhaps: IntArray
+
+    @property
+    def holds(self) -> bool:
+        """Whether any node is held, surely or perhaps."""
+        return bool(len(self.sure) + len(self.perhaps))
+
+    @property
+    def moves(self) -> bool:
+        """Whether no node is held at all: a rigid motion is then unknown."""
+        return not self.holds
+
+    def digest(self) -> str:
+        """Return a fingerprint."""
+        parts = (self.sure.astype("<i8").tobytes(), b"|", self.perhaps.astype("<i8").tobytes())
+        return hashlib.sha256(b"".join(parts)).hexdigest()
+
+    @classmethod
+    def of(cls, mesh: Mesh, held: str, held_nodes: Any = None) -> "Supports":
+        """Return the supports of a mesh.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Its node sets ``fixed`` and ``perhaps_fixed`` are used; a mesh without either is free.
+        held : {"sure", "perhaps", "free"}
+            How the set ``fixed`` is taken.
+        held_nodes : array_like of int, optional
+            Nodes instead of the set ``fixed``.
+
+        Returns
+        -------
+        Supports
+            No node is in both parts.
+
+        Raises
+        ------
+        SupportError
+            If `held` is none of these.
+        """
+        check_choice("held", held, HELD, SupportError)
+        none = np.empty(0, np.int64)
+        fixed = mesh.node_sets.get("fixed", none) if held_nodes is None else _held(mesh, held_nodes)
+        perhaps = mesh.node_sets.get(PERHAPS, none)
+        if held == "perhaps":
+            return cls(none, np.union1d(fixed, perhaps))
+        sure = fixed if held == "sure" else none
+        return cls(np.asarray(sure, np.int64), np.setdiff1d(perhaps, sure))
+
+
+def _held(mesh: Mesh, nodes: Any) -> IntArray:
+    """Return the nodes that a user names, sorted; refuse those that are not in the mesh."""
+    held = np.unique(index_array("held_nodes", nodes, (None,)))
+    if held.size and (held[0] < 0 or held[-1] >= mesh.n_nodes):
+        bad = held[0] if held[0] < 0 else held[-1]
+        message = f"`held_nodes` must name nodes 0 to {mesh.n_nodes - 1}, got {bad}"
+        raise SupportError(message, where="held_nodes")
+    return held
+
+
+def springs_of(mesh: Mesh, supports: Supports) -> list[tuple[IntArray, FloatArray]]:
+    """Return the springs under doubtful supports, or the soft bed of a free body.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    supports : Supports
+        Its supports.
+
+    Returns
+    -------
+    list of (ndarray of int64 (n, 3), ndarray of float64 (2,))
+        Sets of surface triangles, each with the unit of its stiffness per kPa of Young's modulus (normal, tangential):
+        the rim of the doubtful supports and their inside, or the bed; empty if all supports are sure.
+    """
+    if not supports.holds:
+        return [(mesh.surface, np.full(2, _BED / mesh.extent))]
+    triangles = _covering(mesh, supports.perhaps)
+    unit = np.full(2, 1.0 / mesh.extent)
+    return [(zone, unit) for zone in _zones(mesh, triangles) if len(zone)]
+
+
+def _zones(mesh: Mesh, triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the rim of a part of the surface and its inside, about half of its triangles each."""
+    from scipy.spatial import cKDTree
+
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    each, count = np.unique(edges, axis=0, return_counts=True)
+    border = np.unique(each[count == 1])
+    if not len(border):
+        return triangles, triangles[:0]
+    middles = mesh.nodes[triangles].mean(axis=1)
+    depth = np.asarray(cKDTree(mesh.nodes[border]).query(middles)[0])
+    inner = depth > np.median(depth)
+    return triangles[~inner], triangles[inner]
+
+
+def _covering(mesh: Mesh, nodes: IntArray) -> IntArray:
+    """Return the surface triangles of a set of nodes: those within the set, and those that touch its other nodes."""
+    count = np.isin(mesh.surface, nodes).sum(axis=1)
+    within = count == 3
+    left = np.setdiff1d(nodes, mesh.surface[within])
+    return np.asarray(mesh.surface[within | np.isin(mesh.surface, left).any(axis=1)])

@@ -1,0 +1,98 @@
+"""Fit of the unlabelled surface points after a registration."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.surface import SurfacePoints
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.registration.contacts.surface_points import OUTLIER, SeenPoints
+
+#: A larger ratio of the median distance to its expected value is a reason not to trust the result.
+_MOST_OFF = 2.0
+
+#: A larger share of outliers is one, too.
+_MOST_OUTLIERS = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceFit:
+    """Points of the surface after a registration.
+
+    Attributes
+    ----------
+    points : int
+        Number of points that took part.
+    used : int
+        Number of them that are not outliers.
+    thinned_from : int or None
+        Number of points given, if more than took part.
+    before_rms_mm, after_rms_mm : float
+        Root mean square distance of the used points from the surface along its normal: simulation (or rest),
+        registration.
+    outliers : ndarray of int64, shape (n_outliers,)
+        Rows of the given points more than four standard deviations from the surface.
+    typical : float
+        Median distance over its value under the stated noise; about 1.
+    misfit : float
+        Sum of squares of the used points' distances over their standard deviations.
+    places : ndarray of float64, shape (points, 3)
+        As measured, mm.
+    """
+
+    points: int
+    used: int
+    thinned_from: int | None
+    before_rms_mm: float
+    after_rms_mm: float
+    outliers: IntArray
+    typical: float
+    misfit: float
+    places: FloatArray
+
+    @classmethod
+    def of(cls, seen: SeenPoints, given: SurfacePoints, start: Moment, end: Moment) -> "SurfaceFit":
+        """Return the fit of the points at the start and the end of a registration."""
+        before, after = seen.distances(start)[0], seen.distances(end)
+        good = after[1] <= OUTLIER
+        return cls(
+            points=len(given),
+            used=int(good.sum()),
+            thinned_from=given.given if given.given > len(given) else None,
+            before_rms_mm=_rms(before[good]),
+            after_rms_mm=_rms(after[0][good]),
+            outliers=given.rows[~good],
+            typical=float(np.median(after[1]) / 0.6745),
+            misfit=float(np.sum(after[1][good] ** 2)),
+            places=given.places,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain numbers and lists."""
+        return {
+            "points": self.points,
+            "used": self.used,
+            "thinned_from": self.thinned_from,
+            "before_rms_mm": self.before_rms_mm,
+            "after_rms_mm": self.after_rms_mm,
+            "outliers": self.outliers.tolist(),
+        }
+
+    def reasons(self) -> list[str]:
+        """Return the reasons not to trust the result, in sentences."""
+        found = []
+        if self.typical > _MOST_OFF:
+            found.append(
+                f"the surface points do not lie on the registered surface: they are typically {self.typical:.1f} "
+                f"times as far off as their noise allows ({self.after_rms_mm:.2f} mm rms)"
+            )
+        share = 1.0 - self.used / self.points
+        if share > _MOST_OUTLIERS:
+            found.append(f"{100 * share:.0f} % of the surface points belong to no part of the registered surface")
+        return found
+
+
+def _rms(lengths: FloatArray) -> float:
+    return float(np.sqrt(np.mean(lengths**2))) if len(lengths) else 0.0

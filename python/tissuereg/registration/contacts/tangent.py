@@ -1,0 +1,178 @@
+"""The tangent at a body, with a cache of sensitivities of observations; the tangent at rest is kept between calls."""
+
+import sys
+import threading
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.machine import n_cores
+from tissuereg.body.material import Material
+from tissuereg.registration.contacts.columns import Columns
+from tissuereg.registration.contacts.moment import Moment
+from tissuereg.simulation.sensitivity import Compliance, Linearised, Observation
+
+#: Largest number of observations that are cached: more belong to points, which no later call repeats.
+MOST_REMEMBERED = 400
+
+#: A tangent at rest with more entries than this (1 GB) is not kept: later passes need the memory.
+MOST_KEPT_ENTRIES = 250_000_000
+
+#: From so many unknowns on right-hand sides are solved in parts: one block of the solver per thread.
+_MANY_UNKNOWNS, _BLOCK = 100_000, 16
+
+Row = tuple[IntArray, FloatArray]
+
+
+class Tangent:
+    """A linearised equilibrium with the sensitivities computed so far.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The equilibrium.
+    threads : int
+        Threads that it uses; 0: all cores.
+
+    Attributes
+    ----------
+    linearised : Linearised
+    """
+
+    def __init__(self, linearised: Linearised, threads: int = 0) -> None:
+        self.linearised = linearised
+        body = linearised.simulator.body
+        self._at_once = _BLOCK * (threads or n_cores()) if body.n_unknowns >= _MANY_UNKNOWNS else sys.maxsize
+        self._known: dict[bytes, Compliance] = {}
+        self._lock = threading.Lock()
+
+    def compliance(
+        self, rows: Sequence[Row], progress: Callable[[int, int], None] | None = None
+    ) -> tuple[Compliance, int]:
+        """Return the sensitivities of observations to nodal forces, and how many of them had to be solved.
+
+        Parameters
+        ----------
+        rows : list of (ndarray of int64 (k,), ndarray of float64 (k, 3))
+            Nodes and weights of each observation.
+        progress : callable of (int, int), optional
+            Called with right-hand sides solved and to solve, on large bodies.
+
+        Returns
+        -------
+        Compliance
+            One entry per row. The same bits whether cached or not.
+        int
+            Right-hand sides solved.
+        """
+        keys = [nodes.tobytes() + b"|" + weights.tobytes() for nodes, weights in rows]
+        with self._lock:
+            found = {key: self._known[key] for key in keys if key in self._known}
+        missing = {key: row for key, row in zip(keys, rows, strict=True) if key not in found}
+        if missing or not rows:
+            solved = self._solved(list(missing.values()), progress)
+            new = dict(zip(missing, _apart(solved), strict=True))
+            self._remember(new)
+            if len(missing) == len(rows):
+                return solved, len(missing)
+            found |= new
+        parts = [found[key] for key in keys]
+        return _together(parts), len(missing)
+
+    def _solved(self, rows: list[Row], progress: Callable[[int, int], None] | None) -> Compliance:
+        """Return the sensitivity of rows to nodal forces; on a large body in parts, so that progress can be shown."""
+        parts = []
+        for first in range(0, max(1, len(rows)), self._at_once):
+            if progress is not None and first > 0:
+                progress(first, len(rows))
+            some = rows[first : first + self._at_once]
+            parts.append(self.linearised.compliance([Observation(*row) for row in some]))
+        return parts[0] if len(parts) == 1 else _together(parts)
+
+    def _remember(self, new: dict[bytes, Compliance]) -> None:
+        with self._lock:
+            if len(self._known) + len(new) <= MOST_REMEMBERED:
+                self._known |= new
+
+
+def _apart(whole: Compliance) -> list[Compliance]:
+    """Return one entry per observation."""
+    return [
+        Compliance(whole.forces[i : i + 1], whole.body_force[i : i + 1], whole.prescribed[i : i + 1])
+        for i in range(len(whole.forces))
+    ]
+
+
+def _together(parts: list[Compliance]) -> Compliance:
+    return Compliance(
+        np.concatenate([part.forces for part in parts]),
+        np.concatenate([part.body_force for part in parts]),
+        np.concatenate([part.prescribed for part in parts]),
+    )
+
+
+#: The last tangent at rest, with its key.
+_rest: tuple[tuple[object, ...], Tangent] | None = None
+_lock = threading.Lock()
+
+
+def tangent_at(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[Tangent, int]:
+    """Return the tangent at a body, and the number of factorisations it took.
+
+    Parameters
+    ----------
+    columns : Columns
+        Causes, with the supports of the body.
+    material : Material
+        Material of the body.
+    moment : Moment
+        An equilibrium.
+    threads : int
+        Threads to use.
+
+    Returns
+    -------
+    Tangent
+        The tangent at rest is cached, unless it is very large: the next call on the same mesh and material reuses it,
+        with the sensitivities of markers at the same positions.
+    int
+        Factorisations: 0 or 1.
+    """
+    global _rest
+    key = _rest_key(columns, material, moment, threads)
+    if key is not None:
+        with _lock:
+            if _rest is not None and _rest[0] == key:
+                return _rest[1], 0
+    linearised = Linearised(
+        columns.body.simulator,
+        columns.load(moment.coefficients),
+        material,
+        moment.displacement,
+        springs=columns.springs,
+        precision="single",
+        threads=threads,
+    )
+    made = Tangent(linearised, threads)
+    if key is not None and columns.body.simulator.body.factor_size[0] <= MOST_KEPT_ENTRIES:
+        with _lock:
+            _rest = (key, made)
+    return made, 1
+
+
+def forget_rest() -> None:
+    """Empty the cache of the tangent at rest."""
+    global _rest
+    with _lock:
+        _rest = None
+
+
+def _rest_key(columns: Columns, material: Material, moment: Moment, threads: int) -> tuple[object, ...] | None:
+    """Return the key of a tangent at rest; None if the body is not at rest."""
+    loaded = any(part is not None for part in columns.believed.values())
+    if loaded or moment.displacement.any() or moment.coefficients.any():
+        return None
+    springs = None if columns.springs is None else columns.springs.tobytes()
+    # The body itself, not its address: the address of a deleted body may be reused by another.
+    return columns.body, material.digest(), springs, threads

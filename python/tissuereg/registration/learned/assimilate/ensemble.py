@@ -1,0 +1,485 @@
+"""The ES-MDA loop: draw, decode, compare, update; Algorithm 1 of the paper, lines 3 to 10.
+
+`tissuereg-esmda` computes the update; random numbers are drawn here, from a generator that the caller passes in.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._base.arguments import called, check_running, maybe, of_kind, real, whole
+from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.choice import check_choice
+from tissuereg.errors import ArgumentError, EnsembleError, ScheduleError, ShapeError
+from tissuereg.registration.learned.model import Gaussian
+
+#: A predicted marker displacement beyond this many mm marks a failed member.
+ABSURD_MM = 1e4
+
+#: Schedules that have a name.
+SCHEDULES = ("geometric", "dmc", "ler")
+
+#: Most prior standard deviations by which a restricted step may change a latent.
+MOST_CHANGE = 2.0
+
+#: Forms of a step.
+FORMS = ("stochastic", "square_root")
+
+#: Factorisations of a stochastic step.
+FACTORISATIONS = ("auto", "cholesky", "qr", "svd")
+
+#: Localizations by sample correlation.
+BY_CORRELATION = ("threshold", "smooth")
+
+
+@dataclass(frozen=True, eq=False)
+class StepOptions:
+    """How one update is made; an option that would change nothing beside the others is refused.
+
+    Attributes
+    ----------
+    form : {"stochastic", "square_root"}
+        Perturbed observations, or a deterministic transform (ETKF) without draws.
+    factorisation : {"auto", "cholesky", "qr", "svd"}
+        Of the stochastic form without localization; changes rounding only.
+    energy : float, optional
+        Share of the sum of squared singular values of the whitened anomalies that is kept, in (0, 1]. Nothing is cut
+        by default: the update damps what the noise hides, and a cut removes data.
+    rank : int, optional
+        Number of singular directions kept, in place of `energy`.
+    localization : ndarray of float64, shape (n_latent, n_obs), or {"threshold", "smooth"}, optional
+        Factors in [0, 1] on the gain, or factors by sample correlation; stochastic form only.
+    threshold : float, optional
+        Absolute correlation that counts, of a localization by sample correlation; 3 / sqrt(n_members) by default.
+    batch_rows : int, optional
+        Latents updated at a time; all by default.
+
+    Raises
+    ------
+    ArgumentError
+        If an option is out of its range, or does not go with another one.
+    """
+
+    form: str = "stochastic"
+    factorisation: str = "auto"
+    energy: float | None = None
+    rank: int | None = None
+    localization: FloatArray | str | None = None
+    threshold: float | None = None
+    batch_rows: int | None = None
+
+    def __post_init__(self) -> None:
+        check_choice("form", self.form, FORMS, ArgumentError)
+        check_choice("factorisation", self.factorisation, FACTORISATIONS, ArgumentError)
+        if isinstance(self.localization, str):
+            check_choice("localization", self.localization, BY_CORRELATION, ArgumentError)
+        if self.localization is not None and self.form == "square_root":
+            message = "`localization` must be None in the square-root form: it has no gain of single observations"
+            raise ArgumentError(message, where="localization")
+        if self.factorisation != "auto" and (self.form == "square_root" or self.localization is not None):
+            message = (
+                "`factorisation` must be auto in the square-root form and with localization: both take singular values"
+            )
+            raise ArgumentError(message, where="factorisation")
+        if self.threshold is not None:
+            if not isinstance(self.localization, str):
+                message = "`threshold` must be None unless `localization` is one of threshold, smooth"
+                raise ArgumentError(message, where="threshold")
+            real("threshold", self.threshold, least=0.0)
+        if self.energy is not None:
+            if self.rank is not None:
+                message = "`energy` and `rank` must not both be given: each sets the truncation"
+                raise ArgumentError(message, where="rank")
+            real("energy", self.energy, above=0.0)
+        if self.rank is not None:
+            whole("rank", self.rank, least=1)
+        if self.batch_rows is not None:
+            whole("batch_rows", self.batch_rows, least=1)
+
+    def update(
+        self,
+        latents: FloatArray,
+        predicted: FloatArray,
+        observed: FloatArray,
+        noise: _core.Noise,
+        draws: FloatArray,
+        *,
+        alpha: float,
+        threads: int = 0,
+    ) -> FloatArray:
+        """Return the latents after one step.
+
+        Parameters
+        ----------
+        latents : ndarray of float64, shape (n_latent, n_members)
+            Members before the step.
+        predicted : ndarray of float64, shape (n_obs, n_members)
+            Their predictions, mm.
+        observed : ndarray of float64, shape (n_obs,)
+            Measured displacements, mm.
+        noise : Noise
+            Covariance C_d, factored.
+        draws : ndarray of float64, shape (n_obs, n_members)
+            Standard normals; not read in the square-root form.
+        alpha : float
+            Inflation coefficient.
+        threads : int
+            Threads of the update.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_latent, n_members)
+            Members after the step.
+        """
+        cut: dict[str, Any] = {"energy": self.energy, "rank": self.rank}
+        if self.localization is not None:
+            localized = _core.LocalizedStep(predicted, observed, noise, draws, alpha=alpha, threads=threads, **cut)
+            localization = self.localization
+            if isinstance(localization, str):
+                kind = localization
+                return self._by_rows(
+                    latents,
+                    lambda rows: localized.apply_by_correlation(latents[rows], kind=kind, threshold=self.threshold),
+                )
+            taper = float_array("localization", localization, (len(latents), len(predicted)))
+            return self._by_rows(latents, lambda rows: localized.apply(latents[rows], taper[rows]))
+        if self.form == "square_root":
+            step = _core.Step.square_root(predicted, observed, noise, alpha=alpha, threads=threads, **cut)
+        else:
+            step = _core.Step(
+                predicted,
+                observed,
+                noise,
+                draws,
+                alpha=alpha,
+                threads=threads,
+                factorisation=self.factorisation,
+                **cut,
+            )
+        return self._by_rows(latents, lambda rows: step.apply(latents[rows]))
+
+    def _by_rows(self, latents: FloatArray, apply: Callable[[slice], FloatArray]) -> FloatArray:
+        if self.batch_rows is None:
+            return apply(slice(None))
+        starts = range(0, len(latents), self.batch_rows)
+        return np.concatenate([apply(slice(start, start + self.batch_rows)) for start in starts])
+
+
+@dataclass(frozen=True, eq=False)
+class Assimilation:
+    """A posterior ensemble of latents.
+
+    Attributes
+    ----------
+    latents : ndarray of float64, shape (n_latent, n_members)
+        Members that survived.
+    dropped : list of (int, str)
+        Members that were lost, by their first index, with the reason.
+    exact_draws : bool
+        Whether draws were balanced, see `balanced_draws`; otherwise the spread of a small ensemble is too narrow.
+    alphas : tuple of float
+        Inflation coefficients of the steps made; their inverses sum to one.
+    """
+
+    latents: FloatArray
+    dropped: list[tuple[int, str]]
+    exact_draws: bool
+    alphas: tuple[float, ...] = ()
+
+    @property
+    def mean(self) -> FloatArray:
+        """Ensemble mean, shape (n_latent,)."""
+        return np.asarray(self.latents.mean(axis=1))
+
+    @property
+    def spread_factor(self) -> float:
+        """Factor on covariances that corrects for the finite ensemble.
+
+        Mean and covariance estimated from n independent members predict a further draw with the covariance
+        times ``(1 + 1/n)(n - 1)/(n - 3)`` (variance of Student's t); balanced draws estimate nothing.
+        """
+        n = self.latents.shape[1]
+        return 1.0 if self.exact_draws else (1.0 + 1.0 / n) * (n - 1.0) / max(n - 3.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class FirstEnsemble:
+    """An ensemble drawn from a prior, with its predictions where they are known.
+
+    Attributes
+    ----------
+    latents : ndarray of float64, shape (n_latent, n_members)
+        Draws.
+    exact : bool
+        Whether their moments are those of the prior, see `balanced_draws`.
+    predicted : ndarray of float64, shape (n_obs, n_members), or None
+        mm.
+    """
+
+    latents: FloatArray
+    exact: bool
+    predicted: FloatArray | None = None
+
+    @classmethod
+    def of(cls, prior: Gaussian, rng: np.random.Generator, n_members: int) -> "FirstEnsemble":
+        """Return draws from a prior; raise ArgumentError if its covariance is not positive definite."""
+        return cls.about(prior, *balanced_draws(rng, (len(prior.mean), n_members), np.empty((0, n_members))))
+
+    @classmethod
+    def about(cls, prior: Gaussian, draws: FloatArray, exact: bool) -> "FirstEnsemble":
+        """Return the same from standard normal draws (n_latent, n_members) and whether their moments are exact."""
+        return cls(np.asarray(prior.mean[:, None] + _root_of(prior) @ draws), exact)
+
+
+def assimilate(
+    predict: Callable[[FloatArray], FloatArray],
+    observed: FloatArray,
+    noise: FloatArray | _core.Noise,
+    prior: Gaussian,
+    *,
+    rng: np.random.Generator,
+    n_members: int = 200,
+    n_steps: int = 5,
+    schedule: str | Sequence[float] = "geometric",
+    decrease: float = 2.0,
+    max_steps: int = 20,
+    options: StepOptions | None = None,
+    perturbations: Callable[[int, tuple[int, int]], FloatArray] | None = None,
+    first: FirstEnsemble | None = None,
+    min_members: int = 20,
+    threads: int = 0,
+) -> Assimilation:
+    """Return the posterior ensemble of the latents given observations.
+
+    Parameters
+    ----------
+    predict : callable
+        Latents (n_latent, n_members) to predictions (n_obs, n_members) in mm; float32 is converted.
+    observed : ndarray of float64, shape (n_obs,)
+        Measured marker displacements in mm.
+    noise : ndarray of float64, shape (n_obs, n_obs), or Noise
+        Covariance C_d of the measurement about a perfect model's prediction, mm^2.
+    prior : Gaussian
+        Prior of the latents.
+    rng : numpy.random.Generator
+        The only source of random numbers.
+    n_members, n_steps : int
+        Ensemble size N_e and number of assimilations N_a of a geometric schedule.
+    schedule : {"geometric", "dmc", "ler"} or sequence of float
+        Inflation coefficients: each `decrease` times smaller than the one before; chosen at each step by the data
+        misfit controller, or as large a step as changes no latent by more than two prior standard deviations; or the
+        coefficients themselves.
+    decrease : float
+        Each inflation coefficient over the next; their inverses sum to one.
+    max_steps : int
+        Most steps of "dmc" and "ler"; the last closes the sum whatever the rule says.
+    options : StepOptions, optional
+        Form, factorisation, truncation, localization and batches of a step.
+    perturbations : callable, optional
+        Step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place of
+        `balanced_draws`; stochastic form only.
+    first : FirstEnsemble, optional
+        Draws from the prior, in place of `n_members` made here; with their predictions the first step decodes nothing.
+    min_members : int
+        Fewer surviving members than this, or than two, raise.
+    threads : int
+        Threads of the update; the result does not depend on it.
+
+    Returns
+    -------
+    Assimilation
+        The ensemble after the last update.
+
+    Raises
+    ------
+    EnsembleError
+        If fewer than `min_members` members survive.
+    NoiseError
+        If `noise` is not positive definite.
+    ScheduleError
+        If `schedule` is no known word, or the inverses of its coefficients do not sum to one.
+    MarkerError
+        If `observed` is not finite.
+    ShapeError
+        If an array, or what `predict` or `perturbations` returns, has another shape.
+    ArgumentError
+        If another argument is of the wrong kind or out of its range, or the prior's covariance is not positive
+        definite.
+
+    Notes
+    -----
+    ``z += C_zy (C_yy + a C_d)^-1 (d + sqrt(a) C_d^1/2 e - y)``, A. A. Emerick and A. C. Reynolds, "Ensemble smoother
+    with multiple data assimilation", Computers & Geosciences 55, 3-15, 2013, doi:10.1016/j.cageo.2012.03.011.
+    "dmc": M. Iglesias and Y. Yang, Inverse Problems 37, 025008, 2021. "ler": D. H. Le, A. A. Emerick and A. C.
+    Reynolds, SPE Journal 21, 2195-2207, 2016, the restricted step: a quarter of the mean normalised misfit, doubled
+    until the change is allowed.
+    """
+    check_running(threads=threads)
+    observed = float_array("observed", observed, (None,))
+    covariance = noise_of(noise, len(observed))
+    of_kind("prior", prior, Gaussian)
+    of_kind("rng", rng, np.random.Generator)
+    whole("n_members", n_members, least=1)
+    fewest = max(whole("min_members", min_members), 2)
+    options = maybe("options", options, StepOptions) or StepOptions()
+    called("perturbations", perturbations)
+    if perturbations is not None and options.form == "square_root":
+        message = "`perturbations` must be None in the square-root form, which draws none"
+        raise ArgumentError(message, where="perturbations")
+    coefficients = _Coefficients(schedule, n_steps, decrease, max_steps)
+    prior_std = np.sqrt(np.diag(prior.covariance))[:, None]
+    first = maybe("first", first, FirstEnsemble) or FirstEnsemble.of(prior, rng, n_members)
+    latents, balanced, known = (
+        float_array("first.latents", first.latents, (len(prior.mean), None)),
+        first.exact,
+        first.predicted,
+    )
+    n_members = latents.shape[1]
+    members = np.arange(n_members)
+    dropped: list[tuple[int, str]] = []
+    while not coefficients.complete:
+        given, known = predict(latents) if known is None else known, None
+        predicted = float_array("predict(latents)", given, (len(observed), latents.shape[1]))
+        kept, lost = _core.screen_members(predicted, ABSURD_MM)
+        dropped += [(int(members[index]), reason) for index, reason in lost]
+        if len(kept) < fewest:
+            message = f"at least {fewest} ensemble members must survive, {len(kept)} of {n_members} are left"
+            raise EnsembleError(message, dropped=dropped)
+        members, latents, predicted = (
+            members[kept],
+            np.ascontiguousarray(latents[:, kept]),
+            np.ascontiguousarray(predicted[:, kept]),
+        )
+        if options.form == "square_root":
+            draws, exact = np.empty((0, len(kept))), True
+        elif perturbations is None:
+            draws, exact = balanced_draws(rng, predicted.shape, latents - latents.mean(axis=1, keepdims=True))
+        else:
+            wanted = (predicted.shape[0], predicted.shape[1])
+            draws, exact = float_array("perturbations", perturbations(len(coefficients.used), wanted), wanted), False
+        balanced &= exact
+        alpha = coefficients.propose(predicted, observed, covariance)
+        while True:
+            updated = options.update(latents, predicted, observed, covariance, draws, alpha=alpha, threads=threads)
+            change = float((np.abs(updated - latents) / prior_std).max())
+            if not coefficients.is_too_far(change):
+                break
+            alpha *= 2.0
+        coefficients.take(alpha)
+        latents = updated
+    return Assimilation(latents, dropped, balanced, tuple(coefficients.used))
+
+
+def noise_of(noise: FloatArray | _core.Noise, n_obs: int) -> _core.Noise:
+    """Return a covariance of the noise of `n_obs` observations, factored."""
+    if isinstance(noise, _core.Noise):
+        if noise.n_obs != n_obs:
+            message = f"`noise` must be that of {n_obs} observations, got {noise.n_obs}"
+            raise ShapeError(message, where="noise")
+        return noise
+    return _core.Noise.dense(float_array("noise", noise, (n_obs, n_obs)))
+
+
+def _root_of(prior: Gaussian) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.cholesky(prior.covariance))
+    except np.linalg.LinAlgError as error:
+        message = "the covariance of `prior` must be positive definite; it has no Cholesky factor"
+        raise ArgumentError(message, where="prior") from error
+
+
+class _Coefficients:
+    """Inflation coefficients, given in advance or chosen step by step."""
+
+    def __init__(self, schedule: str | Sequence[float], n_steps: int, decrease: float, max_steps: int) -> None:
+        self.used: list[float] = []
+        self._rule: str | None = None
+        self._given: list[float] = []
+        self._max_steps = max_steps
+        self._closed = False
+        if not isinstance(schedule, str):
+            alphas = float_array("schedule", schedule, (None,))
+            self._given = [float(alpha) for alpha in _core.check_schedule(alphas)]
+            return
+        check_choice("schedule", schedule, SCHEDULES, ScheduleError)
+        whole("n_steps", n_steps, least=1, error=ScheduleError)
+        whole("max_steps", max_steps, least=1, error=ScheduleError)
+        real("decrease", decrease, above=0.0, error=ScheduleError)
+        if schedule == "geometric":
+            self._given = [float(alpha) for alpha in _core.schedule_geometric(n_steps, decrease)]
+        else:
+            self._rule = schedule
+
+    @property
+    def complete(self) -> bool:
+        """Whether the data have been assimilated once."""
+        return self._closed if self._rule else len(self.used) == len(self._given)
+
+    @property
+    def _left(self) -> float:
+        return 1.0 - sum(1.0 / alpha for alpha in self.used)
+
+    def propose(self, predicted: FloatArray, observed: FloatArray, noise: _core.Noise) -> float:
+        """Return the next coefficient."""
+        if self._rule is None:
+            return self._given[len(self.used)]
+        steps_left = self._max_steps - len(self.used)
+        assimilated = 1.0 - self._left
+        return _core.next_alpha(
+            predicted, observed, noise, rule=self._rule, assimilated=assimilated, steps_left=steps_left
+        )
+
+    def is_too_far(self, change: float) -> bool:
+        """Whether a step that changes a latent by so many prior standard deviations is to be shortened."""
+        is_last = len(self.used) + 1 >= self._max_steps
+        return self._rule == "ler" and not is_last and change > MOST_CHANGE
+
+    def take(self, alpha: float) -> None:
+        """Count a step that was made."""
+        self.used.append(alpha)
+        # What rounding leaves of one is no step.
+        self._closed = self._left < 1e-12
+
+
+def balanced_draws(rng: np.random.Generator, shape: tuple[int, int], anomalies: FloatArray) -> tuple[FloatArray, bool]:
+    """Return standard normal draws whose sample moments are exact, if the ensemble is large enough.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of random numbers.
+    shape : (int, int)
+        Rows (dimensions) and columns (members).
+    anomalies : ndarray of float64, shape (k, n_members)
+        Zero-mean rows with which the draws must be uncorrelated.
+
+    Returns
+    -------
+    draws : ndarray of float64, shape `shape`
+        Mean zero, sample covariance the identity, sample correlation with `anomalies` zero.
+    exact : bool
+        False if there are too few members for that; the draws are then plain.
+
+    Notes
+    -----
+    With such draws the stochastic update reproduces the Kalman mean and covariance exactly if the model is
+    linear: the usual loss of spread, about n_obs/n_members of it, comes from these sampling errors alone.
+    Needs n_members > rows + rank(anomalies) + 1.
+    """
+    draws = rng.standard_normal(shape)
+    rows, n_members = shape
+    if n_members <= rows + len(anomalies) + 1:
+        return draws, False
+    taken = np.vstack([np.ones((1, n_members)), anomalies])
+    basis, triangle = np.linalg.qr(taken.T)
+    lengths = np.abs(np.diag(triangle))
+    if not lengths.min() > 1e-9 * lengths.max():
+        # Rows that depend on others have no direction of their own.
+        basis, singular, _ = np.linalg.svd(taken.T, full_matrices=False)
+        basis = basis[:, singular > 1e-12 * singular.max()]
+    draws -= (draws @ basis) @ basis.T
+    root = np.linalg.cholesky(draws @ draws.T / (n_members - 1))
+    return np.ascontiguousarray(np.linalg.solve(root, draws)), True

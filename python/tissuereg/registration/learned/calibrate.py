@@ -1,0 +1,447 @@
+"""Makes the calibration of a trained model: from fields of its training set, fields it never saw, and pairs.
+
+The scales of events and the chances of honest measurements come from rehearsals: events that the model never saw are
+registered from random markers, as a user's will be.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh, free_surface
+from tissuereg.registration.learned.calibration import (
+    LEAST_SIZE_MM,
+    UNRELATED,
+    Calibration,
+    Change,
+    FieldErrors,
+    Rehearsal,
+    RowsOf,
+)
+from tissuereg.registration.learned.honest import Honest
+from tissuereg.registration.learned.kinds import Kinds, probabilities
+from tissuereg.registration.learned.mixture import Component, Linear, condition, log_evidence
+from tissuereg.registration.learned.model import LatentModel, rms_displacement
+from tissuereg.registration.learned.network import NetworkModel
+from tissuereg.registration.learned.relinearise import conditioned, spread_of
+from tissuereg.registration.learned.signs import signs_of
+from tissuereg.registration.learned.spread_law import squared_radius
+
+#: Scales of events of one kind: their standard deviations over those of the kind.
+_SCALES = np.array([0.2, 0.4, 0.7, 1.2, 2.0, 3.5])
+
+#: Scales of the difference between truth and simulation.
+_CHANGE_SCALES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
+
+#: Variances of the factor by which all moves more or less than simulated: from sure to a factor of two or so.
+_FACTORS = np.array([0.0, 0.02, 0.1, 0.4])
+
+#: Patterns of errors kept, and of errors of changes.
+_PATTERNS, _CHANGE_PATTERNS = 80, 80
+
+#: Parts of the events, each rehearsed with what the others tell.
+_FOLDS = 5
+
+#: Least and most degrees of freedom of the law of targets; above the most it is a Gaussian.
+_TAILS = (1.5, 100.0)
+
+#: Errors by which those of a kind are mixed with those of all.
+_BORROWED = 20.0
+
+#: Linearisations of a rehearsal, which starts from the mean of all codes.
+_PASSES = 6
+
+#: Fields coded at once.
+_BATCH = 50
+
+
+class Codes(LatentModel, Protocol):
+    """A latent model with an encoder."""
+
+    def codes(self, fields: FloatArray) -> FloatArray:
+        """Return the encoder's means (n_fields, n_latent) of fields (n_fields, n_nodes, 3) in mm."""
+        ...
+
+
+@dataclass(frozen=True)
+class RehearsalSettings:
+    """How events are rehearsed.
+
+    Parameters
+    ----------
+    n_markers, n_targets : int
+        Random places on the free surface and inside.
+    std : float
+        Noise of the tracker, mm.
+    n_events : int
+        Events at most.
+    n_repeats : int
+        Registrations of each pair, from other places and with other noise: pairs are few.
+    seed : int
+        Of places and noise.
+    """
+
+    n_markers: int = 15
+    n_targets: int = 20
+    std: float = 0.1
+    n_events: int = 1000
+    n_repeats: int = 3
+    seed: int = 0
+
+
+def calibrate(
+    model: Codes,
+    mesh: Mesh,
+    codes: FloatArray,
+    unseen: FloatArray,
+    pairs: Sequence[tuple[FloatArray, FloatArray]] = (),
+    *,
+    n_kinds: int = 12,
+    settings: RehearsalSettings | None = None,
+) -> Calibration:
+    """Return the calibration of a model.
+
+    Parameters
+    ----------
+    model : Codes
+        Encoder and decoder.
+    mesh : Mesh
+        Its mesh.
+    codes : ndarray of float64, shape (n_codes, n_latent)
+        Encoder's means of fields of the training set.
+    unseen : ndarray of float, shape (n_fields, n_nodes, 3)
+        Fields that were not used in training, mm.
+    pairs : sequence of (ndarray, ndarray), each of shape (n_pairs, n_nodes, 3)
+        Simulations and truths of the same events, mm: one entry for each kind of change.
+    n_kinds : int
+        Kinds of events to start from.
+    settings : RehearsalSettings, optional
+        Of the rehearsals.
+
+    Returns
+    -------
+    Calibration
+        Cost: about six decodes of 2 n_latent + 1 columns at some nodes for every rehearsed event.
+    """
+    how = settings or RehearsalSettings()
+    rehearsal = _Rehearsal(model, mesh, how)
+    kinds = Kinds.fit(codes, n_kinds, how.seed)
+    coded = model.codes(unseen)
+    missed = np.concatenate([unseen[i : i + _BATCH] - model.decode(coded[i : i + _BATCH].T) for i in _parts(unseen)])
+    shares = kinds.shares(coded)
+    scales = Rehearsal(_SCALES, _equal(1, len(_SCALES)))
+    made = Calibration(kinds, field_errors(missed, shares, _PATTERNS), scales)
+    events = []
+    for own, others in _folds(np.zeros(len(unseen), np.int64)):
+        without = replace(made, errors=field_errors(missed[others], shares[others], _PATTERNS))
+        events += [rehearsal.registered(without, None, unseen[row]) for row in own[own < how.n_events]]
+    alone = rehearsal.outcome(events, scales)
+    made = replace(made, alone=alone)
+    if not pairs:
+        return made
+    simulations, truths = (np.concatenate([one[part] for one in pairs]) for part in (0, 1))
+    kind = np.repeat(np.arange(len(pairs)), [len(one[0]) for one in pairs])
+    again = range(how.n_repeats)
+    # Truths of another physics look worse without a simulation too.
+    for number in range(len(pairs)):
+        shown = (rehearsal.registered(made, None, truth) for truth in truths[kind == number] for _ in again)
+        signs = np.array([rehearsal.shown(event, alone.scale_weights)[0] for event in shown])
+        made = replace(made, alone=replace(made.alone, honest=made.alone.honest.beside(signs)))
+    differences = _Differences.of(model, simulations, truths, kind, missed)
+    made = replace(made, change=differences.change(np.arange(len(truths))))
+    n_forms = len(pairs) * len(_FACTORS)
+    scales = Rehearsal(_CHANGE_SCALES, _equal(n_forms, len(_CHANGE_SCALES)))
+    events, of_event = [], []
+    for own, others in _folds(kind):
+        of_event += [number for number in kind[own] for _ in again]
+        without = replace(made, anchored=scales, change=differences.change(others))
+        events += [rehearsal.registered(without, simulations[row], truths[row]) for row in own for _ in again]
+    return replace(made, anchored=rehearsal.outcome(events, scales, np.array(of_event)))
+
+
+def _equal(*shape: int) -> FloatArray:
+    """Return equal probabilities."""
+    return np.full(shape, 1.0 / np.prod(shape))
+
+
+def codes_of(model: Codes, fields: Any, rows: IntArray) -> FloatArray:
+    """Return the encoder's means (n_rows, n_latent) of some fields of a data set, read in parts."""
+    parts = [model.codes(np.asarray(fields[rows[i : i + _BATCH]])) for i in range(0, len(rows), _BATCH)]
+    return np.concatenate(parts)
+
+
+def field_errors(errors: FloatArray, shares: FloatArray, n_patterns: int) -> FieldErrors:
+    """Return the covariances of errors by kind.
+
+    Parameters
+    ----------
+    errors : ndarray of float, shape (n_fields, n_nodes, 3)
+        mm.
+    shares : ndarray of float64, shape (n_fields, n_kinds)
+        Probability of each kind.
+    n_patterns : int
+        Patterns kept at most.
+
+    Returns
+    -------
+    FieldErrors
+        Those of a kind are mixed with those of all kinds in so far as there are few.
+    """
+    rows = errors.reshape(len(errors), -1).astype(np.float64)
+    values, vectors = np.linalg.eigh(rows @ rows.T)
+    order = np.argsort(values)[::-1][:n_patterns]
+    order = order[values[order] > 1e-9 * values.max()]
+    basis = (vectors[:, order].T @ rows) / np.sqrt(values[order])[:, None]
+    # Patterns of root mean square one at a node, so that float16 holds them.
+    basis *= np.sqrt(errors.shape[1])
+    coefficients = rows @ basis.T / errors.shape[1]
+    left = (rows - coefficients @ basis).reshape(errors.shape)
+    rest = np.sqrt((left**2).mean(axis=0))
+    pooled = coefficients.T @ coefficients / len(coefficients)
+    covariances = np.empty((shares.shape[1], len(order), len(order)))
+    for k, share in enumerate(shares.T):
+        count = share.sum()
+        own = (coefficients * share[:, None]).T @ coefficients
+        # Few errors of a kind say how large they are sooner than what they look like.
+        size = (np.trace(own) + np.trace(pooled)) / ((count + 1.0) * np.trace(pooled))
+        covariances[k] = (own + _BORROWED * size * pooled) / (count + _BORROWED)
+    return FieldErrors(basis.reshape(-1, *errors.shape[1:]), covariances, rest)
+
+
+@dataclass(frozen=True, eq=False)
+class _Differences:
+    """Differences of truths from simulations, relative to the size of the simulated event, and other errors."""
+
+    kind: IntArray
+    codes: FloatArray
+    missed: FloatArray
+    others: FloatArray
+
+    @classmethod
+    def of(
+        cls, model: Codes, simulations: FloatArray, truths: FloatArray, kind: IntArray, others: FloatArray
+    ) -> "_Differences":
+        """Return the differences of pairs of some kinds; `others` are errors of whole fields, in mm."""
+        squares = np.maximum((simulations**2).sum(axis=(1, 2)), 1e-300)
+        factors = ((truths - simulations) * simulations).sum(axis=(1, 2)) / squares
+        # Without what the factor explains.
+        rest = truths - factors[:, None, None] * simulations
+        before, after = model.codes(simulations), model.codes(rest)
+        sizes = np.maximum(rms_displacement(simulations), LEAST_SIZE_MM)
+        off = (after - before) / sizes[:, None]
+        missed = (rest - simulations - model.decode(after.T) + model.decode(before.T)) / sizes[:, None, None]
+        scale = np.sqrt(np.mean(missed**2) / np.maximum(np.mean(others**2), 1e-300))
+        return cls(kind, off, missed, scale * others)
+
+    def change(self, rows: IntArray) -> Change:
+        """Return what some pairs tell."""
+        n_kinds, n_latent = int(self.kind.max()) + 1, self.codes.shape[1]
+        kind, every = self.kind[rows], self.codes[rows]
+        pooled, covariances = every.T @ every / len(every), np.empty((n_kinds, n_latent, n_latent))
+        for number in range(n_kinds):
+            off = every[kind == number]
+            # One pair of all kinds, for kinds of few or none.
+            covariance = (off.T @ off + pooled) / (len(off) + 1.0)
+            keep = len(off) / (len(off) + n_latent)
+            covariances[number] = keep * covariance + np.diag((1.0 - keep) * np.diag(covariance) + 1e-9)
+        # Errors of whole fields lend what errors look like; their size is that of the changes.
+        both = np.concatenate([self.missed[rows], self.others])
+        shares = np.eye(n_kinds + 1)[np.concatenate([kind, np.full(len(self.others), n_kinds)])]
+        errors = field_errors(both, shares, _CHANGE_PATTERNS)
+        rest = both[: len(rows)] - errors.project(both[: len(rows)])
+        own = FieldErrors(errors.basis, errors.covariances[:n_kinds], np.sqrt((rest**2).mean(axis=0)))
+        return Change(_FACTORS, covariances, own)
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Random markers on the free surface and targets inside, as sums over nodes."""
+
+    nodes: IntArray
+    where: IntArray
+    weights: FloatArray
+
+    @classmethod
+    def drawn(cls, mesh: Mesh, how: RehearsalSettings, rng: np.random.Generator) -> "_Places":
+        free, shares = free_surface(mesh)
+        triangles = free[rng.choice(len(free), how.n_markers, p=shares)]
+        tets = mesh.tets[rng.choice(mesh.n_tets, how.n_targets, p=mesh.volumes / mesh.volumes.sum())]
+        members = np.concatenate([np.column_stack([triangles, triangles[:, :1]]), tets])
+        weights = np.zeros((len(members), 4))
+        weights[: how.n_markers, :3] = rng.dirichlet(np.ones(3), how.n_markers)
+        weights[how.n_markers :] = rng.dirichlet(np.ones(4), how.n_targets)
+        nodes, where = np.unique(members, return_inverse=True)
+        return cls(nodes, where.reshape(members.shape), weights)
+
+    def rows(self, fields: FloatArray) -> FloatArray:
+        """Return components (n_fields, n_rows) of fields (n_fields, k, 3) at `nodes`."""
+        return np.asarray(np.einsum("fpcx,pc->fpx", fields[:, self.where], self.weights).reshape(len(fields), -1))
+
+    def rows_of(self) -> RowsOf:
+        """Return the same for whole fields."""
+        return lambda fields: self.rows(fields[:, self.nodes])
+
+    def decoder(self, model: Codes) -> RowsOf:
+        """Return the rows of a model's latents (n_latent, n_members); a network's decoder is cut down to them."""
+        from scipy import sparse
+
+        cut = None
+        if isinstance(model, NetworkModel):
+            number = np.repeat(np.arange(len(self.where)), self.where.shape[1])
+            places = (self.weights.ravel(), (number, self.nodes[self.where].ravel()))
+            cut = model.cut(sparse.csr_array(places, (len(self.where), model.n_nodes)))
+        if cut is None:
+            return lambda latents: self.rows(model.decode(latents, self.nodes))
+        return lambda latents: cut(latents).reshape(latents.shape[1], -1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Event:
+    """A registered truth: its prior, of which the first `n_own` components are the event's own, and the decoder there.
+
+    Rows of `observed` are those of the markers, of `rows` the true ones of markers and targets, mm.
+    """
+
+    made: Calibration
+    prior: list[Component]
+    n_own: int
+    linear: Linear
+    observed: FloatArray
+    rows: FloatArray
+
+
+class _Rehearsal:
+    """Registers truths from random markers, with scales equally probable at first; see `Rehearsal`."""
+
+    def __init__(self, model: Codes, mesh: Mesh, how: RehearsalSettings) -> None:
+        self._model, self._mesh, self._how = model, mesh, how
+        self._rng = np.random.default_rng([how.seed, 22])
+        self._noise = how.std**2 * np.eye(3 * how.n_markers)
+
+    def registered(self, made: Calibration, simulation: FloatArray | None, truth: FloatArray) -> _Event:
+        """Register one truth."""
+        how, model, n_obs = self._how, self._model, len(self._noise)
+        places = _Places.drawn(self._mesh, how, self._rng)
+        rows = places.rows(truth[None, places.nodes].astype(np.float64))[0]
+        observed = rows[:n_obs] + how.std * self._rng.standard_normal(n_obs)
+        at, decoded = made.at(places.rows_of()), places.decoder(model)
+        anchor, start, n_own = np.zeros(len(rows)), made.kinds.weights @ made.kinds.means, len(made.kinds.weights)
+        prior = at.prior()
+        if simulation is not None:
+            simulation = simulation.astype(np.float64)
+            start, simulated = model.codes(simulation[None])[0], places.rows(simulation[None, places.nodes])[0]
+            prior, forms = at.prior_about(start, float(rms_displacement(simulation[None])[0]), simulated)
+            n_own = len(forms)
+            anchor = simulated - decoded(start[:, None])[0]
+        _, linear = conditioned(
+            lambda latents: decoded(latents) + anchor,
+            prior,
+            observed,
+            self._noise,
+            start,
+            spread_of(made.kinds),
+            _PASSES,
+        )
+        return _Event(made, prior, n_own, linear, observed, rows)
+
+    def shown(self, event: _Event, scale_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the signs of an event under probabilities of scales, and the misfits of its targets."""
+        own, forms = event.prior[: event.n_own], len(scale_weights)
+        # Of one form the kinds keep their shares.
+        total = np.array([one.weights.sum() for one in own]) if forms == 1 else np.full(forms, 1.0 - UNRELATED)
+        laws = np.broadcast_to(scale_weights, (len(own), scale_weights.shape[1]))
+        own = [replace(one, weights=share * law) for one, share, law in zip(own, total, laws, strict=True)]
+        prior, n_obs = [*own, *event.prior[event.n_own :]], len(self._noise)
+        found = condition(prior, event.linear, event.observed, self._noise)
+        shown = signs_of(event.made, found, event.n_own)
+        return shown.row, _misfits(event.rows - found.mean, found.covariance, n_obs)
+
+    def outcome(self, events: list[_Event], law: Rehearsal, kind: IntArray | None = None) -> Rehearsal:
+        """Return the likeliest scales, and what registrations with these give; honest ones of each kind are a group."""
+        n_forms, n_scales = law.scale_weights.shape
+        logs = np.array([self._log_evidence(event, n_forms).ravel() for event in events])
+        scale_weights = _mixing(logs).reshape(n_forms, n_scales)
+        signs, misfits = zip(*(self.shown(event, scale_weights) for event in events), strict=True)
+        widening, tail = _regions(np.concatenate(misfits))
+        shown, group = np.array(signs), np.zeros(len(events), np.int64) if kind is None else kind
+        honest = Honest.none()
+        for number in np.unique(group):
+            honest = honest.beside(shown[group == number])
+        return replace(law, scale_weights=scale_weights, widening=widening, tail=tail, honest=honest)
+
+    def _log_evidence(self, event: _Event, n_forms: int) -> FloatArray:
+        """Return the log-evidence of every form and scale of the event's own components, (n_forms, n_scales)."""
+        prior = event.prior[: event.n_own]
+        logs = log_evidence(prior, event.linear, event.observed, self._noise)
+        if n_forms > 1:
+            return logs
+        weights = np.array([one.weights.sum() for one in prior])
+        return np.asarray(np.logaddexp.reduce(logs + np.log(weights)[:, None], axis=0, keepdims=True))
+
+
+def _mixing(logs: FloatArray) -> FloatArray:
+    """Return the probabilities under which evidences exp(logs) (n_events, n_cases) are likeliest."""
+    weights = np.full(logs.shape[1], 1.0 / logs.shape[1])
+    for _ in range(200):
+        # One event for each, so that none becomes impossible.
+        counts = probabilities(logs + np.log(weights)).sum(axis=0) + 1.0
+        weights = counts / counts.sum()
+    return weights
+
+
+def _misfits(off: FloatArray, covariance: FloatArray, first: int) -> FloatArray:
+    """Return squared distances of points from row `first` on, in their own covariance."""
+    rows = range(first, len(off), 3)
+    return np.array([off[i : i + 3] @ np.linalg.solve(covariance[i : i + 3, i : i + 3], off[i : i + 3]) for i in rows])
+
+
+def _regions(misfits: FloatArray) -> tuple[float, float | None]:
+    """Return the factor on covariances and the degrees of freedom with which 50 and 90 % regions hold their share.
+
+    Parameters
+    ----------
+    misfits : ndarray of float64, shape (n,)
+        Squared distances of targets from their means, in their own covariance.
+
+    Returns
+    -------
+    widening : float
+        Covariances times this give the Gaussian whose 90 % region holds 90 %.
+    tail : float or None
+        Degrees of freedom of the t law with the same 90 % region; None if tails are as a Gaussian's, or lighter.
+    """
+    from scipy.optimize import brentq
+    from scipy.stats import chi2
+
+    middle, wide = np.quantile(misfits, (0.5, 0.9))
+
+    def excess(dof: float) -> float:
+        return float(squared_radius(0.9, None) / squared_radius(0.5, dof) - wide / middle)
+
+    low, high = _TAILS
+    widening = float(wide / chi2.ppf(0.9, 3))
+    if excess(high) >= 0.0:
+        return widening, None
+    return widening, low if excess(low) <= 0.0 else float(brentq(excess, low, high))
+
+
+def _folds(kind: IntArray) -> list[tuple[IntArray, IntArray]]:
+    """Return parts of events of some kinds (n_events,), each with the others, in equal shares of every kind.
+
+    A covariance knows the events that it was made of too well. Parts are runs of consecutive events of a kind: those of
+    one body or one rig follow each other, and are in one part but where it ends.
+    """
+    part = np.empty(len(kind), np.int64)
+    for number in np.unique(kind):
+        own = np.flatnonzero(kind == number)
+        part[own] = np.arange(len(own)) * _FOLDS // len(own)
+    parts = [(np.flatnonzero(part == number), np.flatnonzero(part != number)) for number in range(_FOLDS)]
+    # A single event has no others.
+    return [(own, others if len(others) else own) for own, others in parts if len(own)]
+
+
+def _parts(fields: FloatArray) -> range:
+    return range(0, len(fields), _BATCH)

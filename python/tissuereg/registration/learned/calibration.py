@@ -1,0 +1,366 @@
+"""What a trained model's answers are worth, measured on fields it never saw: ``calibration.npz`` of its folder.
+
+`tissuereg.registration.learned.calibrate` makes it, a registration reads it: kinds of events with the errors of each
+kind, how the truth differs from a simulation, and how improbable honest measurements look.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.errors import FormatError
+from tissuereg.io.npz import Archive, open_npz
+from tissuereg.registration.learned.honest import SIGNS, Honest
+from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.mixture import Component
+
+#: Form of ``calibration.npz``.
+VERSION = 3
+
+#: Fields (n_fields, n_nodes, 3) to their rows at markers and targets, (n_fields, n_rows).
+RowsOf = Callable[[FloatArray], FloatArray]
+
+#: Least size of a simulated event, mm: a tiny one does not make the truth certain.
+LEAST_SIZE_MM = 0.3
+
+#: Probability that a simulation is not of this event at all.
+UNRELATED = 0.02
+
+#: Share of the variance of changes from simulations in general that stays where variants of the simulation are given.
+BESIDE_VARIANTS = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class FieldErrors:
+    """Covariances of fields of errors, by few patterns.
+
+    Attributes
+    ----------
+    basis : ndarray of float64, shape (n_patterns, n_nodes, 3)
+        Orthogonal patterns.
+    covariances : ndarray of float64, shape (n_kinds, n_patterns, n_patterns)
+        Second moments of the coefficients for each kind, mm^2.
+    rest : ndarray of float64, shape (n_nodes, 3)
+        Standard deviation of what the patterns leave, mm.
+    """
+
+    basis: FloatArray
+    covariances: FloatArray
+    rest: FloatArray
+
+    def sum(self, coefficients: FloatArray) -> FloatArray:
+        """Return the patterns times coefficients (n_patterns,), (n_nodes, 3), in single precision."""
+        return np.asarray(coefficients.astype(np.float32) @ self._single).reshape(self.basis.shape[1:])
+
+    @cached_property
+    def _single(self) -> Any:
+        return self.basis.reshape(len(self.basis), -1).astype(np.float32)
+
+    def project(self, fields: FloatArray) -> FloatArray:
+        """Return what the patterns represent of fields (n_fields, n_nodes, 3)."""
+        patterns = self.basis.reshape(len(self.basis), -1)
+        squares = np.einsum("pi,pi->p", patterns, patterns)
+        rows = fields.reshape(len(fields), -1)
+        return np.asarray((((rows @ patterns.T) / squares) @ patterns).reshape(fields.shape))
+
+    def at(self, rows_of: RowsOf) -> "RowErrors":
+        """Return the errors at points."""
+        patterns = rows_of(self.basis)
+        rest = rows_of(self.rest[None])[0] ** 2
+        return RowErrors(self, patterns, np.asarray(patterns.T @ self.covariances @ patterns + np.diag(rest)))
+
+
+@dataclass(frozen=True, eq=False)
+class RowErrors:
+    """Errors at the markers and targets of one registration.
+
+    Attributes
+    ----------
+    whole : FieldErrors
+        At all nodes.
+    patterns : ndarray of float64, shape (n_patterns, n_rows)
+        Its patterns at the points.
+    covariances : ndarray of float64, shape (n_kinds, n_rows, n_rows)
+        Of the errors of each kind, mm^2.
+    """
+
+    whole: FieldErrors
+    patterns: FloatArray
+    covariances: FloatArray
+
+    def of(self, rows: IntArray) -> "RowErrors":
+        """Return those of some rows, in their order."""
+        return RowErrors(self.whole, self.patterns[:, rows], self.covariances[:, rows[:, None], rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """How truths differ from simulations of the same event.
+
+    A truth is ``(1 + a)`` times the simulation, and a change of its code and of what the decoder misses besides, both
+    relative to the size of the simulated event: forces or modulus may be off, so that all moves more or less.
+
+    Attributes
+    ----------
+    factors : ndarray of float64, shape (n_factors,)
+        Variances of ``a``, of which one holds; from none on.
+    covariances : ndarray of float64, shape (n_kinds, n_latent, n_latent)
+        Of the difference of codes for each kind of change, 1/mm^2.
+    errors : FieldErrors
+        What the decoder misses of the change, by kind; per mm of the event's size.
+    """
+
+    factors: FloatArray
+    covariances: FloatArray
+    errors: FieldErrors
+
+
+@dataclass(frozen=True, eq=False)
+class Rehearsal:
+    """Outcome of registrations of events that the model never saw, with random markers and targets.
+
+    Attributes
+    ----------
+    scales : ndarray of float64, shape (n_scales,)
+        Factors on the standard deviations of a kind.
+    scale_weights : ndarray of float64, shape (n_forms, n_scales)
+        Probabilities, which sum to one: without a simulation of one form, whatever the kind; with one, of each kind of
+        change with each variance of its factor.
+    widening : float
+        Factor on covariances with which 90 % regions hold 90 % of the targets.
+    tail : float or None
+        Degrees of freedom of the t law of the targets about their means, with which 50 % regions hold their share too;
+        None for a Gaussian.
+    honest : Honest
+        What honest events show.
+    """
+
+    scales: FloatArray
+    scale_weights: FloatArray
+    widening: float = 1.0
+    tail: float | None = None
+    honest: Honest = field(default_factory=Honest.none)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Kinds of events, errors and rehearsals of a model.
+
+    Attributes
+    ----------
+    kinds : Kinds
+        Of the codes of the training set.
+    errors : FieldErrors
+        Truth minus decoder(encoder(truth)), by kind.
+    alone : Rehearsal
+        Without a simulation.
+    change : Change or None
+        Differences from simulations; None if the model has seen no pairs.
+    anchored : Rehearsal or None
+        With a simulation.
+    """
+
+    kinds: Kinds
+    errors: FieldErrors
+    alone: Rehearsal
+    change: Change | None = None
+    anchored: Rehearsal | None = None
+
+    def at(self, rows_of: RowsOf) -> "PointCalibration":
+        """Return the same at markers and targets. Cost: a product of n_patterns^2 n_rows for every kind."""
+        change = None if self.change is None else self.change.errors.at(rows_of)
+        return PointCalibration(self, self.errors.at(rows_of), change)
+
+    @cached_property
+    def _roots(self) -> FloatArray:
+        return np.asarray(np.linalg.cholesky(self.kinds.covariances), np.float64)
+
+    def distance(self, code: FloatArray) -> float:
+        """Return how far a code (n_latent,) lies from the training set: least distance from a kind, in its spread."""
+        off = code - self.kinds.means
+        white = np.linalg.solve(self._roots, off[:, :, None])
+        return float(np.sqrt((white**2).sum(axis=(1, 2)).min()))
+
+    def save(self) -> dict[str, FloatArray]:
+        """Return the arrays of ``calibration.npz``."""
+        arrays = {
+            "version": np.array(VERSION),
+            "kind_weights": self.kinds.weights,
+            "kind_means": self.kinds.means,
+            "kind_covariances": self.kinds.covariances,
+            **_error_arrays("error", self.errors),
+            **_rehearsal_arrays("alone", self.alone),
+        }
+        if self.change is not None and self.anchored is not None:
+            arrays["change_factors"] = self.change.factors
+            arrays["change_covariances"] = self.change.covariances
+            arrays |= _error_arrays("change_error", self.change.errors)
+            arrays |= _rehearsal_arrays("anchored", self.anchored)
+        return arrays
+
+    @classmethod
+    def read(cls, path: object, n_latent: int, n_nodes: int) -> "Calibration":
+        """Return the content of ``calibration.npz``.
+
+        Raises
+        ------
+        FormatError
+            If it is of another version, or an array is missing or of another shape.
+        """
+        with open_npz(str(path)) as file:
+            version = int(file.indices("version").item()) if "version" in file else 1
+            if version != VERSION:
+                message = (
+                    f"{path} must be a calibration of version {VERSION}, got {version}; "
+                    "`tissuereg calibrate MODEL --data DATA` makes it anew"
+                )
+                raise FormatError(message, where=str(path))
+            weights = file.floats("kind_weights", None)
+            n_kinds = len(weights)
+            kinds = Kinds(
+                weights,
+                file.floats("kind_means", n_kinds, n_latent),
+                file.floats("kind_covariances", n_kinds, n_latent, n_latent),
+            )
+            errors, alone = _errors_in(file, "error", n_kinds, n_nodes), _rehearsal_in(file, "alone", 1)
+            if "change_factors" not in file:
+                return cls(kinds, errors, alone)
+            factors, covariances = (
+                file.floats("change_factors", None),
+                file.floats("change_covariances", None, n_latent, n_latent),
+            )
+            change = Change(factors, covariances, _errors_in(file, "change_error", len(covariances), n_nodes))
+            return cls(kinds, errors, alone, change, _rehearsal_in(file, "anchored", len(factors) * len(covariances)))
+
+
+@dataclass(frozen=True, eq=False)
+class PointCalibration:
+    """A calibration at the markers and targets of one registration.
+
+    Attributes
+    ----------
+    whole : Calibration
+        Of the model.
+    errors : RowErrors
+        Of each kind.
+    change_errors : RowErrors or None
+        Of the change from a simulation, by kind; per mm of the event's size.
+    """
+
+    whole: Calibration
+    errors: RowErrors
+    change_errors: RowErrors | None
+
+    def of(self, rows: IntArray) -> "PointCalibration":
+        """Return that of some rows, in their order."""
+        change = None if self.change_errors is None else self.change_errors.of(rows)
+        return PointCalibration(self.whole, self.errors.of(rows), change)
+
+    def rehearsal(self, anchored: bool) -> Rehearsal:
+        """Return the rehearsal that a registration with or without a simulation is compared with."""
+        known = self.whole.anchored if anchored else None
+        return self.whole.alone if known is None else known
+
+    @staticmethod
+    def squared_size(size: float, varied: bool) -> float:
+        """Return the factor on covariances of changes, mm^2, for an event of a size in mm, with variants or without."""
+        return (BESIDE_VARIANTS if varied else 1.0) * max(size, LEAST_SIZE_MM) ** 2
+
+    def prior(self, share: float = 1.0) -> list[Component]:
+        """Return the components of an event that is not simulated, one a kind, all `share` probable."""
+        kinds, law = self.whole.kinds, self.whole.alone
+        return [
+            Component(share * weight * law.scale_weights[0], law.scales, mean, covariance, errors)
+            for weight, mean, covariance, errors in zip(
+                kinds.weights, kinds.means, kinds.covariances, self.errors.covariances, strict=True
+            )
+        ]
+
+    def prior_about(
+        self, code: FloatArray, size: float, simulated: FloatArray, variants: RowErrors | None = None
+    ) -> tuple[list[Component], list[tuple[int, float]]]:
+        """Return the components of the truth of an event that is simulated.
+
+        Parameters
+        ----------
+        code : ndarray of float64, shape (n_latent,)
+            Of the simulation.
+        size : float
+            Root mean square displacement of the simulation, mm.
+        simulated : ndarray of float64, shape (n_rows,)
+            The simulation at markers and targets, mm.
+        variants : RowErrors, optional
+            Covariance of variants of the simulation, which is their mean: changes then have it, a share of what they
+            have in general, and no factor.
+
+        Returns
+        -------
+        list of Component
+            The simulated event's first, all variances of a factor for one kind of change after those of another; then
+            those of an unrelated event.
+        list of (int, float)
+            Kind of change, and variance of its factor, of the first ones; none where the model knows no changes.
+        """
+        change, law = self.whole.change, self.whole.anchored
+        if change is None or law is None or self.change_errors is None:
+            return self.prior(), []
+        square, known = self.squared_size(size, variants is not None), 0.0
+        factors, weights = change.factors, law.scale_weights.reshape(len(change.covariances), -1, len(law.scales))
+        if variants is not None:
+            # Variants say by which factor all may move more or less.
+            factors, weights = np.zeros(1), weights.sum(axis=1, keepdims=True)
+            known = variants.covariances[0]
+        forms = [(kind, float(factor)) for kind in range(len(change.covariances)) for factor in factors]
+        of_factor = np.outer(simulated, simulated)
+        about = [
+            Component(
+                (1.0 - UNRELATED) * of_form,
+                law.scales,
+                code,
+                square * change.covariances[kind],
+                square * self.change_errors.covariances[kind] + factor * of_factor + known,
+            )
+            for (kind, factor), of_form in zip(forms, weights.reshape(len(forms), -1), strict=True)
+        ]
+        return [*about, *self.prior(UNRELATED)], forms
+
+
+def _error_arrays(name: str, errors: FieldErrors) -> dict[str, FloatArray]:
+    return {
+        f"{name}_patterns": errors.basis.astype(np.float16),
+        f"{name}_covariances": errors.covariances.astype(np.float32),
+        f"{name}_rest_mm": errors.rest.astype(np.float16),
+    }
+
+
+def _errors_in(file: Archive, name: str, n_kinds: int, n_nodes: int) -> FieldErrors:
+    basis = file.floats(f"{name}_patterns", None, n_nodes, 3)
+    covariances = file.floats(f"{name}_covariances", n_kinds, len(basis), len(basis))
+    return FieldErrors(basis, covariances, file.floats(f"{name}_rest_mm", n_nodes, 3))
+
+
+def _rehearsal_arrays(name: str, rehearsal: Rehearsal) -> dict[str, FloatArray]:
+    return {
+        f"{name}_scales": rehearsal.scales,
+        f"{name}_scale_weights": rehearsal.scale_weights,
+        f"{name}_signs": rehearsal.honest.signs,
+        f"{name}_groups": rehearsal.honest.groups,
+        f"{name}_tail": np.array(rehearsal.tail or 0.0),
+        f"{name}_widening": np.array(rehearsal.widening),
+    }
+
+
+def _rehearsal_in(file: Archive, name: str, n_forms: int) -> Rehearsal:
+    scales = file.floats(f"{name}_scales", None)
+    signs, tail = file.floats(f"{name}_signs", None, len(SIGNS)), float(file.floats(f"{name}_tail"))
+    return Rehearsal(
+        scales,
+        file.floats(f"{name}_scale_weights", n_forms, len(scales)),
+        float(file.floats(f"{name}_widening")),
+        tail or None,
+        Honest(signs, file.indices(f"{name}_groups", len(signs))),
+    )

@@ -1,0 +1,66 @@
+"""Writes a calibration into the folder of its model, and reads it with its checksum compared."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg.errors import ModelError
+from tissuereg.io.atomic import atomic_file
+from tissuereg.registration.learned.calibration import Calibration
+from tissuereg.registration.learned.card import read_card
+
+CALIBRATION_NAME = "calibration.npz"
+
+
+def write_calibration(folder: Path, calibration: Calibration) -> None:
+    """Write ``calibration.npz`` and its SHA-256 into the card of the model.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the model.
+    calibration : Calibration
+        What is written.
+
+    Raises
+    ------
+    ModelError
+        If there is no card.
+    OutputError
+        If a file cannot be written. Each is written whole or not at all; a calibration that the card does not list is
+        not used.
+    """
+    card = read_card(folder)
+    path = folder / CALIBRATION_NAME
+    with atomic_file(path) as draft, draft.open("wb") as stream:
+        np.savez_compressed(stream, **calibration.save())  # type: ignore[arg-type]
+    card["files"][CALIBRATION_NAME] = _sha256(path)
+    with atomic_file(folder / "model.json") as draft:
+        draft.write_text(json.dumps(card, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_calibration(folder: Path, card: dict[str, Any]) -> Calibration | None:
+    """Return the calibration that the card of a model lists, or None.
+
+    Raises
+    ------
+    FormatError
+        If an array is missing or of another shape.
+    ModelError
+        If the file is missing, or differs from its SHA-256.
+    """
+    wanted = card["files"].get(CALIBRATION_NAME)
+    if wanted is None:
+        return None
+    path = folder / CALIBRATION_NAME
+    if not path.is_file() or _sha256(path) != wanted:
+        message = f"{path} must be the file its card describes (SHA-256 {str(wanted)[:12]}); it is missing or another"
+        raise ModelError(message, where=str(path))
+    return Calibration.read(path, card["n_latent"], card["n_nodes"])
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

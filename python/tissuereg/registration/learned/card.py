@@ -1,0 +1,128 @@
+"""The card of a trained model, ``model.json``: read, and every entry that is used checked."""
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from tissuereg._base.arguments import is_number
+from tissuereg._base.arrays import FloatArray
+from tissuereg.errors import FormatError, ModelError
+from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
+
+CARD_SCHEMA = "tissuereg.model/1"
+
+#: Files of a model in addition to its card.
+MODEL_FILES = ("encoder.onnx", "decoder.onnx", "decoder_weights.npz")
+
+
+def read_card(folder: Path) -> dict[str, Any]:
+    """Return the card of a model.
+
+    Parameters
+    ----------
+    folder : Path
+        The model.
+
+    Returns
+    -------
+    dict
+        ``kind``, ``mesh_digest`` (str), ``n_nodes``, ``n_latent``, ``members`` (int), ``errors_mm`` with ``test`` and
+        ``pca``, ``prior`` with matrices of the size of the latents, ``files`` with the SHA-256 of `MODEL_FILES`;
+        other entries are ignored.
+
+    Raises
+    ------
+    ModelError
+        If there is no card, it is no JSON, or an entry is missing or of another kind.
+    """
+    path = folder / "model.json"
+    if not path.exists():
+        message = f"a model folder must hold model.json; there is none in {folder}"
+        raise ModelError(message, where=str(folder))
+    try:
+        card = json.loads(read_text(existing_file(path, TEXT_MB)))
+    except (OSError, ValueError, RecursionError, FormatError) as error:
+        message = f"{path} must be a JSON model card: {error}"
+        raise ModelError(message, where=str(path)) from error
+    if not isinstance(card, dict) or card.get("schema") != CARD_SCHEMA:
+        _refuse(path, f"be a card of schema {CARD_SCHEMA}", card.get("schema") if isinstance(card, dict) else card)
+    for name in ("kind", "mesh_digest"):
+        if not isinstance(card.get(name), str):
+            _refuse(path, f"have text as `{name}`", card.get(name))
+    for name in ("n_nodes", "n_latent", "members"):
+        if type(card.get(name)) is not int or card[name] < 1:
+            _refuse(path, f"have a whole number of at least 1 as `{name}`", card.get(name))
+    _check_tables(path, card)
+    return card
+
+
+def check_files(folder: Path, card: dict[str, Any]) -> None:
+    """Check that the files of a model are those that its card describes.
+
+    Parameters
+    ----------
+    folder : Path
+        The model.
+    card : dict
+        From `read_card`.
+
+    Raises
+    ------
+    ModelError
+        If a file is missing, or differs from its SHA-256 in the card.
+    """
+    shared = [name for name in card["files"] if name.endswith(".npy") and Path(name).name == name]
+    for name in (*MODEL_FILES, *shared):
+        path = folder / name
+        if not path.is_file():
+            message = f"the model folder {folder} must hold {name}, as its card states; it is missing"
+            raise ModelError(message, where=str(path))
+        with path.open("rb") as stream:
+            digest = hashlib.sha256()
+            while block := stream.read(1 << 20):
+                digest.update(block)
+        found, wanted = digest.hexdigest(), card["files"][name]
+        if found != wanted:
+            message = f"{path} must be the file its card describes (SHA-256 {wanted[:12]}), got {found[:12]}"
+            raise ModelError(message, where=str(path))
+
+
+def _check_tables(path: Path, card: dict[str, Any]) -> None:
+    errors, prior, files = (card.get(name) for name in ("errors_mm", "prior", "files"))
+    if not isinstance(errors, dict) or not all(is_number(errors.get(name)) for name in ("test", "pca")):
+        _refuse(path, "have the numbers `test` and `pca` in `errors_mm`", errors)
+    if not isinstance(files, dict) or not all(isinstance(files.get(name), str) for name in MODEL_FILES):
+        _refuse(path, f"have the SHA-256 of {', '.join(MODEL_FILES)} in `files`", files)
+    if not isinstance(prior, dict):
+        _refuse(path, "have a table `prior`", prior)
+    q = card["n_latent"]
+    shapes = {"mean": (q,), "covariance": (q, q), "mismatch_covariance": (q, q)}
+    if prior.get("relative_mismatch_covariance") is not None:
+        shapes["relative_mismatch_covariance"] = (q, q)
+    for name, shape in shapes.items():
+        try:
+            array = np.asarray(prior.get(name), dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            array = np.full(1, math.nan)
+        if array.shape != shape or not np.isfinite(array).all():
+            _refuse(path, f"have finite numbers of shape {shape} as `{name}` in `prior`", f"shape {array.shape}")
+        if len(shape) == 2 and not _is_covariance(array):
+            _refuse(
+                path, f"have a covariance as `{name}` in `prior`: symmetric, no variance negative", "another matrix"
+            )
+
+
+def _is_covariance(matrix: FloatArray) -> bool:
+    size = float(np.abs(matrix).max())
+    symmetric = np.abs(matrix - matrix.T).max() <= 1e-6 * size
+    return bool(symmetric and np.linalg.eigvalsh(matrix).min() >= -1e-6 * size)
+
+
+def _refuse(path: Path, rule: str, found: object) -> NoReturn:
+    got = repr(found)
+    message = f"{path} must {rule}, got {got if len(got) <= 60 else got[:57] + '...'}"
+    raise ModelError(message, where=str(path))

@@ -1,0 +1,124 @@
+"""A decoder cut down to points: markers and targets, run for a whole ensemble at a time."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.errors import ModelError
+from tissuereg.registration.learned.batches import in_batches
+from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder
+
+#: Members run in one call: intermediate values of a batch stay in the cache of a core.
+BATCH = 27
+
+#: The cut decoder and the full one agree to this share of the largest displacement: single precision leaves 1e-6.
+TOLERANCE = 1e-4
+
+
+class CutDecoder:
+    """A decoder at points alone, run by onnxruntime.
+
+    Parameters
+    ----------
+    decoder : ClosureDecoder or GraphDecoder
+        The whole decoder.
+    rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
+        Weights of every point on the nodes.
+    threads : int
+        Batches run at once.
+
+    Attributes
+    ----------
+    multiply_adds : int
+        Of one member.
+    """
+
+    def __init__(self, decoder: ClosureDecoder | GraphDecoder, rows: Any, threads: int) -> None:
+        file, self.multiply_adds = decoder.network_at(rows)
+        self._session = session(file, "the cut decoder")
+        self._threads = threads
+
+    def __call__(self, latents: FloatArray) -> FloatArray:
+        """Return displacements of the points.
+
+        Parameters
+        ----------
+        latents : ndarray of float64, shape (n_latent, n_members)
+            One column per member.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_members, n_rows, 3)
+            mm.
+        """
+        moved = in_batches(lambda z: self._session.run(["moved"], {"z": z})[0], latents, BATCH, self._threads)
+        return np.asarray(moved, np.float64).reshape(latents.shape[1], -1, 3)
+
+    def check(
+        self,
+        rows: Any,
+        decoder: ClosureDecoder | GraphDecoder,
+        decode: Callable[[FloatArray], FloatArray],
+        latents: FloatArray,
+        where: str,
+    ) -> None:
+        """Check that the points, and whole fields from the tables, move as those of the model's own file.
+
+        Parameters
+        ----------
+        rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
+            Weights of every point on the nodes.
+        decoder : ClosureDecoder or GraphDecoder
+            The whole decoder.
+        decode : callable
+            The model's file: latents (n_latent, n_members) to fields (n_members, n_nodes, 3) mm.
+        latents : ndarray of float64, shape (n_latent, n_members)
+            Members to compare.
+        where : str
+            The model, for the message.
+
+        Raises
+        ------
+        ModelError
+            If they differ by more than `TOLERANCE` of the largest displacement.
+        """
+        whole = decode(latents)
+        at_points = np.abs(self(latents) - np.stack([rows @ field for field in whole])).max(initial=0.0)
+        off = max(float(at_points), float(np.abs(decoder.decode(latents) - whole).max()))
+        scale = max(float(np.abs(whole).max()), np.finfo(np.float32).tiny)
+        if not off <= TOLERANCE * scale:
+            message = (
+                f"the weights in {where} must give the field of its decoder.onnx to {TOLERANCE:g} of the largest "
+                f"displacement of {scale:.3g} mm; they differ by {off / scale:.2g} of it"
+            )
+            raise ModelError(message, where=where)
+
+
+def session(network: str | bytes, what: str) -> Any:
+    """Return an onnxruntime session on one thread: batches are what runs at the same time.
+
+    Parameters
+    ----------
+    network : str or bytes
+        Path of an ONNX file, or its content.
+    what : str
+        What it is, for the message.
+
+    Raises
+    ------
+    ModelError
+        If onnxruntime cannot load it.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's exceptions share no public base class
+        message = f"{what} must be an ONNX network that onnxruntime can load: {error}"
+        raise ModelError(message, where=what) from error

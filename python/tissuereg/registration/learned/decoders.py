@@ -1,0 +1,507 @@
+r"""Decoders as tables: what ``decoder_weights.npz`` of a model holds, and the same decoder at a few points alone.
+
+A point is a row of weights on nodes, so rows are a sparse matrix P (n_rows, n_nodes). Two kinds of decoders are known.
+
+**Closure**: ``u = mean + sum_j c_j components_j`` with ``c = MLP(z)``, or ``MLP(z) + S z``. At points it ends in
+``P components`` (3 n_rows, n_components) in place of the whole fields.
+
+**Graph network** (Table II): a linear layer, then on every level ``x <- act(sum_m T_m x B_m + b)`` with T_m the
+unpooling and the coefficients of one basis in one table (fine nodes, coarse nodes). At points, the last level's tables
+become P T_m, and every earlier level keeps the nodes that these reach. What is linear with nothing between is one
+matrix: the linear layer with the first level, and the last level with P.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg.errors import FormatError, ModelError
+from tissuereg.io.npz import Archive, open_npz
+from tissuereg.registration.learned.batches import together
+from tissuereg.registration.learned.onnx_bytes import OnnxGraph
+
+#: Activations, by their names in a closure's weights.
+_ACTIVATED: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "elu": lambda x: np.maximum(x, np.expm1(np.minimum(x, 0.0))),
+    "silu": lambda x: x * (0.5 + 0.5 * np.tanh(0.5 * x)),
+    "relu": lambda x: np.maximum(x, 0.0),
+    "tanh": np.tanh,
+}
+
+#: A group of rows is split only if this share of its products is enough afterwards: each group copies its inputs.
+_WORTH = 0.7
+
+#: Parts of a field that are summed at the same time, whatever the number of threads, so that bits do not depend on it.
+_PARTS = 4
+
+#: Rows of a group where whole fields are wanted.
+_TOGETHER = 128
+
+
+@dataclass(frozen=True, eq=False)
+class ClosureDecoder:
+    """``displacement = mean + components @ (MLP(z) + skip @ z)``.
+
+    Attributes
+    ----------
+    layers : tuple of (ndarray of float64 (n_out, n_in), ndarray of float64 (n_out,))
+        Weights and biases of the MLP; an activation follows all but the last.
+    skip : ndarray of float64, shape (n_components, n_latent), or None
+        Linear part; none without it.
+    activation : str
+        One of elu, silu, relu, tanh.
+    components : ndarray of float32, shape (n_components, n_nodes, 3)
+        mm.
+    mean : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    """
+
+    layers: tuple[tuple[FloatArray, FloatArray], ...]
+    skip: FloatArray | None
+    activation: str
+    components: npt.NDArray[np.float32]
+    mean: FloatArray
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None, threads: int = 1) -> FloatArray:
+        """Return displacement fields (n_members, k, 3) of latents (n_latent, n_members) at nodes (k,), or at all.
+
+        In mm and single precision. Cost: some tenths of a millisecond a member.
+        """
+        fields = np.asarray(self.mean + self._summed(self._coefficients(latents), threads))
+        return fields if nodes is None else fields[:, nodes]
+
+    def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
+        """Return the fields of latents (n_latent, n_members) less that of a code (n_latent,), in mm.
+
+        Cost: that of `decode` for the members alone.
+        """
+        x = self._coefficients(np.concatenate([code[:, None], latents], axis=1))
+        return np.asarray(self._summed(x[:, 1:] - x[:, :1], threads), np.float64)
+
+    def _coefficients(self, latents: FloatArray) -> Any:
+        """Return the components' coefficients (n_components, n_members)."""
+        z: Any = latents.astype(np.float32)
+        x = z
+        for number, (weight, bias) in enumerate(self._single):
+            x = weight @ x + bias[:, None]
+            if number < len(self.layers) - 1:
+                x = _ACTIVATED[self.activation](x)
+        return x if self.skip is None else x + self.skip.astype(np.float32) @ z
+
+    def _summed(self, coefficients: Any, threads: int) -> Any:
+        flat = self.components.reshape(len(self.components), -1)
+        members = np.ascontiguousarray(coefficients.T)
+        ends = np.linspace(0, flat.shape[1], _PARTS + 1).astype(int)
+
+        def part(first: int, last: int) -> Any:
+            # One by one: products with a vector read the components where they lie, products of matrices copy them.
+            return np.stack([one @ flat[:, first:last] for one in members])
+
+        found = together([partial(part, *pair) for pair in pairwise(ends)], threads)
+        return np.concatenate(found, axis=1).reshape(-1, *self.mean.shape)
+
+    @cached_property
+    def _single(self) -> list[Any]:
+        return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in self.layers]
+
+    def network_at(self, rows: Any) -> tuple[bytes, int]:
+        """Return the decoder at points as an ONNX file, and its multiply-adds a member.
+
+        Parameters
+        ----------
+        rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
+            Weights of every point on the nodes.
+
+        Returns
+        -------
+        file : bytes
+            From ``z`` (members, n_latent) to ``moved`` (members, 3 n_rows) mm; x, y and z of a row follow each other.
+        multiply_adds : int
+            Of one member.
+        """
+        n_rows = rows.shape[0]
+        flat = np.moveaxis(self.components, 0, -1).reshape(self.components.shape[1], -1)
+        fields = np.asarray(rows @ flat).reshape(3 * n_rows, -1)
+        last, bias = self.layers[-1]
+        offset = (rows @ self.mean).ravel()
+        layers = list(self.layers[:-1])
+        # The MLP ends linear: with few points its last layer and the components are one smaller matrix.
+        joined = 3 * n_rows * last.shape[1] <= last.size + fields.size
+        end, constant = (fields @ last, fields @ bias + offset) if joined else (fields, offset)
+        graph, x = OnnxGraph("closure_at_points"), "z"
+        for weight, shift in layers:
+            x = _activated(graph, self.activation, graph.node("Gemm", [x, *_linear(graph, weight, shift)]))
+        if not joined:
+            x = graph.node("Gemm", [x, *_linear(graph, last, bias)])
+            layers.append((last, bias))
+        layers.append((end, constant))
+        y = graph.node("Gemm", [x, *_linear(graph, end, constant)], output="moved" if self.skip is None else "")
+        if self.skip is not None:
+            straight = fields @ self.skip
+            layers.append((straight, constant))
+            graph.node("Gemm", ["z", graph.table(np.ascontiguousarray(straight.T)), y], output="moved")
+        work = sum(weight.size for weight, _ in layers)
+        return graph.to_bytes(("z", self.layers[0][0].shape[1]), ("moved", 3 * n_rows)), work
+
+
+@dataclass(frozen=True, eq=False)
+class GraphLevel:
+    """One level of a graph network's decoder: unpooling and convolution in one.
+
+    Attributes
+    ----------
+    tables : tuple of scipy.sparse.csr_array, shape (n_fine, n_coarse)
+        T_m for every basis, all with the same pattern.
+    bases : ndarray of float64, shape (M, n_in, n_out)
+        B_m.
+    bias : ndarray of float64, shape (n_out,)
+        b.
+    """
+
+    tables: tuple[Any, ...]
+    bases: FloatArray
+    bias: FloatArray
+
+    @cached_property
+    def joined(self) -> Any:
+        """All tables as one of float32, shape (n_fine, n_coarse M): bases of a coarse node follow each other."""
+        from scipy import sparse
+
+        blocks = [sparse.coo_array(table) for table in self.tables]
+        n_bases, (n_fine, n_coarse) = len(blocks), blocks[0].shape
+        rows = np.concatenate([one.row for one in blocks])
+        columns = np.concatenate([one.col.astype(np.int64) * n_bases + m for m, one in enumerate(blocks)])
+        values = np.concatenate([one.data for one in blocks]).astype(np.float32)
+        return sparse.csr_array((values, (rows, columns)), (n_fine, n_coarse * n_bases))
+
+    @cached_property
+    def joined_bases(self) -> Any:
+        """All bases, transposed, as one matrix of float32, shape (M n_out, n_in)."""
+        return np.ascontiguousarray(self.bases.transpose(0, 2, 1).reshape(-1, self.bases.shape[1]), np.float32)
+
+    def at(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Return the tables of some rows at some coarse nodes, dense: (n_rows, n_columns, M)."""
+        return _dense([table[rows] for table in self.tables], columns)
+
+    def reached(self, rows: IntArray) -> IntArray:
+        """Return the coarse nodes that some rows need."""
+        return np.unique(self.tables[0][rows].indices).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class GraphDecoder:
+    """Table II's decoder: a linear layer and the levels, coarsest first.
+
+    Attributes
+    ----------
+    weight : ndarray of float64, shape (n_coarsest n_channels, n_latent)
+        Of the linear layer; channels of a node follow each other.
+    bias : ndarray of float64, shape (n_coarsest n_channels,)
+        Of the linear layer.
+    levels : tuple of GraphLevel
+        ELU follows all but the last.
+    mean : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    scale : float
+        mm: displacement = mean + scale * output.
+    """
+
+    weight: FloatArray
+    bias: FloatArray
+    levels: tuple[GraphLevel, ...]
+    mean: FloatArray
+    scale: float
+
+    def network_at(self, rows: Any) -> tuple[bytes, int]:
+        """Return the decoder at points as an ONNX file, and its multiply-adds; see `ClosureDecoder.network_at`."""
+        last = self.levels[-1]
+        at_points = [rows @ table for table in last.tables]
+        offset = (rows @ self.mean + self.scale * np.outer(rows.sum(axis=1), last.bias)).ravel()
+        needed = [np.unique(at_points[0].indices).astype(np.int64)]
+        for level in self.levels[-2:0:-1]:
+            needed.insert(0, level.reached(needed[0]))
+        n_latent = self.weight.shape[1]
+        graph = OnnxGraph("graph_network_at_points")
+        if len(self.levels) == 1:
+            expanded = self._expanded(at_points, needed[-1])
+            given = [
+                graph.node("Identity", ["z"]),
+                *_linear(graph, expanded @ self.weight, expanded @ self.bias + offset),
+            ]
+            graph.node("Gemm", given, output="moved")
+            return graph.to_bytes(("z", n_latent), ("moved", len(offset))), len(offset) * n_latent
+        matrix, constant = self._first(needed[0])
+        x = _activated(graph, "elu", graph.node("Gemm", ["z", *_linear(graph, matrix, constant)]))
+        work = matrix.size
+        for number, level in enumerate(self.levels[1:-1]):
+            columns, rows_here = needed[number], needed[number + 1]
+            x, added = _summed(graph, level.at(rows_here, columns), level.bases, x)
+            x = _activated(graph, "elu", graph.node("Add", [x, graph.table(level.bias)]))
+            x = graph.reshape(x, 0, len(rows_here) * len(level.bias))
+            work += added
+        added = self._end(graph, at_points, needed[-1], x, offset)
+        return graph.to_bytes(("z", n_latent), ("moved", len(offset))), work + added
+
+    def whole(self) -> bytes:
+        """Return the decoder at all nodes as an ONNX file: ``z`` to ``displacement`` (members, n_nodes, 3) mm."""
+        n_nodes = len(self.mean)
+        graph, x = OnnxGraph("graph_network"), "z"
+        x = graph.reshape(graph.node("Gemm", ["z", *_linear(graph, self.weight, self.bias)]), 0, -1, self._n_in)
+        for number, level in enumerate(self.levels):
+            given = _based(graph, level.bases, x, level.tables[0].shape[1])
+            n_fine = level.tables[0].shape[0]
+            parts = []
+            # Nodes with near numbers share neighbours, more or less.
+            for group in np.array_split(np.arange(n_fine), -(-n_fine // _TOGETHER)):
+                near = level.reached(group)
+                parts.append(_block(graph, level.at(group, near), near, given, level.bases))
+            x = parts[0] if len(parts) == 1 else graph.node("Concat", parts, axis=1)
+            x = graph.node("Add", [x, graph.table(level.bias)])
+            if number < len(self.levels) - 1:
+                x = _activated(graph, "elu", x)
+        x = graph.node("Mul", [x, graph.table(np.array(self.scale))])
+        graph.node("Add", [x, graph.table(self.mean)], output="displacement")
+        return graph.to_bytes(("z", self.weight.shape[1]), ("displacement", n_nodes, 3))
+
+    @property
+    def _n_in(self) -> int:
+        """Channels of the linear layer."""
+        return int(self.levels[0].bases.shape[1])
+
+    def _end(self, graph: OnnxGraph, at_points: list[Any], columns: IntArray, x: str, offset: FloatArray) -> int:
+        """Add the last level at points; return its multiply-adds.
+
+        Its products sum_m (P T_m)_rk B_m are constants. For few points they are one matrix; for many, as the patches
+        under markers off the surface have, bases come first.
+        """
+        bases = self.scale * self.levels[-1].bases
+        table = _dense(at_points, columns)
+        groups = _groups(table.any(axis=2))
+        by_groups = len(columns) * int(bases.size) + sum(
+            len(group) * int(table[group].any(axis=(0, 2)).sum()) * len(bases) * 3 for group in groups
+        )
+        whole = len(offset) * len(columns) * int(bases.shape[1])
+        if whole <= by_groups:
+            graph.node("Gemm", [x, *_linear(graph, self._expanded(at_points, columns), offset)], output="moved")
+            return whole
+        y, added = _summed(graph, table, bases, x, groups)
+        y = graph.reshape(y, 0, len(offset))
+        graph.node("Add", [y, graph.table(offset)], output="moved")
+        return added
+
+    def _expanded(self, at_points: list[Any], columns: IntArray) -> FloatArray:
+        """Return the last level at points as one matrix (3 n_rows, n_columns n_in)."""
+        found: FloatArray = np.einsum(
+            "rkm,mio->roki", _dense(at_points, columns), self.scale * self.levels[-1].bases, optimize=True
+        )
+        return found.reshape(3 * at_points[0].shape[0], -1)
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None, threads: int = 1) -> FloatArray:
+        """Return displacement fields (n_members, k, 3) of latents (n_latent, n_members) at nodes (k,), or at all, mm.
+
+        In single precision, on one core. Cost: milliseconds a member, since sums take non-zero coefficients alone.
+        """
+        n_members = latents.shape[1]
+        x = (self.weight @ latents + self.bias[:, None]).astype(np.float32)
+        for number, level in enumerate(self.levels):
+            last = number == len(self.levels) - 1
+            _, n_in, n_out = level.bases.shape
+            # Coarse nodes and bases are rows; channels and members columns.
+            coarse = x.reshape(-1, n_in, n_members)
+            products = np.matmul(level.joined_bases, coarse).reshape(-1, n_out * n_members)
+            table = level.joined[nodes] if last and nodes is not None else level.joined
+            y = (table @ products).reshape(-1, n_out, n_members) + level.bias[:, None].astype(np.float32)
+            x = y if last else np.maximum(y, np.expm1(np.minimum(y, 0.0)))
+        mean = self.mean if nodes is None else self.mean[nodes]
+        return np.asarray(mean + self.scale * np.moveaxis(x.astype(np.float64), 2, 0))
+
+    def change(self, latents: FloatArray, code: FloatArray, threads: int = 1) -> FloatArray:
+        """Return the fields of latents less that of a code; see `ClosureDecoder.change`. Cost: one member more."""
+        both = self.decode(np.concatenate([code[:, None], latents], axis=1), threads=threads)
+        return np.asarray(both[1:] - both[0])
+
+    def _first(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return linear layer and first level at some of its nodes as one matrix and one constant."""
+        level, n_in = self.levels[0], self.levels[0].bases.shape[1]
+        joined = np.concatenate([self.weight, self.bias[:, None]], axis=1).reshape(-1, n_in, self.weight.shape[1] + 1)
+        found = sum(
+            np.einsum("rkq,ko->roq", np.tensordot(table[rows].toarray(), joined, 1), basis, optimize=True)
+            for table, basis in zip(level.tables, level.bases, strict=True)
+        )
+        flat = np.asarray(found).reshape(-1, joined.shape[2])
+        return flat[:, :-1], flat[:, -1] + np.tile(level.bias, len(rows))
+
+
+def read_decoder(path: Path) -> ClosureDecoder | GraphDecoder | None:
+    """Return the decoder in a file of weights, or None if it is of neither kind.
+
+    Parameters
+    ----------
+    path : Path
+        ``decoder_weights.npz`` of a model.
+
+    Returns
+    -------
+    ClosureDecoder, GraphDecoder or None
+        The whole decoder.
+
+    Raises
+    ------
+    ModelError
+        If arrays are missing, not finite, or do not fit each other.
+    """
+    try:
+        with open_npz(path) as weights:
+            if "activation" in weights:
+                return _closure(weights)
+            return _graph_network(weights) if "fully_connected.weight" in weights else None
+    except FormatError as error:
+        raise ModelError(str(error), where=str(path)) from error
+
+
+def _closure(weights: Archive) -> ClosureDecoder:
+    activation = str(weights.raw("activation")).lower()
+    if activation not in _ACTIVATED:
+        message = f"`activation` in {weights.path} must be one of {', '.join(_ACTIVATED)}, got {activation!r}"
+        raise ModelError(message, where=str(weights.path))
+    mean = weights.floats("mean_mm", None, 3)
+    layers: list[tuple[FloatArray, FloatArray]] = []
+    while f"layer{len(layers)}/weight" in weights or not layers:
+        name = f"layer{len(layers)}"
+        weight = weights.floats(f"{name}/weight", None, len(layers[-1][1]) if layers else None)
+        layers.append((weight, weights.floats(f"{name}/bias", len(weight))))
+    n_components, n_latent = len(layers[-1][1]), layers[0][0].shape[1]
+    skip = weights.floats("skip/weight", n_components, n_latent) if "skip/weight" in weights else None
+    components = _table(weights, "components_mm", n_components, len(mean), 3).astype(np.float32)
+    return ClosureDecoder(tuple(layers), skip, activation, components, mean)
+
+
+def _table(weights: Archive, name: str, *shape: int) -> FloatArray:
+    """Return a table of the weights, or of the file of its own in which the networks share it."""
+    shared = Path(weights.path).with_name(f"{name}.npy")
+    if name in weights or not shared.exists():
+        return weights.floats(name, *shape)
+    return float_array(name, np.load(shared, allow_pickle=False), shape)
+
+
+def _graph_network(weights: Archive) -> GraphDecoder:
+    sizes = weights.indices("levels", None)
+    weight = weights.floats("fully_connected.weight", None, None)
+    bias = weights.floats("fully_connected.bias", len(weight))
+    levels: list[GraphLevel] = []
+    n_in = len(weight) // max(1, int(sizes[0]))
+    for k in range(1, len(sizes)):
+        levels.append(_level(weights, k, int(sizes[k - 1]), int(sizes[k]), n_in))
+        n_in = levels[-1].bases.shape[2]
+    if not levels or n_in != 3 or len(weight) != sizes[0] * levels[0].bases.shape[1]:
+        message = f"the layers in {weights.path} must fit each other and end in 3 channels, they end in {n_in}"
+        raise ModelError(message, where=str(weights.path))
+    mean = weights.floats("mean_mm", int(sizes[-1]), 3)
+    return GraphDecoder(weight, bias, tuple(levels), mean, float(weights.floats("scale_mm")))
+
+
+def _level(weights: Archive, k: int, n_coarse: int, n_fine: int, n_in: int) -> GraphLevel:
+    from scipy import sparse
+
+    bases = weights.floats(f"conv{k}.bases", None, n_in, None)
+    up, near = weights.indices(f"unpool{k}.edges", None, 2), weights.indices(f"conv{k}.edges", None, 2)
+    shares = weights.floats(f"unpool{k}.weights", len(up))
+    coefficients = weights.floats(f"conv{k}.coefficients", len(near), len(bases))
+    for name, edges, most in (("unpool", up, (n_fine, n_coarse)), ("conv", near, (n_fine, n_fine))):
+        if len(edges) == 0 or edges.min() < 0 or (edges.max(axis=0) >= most).any():
+            message = f"edges of {name}{k} in {weights.path} must lie between nodes of {most[0]} and {most[1]}"
+            raise ModelError(message, where=str(weights.path))
+    unpool = sparse.csr_array((shares, (up[:, 0], up[:, 1])), (n_fine, n_coarse))
+    # One pattern for all bases, whatever sums to zero: columns are found from the first.
+    reach = sparse.csr_array((np.ones(len(near)), (near[:, 0], near[:, 1])), (n_fine, n_fine)) @ unpool
+    zero = reach * 0.0
+    tables = tuple(
+        sparse.csr_array(sparse.csr_array((one, (near[:, 0], near[:, 1])), (n_fine, n_fine)) @ unpool + zero)
+        for one in coefficients.T
+    )
+    return GraphLevel(tables, bases, weights.floats(f"conv{k}.bias", bases.shape[2]))
+
+
+def _dense(tables: list[Any], columns: IntArray) -> FloatArray:
+    """Return sparse tables, one a basis, at some columns as one dense (n_rows, n_columns, M)."""
+    return np.stack([table[:, columns].toarray() for table in tables], axis=-1)
+
+
+def _summed(
+    graph: OnnxGraph, table: FloatArray, bases: FloatArray, x: str, groups: list[IntArray] | None = None
+) -> tuple[str, int]:
+    """Add ``sum_m T_m x B_m`` with a table (n_rows, n_columns, M); return its name and its multiply-adds.
+
+    Bases come first. The sum over neighbours is dense within groups of rows that share their neighbours. The result is
+    (members, n_rows, n_out).
+    """
+    n_columns = table.shape[1]
+    given = _based(graph, bases, x, n_columns)
+    work = n_columns * int(bases.size)
+    groups = _groups(table.any(axis=2)) if groups is None else groups
+    parts = []
+    for group in groups:
+        near = np.flatnonzero(table[group].any(axis=(0, 2)))
+        whole = len(near) == n_columns
+        parts.append(_block(graph, table[np.ix_(group, near)], None if whole else near, given, bases))
+        work += len(group) * len(near) * bases.shape[0] * bases.shape[2]
+    if len(parts) == 1:
+        return parts[0], work
+    # Back into the order of the rows.
+    order = np.argsort(np.concatenate(groups), kind="stable")
+    return graph.node("Gather", [graph.node("Concat", parts, axis=1), graph.table(order)], axis=1), work
+
+
+def _based(graph: OnnxGraph, bases: FloatArray, x: str, n_columns: int) -> str:
+    """Add the products of all coarse nodes with all bases: (members, n_columns, M n_out)."""
+    n_bases, n_in, n_out = bases.shape
+    x = graph.reshape(x, -1, n_in)
+    x = graph.node("MatMul", [x, graph.table(bases.transpose(1, 0, 2).reshape(n_in, -1))])
+    return graph.reshape(x, -1, n_columns, n_bases * n_out)
+
+
+def _block(graph: OnnxGraph, table: FloatArray, near: IntArray | None, given: str, bases: FloatArray) -> str:
+    """Add the sum over neighbours of a group of rows (n_group, n_near, M); `near` are those among all, None for all."""
+    taken = given if near is None else graph.node("Gather", [given, graph.table(near)], axis=1)
+    taken = graph.reshape(taken, 0, table.shape[1] * bases.shape[0], bases.shape[2])
+    return graph.node("MatMul", [graph.table(table.reshape(len(table), -1)), taken])
+
+
+def _groups(pattern: Any) -> list[IntArray]:
+    """Return groups of rows of a 0/1 pattern that need few columns each, by halving while that saves products."""
+
+    def halved(rows: IntArray) -> list[IntArray]:
+        mine = pattern[rows]
+        if len(rows) < 16:
+            return [rows]
+        # The leading variation of the pattern over its rows; neighbours in the body are neighbours along it.
+        away = mine - mine.mean(axis=0)
+        order = np.argsort(np.linalg.svd(away, full_matrices=False)[0][:, 0], kind="stable")
+        halves = [np.sort(rows[order[: len(rows) // 2]]), np.sort(rows[order[len(rows) // 2 :]])]
+        after = sum(len(half) * int(pattern[half].any(axis=0).sum()) for half in halves)
+        if after > _WORTH * len(rows) * int(mine.any(axis=0).sum()):
+            return [rows]
+        return [group for half in halves for group in halved(half)]
+
+    return halved(np.arange(len(pattern)))
+
+
+def _linear(graph: OnnxGraph, matrix: FloatArray, constant: FloatArray) -> tuple[str, str]:
+    return graph.table(np.ascontiguousarray(matrix.T)), graph.table(constant)
+
+
+def _activated(graph: OnnxGraph, activation: str, x: str) -> str:
+    if activation == "silu":
+        return graph.node("Mul", [x, graph.node("Sigmoid", [x])])
+    if activation == "elu":
+        # max(x, exp(min(x, 0)) - 1): three times as fast as onnxruntime's own ELU, the same to single precision.
+        below = graph.node("Exp", [graph.node("Clip", [x, "", graph.table(np.zeros(()))])])
+        return graph.node("Max", [x, graph.node("Sub", [below, graph.table(np.ones(()))])])
+    return graph.node(activation.capitalize(), [x])

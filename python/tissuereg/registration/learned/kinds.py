@@ -1,0 +1,121 @@
+r"""Kinds of events: the codes of a training set as a mixture of Gaussians.
+
+A data set holds events of many kinds and sizes: a body that hangs, one that is pushed at a few places. Their codes
+differ in size by orders of magnitude, so that one Gaussian is too wide for most of them and too narrow for a few. The
+mixture
+
+    p(z) = sum_k w_k N(z; m_k, C_k)
+
+is fitted by expectation and maximisation (A. P. Dempster, N. M. Laird and D. B. Rubin, Journal of the Royal
+Statistical Society B 39, 1-38, 1977).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+
+#: Rounds of sorting codes by their nearest centre, and of expectation and maximisation after it.
+_SORTINGS, _ROUNDS = 20, 40
+
+#: Codes by which the off-diagonal terms of a covariance are shrunk, as a share of the number of latents.
+_SHRUNK = 0.3
+
+#: A kind of fewer codes than this is left out: it is an outlier, not a kind.
+_FEWEST = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Kinds:
+    """A mixture of Gaussians over latents.
+
+    Attributes
+    ----------
+    weights : ndarray of float64, shape (n_kinds,)
+        Sum to one.
+    means : ndarray of float64, shape (n_kinds, n_latent)
+        Dimensionless.
+    covariances : ndarray of float64, shape (n_kinds, n_latent, n_latent)
+        Symmetric, positive definite.
+    """
+
+    weights: FloatArray
+    means: FloatArray
+    covariances: FloatArray
+
+    @classmethod
+    def fit(cls, codes: FloatArray, n_kinds: int, seed: int) -> "Kinds":
+        """Return the kinds of a training set.
+
+        Parameters
+        ----------
+        codes : ndarray of float64, shape (n_codes, n_latent)
+            Means of the encoder.
+        n_kinds : int
+            Kinds to start from; those that keep too few codes are left out.
+        seed : int
+            Of the start.
+
+        Returns
+        -------
+        Kinds
+            Cost: 40 rounds of n_kinds products (n_latent, n_codes).
+        """
+        shares = _sorted_by_direction_and_size(codes, n_kinds, np.random.default_rng([seed, 21]))
+        kinds = cls._of(codes, shares)
+        for _ in range(_ROUNDS):
+            kinds = cls._of(codes, kinds.shares(codes))
+        return kinds
+
+    @classmethod
+    def _of(cls, codes: FloatArray, shares: FloatArray) -> "Kinds":
+        """Return the mixture in which code i belongs to kind k by `shares` (n_codes, n_kinds)."""
+        n_latent = codes.shape[1]
+        counts = shares.sum(axis=0)
+        # The largest stays, however few the codes.
+        kept = counts >= min(_FEWEST, counts.max())
+        shares, counts = shares[:, kept], counts[kept]
+        means = (shares.T @ codes) / counts[:, None]
+        covariances = np.empty((len(counts), n_latent, n_latent))
+        for k, count in enumerate(counts):
+            away = codes - means[k]
+            covariance = (away * shares[:, k : k + 1]).T @ away / count
+            keep = 1.0 / (1.0 + _SHRUNK * n_latent / count)
+            floor = 1e-6 * np.trace(covariance) / n_latent + 1e-12
+            diagonal = (1.0 - keep) * np.diag(covariance) + floor
+            covariances[k] = keep * covariance + np.diag(diagonal)
+        return cls(counts / counts.sum(), means, covariances)
+
+    def log_densities(self, codes: FloatArray) -> FloatArray:
+        """Return log(w_k N(z; m_k, C_k)) without the constant, (n_codes, n_kinds), of codes (n_codes, n_latent)."""
+        found = np.empty((len(codes), len(self.weights)))
+        for k, (weight, mean, covariance) in enumerate(zip(self.weights, self.means, self.covariances, strict=True)):
+            root = np.linalg.cholesky(covariance)
+            white = np.linalg.solve(root, (codes - mean).T)
+            found[:, k] = np.log(weight) - np.log(np.diag(root)).sum() - 0.5 * (white**2).sum(axis=0)
+        return found
+
+    def shares(self, codes: FloatArray) -> FloatArray:
+        """Return the probability of every kind, (n_codes, n_kinds), given codes (n_codes, n_latent)."""
+        return probabilities(self.log_densities(codes))
+
+
+def probabilities(logs: FloatArray) -> FloatArray:
+    """Return numbers in proportion to exp(logs) that sum to one over the last axis."""
+    raised = np.exp(logs - logs.max(axis=-1, keepdims=True))
+    return np.asarray(raised / raised.sum(axis=-1, keepdims=True))
+
+
+def _sorted_by_direction_and_size(codes: FloatArray, n_kinds: int, rng: np.random.Generator) -> FloatArray:
+    """Return a first assignment of codes to kinds, (n_codes, n_kinds) of zeros and ones, by k-means."""
+    length = np.linalg.norm(codes, axis=1)
+    size = np.log(length + 1e-9)
+    features = 1.5 * np.column_stack([(size - size.mean()) / (size.std() + 1e-12), codes / (length + 1e-12)[:, None]])
+    centres = features[rng.choice(len(codes), min(n_kinds, len(codes)), replace=False)]
+    nearest = np.zeros(len(codes), np.int64)
+    for _ in range(_SORTINGS):
+        nearest = ((features[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1)
+        for k in np.unique(nearest):
+            centres[k] = features[nearest == k].mean(axis=0)
+    return np.asarray(np.eye(len(centres))[nearest])

@@ -1,0 +1,313 @@
+r"""Bayes' rule for a decoder that is linear about a point, under a mixture of Gaussians.
+
+Component c says that the latents are N(m_c, s P_c) and the model's own error at markers and targets is N(0, s E_c),
+with s one of a few squared scales: events of a kind differ in size. With G and T the derivatives of markers and
+targets by latents, and C_d the tracker's noise,
+
+    S = s (G P_c G' + E_c[markers, markers]) + C_d,      v = y - g(m_c),
+    targets | y, c, s  ~  N( t(m_c) + K v, ... ),        K = s (T P_c G' + E_c[targets, markers]) S^-1.
+
+The error at the targets is learnt from the residual at the markers as far as the two are correlated. A component's
+probability is its own times N(v; 0, S). Over scales and components the posterior is a mixture; its first two moments
+are reported.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.errors import NoiseError
+from tissuereg.registration.learned.kinds import probabilities
+
+#: Pairs of component and scale that are less probable than this share of the most probable one are left out.
+_NEGLIGIBLE = 1e-4
+
+#: Those less probable than this share stay so when the decoder is linearised anew close by.
+_HOPELESS = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One component of a prior at markers and targets.
+
+    Attributes
+    ----------
+    weights : ndarray of float64, shape (n_scales,)
+        Probability of the component with each scale.
+    scales : ndarray of float64, shape (n_scales,)
+        Factors on standard deviations.
+    mean : ndarray of float64, shape (n_latent,)
+        Dimensionless.
+    covariance : ndarray of float64, shape (n_latent, n_latent)
+        At scale one.
+    errors : ndarray of float64, shape (n_rows, n_rows)
+        Covariance of the model's own error at scale one, mm^2; rows are components of markers, then of targets.
+    """
+
+    weights: FloatArray
+    scales: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    errors: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A decoder about a point: ``rows(z) = at + slopes (z - point)``, rows as in `Component.errors`, mm."""
+
+    point: FloatArray
+    at: FloatArray
+    slopes: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class MixturePosterior:
+    """A mixture over pairs of component and scale; rows as in `Component.errors`.
+
+    Attributes
+    ----------
+    weights : ndarray of float64, shape (n_pairs,)
+        Sum to one.
+    component : ndarray of int64, shape (n_pairs,)
+        Number of the component.
+    scale : ndarray of float64, shape (n_pairs,)
+        Its scale.
+    latents : ndarray of float64, shape (n_pairs, n_latent)
+        Means.
+    means : ndarray of float64, shape (n_pairs, n_rows)
+        Means of the displacement of markers and targets, the model's own error included, mm.
+    covariances : ndarray of float64, shape (n_pairs, n_rows, n_rows)
+        mm^2.
+    pulls : ndarray of float64, shape (n_pairs, n_obs)
+        S^-1 v, 1/mm.
+    factors : ndarray of float64, shape (n_pairs, n_obs, n_obs)
+        Lower Cholesky factors of S.
+    p_value : float
+        Chance of an innovation as improbable as this one, averaged over the pairs.
+    logs : ndarray of float64, shape (n_all,)
+        Logarithm of each pair's probability times the density of the innovation, up to a constant; those of a component
+        after each other. Of pairs that were ruled out about an earlier point, as it was there.
+    log_evidence : ndarray of float64, shape (n_components,)
+        The same of components, over their scales.
+    """
+
+    weights: FloatArray
+    component: IntArray
+    scale: FloatArray
+    latents: FloatArray
+    means: FloatArray
+    covariances: FloatArray
+    pulls: FloatArray
+    factors: FloatArray
+    p_value: float
+    logs: FloatArray
+    log_evidence: FloatArray
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean displacement (n_rows,) of markers and targets, mm."""
+        return np.asarray(self.weights @ self.means)
+
+    @property
+    def mean_latents(self) -> FloatArray:
+        """Mean of the latents (n_latent,)."""
+        return np.asarray(self.weights @ self.latents)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (n_rows, n_rows) of the mixture, mm^2."""
+        away = (self.means - self.mean) * np.sqrt(self.weights)[:, None]
+        return np.asarray(np.tensordot(self.weights, self.covariances, 1) + away.T @ away)
+
+
+class Conditioned:
+    """A prior given the markers, with a decoder that is linear: how probable its pairs are, and their latents.
+
+    Parameters
+    ----------
+    prior : list of Component
+        The mixture.
+    model : Linear
+        Decoder at markers and targets.
+    observed : ndarray of float64, shape (n_obs,)
+        Measured displacements, mm; the first n_obs rows of the model.
+    noise : ndarray of float64, shape (n_obs, n_obs)
+        Covariance of the tracker's noise, mm^2.
+    earlier : ndarray of float64, shape (n_all,), optional
+        `MixturePosterior.logs` about a point close by: pairs that are hopeless there are ruled out.
+
+    Attributes
+    ----------
+    weights, latents, pulls, logs
+        As in `MixturePosterior`.
+
+    Raises
+    ------
+    NoiseError
+        If the covariance of an innovation is not positive definite.
+
+    Notes
+    -----
+    Cost: a Cholesky factor of size n_obs + 1 for every pair of component and scale.
+    """
+
+    def __init__(
+        self,
+        prior: list[Component],
+        model: Linear,
+        observed: FloatArray,
+        noise: FloatArray,
+        earlier: FloatArray | None = None,
+    ) -> None:
+        self._prior, self._model, self._n_obs = prior, model, len(observed)
+        weights = np.concatenate([one.weights for one in prior])
+        self.logs = np.full(len(weights), -np.inf) if earlier is None else earlier.copy()
+        considered = np.flatnonzero(weights > 0.0 if earlier is None else earlier > earlier.max() + np.log(_HOPELESS))
+        self._innovations = found = _innovations(prior, model, observed, noise, considered)
+        self.logs[considered] = logs = np.log(weights[considered]) + found.logs
+        self._kept = np.flatnonzero(logs > logs.max() + np.log(_NEGLIGIBLE))
+        self.weights = probabilities(logs[self._kept])
+        self.pulls = np.array([self._backwards(pair) for pair in self._kept])
+        self.latents = np.array(
+            [
+                prior[found.component[pair]].mean
+                + found.scale[pair] ** 2 * found.parts[found.component[pair]][0][: self._n_obs].T @ pull
+                for pair, pull in zip(self._kept, self.pulls, strict=True)
+            ]
+        )
+
+    @property
+    def mean_latents(self) -> FloatArray:
+        """Mean of the latents (n_latent,)."""
+        return np.asarray(self.weights @ self.latents)
+
+    def posterior(self) -> MixturePosterior:
+        """Return the posterior of markers and targets."""
+        from scipy.linalg import lapack
+        from scipy.special import chdtrc
+
+        n_obs, model, found, kept = self._n_obs, self._model, self._innovations, self._kept
+        means, covariances = [], []
+        for pair, pull in zip(kept, self.pulls, strict=True):
+            one, scale = self._prior[found.component[pair]], found.scale[pair]
+            _, own = found.parts[found.component[pair]]
+            means.append(model.at + model.slopes @ (one.mean - model.point) + scale**2 * own[:, :n_obs] @ pull)
+            half = lapack.dtrtrs(found.factors[pair, :n_obs, :n_obs], scale**2 * own[:n_obs], lower=1)[0]
+            covariances.append(scale**2 * own - half.T @ half)
+        ends = np.cumsum([len(one.weights) for one in self._prior])[:-1]
+        return MixturePosterior(
+            self.weights,
+            found.component[kept],
+            found.scale[kept],
+            self.latents,
+            np.array(means),
+            np.array(covariances),
+            self.pulls,
+            found.factors[kept, :n_obs, :n_obs],
+            float(self.weights @ chdtrc(n_obs, found.squares[kept])),
+            self.logs,
+            np.array([np.logaddexp.reduce(part) for part in np.split(self.logs, ends)]),
+        )
+
+    def _backwards(self, pair: Any) -> FloatArray:
+        """Return S^-1 v of a pair."""
+        from scipy.linalg import lapack
+
+        factor = self._innovations.factors[pair]
+        return np.asarray(lapack.dtrtrs(factor[:-1, :-1], factor[-1, :-1], lower=1, trans=1)[0])
+
+
+def condition(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> MixturePosterior:
+    """Return the posterior of markers and targets given the markers; see `Conditioned`."""
+    return Conditioned(prior, model, observed, noise).posterior()
+
+
+def left_out(found: MixturePosterior) -> tuple[FloatArray, FloatArray]:
+    """Return how well each marker agrees with the prediction from all others, the model's own error included.
+
+    Parameters
+    ----------
+    found : MixturePosterior
+        Of markers with three components each.
+
+    Returns
+    -------
+    misfits, chances : ndarray of float64, shape (n_markers,)
+        Squared misfit in its own standard deviations, and the chance of one at least as large, averaged over the pairs.
+        With u = S^-1 v and A the marker's block of S^-1, the misfit is u' A^-1 u. Cost: an inverse of a factor of size
+        n_obs for every pair.
+    """
+    from scipy.linalg import lapack
+    from scipy.special import chdtrc
+
+    n_pairs, n_obs = found.pulls.shape
+    roots = np.array([lapack.dtrtri(factor, lower=1)[0] for factor in found.factors])
+    columns = roots.reshape(n_pairs, n_obs, n_obs // 3, 3).transpose(0, 2, 3, 1)
+    parts = found.pulls.reshape(n_pairs, -1, 3)
+    solved = np.linalg.solve(columns @ columns.transpose(0, 1, 3, 2), parts[..., None])[..., 0]
+    misfits = (parts * solved).sum(axis=2)
+    return found.weights @ misfits, found.weights @ chdtrc(3, misfits)
+
+
+def log_evidence(prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return log N(v; 0, S), (n_components, n_scales), without weights and constant; arguments as for `condition`."""
+    return _innovations(prior, model, observed, noise).logs.reshape(len(prior), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Innovations:
+    """Innovations v with their covariances S, of pairs of component and scale: all scales of one follow each other.
+
+    Attributes
+    ----------
+    component, scale : ndarray of shape (n_pairs,)
+        Number of the component, and its scale.
+    parts : dict of int to (ndarray (n_rows, n_latent), ndarray (n_rows, n_rows))
+        G P, and G P G' + E at scale one, of the components in question, over all rows.
+    factors : ndarray of float64, shape (n_pairs, n_obs + 1, n_obs + 1)
+        Cholesky factors L of S, with (L^-1 v)' as a last row.
+    squares, logs : ndarray of float64, shape (n_pairs,)
+        v' S^-1 v, and log N(v; 0, S) without its constant.
+    """
+
+    component: IntArray
+    scale: FloatArray
+    parts: dict[int, tuple[FloatArray, FloatArray]]
+    factors: FloatArray
+    squares: FloatArray
+    logs: FloatArray
+
+
+def _innovations(
+    prior: list[Component], model: Linear, observed: FloatArray, noise: FloatArray, pairs: IntArray | None = None
+) -> _Innovations:
+    """Return the innovations of some pairs, by default of all; other arguments and errors as for `Conditioned`."""
+    n_obs = len(observed)
+    component = np.repeat(np.arange(len(prior)), [len(one.scales) for one in prior])
+    scale = np.concatenate([one.scales for one in prior])
+    if pairs is not None:
+        component, scale = component[pairs], scale[pairs]
+    found, of_pair = np.unique(component, return_inverse=True)
+    parts = {}
+    for number in found:
+        spread = model.slopes @ prior[number].covariance
+        parts[int(number)] = spread, spread @ model.slopes.T + prior[number].errors
+    seen = np.array([own[:n_obs, :n_obs] for _, own in parts.values()])
+    points = np.array([prior[number].mean for number in found]) - model.point
+    off = observed - model.at[:n_obs] - points @ model.slopes[:n_obs].T
+    # Bordered by v', one Cholesky factor gives log det S and L^-1 v; the corner only has to be large enough.
+    bordered = np.zeros((len(scale), n_obs + 1, n_obs + 1))
+    bordered[:, :n_obs, :n_obs] = (scale**2)[:, None, None] * seen[of_pair] + noise
+    bordered[:, n_obs, :n_obs] = off[of_pair]
+    try:
+        largest = (off.T * np.linalg.solve(noise, off.T)).sum(axis=0)
+        bordered[:, n_obs, n_obs] = 1.0 + 2.0 * largest[of_pair]
+        factors = np.asarray(np.linalg.cholesky(bordered), np.float64)
+    except np.linalg.LinAlgError as error:
+        message = "the covariance of the innovation must be positive definite"
+        raise NoiseError(message, where="noise") from error
+    squares = (factors[:, n_obs, :n_obs] ** 2).sum(axis=1)
+    logs = -0.5 * squares - np.log(np.diagonal(factors, axis1=1, axis2=2)[:, :n_obs]).sum(axis=1)
+    return _Innovations(component, scale, parts, factors, squares, logs)

@@ -1,0 +1,363 @@
+"""The answer of a calibrated model: kinds of events, their scales, and the model's own errors, given the markers.
+
+An ensemble has found where the latents are; the decoder is linearised there, and the mixture of
+`tissuereg.registration.learned.mixture` is conditioned on the markers. The moments are those at markers and targets;
+whole fields are made for the answer alone.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.markers import Markers
+from tissuereg.body.mesh import Mesh
+from tissuereg.registration.learned.calibration import FieldErrors, PointCalibration, Rehearsal, RowErrors
+from tissuereg.registration.learned.mixture import Component, Linear, MixturePosterior
+from tissuereg.registration.learned.model import rms_displacement
+from tissuereg.registration.learned.network import AnchoredModel
+from tissuereg.registration.learned.points import PointsAround
+from tissuereg.registration.learned.relinearise import conditioned, spread_of
+from tissuereg.registration.learned.signs import Signs, signs_of
+from tissuereg.registration.learned.untangle import untangled
+from tissuereg.registration.learned.variants import Variants
+
+#: Linearisations about the ensemble's mean and then about the mixture's.
+_PASSES = 3
+
+#: Posterior fields that the spread of nodes is taken from, and how many are decoded at once.
+_DRAWS, _BATCH = 64, 32
+
+
+@dataclass(frozen=True, eq=False)
+class _Anchor:
+    """The simulation of a moment, zero without one.
+
+    Attributes
+    ----------
+    field, rows : ndarray of float64, shapes (n_nodes, 3) and (n_rows,)
+        At nodes, and at markers and targets, mm.
+    size : float
+        Root mean square displacement, mm.
+    forms : tuple of (int, float)
+        Kind of change and variance of the factor on the simulation, of the first components of the prior.
+    variants : RowErrors or None
+        Covariance of its variants, where it is the mean of some.
+    """
+
+    field: FloatArray
+    rows: FloatArray
+    size: float
+    forms: tuple[tuple[int, float], ...]
+    variants: RowErrors | None
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedPosterior:
+    """Moments of the posterior mixture; lengths in mm.
+
+    What it shares with `tissuereg.registration.learned.posterior.Posterior` is as there.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    model : PointsAround
+        The model of this moment at markers and targets.
+    at : PointCalibration
+        What its answers are worth there; the rows of the used markers come first.
+    order : ndarray of int64, shape (n_markers,)
+        Markers in the order of the rows.
+    prior : list of Component
+        Of the mixture.
+    linear : Linear
+        The decoder as it was linearised last.
+    found : MixturePosterior
+        The mixture at markers and targets.
+    observed, noise : ndarray of float64, shape (3 n_used,) and (3 n_used, 3 n_used)
+        Measured displacements, and the covariance of the tracker's noise.
+    seed : int
+        Of draws.
+    anchor : _Anchor
+        The simulation, and what its components say of it.
+    rehearsal : Rehearsal
+        What it is compared with.
+    """
+
+    mesh: Mesh
+    model: PointsAround
+    at: PointCalibration
+    order: IntArray
+    prior: list[Component]
+    linear: Linear
+    found: MixturePosterior
+    observed: FloatArray
+    noise: FloatArray
+    seed: int
+    anchor: _Anchor
+    rehearsal: Rehearsal
+
+    @classmethod
+    def of(
+        cls,
+        mesh: Mesh,
+        model: PointsAround,
+        calibration: PointCalibration,
+        used: IntArray,
+        markers: Markers,
+        start: FloatArray,
+        simulation: FloatArray | None,
+        seed: int,
+        variants: Variants | None = None,
+    ) -> "CalibratedPosterior":
+        """Return the posterior.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Undeformed body.
+        model : PointsAround
+            The model of this moment at markers and targets.
+        calibration : PointCalibration
+            What its answers are worth there.
+        used : ndarray of int64, shape (n_used,)
+            Markers that are used.
+        markers : Markers
+            Measured.
+        start : ndarray of float64, shape (n_latent,)
+            Where the decoder is linearised first.
+        simulation : ndarray of float64, shape (n_nodes, 3), or None
+            Simulated displacement, mm.
+        seed : int
+            Of the draws for the spread of nodes.
+        variants : Variants, optional
+            Whose mean the simulation is.
+
+        Returns
+        -------
+        CalibratedPosterior
+            Cost: two or three decodes of 2 n_latent + 1 columns at markers and targets.
+        """
+        order = np.concatenate([used, np.setdiff1d(np.arange(len(markers)), used)])
+        rows = np.arange(calibration.errors.patterns.shape[1])
+        rows[: 3 * len(order)] = (3 * order[:, None] + np.arange(3)).ravel()
+        at = calibration if np.array_equal(order, np.arange(len(order))) else calibration.of(rows)
+        size = 0.0 if simulation is None else float(rms_displacement(simulation[None])[0])
+        latent, simulated = model.latent, np.zeros(len(rows))
+        prior, forms = at.prior(), list[tuple[int, float]]()
+        varied = None if variants is None else variants.spread.at(model.all_rows).of(rows)
+        if isinstance(latent, AnchoredModel) and simulation is not None:
+            simulated = model.at_rows(simulation)[rows]
+            prior, forms = at.prior_about(latent.code, size, simulated, varied)
+        observed = markers.displacement[used].ravel()
+        noise = np.diag((markers.axis_std[used] ** 2).ravel())
+        found, linear = conditioned(
+            lambda latents: model.components(model.decode(latents))[:, rows],
+            prior,
+            observed,
+            noise,
+            start,
+            spread_of(at.whole.kinds),
+            _PASSES,
+        )
+        rehearsal = at.rehearsal(bool(forms))
+        field = np.zeros_like(mesh.nodes) if simulation is None else simulation
+        anchor = _Anchor(field, simulated, size, tuple(forms), varied)
+        return cls(mesh, model, at, order, prior, linear, found, observed, noise, seed, anchor, rehearsal)
+
+    @cached_property
+    def _covariance(self) -> FloatArray:
+        return self.found.covariance
+
+    @cached_property
+    def _decoded(self) -> FloatArray:
+        field: FloatArray = self.model.latent.decode(self.found.mean_latents[:, None])[0]
+        return field
+
+    @cached_property
+    def _correction(self) -> FloatArray:
+        """What the markers tell of the model's error at every node (n_nodes, 3)."""
+        told: dict[int, tuple[FieldErrors, FloatArray]] = {}
+        factor = 0.0
+        for weight, number, scale, pull in zip(
+            self.found.weights, self.found.component, self.found.scale, self.found.pulls, strict=True
+        ):
+            for errors, covariance in self._errors(int(number)):
+                coefficients = weight * scale**2 * covariance @ (errors.patterns[:, : len(pull)] @ pull)
+                _, before = told.get(id(errors), (errors.whole, 0.0))
+                told[id(errors)] = errors.whole, before + coefficients
+            factor += weight * scale**2 * self._factor(int(number)) * float(self.anchor.rows[: len(pull)] @ pull)
+        fields = (whole.sum(coefficients) for whole, coefficients in told.values())
+        return np.asarray(sum(fields, factor * self.anchor.field))
+
+    @cached_property
+    def _whole(self) -> tuple[FloatArray, FloatArray]:
+        return untangled(self.mesh, self._decoded + self._correction)
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Displacement of every node (n_nodes, 3): decoded, and corrected by what the markers tell of the error.
+
+        Neither decoder nor correction knows mechanics: tetrahedra that are inside out are mended (`untangled`).
+        """
+        return self._whole[0]
+
+    @property
+    def ratios(self) -> FloatArray:
+        """Volume ratio of every tetrahedron (n_tets,)."""
+        return self._whole[1]
+
+    def std(self) -> FloatArray:
+        """Return the root of the trace of every node's covariance, (n_nodes,), from 64 posterior fields."""
+        total, square = np.zeros_like(self.displacement), np.zeros(len(self.displacement))
+        for fields in self._drawn():
+            away = fields - self.displacement
+            total += away.sum(axis=0)
+            square += np.einsum("eni,eni->n", away, away)
+        variance = (square - np.einsum("ni,ni->n", total, total) / _DRAWS) / (_DRAWS - 1)
+        return np.asarray(np.sqrt(self.rehearsal.widening * np.maximum(variance, 0.0)))
+
+    @property
+    def _n_markers(self) -> int:
+        return len(self.order)
+
+    @cached_property
+    def marker_mean(self) -> FloatArray:
+        """Displacement (n_markers, 3) of every marker, seen or not."""
+        mean = np.empty((self._n_markers, 3))
+        mean[self.order] = self.found.mean[: 3 * self._n_markers].reshape(-1, 3)
+        return mean
+
+    @cached_property
+    def marker_covariance(self) -> FloatArray:
+        """Covariance (3 n_markers, 3 n_markers) of the markers, the model's own error included."""
+        rows = (3 * self.order[:, None] + np.arange(3)).ravel()
+        covariance = np.empty((len(rows), len(rows)))
+        covariance[np.ix_(rows, rows)] = self._covariance[: len(rows), : len(rows)]
+        return self.rehearsal.widening * covariance
+
+    @property
+    def marker_error(self) -> FloatArray:
+        """The model's own error at the markers beyond `marker_covariance`: none."""
+        return np.zeros((self._n_markers, 3, 3))
+
+    @property
+    def target_mean(self) -> FloatArray:
+        """Displacement (n_targets, 3) of every target."""
+        return self.found.mean[3 * self._n_markers :].reshape(-1, 3)
+
+    @property
+    def target_covariance(self) -> FloatArray:
+        """Covariance (n_targets, 3, 3), the model's own error included."""
+        first = range(3 * self._n_markers, len(self._covariance), 3)
+        blocks = [self._covariance[i : i + 3, i : i + 3] for i in first]
+        return self.rehearsal.widening * np.array(blocks).reshape(-1, 3, 3)
+
+    def gains(self, start: FloatArray) -> list[tuple[float, bool]]:
+        """Return for every target how much surer the answer is than a start, and whether that is too little.
+
+        Parameters
+        ----------
+        start : ndarray of float64, shape (n_targets, 3)
+            Displacement of the simulation, or zero, mm.
+
+        Returns
+        -------
+        list of (float, bool)
+            Share of the start's expected squared error that is gone, ``|mean - start|^2 / (|mean - start|^2 + trace
+            C)``. Too little: less than half, where what is left is more than the tracker's noise.
+        """
+        removed = ((self.target_mean - start) ** 2).sum(axis=1)
+        left = np.trace(self.target_covariance, axis1=1, axis2=2)
+        noise = 3.0 * float(np.diag(self.noise).mean())
+        return [(float(a / max(a + b, 1e-300)), bool(a < b and b > noise)) for a, b in zip(removed, left, strict=True)]
+
+    @property
+    def tail(self) -> float | None:
+        """Degrees of freedom of the law of the targets about their means; None for a Gaussian."""
+        return self.rehearsal.tail
+
+    def signs(self) -> Signs:
+        """Return what is compared with honest events."""
+        return signs_of(self.at.whole, self.found, len(self.anchor.forms) or len(self.prior))
+
+    def _factor(self, number: int) -> float:
+        """Return the variance of the factor on the simulation in a component."""
+        forms = self.anchor.forms
+        return forms[number][1] if number < len(forms) else 0.0
+
+    def _errors(self, number: int) -> list[tuple[RowErrors, FloatArray]]:
+        """Return the errors of a component, and the covariance of the coefficients of each at scale one."""
+        forms, change, variants = self.anchor.forms, self.at.change_errors, self.anchor.variants
+        if number >= len(forms) or change is None:
+            return [(self.at.errors, self.at.errors.whole.covariances[number - len(forms)])]
+        square = self.at.squared_size(self.anchor.size, variants is not None)
+        general = (change, square * change.whole.covariances[forms[number][0]])
+        return [general] if variants is None else [general, (variants, variants.whole.covariances[0])]
+
+    def _drawn(self) -> list[FloatArray]:
+        """Return posterior fields, by conditioning draws of the prior (A. G. Journel, C. J. Huijbregts, 1978)."""
+        rng, found, n_obs = np.random.default_rng([self.seed, 5]), self.found, len(self.observed)
+        chosen = np.searchsorted(np.cumsum(found.weights), (np.arange(_DRAWS) + rng.random()) / _DRAWS * 0.999999)
+        tracker = np.linalg.cholesky(self.noise)
+        codes, corrections = [], []
+        for pair in chosen:
+            number, scale = int(found.component[pair]), float(found.scale[pair])
+            one, slopes = self.prior[number], self.linear.slopes[:n_obs]
+            code = one.mean + scale * np.linalg.cholesky(one.covariance) @ rng.standard_normal(len(one.mean))
+            sources = [_Source.drawn(errors, scale**2 * known, n_obs, rng) for errors, known in self._errors(number)]
+            total = scale**2 * (slopes @ one.covariance @ slopes.T + one.errors[:n_obs, :n_obs]) + self.noise
+            variance, simulated = scale**2 * self._factor(number), self.anchor.rows[:n_obs]
+            factor = np.sqrt(variance) * rng.standard_normal()
+            explained = variance * simulated**2 + sum(source.variance for source in sources)
+            rest = np.maximum(scale**2 * np.diag(one.errors[:n_obs, :n_obs]) - explained, 0.0)
+            drawn = self.linear.at[:n_obs] + slopes @ (code - self.linear.point) + factor * simulated
+            drawn += sum(source.coefficients @ source.seen for source in sources)
+            drawn += np.sqrt(rest) * rng.standard_normal(n_obs) + tracker @ rng.standard_normal(n_obs)
+            pull = np.linalg.solve(total, self.observed - drawn)
+            codes.append(code + scale**2 * one.covariance @ (slopes.T @ pull))
+            changed = (factor + variance * float(simulated @ pull)) * self.anchor.field
+            corrections.append(sum((source.given(pull) for source in sources), changed))
+        return [
+            self.model.latent.decode(np.array(codes[i : i + _BATCH]).T) + np.array(corrections[i : i + _BATCH])
+            for i in range(0, _DRAWS, _BATCH)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """Drawn coefficients of the patterns of one source of errors, with their covariance.
+
+    Attributes
+    ----------
+    errors : RowErrors
+        The source.
+    covariance : ndarray of float64, shape (n_patterns, n_patterns)
+        Of the coefficients.
+    seen : ndarray of float64, shape (n_patterns, n_obs)
+        Patterns at the used markers, mm.
+    coefficients : ndarray of float64, shape (n_patterns,)
+        Drawn.
+    """
+
+    errors: RowErrors
+    covariance: FloatArray
+    seen: FloatArray
+    coefficients: FloatArray
+
+    @classmethod
+    def drawn(cls, errors: RowErrors, covariance: FloatArray, n_obs: int, rng: np.random.Generator) -> "_Source":
+        """Return a draw."""
+        values, vectors = np.linalg.eigh(covariance)
+        roots = vectors * np.sqrt(np.maximum(values, 0.0))
+        return cls(errors, covariance, errors.patterns[:, :n_obs], roots @ rng.standard_normal(len(roots)))
+
+    @property
+    def variance(self) -> FloatArray:
+        """Variance (n_obs,) of the markers' components by it, mm^2."""
+        return np.asarray(np.einsum("po,pq,qo->o", self.seen, self.covariance, self.seen, optimize=True))
+
+    def given(self, pull: FloatArray) -> FloatArray:
+        """Return the field (n_nodes, 3) of the draw conditioned on the markers, mm."""
+        return np.tensordot(self.coefficients + self.covariance @ (self.seen @ pull), self.errors.whole.basis, 1)

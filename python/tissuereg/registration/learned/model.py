@@ -1,0 +1,194 @@
+"""The interface of a latent model for registration."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """A Gaussian over latents.
+
+    Attributes
+    ----------
+    mean : ndarray of float64, shape (n_latent,)
+        Dimensionless.
+    covariance : ndarray of float64, shape (n_latent, n_latent)
+        Symmetric, positive definite.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+class LatentModel(Protocol):
+    """A low-dimensional family of displacement fields on one mesh."""
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        ...
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        ...
+
+    @property
+    def card(self) -> dict[str, Any]:
+        """Entry `model` of a result: `kind`, `source`, `members`, `test_error_mm`, `pca26_test_error_mm`."""
+        ...
+
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the expected reconstruction errors: truth minus reconstruction of fields not used in training.
+
+        Parameters
+        ----------
+        latents : ndarray of float64, shape (n_latent,), optional
+            Latents at which the errors are evaluated; by default a typical value.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_fields, n_nodes, 3)
+            mm.
+        """
+        ...
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields.
+
+        Parameters
+        ----------
+        latents : ndarray of float64, shape (n_latent, n_members)
+            One column per member.
+        nodes : ndarray of int64, shape (k,), optional
+            Nodes to decode; by default all.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_members, k, 3)
+            mm.
+        """
+        ...
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return the prior of the truth, given a simulation.
+
+        Parameters
+        ----------
+        simulation : ndarray of float64, shape (n_nodes, 3), or None
+            Displacement in mm; None gives the wide prior.
+
+        Returns
+        -------
+        Gaussian
+            Over the latents.
+        """
+        ...
+
+
+@runtime_checkable
+class Anchors(Protocol):
+    """A model that can be taken about a simulation: its latents are then those of changes from it."""
+
+    def around(self, simulation: FloatArray) -> LatentModel:
+        """Return the model of changes from a simulation (n_nodes, 3) in mm.
+
+        At the mean of its prior it decodes to the simulation.
+        """
+        ...
+
+
+#: Nodes from which the size of a field is estimated, to a few hundredths of it.
+_SAMPLE = 400
+
+
+def sampled_nodes(n_nodes: int) -> IntArray:
+    """Return nodes that stand for all of a mesh where the size of a field is needed, ascending."""
+    return np.sort(np.random.default_rng(0).permutation(n_nodes)[:_SAMPLE])
+
+
+#: Largest ratio of sizes by which errors are scaled: those of a small field do not determine those of much larger ones.
+_MOST_SCALING = 3.0
+
+
+class ScaledErrors:
+    """Errors of fields of known size, scaled in proportion to the size of another field.
+
+    Parameters
+    ----------
+    fields : array_like of float, shape (n_fields, n_nodes, 3)
+        Truth minus reconstruction, mm.
+    sizes : array_like of float, shape (n_fields,)
+        Root mean square displacement of the fields that were reconstructed, mm.
+    """
+
+    def __init__(self, fields: Any, sizes: Any) -> None:
+        self.fields: FloatArray = np.asarray(fields, dtype=np.float64)
+        self.sizes: FloatArray = np.asarray(sizes, dtype=np.float64)
+
+        self._squares: FloatArray | None = None
+
+    def scale(self, size: float | None) -> FloatArray:
+        """Return the factor (n_fields,) of every error for a field of this size in mm; one if it is None."""
+        if size is None:
+            return np.ones(len(self.fields))
+        return np.asarray(np.minimum(size / np.maximum(self.sizes, 1e-12), _MOST_SCALING))
+
+    def at(self, size: float | None) -> FloatArray:
+        """Return the errors expected for a field of this size in mm; unscaled if it is None."""
+        return np.asarray(self.fields * self.scale(size)[:, None, None])
+
+    def mean_square(self, scale: FloatArray) -> FloatArray:
+        """Return the mean square length (n_nodes,) of errors with these factors (n_fields,), mm^2."""
+        if self._squares is None:
+            self._squares = np.einsum("eni,eni->en", self.fields, self.fields)
+        return np.asarray(scale**2 @ self._squares / max(1, len(scale)))
+
+
+@runtime_checkable
+class ScalesErrors(Protocol):
+    """A model whose errors are those of given fields, scaled to the size of the event."""
+
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors, and the factor (n_fields,) of each at `latents`; see `LatentModel.errors`."""
+        ...
+
+
+def mean_square(errors: FloatArray) -> FloatArray:
+    """Return the mean square length (n_nodes,) of errors (n_fields, n_nodes, 3), mm^2."""
+    return np.asarray(np.einsum("eni,eni->n", errors, errors) / max(1, len(errors)))
+
+
+def rms_displacement(fields: FloatArray) -> FloatArray:
+    """Return the root mean square node displacement (n_fields,) of fields (n_fields, n_nodes, 3), mm."""
+    return np.asarray(np.sqrt(np.mean(np.sum(fields**2, axis=2), axis=1)))
+
+
+def error_covariance(rows: FloatArray) -> FloatArray:
+    """Return the covariance of reconstruction errors about zero.
+
+    Parameters
+    ----------
+    rows : ndarray of float64, shape (n_fields, n_components)
+        Errors in mm, one row per field.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_components, n_components)
+        mm^2; not centred, so that a constant error is included.
+
+    Notes
+    -----
+    With fewer fields than components the sample covariance is singular, and spurious correlations would let the data
+    cancel the error. Off-diagonal terms are shrunk by the weight of Ledoit and Wolf's target for a sample of this size,
+    ``1 / (1 + n_components / n_fields)``; the diagonal is kept.
+    """
+    if len(rows) == 0:
+        return np.zeros((rows.shape[1], rows.shape[1]))
+    covariance = rows.T @ rows / len(rows)
+    keep = 1.0 / (1.0 + rows.shape[1] / len(rows))
+    return np.asarray(keep * covariance + (1.0 - keep) * np.diag(np.diag(covariance)))

@@ -1,0 +1,343 @@
+"""A trained encoder and decoder, run by onnxruntime."""
+
+import hashlib
+import os
+import threading
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray, float_array
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ModelError
+from tissuereg.io.npz import Archive, open_npz
+from tissuereg.registration.learned.batches import in_batches
+from tissuereg.registration.learned.calibration import LEAST_SIZE_MM, Calibration
+from tissuereg.registration.learned.calibration_file import read_calibration
+from tissuereg.registration.learned.card import MODEL_FILES, check_files, read_card
+from tissuereg.registration.learned.cut import CutDecoder, session
+from tissuereg.registration.learned.decoders import ClosureDecoder, GraphDecoder, read_decoder
+from tissuereg.registration.learned.model import Gaussian, ScaledErrors, rms_displacement, sampled_nodes
+
+#: Members decoded in one call; bounds the memory of the gathered neighbourhoods.
+_BATCH = 25
+
+#: Up to so many whole fields come from the tables: faster than the file, whose products are laid out for many.
+_FEW = 4
+
+#: The last models that were read, with their files' times and sizes.
+_NETWORKS: "dict[tuple[Any, ...], NetworkModel]" = {}
+_KEEPING = threading.Lock()
+
+#: Sets of points whose cut decoders a model keeps.
+_KEPT = 8
+
+
+class NetworkModel:
+    """The model in a folder: ``encoder.onnx``, ``decoder.onnx``, ``decoder_weights.npz``, ``model.json``.
+
+    Parameters
+    ----------
+    folder : path-like
+        Folder of the four files.
+    mesh : Mesh
+        The mesh to register on; it must be the one that the model was trained for.
+    threads : int
+        Batches decoded at once; 0 takes all cores. Each batch runs on one thread, so the bits do not depend on it.
+    source : str, optional
+        Origin of the model for the result; by default the folder.
+    calibrated : bool
+        Whether the folder's calibration is read, if there is one.
+
+    Raises
+    ------
+    ModelError
+        If a file is missing or corrupt, or the model was trained for another mesh.
+    FormatError
+        If the weights lack an array.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        mesh: Mesh,
+        *,
+        threads: int = 0,
+        source: str | None = None,
+        calibrated: bool = True,
+    ) -> None:
+        self.folder = Path(folder)
+        card = read_card(self.folder)
+        check_files(self.folder, card)
+        if card["mesh_digest"] != mesh.digest():
+            message = (
+                f"the model in {self.folder} must have been trained for this mesh: it knows a mesh of "
+                f"{card['n_nodes']} nodes ({card['mesh_digest'][:12]}), got one of {mesh.n_nodes} nodes "
+                f"({mesh.digest()[:12]}); "
+                "train one (`tissuereg train`) or leave the model out: contacts are then the prior"
+            )
+            raise ModelError(message, where=str(self.folder))
+        self._card = card
+        self._threads = threads or os.cpu_count() or 1
+        self._encoder = _session(self.folder / "encoder.onnx")
+        self._cut: dict[str, CutDecoder] = {}
+        known = card["prior"]
+        self._family = Gaussian(np.asarray(known["mean"], np.float64), np.asarray(known["covariance"], np.float64))
+        with open_npz(self.folder / "decoder_weights.npz") as weights:
+            self._errors = _errors_in(weights, "error_fields_mm", "error_sizes_mm", self.n_nodes)
+            self._change_errors = _errors_in(weights, "change_error_fields_mm", "change_sizes_mm", self.n_nodes)
+        self.calibration: Calibration | None = read_calibration(self.folder, card) if calibrated else None
+        errors = card["errors_mm"]
+        self.card = {
+            "kind": card["kind"],
+            "source": source or str(folder),
+            "members": card["members"],
+            "test_error_mm": errors["test"],
+            "pca26_test_error_mm": errors["pca"],
+        }
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return int(self._card["n_latent"])
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        return int(self._card["n_nodes"])
+
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the expected reconstruction errors; see `LatentModel.errors`. They grow with the displacement."""
+        law, scale = self.error_law(latents)
+        return np.asarray(law.fields * scale[:, None, None])
+
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors and their factors; see `ScalesErrors`."""
+        if latents is None:
+            return self._errors, self._errors.scale(None)
+        return self._errors, self._errors.scale(float(rms_displacement(self.sampled(latents[:, None]))[0]))
+
+    def sampled(self, latents: FloatArray) -> FloatArray:
+        """Return displacement fields (n_members, k, 3) at nodes that stand for all, mm."""
+        nodes = sampled_nodes(self.n_nodes)
+        return self.decode(latents, nodes) if self.tables is None else self.tables.decode(latents, nodes)
+
+    def around(self, simulation: FloatArray) -> "AnchoredModel":
+        """Return a latent model of changes from a simulation.
+
+        Parameters
+        ----------
+        simulation : ndarray of float64, shape (n_nodes, 3)
+            Simulated displacement, mm.
+
+        Returns
+        -------
+        AnchoredModel
+            Decodes to the simulation itself at the simulation's own code.
+        """
+        return AnchoredModel(self, simulation, self._change_errors)
+
+    def encode(self, field: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and variance of q(z | field).
+
+        Parameters
+        ----------
+        field : ndarray of float64, shape (n_nodes, 3)
+            Displacement in mm.
+
+        Returns
+        -------
+        mean, variance : ndarray of float64, shape (n_latent,)
+            Dimensionless.
+        """
+        given = float_array("field", field, (self.n_nodes, 3))
+        mean, log_variance = self._encoder.run(
+            ["mean", "log_variance"], {"displacement": given[None].astype(np.float32)}
+        )
+        return np.asarray(mean[0], np.float64), np.exp(np.asarray(log_variance[0], np.float64))
+
+    def codes(self, fields: FloatArray) -> FloatArray:
+        """Return the means (n_fields, n_latent) of q(z | field) of fields (n_fields, n_nodes, 3) in mm."""
+        parts = [np.asarray(fields[i : i + _BATCH], np.float32) for i in range(0, len(fields), _BATCH)]
+        found = [self._encoder.run(["mean"], {"displacement": part})[0] for part in parts]
+        return np.concatenate([np.empty((0, self.n_latent)), *found])
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        if nodes is None and latents.shape[1] <= _FEW and self.tables is not None:
+            return self.tables.decode(latents, threads=self._threads)
+        return self._by_file(latents, nodes)
+
+    def change(self, latents: FloatArray, code: FloatArray) -> FloatArray:
+        """Return the fields of latents (n_latent, n_members) less that of a code (n_latent,), mm."""
+        if latents.shape[1] <= _FEW and self.tables is not None:
+            return self.tables.change(latents, code, self._threads)
+        both = self._by_file(np.concatenate([code[:, None], latents], axis=1))
+        return np.asarray(both[1:] - both[0])
+
+    def _by_file(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields by ``decoder.onnx``."""
+        has_nodes = "nodes" in {i.name for i in self._decoder.get_overridable_initializers()}
+        extra = {} if nodes is None or not has_nodes else {"nodes": np.asarray(nodes, np.int64)}
+
+        def run(batch: Any) -> Any:
+            return self._decoder.run(["displacement"], {"z": batch, **extra})[0]
+
+        fields = in_batches(run, latents, _BATCH, self._threads)
+        if nodes is not None and not extra:
+            fields = fields[:, nodes]
+        return np.asarray(fields, dtype=np.float64)
+
+    @cached_property
+    def _decoder(self) -> Any:
+        """``decoder.onnx``, read when it is first needed: a graph network's holds large tables."""
+        return _session(self.folder / "decoder.onnx")
+
+    @cached_property
+    def tables(self) -> ClosureDecoder | GraphDecoder | None:
+        """The decoder's weights; None if they are of no kind that can be cut."""
+        return read_decoder(self.folder / "decoder_weights.npz")
+
+    def cut(self, rows: Any) -> CutDecoder | None:
+        """Return the decoder at points alone, made once for the same points and checked against ``decoder.onnx``.
+
+        Parameters
+        ----------
+        rows : scipy.sparse.csr_array, shape (n_rows, n_nodes)
+            Weights of every point on the nodes.
+
+        Returns
+        -------
+        CutDecoder or None
+            None if the weights are of no kind that can be cut. Cost: some tenths of a second at first.
+
+        Raises
+        ------
+        ModelError
+            If the weights and ``decoder.onnx`` are not the same decoder.
+        """
+        digest = hashlib.sha256(rows.indptr.tobytes() + rows.indices.tobytes() + rows.data.tobytes()).hexdigest()
+        if digest not in self._cut and self.tables is not None:
+            made = CutDecoder(self.tables, rows, self._threads)
+            codes = self.prior(None)
+            spread = np.linalg.cholesky(codes.covariance + 1e-12 * np.trace(codes.covariance) * np.eye(self.n_latent))
+            draws = np.random.default_rng(0).standard_normal((self.n_latent, 3))
+            made.check(rows, self.tables, self._by_file, codes.mean[:, None] + spread @ draws, str(self.folder))
+            while len(self._cut) >= _KEPT:
+                self._cut.pop(next(iter(self._cut)))
+            self._cut[digest] = made
+        return self._cut.get(digest)
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return the encoder's distribution, widened by the mismatch of truths and simulations in latent space.
+
+        Parameters
+        ----------
+        simulation : ndarray of float64, shape (n_nodes, 3), or None
+            Displacement in mm; None gives the distribution of the training set's codes.
+
+        Returns
+        -------
+        Gaussian
+            Covariance: encoder variance + measured covariance of encoder(truth) - encoder(simulation), scaled with the
+            size of the simulated event, because larger events have larger errors.
+        """
+        known = self._card["prior"]
+        if simulation is None:
+            return self._family
+        mean, variance = self.encode(simulation)
+        relative = known.get("relative_mismatch_covariance")
+        if relative is None:
+            return Gaussian(mean, np.diag(variance) + np.asarray(known["mismatch_covariance"], np.float64))
+        size = max(float(rms_displacement(simulation[None])[0]), LEAST_SIZE_MM)
+        return Gaussian(mean, np.diag(variance) + size**2 * np.asarray(relative, np.float64))
+
+
+class AnchoredModel:
+    """``field = simulation + decoder(z) - decoder(encoder(simulation))``: the simulation's coding error cancels.
+
+    Parameters
+    ----------
+    network : NetworkModel
+        Encoder and decoder.
+    simulation : ndarray of float64, shape (n_nodes, 3)
+        The anchor, mm.
+    change_errors : ScaledErrors
+        Errors of the network for changes from a simulation to the truth.
+
+    Notes
+    -----
+    On the phantom's pairs the error of a truth coded and decoded is 0.41 mm in the median as a whole field and 0.17 mm
+    as a change from its simulation. Without simulated pairs, the errors of whole fields are used.
+    """
+
+    def __init__(self, network: NetworkModel, simulation: FloatArray, change_errors: "ScaledErrors") -> None:
+        self._network = network
+        self._errors = change_errors
+        self._simulation = simulation
+        self._prior = network.prior(simulation)
+        self.code: FloatArray = self._prior.mean
+        self.calibration = network.calibration
+        self.card = network.card
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return self._network.n_latent
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        return self._network.n_nodes
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        if nodes is None:
+            return self._simulation + self._network.change(latents, self._prior.mean)
+        # Beside the simulation's code in one call: the bits depend on nothing that was decoded before.
+        both = self._network.decode(np.concatenate([self._prior.mean[:, None], latents], axis=1), nodes)
+        return np.asarray(both[1:] + (self._simulation[nodes] - both[0]))
+
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the expected errors of the change; see `LatentModel.errors`. They grow with the change."""
+        law, scale = self.error_law(latents)
+        return np.asarray(law.fields * scale[:, None, None])
+
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors and their factors; see `ScalesErrors`."""
+        if not len(self._errors.fields):
+            return self._network.error_law(latents)
+        if latents is None:
+            return self._errors, self._errors.scale(None)
+        both = self._network.sampled(np.stack([latents, self._prior.mean], axis=1))
+        return self._errors, self._errors.scale(float(rms_displacement(both[:1] - both[1:])[0]))
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return the prior of the truth; see `NetworkModel.prior`."""
+        return self._prior if simulation is self._simulation else self._network.prior(simulation)
+
+
+def kept_network(folder: Path, mesh: Mesh, threads: int, source: str | None = None) -> NetworkModel:
+    """Return the model of a folder; the last two are kept with their cut decoders while their files do not change."""
+    try:
+        stats = [(folder / name).stat() for name in ("model.json", *MODEL_FILES)]
+    except OSError:
+        return NetworkModel(folder, mesh, threads=threads, source=source)  # says what is missing
+    key = (str(folder.resolve()), mesh.digest(), threads, source, *((one.st_mtime_ns, one.st_size) for one in stats))
+    with _KEEPING:
+        made = _NETWORKS.pop(key, None) or NetworkModel(folder, mesh, threads=threads, source=source)
+        while len(_NETWORKS) > 1:
+            _NETWORKS.pop(next(iter(_NETWORKS)))
+        _NETWORKS[key] = made
+    return made
+
+
+def _errors_in(weights: Archive, fields: str, sizes: str, n_nodes: int) -> ScaledErrors:
+    errors = weights.floats(fields, None, n_nodes, 3)
+    return ScaledErrors(errors, weights.floats(sizes, len(errors)))
+
+
+def _session(path: Path) -> Any:
+    return session(str(path), str(path))

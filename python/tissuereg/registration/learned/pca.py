@@ -1,0 +1,168 @@
+"""Principal components as a latent model: the baseline for the network, and a model that is fitted in place."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.errors import EnsembleError
+from tissuereg.registration.learned.calibration import Calibration
+from tissuereg.registration.learned.model import Gaussian, ScaledErrors, rms_displacement
+
+
+class PcaModel:
+    """``field = centre + sum_q components[q] * z[q]`` with unit prior variance per latent.
+
+    Parameters
+    ----------
+    centre : ndarray of float64, shape (n_nodes, 3)
+        Field at z = 0 in mm.
+    components : ndarray of float64, shape (n_latent, n_nodes, 3)
+        Each scaled by its standard deviation, mm.
+    error_fields : ndarray of float64, shape (n_fields, n_nodes, 3)
+        Truth minus reconstruction of held-out fields, mm.
+    error_sizes : ndarray of float64, shape (n_fields,)
+        Root mean square distance of those fields from the centre, mm.
+    card : dict
+        Entry `model` of a result.
+    """
+
+    def __init__(
+        self,
+        centre: FloatArray,
+        components: FloatArray,
+        error_fields: FloatArray,
+        error_sizes: FloatArray,
+        card: dict[str, Any],
+    ) -> None:
+        self.centre = centre
+        self.components = components
+        self.error_fields = error_fields
+        self.error_sizes = error_sizes
+        self.card = card
+        self.calibration: Calibration | None = None
+
+    @classmethod
+    def fit(
+        cls,
+        fields: FloatArray,
+        held_out: FloatArray,
+        *,
+        centre: FloatArray,
+        n_latent: int,
+        card: dict[str, Any],
+    ) -> "PcaModel":
+        """Return the model of the leading components of `fields` about `centre`.
+
+        Parameters
+        ----------
+        fields : ndarray of float64, shape (n_members, n_nodes, 3)
+            Displacement in mm.
+        held_out : ndarray of float64, shape (n_test, n_nodes, 3)
+            Fields that measure the reconstruction error.
+        centre : ndarray of float64, shape (n_nodes, 3)
+            Field at z = 0; second moments are taken about it.
+        n_latent : int
+            Number of components; fewer if the fields span less.
+        card : dict
+            Facts to which the errors are added.
+
+        Returns
+        -------
+        PcaModel
+            With `test_error_mm`, the mean Euclidean error of the held-out fields.
+
+        Raises
+        ------
+        EnsembleError
+            If fewer than two fields are given.
+
+        Notes
+        -----
+        Cost: one eigenvalue problem of size n_members.
+        """
+        if len(fields) < 2:
+            message = f"a prior needs at least two simulated fields, got {len(fields)}"
+            raise EnsembleError(message, where="fields")
+        rows = (fields - centre).reshape(len(fields), -1)
+        values, vectors = np.linalg.eigh(rows @ rows.T / len(rows))
+        order = np.argsort(values)[::-1][:n_latent]
+        order = order[values[order] > 1e-12 * max(values.max(), 1e-300)]
+        # Scaled eigenvectors of the members' Gram matrix give the components with their standard deviation.
+        components = vectors[:, order].T @ rows / np.sqrt(len(rows))
+        largest = np.abs(components).argmax(axis=1)
+        components *= np.sign(components[np.arange(len(components)), largest])[:, None]
+        model = cls(
+            centre, components.reshape(-1, *centre.shape), np.empty((0, *centre.shape)), np.empty(0), dict(card)
+        )
+        if len(held_out):
+            latents = np.stack([model.encode(field) for field in held_out], axis=1)
+            model.error_fields = held_out - model.decode(latents)
+            model.error_sizes = rms_displacement(held_out - centre)
+            model.card["test_error_mm"] = float(np.linalg.norm(model.error_fields, axis=2).mean())
+        return model
+
+    @property
+    def n_latent(self) -> int:
+        """Number of latents."""
+        return len(self.components)
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of mesh nodes."""
+        return len(self.centre)
+
+    def encode(self, field: FloatArray) -> FloatArray:
+        """Return the latents of the least-squares reconstruction of a field.
+
+        Parameters
+        ----------
+        field : ndarray of float64, shape (n_nodes, 3)
+            Displacement in mm.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_latent,)
+            Dimensionless.
+        """
+        rows = self.components.reshape(self.n_latent, -1)
+        return np.asarray((rows @ (field - self.centre).ravel()) / np.einsum("ij,ij->i", rows, rows))
+
+    def codes(self, fields: FloatArray) -> FloatArray:
+        """Return the latents (n_fields, n_latent) of fields (n_fields, n_nodes, 3) in mm; see `encode`."""
+        rows = self.components.reshape(self.n_latent, -1)
+        away = (np.asarray(fields, np.float64) - self.centre).reshape(len(fields), -1)
+        return np.asarray((away @ rows.T) / np.einsum("ij,ij->i", rows, rows))
+
+    def decode(self, latents: FloatArray, nodes: IntArray | None = None) -> FloatArray:
+        """Return displacement fields, one per column of `latents`; see `LatentModel.decode`."""
+        rows = self.components if nodes is None else self.components[:, nodes]
+        centre = self.centre if nodes is None else self.centre[nodes]
+        flat = latents.T @ rows.reshape(self.n_latent, -1)
+        return np.asarray(centre + flat.reshape(latents.shape[1], *centre.shape))
+
+    def errors(self, latents: FloatArray | None = None) -> FloatArray:
+        """Return the expected reconstruction errors; see `LatentModel.errors`.
+
+        Notes
+        -----
+        Errors grow in proportion to the distance from the centre, so each held-out error is scaled to the size of the
+        field that `latents` represent.
+        """
+        law, scale = self.error_law(latents)
+        return np.asarray(law.fields * scale[:, None, None])
+
+    def error_law(self, latents: FloatArray | None = None) -> tuple[ScaledErrors, FloatArray]:
+        """Return the errors and their factors; see `ScalesErrors`."""
+        if latents is None:
+            return self._law, self._law.scale(None)
+        return self._law, self._law.scale(float(rms_displacement(self.decode(latents[:, None]) - self.centre)[0]))
+
+    @cached_property
+    def _law(self) -> ScaledErrors:
+        return ScaledErrors(self.error_fields, self.error_sizes)
+
+    def prior(self, simulation: FloatArray | None) -> Gaussian:
+        """Return the unit Gaussian about the centre, which is the simulation the model was fitted around."""
+        return Gaussian(np.zeros(self.n_latent), np.eye(self.n_latent))

@@ -1,0 +1,389 @@
+"""Registration with a trained model: Algorithm 1 of the paper.
+
+A simulation of the moment is encoded, an ensemble is drawn around its code, and ES-MDA updates the ensemble until the
+decoded fields agree with the markers; or Gauss-Newton finds the most probable code, and the ensemble is drawn about it.
+"""
+
+import os
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._base.arguments import found, place
+from tissuereg._base.arrays import FloatArray, IntArray, frozen
+from tissuereg._base.clock import Clock
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ArgumentError, ModelError
+from tissuereg.registration.inputs import RegisterInput, rms_length
+from tissuereg.registration.learned.assimilate import (
+    Assimilation,
+    Between,
+    FirstEnsemble,
+    assimilate,
+    balanced_draws,
+    gauss_newton,
+)
+from tissuereg.registration.learned.mixture_posterior import CalibratedPosterior
+from tissuereg.registration.learned.model import Gaussian, LatentModel
+from tissuereg.registration.learned.network import kept_network
+from tissuereg.registration.learned.points import PointModel, PointsAround
+from tissuereg.registration.learned.posterior import Posterior
+from tissuereg.registration.learned.variants import Variants
+from tissuereg.registration.learned.widen import stated
+from tissuereg.registration.result import NO_MARKER, MarkerFit, Registration, Target
+from tissuereg.registration.trust import Trust, judge, judge_by_rehearsal
+from tissuereg.registration.wrong_markers import drop_wrong, score_markers
+
+#: Distance of neighbours for derivatives of the decoder, in standard deviations of the prior: wide enough for float32.
+_DIFFERENCE = 1e-2
+
+#: The search ends at a step of so many standard deviations, less than any region shows.
+_TOLERANCE = 1e-2
+
+#: Standard deviations of the tracker's noise beyond which a sign is sure: chance of 1e-5.
+_SURELY = 4.3
+
+#: Draws from which predictions about the prior's mean are found where the ensemble is no search or has fewer than twice
+#: as many members as there are latents.
+_N_DRAWS = 100
+
+
+def register_by_model(
+    given: RegisterInput,
+    points: PointModel,
+    simulation: FloatArray | None,
+    clock: Clock,
+    variants: Variants | None = None,
+) -> Registration:
+    """Register one moment with a trained model.
+
+    Parameters
+    ----------
+    given : RegisterInput
+        Checked input.
+    points : PointModel
+        The model at the markers and targets of that input.
+    simulation : ndarray of float64, shape (n_nodes, 3), or None
+        Displacement of the moment by a simulation, mm.
+    clock : Clock
+        Records the times of the stages: ``encode``, ``assimilate``, ``decode``, ``judge``.
+    variants : Variants, optional
+        Variants of the simulation, about whose mean the prior then is. The answer is compared with the simulation, or
+        without one with that mean.
+
+    Returns
+    -------
+    Registration
+        The result. Cost: with ``update="esmda"`` the ensemble is decoded at markers and targets once a step and once at
+        the end; of a calibrated model, whose answer is found about the ensemble's mean, at first and before the last
+        step alone, and then 2 n_latent + 1 members two or three times. Once more where the prior had to be widened; two
+        whole fields are decoded.
+
+    Raises
+    ------
+    EnsembleError
+        If too few ensemble members survive, or the decoder fails where the search for the most probable code begins.
+    ArgumentError
+        If variants are given and the model knows no changes from simulations.
+    ConvergenceError
+        If that search finds no minimum.
+    """
+    if variants is not None and not points.knows_changes:
+        message = "`variants` must be left out: the model was not calibrated with pairs of simulation and truth"
+        raise ArgumentError(message, where="variants")
+    anchor = simulation if variants is None else variants.mean
+    with clock.stage("encode"):
+        model = points.around(anchor)
+    seen = np.flatnonzero(given.markers.seen)
+    with clock.stage("assimilate"):
+        drawn = _Drawn.of(model, given)
+        fit, wrong = _without_wrong(model, drawn, given, seen)
+    used = np.setdiff1d(seen, list(wrong))
+    calibration = points.calibration
+    posterior: Posterior | CalibratedPosterior
+    with clock.stage("decode"):
+        if calibration is None:
+            posterior = Posterior.of(given.mesh, model, fit.ensemble)
+        else:
+            posterior = CalibratedPosterior.of(
+                given.mesh, model, calibration, used, given.markers, fit.ensemble.mean, anchor, given.seed, variants
+            )
+    with clock.stage("judge"):
+        before = anchor if simulation is None else simulation
+        return _result(given, used, wrong, before, points.model, fit, posterior, clock)
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """Draws from the prior; predictions (n_members, n_markers, 3) of all markers, and those at the prior's mean, mm."""
+
+    prior: Gaussian
+    first: FirstEnsemble
+    markers: FloatArray
+    centre: FloatArray
+
+    @classmethod
+    def of(cls, model: PointsAround, given: RegisterInput) -> "_Drawn":
+        n_members = given.settings.n_members
+        if given.settings.update == "gauss-newton" or n_members < 2 * len(model.prior.mean):
+            n_members = _N_DRAWS
+        first = FirstEnsemble.about(model.prior, *_normals(given.seed, len(model.prior.mean), n_members))
+        centre, moved = model.first(first.latents)
+        return cls(model.prior, first, model.markers(moved), model.markers(centre))
+
+    def predicted(self, seen: IntArray) -> FloatArray:
+        """Return predictions (n_obs, n_members) of some markers."""
+        return _rows(self.markers[:, seen])
+
+    def start(self, prior: Gaussian, widening: float, seen: IntArray) -> FirstEnsemble:
+        """Return the members as draws from the prior after its widening."""
+        if widening == 1.0:
+            return FirstEnsemble(self.first.latents, self.first.exact, self.predicted(seen))
+        here, there = (np.linalg.cholesky(one.covariance) for one in (self.prior, prior))
+        normals = np.linalg.solve(here, self.first.latents - self.prior.mean[:, None])
+        return FirstEnsemble(prior.mean[:, None] + there @ normals, self.first.exact)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A posterior ensemble with its prior and noise; of a minimum also the predictions there, and their covariance."""
+
+    prior: Gaussian
+    widening: float
+    noise: FloatArray
+    ensemble: Assimilation
+    predicted: FloatArray
+    absorbed: FloatArray
+
+
+def _without_wrong(
+    model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray
+) -> tuple[_Fit, dict[int, float]]:
+    """Return the fit, and the markers that were dropped because they do not fit the others, with their p-values.
+
+    Only where the fit is a minimum with its derivatives: the covariance of an ensemble is no exact share of the noise.
+    """
+    if given.settings.update != "gauss-newton":
+        return _fit(model, drawn, given, seen), {}
+
+    def scored(kept: IntArray) -> tuple[_Fit, _core.GroupScores]:
+        fit = _fit(model, drawn, given, seen[kept])
+        residual = given.markers.displacement[seen[kept]] - fit.predicted.reshape(-1, 3)
+        return fit, score_markers(residual, fit.noise, fit.absorbed)
+
+    fit, dropped = drop_wrong(scored, len(seen))
+    return fit, {int(seen[index]): chance for index, chance in dropped}
+
+
+def _fit(model: PointsAround, drawn: _Drawn, given: RegisterInput, seen: IntArray) -> _Fit:
+    """Return the posterior ensemble, with the noise at the state that a linear model finds."""
+    markers, settings = given.markers, given.settings
+    measured = markers.displacement[seen].ravel()
+    latents, predicted = drawn.first.latents, drawn.predicted(seen)
+    searches = model.calibration is not None and settings.update == "esmda"
+    believed = stated(model, markers, seen, latents, predicted, drawn.centre[seen].ravel(), typical=searches)
+    prior, noise, near, widening = believed.prior, believed.noise, believed.near, believed.factor
+
+    def predict(latents: FloatArray) -> FloatArray:
+        return _rows(model.markers(model.decode(latents))[:, seen])
+
+    rng = np.random.default_rng([given.seed, 3])
+    if settings.update == "gauss-newton":
+        found = gauss_newton(predict, measured, noise, prior, start=near, tolerance=_TOLERANCE, difference=_DIFFERENCE)
+        ensemble = found.ensemble(rng, settings.n_members)
+        return _Fit(prior, widening, noise, ensemble, found.predicted, found.absorbed)
+    first = drawn.start(prior, widening, seen) if latents.shape[1] == settings.n_members else None
+    if searches and not settings.decode_all and first is not None:
+        # Only a search: the answer is found about the ensemble's mean, by true decodes.
+        known = predict(first.latents) if first.predicted is None else first.predicted
+        first = replace(first, predicted=known)
+        predict = Between(predict, {settings.n_steps - 1}, first.latents, known)
+    ensemble = assimilate(
+        predict,
+        measured,
+        noise,
+        prior,
+        rng=rng,
+        n_members=settings.n_members,
+        n_steps=settings.n_steps,
+        decrease=settings.decrease,
+        first=first,
+        threads=1,
+    )
+    return _Fit(prior, widening, noise, ensemble, np.empty(0), np.empty(0))
+
+
+@lru_cache(maxsize=4)
+def _normals(seed: int, n_latent: int, n_members: int) -> tuple[FloatArray, bool]:
+    """Return standard normal draws of a first ensemble, and whether their moments are exact."""
+    draws, exact = balanced_draws(np.random.default_rng([seed, 2]), (n_latent, n_members), np.empty((0, n_members)))
+    return frozen(draws), exact
+
+
+def _rows(moved: FloatArray) -> FloatArray:
+    """Return displacements (n_members, n_markers, 3) as predictions (n_obs, n_members)."""
+    return np.ascontiguousarray(moved.reshape(len(moved), -1).T)
+
+
+def _result(
+    given: RegisterInput,
+    seen: Any,
+    wrong: dict[int, float],
+    simulation: FloatArray | None,
+    latent: LatentModel,
+    fit: _Fit,
+    posterior: Posterior | CalibratedPosterior,
+    clock: Clock,
+) -> Registration:
+    """Assemble the result of the markers `seen` that were used; `wrong` has the chances of those that were dropped."""
+    mesh, markers, inner = given.mesh, given.markers, given.targets
+    before = np.zeros((mesh.n_nodes, 3)) if simulation is None else simulation
+    observed = given.observed
+    start = observed.predict(before[observed.nodes])
+    residual = markers.displacement[seen] - posterior.marker_mean[seen]
+    ratios = posterior.ratios
+    notes = list(given.suspicions)
+    for i, chance in wrong.items():
+        notes.append(f"wrong marker: {markers.names[i]} does not fit the others (p = {chance:.1g}) and was left out")
+    if simulation is not None:
+        notes += _against(markers.displacement[seen], start[seen], markers.axis_std[seen])
+    names = tuple(markers.names[i] for i in seen)
+    if isinstance(posterior, CalibratedPosterior):
+        trust = _calibrated_trust(names, residual, posterior, float(ratios.min()), notes)
+    else:
+        trust = _trust(names, residual, seen, fit, posterior, float(ratios.min()), notes)
+    target_start = inner.predict(before[inner.nodes])
+    gains: list[tuple[float | None, bool]] = [(None, False)] * len(inner.names)
+    tail = None
+    if isinstance(posterior, CalibratedPosterior):
+        gains, tail = list(posterior.gains(target_start)), posterior.tail
+    unseen = np.setdiff1d(np.arange(len(markers)), seen)
+    return Registration(
+        mesh=mesh,
+        displacement=posterior.displacement,
+        nodes=posterior.std,
+        targets={
+            name: Target(
+                inner.reference[i],
+                inner.reference[i] + posterior.target_mean[i],
+                posterior.target_covariance[i],
+                None if simulation is None else inner.reference[i] + target_start[i],
+                gains[i][0],
+                NO_MARKER if gains[i][1] else None,
+                tail,
+            )
+            for i, name in enumerate(inner.names)
+        },
+        unseen={
+            markers.names[i]: Target(
+                markers.reference[i],
+                markers.reference[i] + posterior.marker_mean[i],
+                # Predicted measurement: the body's spread and the tracker's noise.
+                posterior.marker_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+                + posterior.marker_error[i]
+                + np.diag(markers.axis_std[i] ** 2),
+                None if simulation is None else markers.reference[i] + start[i],
+            )
+            for i in unseen
+        },
+        markers=MarkerFit(
+            used=tuple(markers.names[i] for i in seen),
+            dropped=tuple((markers.names[i], "wrong" if i in wrong else "not seen") for i in unseen),
+            before_rms_mm=rms_length(markers.displacement[seen] - start[seen]),
+            after_rms_mm=rms_length(residual),
+            residual_mm={markers.names[i]: row for i, row in zip(seen, residual, strict=True)},
+        ),
+        all_markers=markers,
+        start_markers=markers.reference + start,
+        min_det_f=float(ratios.min()),
+        inverted_tets=int((ratios <= 0).sum()),
+        trust=trust,
+        model=dict(latent.card),
+        seconds=clock.seconds,
+        seed=given.seed,
+        dropped_members=fit.ensemble.dropped,
+    )
+
+
+def _trust(
+    names: tuple[str, ...],
+    residual: FloatArray,
+    seen: IntArray,
+    fit: _Fit,
+    posterior: Posterior,
+    min_det_f: float,
+    notes: list[str],
+) -> Trust:
+    """Judge by the noise and the prior as they are stated."""
+    if fit.widening > 9.0:
+        times = np.sqrt(fit.widening)
+        notes.append(f"simulation: it is farther off than usual; its prior had to be widened {times:.1f}-fold")
+    off = fit.ensemble.mean - fit.prior.mean
+    rows = (3 * seen[:, None] + np.arange(3)).ravel()
+    return judge(
+        names,
+        residual,
+        fit.noise,
+        posterior.marker_covariance[np.ix_(rows, rows)],
+        float(off @ np.linalg.solve(fit.prior.covariance, off)),
+        min_det_f,
+        notes,
+    )
+
+
+def _calibrated_trust(
+    names: tuple[str, ...],
+    residual: FloatArray,
+    posterior: CalibratedPosterior,
+    min_det_f: float,
+    notes: list[str],
+) -> Trust:
+    """Judge by comparison with honest events that the model never saw."""
+    signs = posterior.signs()
+    return judge_by_rehearsal(
+        names,
+        residual,
+        posterior.noise,
+        posterior.rehearsal.honest,
+        signs.row,
+        signs.marker_rows,
+        signs.marker_misfits,
+        min_det_f,
+        notes,
+    )
+
+
+def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[str]:
+    """Return the reason that markers moved against their simulation, if they surely did.
+
+    The factor of the simulation that fits the displacements (n_used, 3) best is below zero beyond what the tracker's
+    noise (n_used, 3) explains; in honest events loads and stiffness are off by a factor, never by its sign.
+    """
+    weighted = simulated / std**2
+    square = float((weighted * simulated).sum())
+    if square <= 0.0:
+        return []
+    factor = float((weighted * moved).sum()) / square
+    if factor + _SURELY / np.sqrt(square) >= 0.0:
+        return []
+    return [f"simulation: the markers moved against it, {factor:.2f} times as far as simulated"]
+
+
+def as_model(model: Any, mesh: Mesh, threads: int) -> LatentModel:
+    """Return a model, read from its folder if necessary; raise ModelError if it is none, or knows another mesh."""
+    if isinstance(model, (str, os.PathLike)):
+        if str(model) == "phantom":
+            from tissuereg.phantom import shipped_model_folder
+
+            return kept_network(shipped_model_folder(), mesh, threads, "shipped")
+        return kept_network(place("model", model, error=ModelError), mesh, threads)
+    if not isinstance(getattr(model, "n_nodes", None), int):
+        message = f"`model` must be a folder, 'phantom' or a model that knows a mesh, got {found(model)}"
+        raise ModelError(message, where="model")
+    if model.n_nodes != mesh.n_nodes:
+        message = f"the model must know this mesh of {mesh.n_nodes} nodes, it knows {model.n_nodes}"
+        raise ModelError(message, where="model")
+    return model  # type: ignore[no-any-return]

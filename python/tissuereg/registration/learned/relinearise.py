@@ -1,0 +1,83 @@
+"""Conditioning on the markers with a decoder that is not linear: linearised, conditioned, linearised again."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.registration.learned.kinds import Kinds
+from tissuereg.registration.learned.mixture import Component, Conditioned, Linear, MixturePosterior
+
+#: Neighbours of a point for the decoder's derivatives, in standard deviations of the training set's codes: secants over
+#: the region where the posterior lies.
+_STEP = 0.2
+
+#: The search ends where the mean moves by less than this share of those standard deviations.
+_NEAR = 0.05
+
+#: Pairs of component and scale are ruled out for good by a pass that moves the mean by less than this share of them.
+_CLOSE = 0.5
+
+#: Latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm.
+Decode = Callable[[FloatArray], FloatArray]
+
+
+def spread_of(kinds: Kinds) -> FloatArray:
+    """Return the standard deviation (n_latent,) of the codes of all kinds."""
+    centre = kinds.weights @ kinds.means
+    variance = np.diagonal(kinds.covariances, axis1=1, axis2=2) + (kinds.means - centre) ** 2
+    return np.asarray(np.sqrt(kinds.weights @ variance))
+
+
+def linearised(decode: Decode, point: FloatArray, spread: FloatArray) -> Linear:
+    """Return the decoder about a point by central differences. Cost: one decode of 2 n_latent + 1 columns."""
+    steps = _STEP * np.diag(spread)
+    columns = np.concatenate([point[:, None], point[:, None] + steps, point[:, None] - steps], axis=1)
+    rows = decode(columns)
+    n = len(point)
+    return Linear(point, rows[0], np.asarray((rows[1 : n + 1] - rows[n + 1 :]).T / (2.0 * _STEP * spread)))
+
+
+def conditioned(
+    decode: Decode,
+    prior: list[Component],
+    observed: FloatArray,
+    noise: FloatArray,
+    start: FloatArray,
+    spread: FloatArray,
+    passes: int,
+) -> tuple[MixturePosterior, Linear]:
+    """Return the posterior of markers and targets, and the linear decoder that it rests on.
+
+    Parameters
+    ----------
+    decode : callable
+        Latents (n_latent, n_columns) to displacements at markers and targets (n_columns, n_rows), mm.
+    prior : list of Component
+        The mixture.
+    observed : ndarray of float64, shape (n_obs,)
+        Measured displacements, mm; the first n_obs rows.
+    noise : ndarray of float64, shape (n_obs, n_obs)
+        Covariance of the tracker's noise, mm^2.
+    start : ndarray of float64, shape (n_latent,)
+        Where the decoder is linearised first.
+    spread : ndarray of float64, shape (n_latent,)
+        Standard deviations of the training set's codes.
+    passes : int
+        Linearisations at most.
+
+    Returns
+    -------
+    MixturePosterior, Linear
+        Cost: a decode of 2 n_latent + 1 columns a pass.
+    """
+    point, logs = start, None
+    for left in reversed(range(passes)):
+        model = linearised(decode, point, spread)
+        found = Conditioned(prior, model, observed, noise, logs)
+        moved = float(np.abs((found.mean_latents - point) / spread).max())
+        if left == 0 or moved < _NEAR:
+            break
+        # Evidences far from the answer rule nothing out.
+        point, logs = found.mean_latents, found.logs if moved < _CLOSE else None
+    return found.posterior(), model

@@ -1,0 +1,69 @@
+"""Variants of a simulation: the same event simulated with other values of what is uncertain.
+
+Their mean is where a registration starts from, their second moments are a part of its prior: how this body, held and
+loaded as it is, moves differently where moduli, supports or loads are others. As a few variants span few directions, a
+share of what the model knows of simulations in general stays in the prior beside them: a hybrid of an ensemble's and a
+static covariance (T. M. Hamill and C. Snyder, "A hybrid ensemble Kalman filter-3D variational analysis scheme",
+Monthly Weather Review 128, 2905-2919, 2000).
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg.errors import ShapeError
+from tissuereg.registration.learned.calibration import FieldErrors
+
+#: Variants that are needed at least: fewer say nothing of a covariance.
+LEAST_VARIANTS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Variants:
+    """Variants of one moment.
+
+    Attributes
+    ----------
+    mean : ndarray of float64, shape (n_nodes, 3)
+        Of their displacements, mm.
+    spread : FieldErrors
+        Their covariance about it: of one kind, by as many patterns as there are variants.
+    """
+
+    mean: FloatArray
+    spread: FieldErrors
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.spread.basis)
+
+    @classmethod
+    def of(cls, fields: Any, n_nodes: int) -> "Variants":
+        """Return the variants of a moment.
+
+        Parameters
+        ----------
+        fields : array_like of float, shape (n_variants, n_nodes, 3)
+            Displacements, mm.
+        n_nodes : int
+            Of the mesh.
+
+        Raises
+        ------
+        ShapeError
+            If the array has another shape, a field is not finite, or there are fewer than four.
+        """
+        given = float_array("variants", fields, (None, n_nodes, 3))
+        if len(given) < LEAST_VARIANTS:
+            message = f"`variants` must be {LEAST_VARIANTS} or more simulations of one moment, got {len(given)}"
+            raise ShapeError(message, where="variants")
+        finite = np.isfinite(given).all(axis=(1, 2))
+        if not finite.all():
+            message = f"`variants` must be finite displacements in mm; variant {int(np.argmin(finite))} is not"
+            raise ShapeError(message, where="variants")
+        mean = given.mean(axis=0)
+        patterns = (given - mean) / np.sqrt(len(given) - 1)
+        return cls(mean, FieldErrors(patterns, np.eye(len(given))[None], np.zeros_like(mean)))

@@ -1,0 +1,201 @@
+r"""Displacement fields with a Gaussian prior, observed linearly at markers: the answer without a solve.
+
+A field ``u ~ N(0, s P)`` is known by the covariance of what the markers see, ``W = C P C'``, and by that of the nodes
+with it, ``U = P C'``. Given displacements d with noise R of independent coordinates,
+
+    u = s U (s W + R)^-1 d,
+
+of which everything but d is made beforehand. The scale s is the one of the highest evidence,
+
+    -2 log p(d | s) = sum_k log(1 + s l_k) + y_k^2 / (1 + s l_k) + constant,
+
+with l_k the eigenvalues of ``R^-1/2 W R^-1/2`` and y the whitened displacements in its eigenvectors (type-II maximum
+likelihood, D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4, 415-447, 1992).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tissuereg._base.arguments import real
+from tissuereg._base.arrays import FloatArray, IntArray, float_array
+
+#: Signal over noise of the strongest direction, ``s l_max``, that are tried, as powers of ten; the best is refined by a
+#: parabola.
+_POWERS = np.linspace(-4.0, 16.0, 161)
+
+#: Sets of seen markers whose eigenvectors are kept.
+_KEPT = 64
+
+
+@dataclass(frozen=True, eq=False)
+class LinearAnswer:
+    """The most probable field given the markers.
+
+    Attributes
+    ----------
+    displacement_mm : ndarray of float64, shape (n_nodes, 3)
+        The field.
+    scale : float
+        Factor s on the prior's covariance.
+    log_evidence : float
+        Logarithm of the density of the whitened displacements at this scale; comparable among priors.
+    """
+
+    displacement_mm: FloatArray
+    scale: float
+    log_evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Eigenvalues, and the eigenvectors (n_obs, n_obs) over the noise, of one set of seen markers."""
+
+    rows: IntArray
+    values: FloatArray
+    vectors: FloatArray
+
+    @cached_property
+    def _largest(self) -> float:
+        return float(self.values.max(initial=0.0))
+
+    @cached_property
+    def _tried(self) -> tuple[FloatArray, FloatArray]:
+        """Of the cost of the scales tried, ``sum_k log(1 + s l_k)``, and the squares' factors ``1 / (1 + s l_k)``."""
+        grown = 1.0 + 10.0 ** _POWERS[:, None] * (self.values / self._largest)
+        return np.log(grown).sum(axis=1), np.asarray(1.0 / grown)
+
+    def best_scale(self, squares: FloatArray) -> float:
+        """Return the scale of the highest evidence for squared coordinates (n_obs,); 0 if nothing can move."""
+        if self._largest <= 0.0:
+            return 0.0
+        logs, shares = self._tried
+        cost = logs + _product(shares, squares)
+        at = int(np.argmin(cost))
+        power = float(_POWERS[at])
+        if 0 < at < len(_POWERS) - 1:
+            before, here, after = (float(one) for one in cost[at - 1 : at + 2])
+            bend = before - 2.0 * here + after
+            power += 0.5 * float(_POWERS[1] - _POWERS[0]) * (before - after) / bend if bend > 0.0 else 0.0
+        return float(10.0**power / self._largest)
+
+
+class LinearPrior:
+    """A Gaussian prior of displacement fields at markers.
+
+    Parameters
+    ----------
+    at_markers : array_like of float, shape (3 n_markers, 3 n_markers)
+        Covariance W of the markers' displacements at scale one, mm^2.
+    to_nodes : array_like of float, shape (n_nodes, 3, 3 n_markers)
+        Covariance U of the nodes' displacements with them, mm^2.
+    std_mm : array_like of float, shape (n_markers,)
+        Standard deviation of a measured coordinate.
+
+    Raises
+    ------
+    ShapeError
+        If an array has another shape.
+    """
+
+    def __init__(self, at_markers: FloatArray, to_nodes: FloatArray, std_mm: FloatArray) -> None:
+        std = float_array("std_mm", std_mm, (None,))
+        n_rows = 3 * len(std)
+        given = float_array("at_markers", at_markers, (n_rows, n_rows))
+        self._at_markers = 0.5 * (given + given.T)
+        nodes = float_array("to_nodes", to_nodes, (None, 3, n_rows))
+        self._n_nodes = len(nodes)
+        self._to_nodes = nodes.reshape(-1, n_rows)
+        self._std = np.repeat(std, 3)
+        self._known: dict[bytes, _Directions] = {}
+
+    def plus(self, fields: FloatArray, seen: FloatArray, share: float) -> "LinearPrior":
+        """Return this prior with random multiples of further fields added, independent of it and equally likely.
+
+        Parameters
+        ----------
+        fields : ndarray of float64, shape (n_fields, n_nodes, 3)
+        seen : ndarray of float64, shape (n_fields, 3 n_markers)
+            The same at the markers.
+        share : float
+            Their variance at the markers over that of this prior, both as means over the markers.
+        """
+        variance = share * np.trace(self._at_markers) / float(np.sum(seen * seen))
+        to_nodes = self._to_nodes + variance * fields.reshape(len(fields), -1).T @ seen
+        both = self._at_markers + variance * seen.T @ seen
+        return LinearPrior(both, to_nodes.reshape(self._n_nodes, 3, -1), self._std[::3])
+
+    def scaled(
+        self,
+        displacement_mm: FloatArray,
+        seen: IntArray,
+        scale: float | None = None,
+        std_mm: FloatArray | None = None,
+    ) -> tuple[float, float, FloatArray]:
+        """Return scale, log evidence, and the weights (3 n_markers,) of the most probable field on the columns of U.
+
+        Parameters
+        ----------
+        displacement_mm : ndarray of float64, shape (n_seen, 3)
+            Displacements of the markers that were seen.
+        seen : ndarray of int64, shape (n_seen,)
+            Which these are.
+        scale : float, optional
+            Scale to use; by default that of the highest evidence.
+        std_mm : ndarray of float64, shape (n_seen,), optional
+            Standard deviation of each coordinate at this moment; by default that of the prior.
+
+        Returns
+        -------
+        tuple of (float, float, ndarray of float64)
+            Cost: two products with a matrix of (3 n_seen, 3 n_seen), and its eigenvalues where `std_mm` is given or the
+            markers were never seen together before.
+        """
+        here = self._kept_directions(seen) if std_mm is None else self._directions(seen, np.repeat(std_mm, 3))
+        observed = float_array("displacement_mm", displacement_mm, (len(seen), 3)).ravel()
+        y = _product(here.vectors.T, observed)
+        if scale is None:
+            scale = here.best_scale(y * y)
+        grown = 1.0 + real("scale", scale, least=0.0) * here.values
+        weights = np.zeros(len(self._std))
+        weights[here.rows] = _product(here.vectors, scale * y / grown)
+        evidence = -0.5 * float(np.sum(np.log(grown) + y * y / grown + np.log(2.0 * np.pi)))
+        return scale, evidence, weights
+
+    def field(self, weights: FloatArray) -> FloatArray:
+        """Return the field (n_nodes, 3) with these weights (3 n_markers,) on the columns of U, mm."""
+        return _product(self._to_nodes, weights).reshape(self._n_nodes, 3)
+
+    def answer(self, displacement_mm: FloatArray, seen: IntArray, scale: float | None = None) -> LinearAnswer:
+        """Return the most probable field; arguments as in `scaled`. Cost: a product with U in addition."""
+        scale, evidence, weights = self.scaled(displacement_mm, seen, scale)
+        return LinearAnswer(self.field(weights), scale, evidence)
+
+    def _kept_directions(self, seen: IntArray) -> _Directions:
+        key = seen.tobytes()
+        if key not in self._known:
+            while len(self._known) >= _KEPT:
+                self._known.pop(next(iter(self._known)))
+            self._known[key] = self._directions(seen, self._std.reshape(-1, 3)[seen].ravel())
+        return self._known[key]
+
+    def _directions(self, seen: IntArray, std: FloatArray) -> _Directions:
+        rows = (3 * seen[:, None] + np.arange(3)).ravel()
+        values, vectors = np.linalg.eigh(self._at_markers[np.ix_(rows, rows)] / np.outer(std, std))
+        return _Directions(rows, np.maximum(values, 0.0), vectors / std[:, None])
+
+
+def most_probable(
+    priors: "dict[str, LinearPrior]", displacement_mm: FloatArray, seen: IntArray, std_mm: FloatArray | None = None
+) -> tuple[str, LinearAnswer]:
+    """Return the prior of the highest evidence and its answer; arguments as in `LinearPrior.scaled`."""
+    found = {name: prior.scaled(displacement_mm, seen, std_mm=std_mm) for name, prior in priors.items()}
+    best = max(found, key=lambda name: found[name][1])
+    scale, evidence, weights = found[best]
+    return best, LinearAnswer(priors[best].field(weights), scale, evidence)
+
+
+def _product(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return ``matrix @ vector`` by one thread: on busy cores, waking another takes far longer than the product."""
+    return np.asarray(np.einsum("ij,j->i", matrix, vector))

@@ -1,0 +1,235 @@
+"""Many registrations of one body: moments of a recording, each on its own, in this process or in many.
+
+What depends on the body and the places of its markers is made once in every process: a `Registrar`.
+"""
+
+import hashlib
+import inspect
+import pickle
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+from tissuereg._base.arguments import called, check_running, found, of_kind
+from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg._base.choice import check_choice
+from tissuereg.body.markers import Markers
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ArgumentError
+from tissuereg.parallel import Executor, Failed, Finished, InProcess, in_order
+from tissuereg.registration.inputs import as_markers, as_mesh
+from tissuereg.registration.learned.registration import as_model
+from tissuereg.registration.register import register
+from tissuereg.registration.registrar import Registrar
+from tissuereg.registration.result import Registration
+
+#: Arguments of `register` that belong to one moment, or to a caller in the same process.
+_OF_ONE = {"mesh", "markers", "surface", "surface_std", "progress", "tell"}
+_OPTIONS = tuple(name for name in inspect.signature(register).parameters if name not in _OF_ONE)
+
+#: What registers the last body of this process, by its fingerprint.
+_KEPT: dict[str, "_Moments"] = {}
+_KEEPING = threading.Lock()
+
+
+def register_many(
+    mesh: Mesh | tuple[Any, Any, Any],
+    markers: Markers | tuple[Any, Any] | Iterable[Markers | tuple[Any, Any]],
+    measured: Any = None,
+    *,
+    executor: Executor | None = None,
+    progress: Callable[[int], None] | None = None,
+    **options: Any,
+) -> Iterator[Registration | Failed]:
+    """Register one body at many moments, each on its own; every result is that of `register`, bit for bit.
+
+    Parameters
+    ----------
+    mesh : Mesh or (nodes, tets, fixed_nodes)
+        Undeformed body in mm.
+    markers : iterable of Markers or (reference, measured); or Markers or (reference, measured) alone
+        The markers of every moment, taken as they are needed. With `measured`, the markers of one moment, whose
+        measured places are exchanged.
+    measured : array_like of float, shape (n_moments, n_markers, 3), optional
+        Measured places of every moment in mm; NaN = not seen.
+    executor : tissuereg.parallel.Executor, optional
+        Where registrations are made. By default in this process, one after another.
+    progress : callable of int, optional
+        Called with the number of moments that are done.
+    **options
+        Of `register`: ``model``, ``simulation``, ``targets``, ``load``, ``material``, ``element``, ``held``,
+        ``held_nodes``, ``frame``, ``stiffness``, ``seed``, ``threads``, ``settings``, ``polish``, ``ensemble``; the
+        same for every moment. ``threads`` is 1 where there is an `executor` and it is left out. Other processes take a
+        ``model`` by its folder.
+
+    Yields
+    ------
+    Registration or Failed
+        One for each moment, in their order; `Failed` has the error of a moment that could not be registered. The
+        spread of nodes is computed with each; `Registration.draws` registers that moment again, in this process.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument has the wrong type or is out of its range, or an option is unknown or cannot be sent.
+    MeshError, MarkerError, ShapeError
+        If mesh or markers are none, or do not fit each other.
+    ClusterError
+        If the executor loses its workers.
+
+    Notes
+    -----
+    To other processes pass, for each moment, mesh and options as well, and back displacement and covariances of the
+    nodes: less than 1 MB each way for 4,000 nodes, beside a registration of some tenths of a second or more.
+
+    Examples
+    --------
+    >>> from tissuereg.phantom.event import make_event
+    >>> event = make_event(seed=0, size="small")
+    >>> moved = [event.markers.measured, event.markers.measured + 0.05]
+    >>> [result.trust.ok for result in register_many(event.mesh, event.markers, moved)]
+    [True, True]
+    """
+    for name in options:
+        check_choice("option", name, _OPTIONS, ArgumentError)
+    check_running(seed=options.get("seed", 0), threads=options.get("threads", 0))
+    called("progress", progress)
+    if executor is not None:
+        of_kind("executor", executor, Executor)
+        options.setdefault("threads", 1)
+    run = _Moments(as_mesh(mesh), options)
+    return _registered(run, _moments(markers, measured), executor, progress)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One moment, with what a process needs that does not have the registrar yet."""
+
+    mark: str
+    packed: bytes
+    markers: Markers
+
+
+class _Moments:
+    """Registers moments of one body; what it gives can be sent to another process.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    options : dict
+        Of `register`.
+    """
+
+    def __init__(self, mesh: Mesh, options: dict[str, Any]) -> None:
+        self.mesh, self.options = mesh, options
+        self._registrar: Registrar | None = None
+
+    def packed(self) -> bytes:
+        """Return it as bytes."""
+        try:
+            return pickle.dumps((self.mesh, self.options), protocol=pickle.HIGHEST_PROTOCOL)
+        except (pickle.PicklingError, TypeError, AttributeError) as error:
+            message = f"options must be values that other processes can be sent, a model by its folder; {error}"
+            raise ArgumentError(message, where="options") from error
+
+    def with_model(self) -> "_Moments":
+        """Return the same with the model's files read, if there is a model."""
+        if self.options.get("model") is None:
+            return self
+        model = as_model(self.options["model"], self.mesh, self.options.get("threads", 0))
+        return _Moments(self.mesh, {**self.options, "model": model})
+
+    def register(self, markers: Markers) -> Registration:
+        """Return the registration of one moment, by a registrar that is kept while the markers' places are the same."""
+        if self._registrar is None:
+            options = {name: value for name, value in self.options.items() if name not in ("simulation", "variants")}
+            self._registrar = Registrar(self.mesh, markers, readings="always", **options)
+        self._registrar = self._registrar.made_for(markers)
+        simulation, variants = self.options.get("simulation"), self.options.get("variants")
+        return self._registrar.register(markers, simulation, variants=variants)
+
+    def __call__(self, markers: Markers) -> Registration:
+        """Return a registration without its mesh, and without what only this process can hold."""
+        result = self.register(markers)
+        linear = _Computed(result.fallback)
+        return replace(result, mesh=cast("Mesh", None), nodes=_Computed(result.nodes()), draw=None, linear=linear)
+
+    def completed(self, result: Registration, markers: Markers) -> Registration:
+        """Return a registration with its mesh, and with draws where it has a load to draw."""
+        draw = None if result.forces is None else _Again(self, markers)
+        return replace(result, mesh=self.mesh, draw=draw)
+
+
+@dataclass(frozen=True)
+class _Computed:
+    """What is computed when it is read, computed already."""
+
+    values: Any
+
+    def __call__(self) -> Any:
+        return self.values
+
+
+@dataclass(frozen=True, eq=False)
+class _Again:
+    """Posterior fields of a moment, which is registered again for them."""
+
+    moments: _Moments
+    markers: Markers
+
+    def __call__(self, count: int) -> FloatArray:
+        return self.moments.register(self.markers).draws(count)
+
+
+def _moments(markers: Any, measured: Any) -> Iterator[Markers]:
+    """Return the markers of every moment; what is wrong with single ones shows as they are taken."""
+    if measured is not None:
+        base = as_markers(of_kind("markers", markers, (Markers, tuple)))
+        places = float_array("measured", measured, (None, len(base), 3))
+        return (Markers(base.reference, moment, base.axis_std, base.names) for moment in places)
+    if isinstance(markers, Markers | str | bytes) or not isinstance(markers, Iterable):
+        message = f"`markers` must be those of many moments, or `measured` be given; got {found(markers)}"
+        raise ArgumentError(message, where="markers")
+    return map(as_markers, markers)
+
+
+def _registered(
+    run: _Moments, moments: Iterator[Markers], executor: Executor | None, progress: Callable[[int], None] | None
+) -> Iterator[Registration | Failed]:
+    taken: dict[int, Markers] = {}
+    here = InProcess() if executor is None else executor
+
+    def noted() -> Iterator[Markers]:
+        for index, markers in enumerate(moments):
+            taken[index] = markers
+            yield markers
+
+    if executor is None:
+        outcomes = here.run(run.with_model(), noted())
+    else:
+        packed = run.packed()
+        mark = hashlib.sha256(packed).hexdigest()
+        outcomes = here.run(_register_moment, (_Task(mark, packed, markers) for markers in noted()))
+    for outcome in in_order(_without_slips(outcomes), progress):
+        markers = taken.pop(outcome.index)
+        yield outcome if isinstance(outcome, Failed) else run.completed(outcome.result, markers)
+
+
+def _without_slips(outcomes: Iterator[Finished | Failed]) -> Iterator[Finished | Failed]:
+    """Pass outcomes on; a wrong argument is the caller's, and no single moment's."""
+    for outcome in outcomes:
+        if isinstance(outcome, Failed) and isinstance(outcome.error, ArgumentError):
+            raise outcome.error
+        yield outcome
+
+
+def _register_moment(task: _Task) -> Registration:
+    """Register one moment in a worker, with the registrar that this process has kept."""
+    with _KEEPING:
+        kept = _KEPT.get(task.mark)
+        if kept is None:
+            _KEPT.clear()  # a worker is busy with one body
+            kept = _KEPT[task.mark] = _Moments(*pickle.loads(task.packed))
+    return kept(task.markers)

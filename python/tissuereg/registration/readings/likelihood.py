@@ -1,0 +1,268 @@
+r"""Likelihood of markers under a reading: their places on the skin, and their motion as that of one soft body.
+
+Places. All markers are mounted at the same height s above the skin, with errors of standard deviation t; one in thirty
+may lie anywhere:
+
+    p(d_i | s, t) = 0.97 N(d_i; s, t^2) + 0.03 N(d_i; 0, (extent / 5)^2),      d_i: distance from the surface, signed,
+
+averaged over four s and three t. Alternatively all were placed inside the body, at depths up to one or two tenths of
+its extent. A layout much smaller or larger than the body is unlikely in itself, and so are markers on held surface.
+
+Motion. The displacements v (n,) of the seen coordinates are a sample of a Gaussian field that fades towards held nodes,
+
+    v ~ N(0, a^2 W K_l W + B S B' + noise^2),    W: freedom of each place, K_l: Matern 3/2 of length l,
+
+where the columns B (n, 18) are translations and rotations that fade as well, within a layer or along the body; six
+more do not fade if nothing is held or the reading allows a rigid motion. The density is averaged over sizes a from 0.2
+to 20 % of the body's extent, three lengths and three noises. K is diagonalised once per length, so that all sizes,
+noises and readings with the same places share one factorisation.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray
+
+#: Largest plausible height of a marker's centre above the skin: mm, and share of the extent if that is less.
+STANDOFF_MM, STANDOFF_SHARE = 6.0, 0.06
+
+#: Share of markers that may lie anywhere.
+_WRONG_SHARE = 0.03
+
+#: Depth of markers that were placed inside the body, share of the extent, and log-odds that all were.
+_DEPTH, _INSIDE_ODDS = 0.1, -5.0
+
+#: Log-odds of a marker on held surface.
+_HELD_ODDS = -1.5
+
+#: Spread of a layout over that of the skin, below and above which it becomes unlikely.
+_SPECK, _SPRAWL = 0.12, 1.3
+
+#: Fewest markers for which a spread is meaningful.
+_FEWEST_SPREAD = 3
+
+#: Up to so many readings are part of a Cholesky factor.
+_FEW_READINGS = 6
+
+#: Sizes of a deformation and lengths over which it varies, as shares of the extent; log-weights of the sizes.
+_SIZES, _LENGTHS = np.array([0.002, 0.008, 0.03, 0.08, 0.2]), (0.1, 0.3, 0.8)
+_SIZE_WEIGHTS = np.log([0.23, 0.23, 0.23, 0.23, 0.08])
+
+#: Sizes of a rigid motion that fades towards held nodes: that of the deformation, or larger (a tip that swings).
+_TOGETHER, _TOGETHER_WEIGHTS = np.array([0.0, 0.12]), np.log([0.6, 0.4])
+
+#: Additions to the tracker's noise, mm, with log-weights: nothing, small misfits of the model, a wrong marker.
+_EXTRA_NOISE_MM, _NOISE_WEIGHTS = np.array([0.05, 0.7, 3.0]), np.log([0.6, 0.3, 0.1])
+
+#: Standard deviations of a rigid motion: share of the extent, and radian.
+_RIGID_SHARE, _RIGID_RADIAN = 0.3, 0.5
+
+
+def standoff(extent: float) -> float:
+    """Return the largest plausible height above the skin for a body of this extent, mm."""
+    return min(STANDOFF_MM, STANDOFF_SHARE * extent)
+
+
+def places_likelihood(distance: FloatArray, extent: float) -> FloatArray:
+    """Return the log-likelihood of the markers' distances from the surface under each of many readings.
+
+    Parameters
+    ----------
+    distance : ndarray of float64, shape (n_readings, n_markers)
+        From the surface, negative inside, mm.
+    extent : float
+        Of the body, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_readings,)
+        Up to a constant that all readings share.
+    """
+    highest = standoff(extent)
+    finest = 0.3 * highest / STANDOFF_MM + 0.003 * extent
+    parts = []
+    for height in highest * np.array([0.0, 0.25, 0.5, 0.9]):
+        for error in (finest, 2.0 * finest, 0.4 * highest):
+            wide = np.where(distance < height, min(error, 2.0 * finest), error)
+            good = np.exp(-0.5 * ((distance - height) / wide) ** 2) / error
+            anywhere = np.exp(-0.5 * (distance / (0.2 * extent)) ** 2) / (0.2 * extent)
+            # The cost is bounded: beyond the body's own size a marker is wrong in any case.
+            anywhere = np.maximum(anywhere, np.exp(-8.0) / (0.2 * extent))
+            parts.append(np.log((1 - _WRONG_SHARE) * good + _WRONG_SHARE * anywhere).sum(axis=1))
+    deep = np.exp(-0.5 * (distance / _DEPTH / extent) ** 2) / (_DEPTH * extent)
+    inside = np.log((1 - _WRONG_SHARE) * np.where(distance < 0.0, deep, 0.0) + _WRONG_SHARE * anywhere).sum(axis=1)
+    return np.asarray(np.logaddexp(log_mean_exp(np.array(parts)), _INSIDE_ODDS + inside))
+
+
+def nowhere_likelihood(distance: FloatArray, extent: float) -> float:
+    """Return the log-likelihood of places that are unrelated to the surface."""
+    wide = 0.2 * extent
+    return float(np.maximum(-0.5 * (distance / wide) ** 2, -8.0).sum() - len(distance) * np.log(wide))
+
+
+def layout_likelihood(places: FloatArray, held: BoolArray, skin_spread: float) -> FloatArray:
+    """Return the log-likelihood of layouts: many markers are spread over the body, and few are on held surface.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (n_readings, n_markers, 3)
+        mm.
+    held : ndarray of bool, shape (n_readings, n_markers)
+        Whether the closest surface is held.
+    skin_spread : float
+        Root mean square distance of the surface from its mean, mm.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_readings,)
+    """
+    glued, n_markers = _HELD_ODDS * held.sum(axis=1), places.shape[1]
+    if n_markers < _FEWEST_SPREAD:
+        return np.asarray(glued)
+    spread = np.sqrt(np.sum((places - places.mean(axis=1, keepdims=True)) ** 2, axis=2).mean(axis=1))
+    ratio = np.maximum(spread / skin_spread, 1e-9)
+    outside = np.clip(np.log(_SPECK / ratio), 0.0, 3.0) + np.clip(np.log(ratio / _SPRAWL), 0.0, 3.0)
+    return np.asarray(glued - max(6.0, n_markers) * outside)
+
+
+def motion_likelihood(
+    arms: FloatArray, freedom: FloatArray, motion: FloatArray, noise: float, extent: float, *, rigid: bool = False
+) -> FloatArray:
+    """Return the log-likelihood of displacements under each of many readings that share their places.
+
+    Parameters
+    ----------
+    arms : ndarray of float64, shape (n_markers, 3)
+        Places, in the frame of the displacements, mm.
+    freedom : ndarray of float64, shape (3, n_markers)
+        Freedom of the body at each place, as in `Skin.freedom`.
+    motion : ndarray of float64, shape (n_readings, n_markers, 3)
+        Displacements in mm; NaN = not seen, the same coordinates in all readings.
+    noise : float
+        Standard deviation of a measured coordinate, mm.
+    extent : float
+        Of the body, mm.
+    rigid : bool
+        Whether the body may move rigidly as a whole.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_readings,)
+        The density is per mm: a reading in other units adds the logarithm of its volume change.
+    """
+    seen = np.isfinite(motion[0])
+    if not seen.any():
+        return np.zeros(len(motion))
+    fading, whole = _rigid_columns(arms, freedom, extent)
+    columns = np.concatenate([*fading, whole], axis=2) if rigid else np.concatenate(fading, axis=2)
+    sizes, together, noises, weights = _grid(noise, extent)
+    factors = np.ones((len(sizes), columns.shape[2]))
+    factors[:, : 6 * len(freedom)] = together[:, None]
+    values, turned, mixed = _diagonal(arms, freedom[0], motion, columns, seen, np.array(_LENGTHS) * extent)
+    variance = sizes[:, None] ** 2 * values[:, None] + noises[:, None] ** 2
+    logs = _gaussian(variance, turned, mixed, factors) + weights[:, None]
+    # Weights sum to one for each length.
+    return np.asarray(log_mean_exp(logs.reshape(-1, len(motion))) + np.log(len(sizes)))
+
+
+@cache
+def _grid(noise: float, extent: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return sizes of the deformation, of the common motion, and noises, all in mm, and log-weights: (h,) each."""
+    points = [
+        (size * extent, max(size, common) * extent, float(np.hypot(noise, extra)), of_size + of_common + of_noise)
+        for size, of_size in zip(_SIZES, _SIZE_WEIGHTS, strict=True)
+        for common, of_common in zip(_TOGETHER, _TOGETHER_WEIGHTS, strict=True)
+        for extra, of_noise in zip(_EXTRA_NOISE_MM, _NOISE_WEIGHTS, strict=True)
+        if common == 0.0 or common > size
+    ]
+    sizes, together, noises, weights = np.array(points).T
+    return sizes, together, noises, weights
+
+
+def likeliest(noise: float) -> float:
+    """Return the largest log-likelihood that any motion can have, a coordinate."""
+    return -float(np.log(np.sqrt(2 * np.pi) * np.hypot(noise, _EXTRA_NOISE_MM[0])))
+
+
+def unrelated_likelihood(motion: FloatArray, extent: float) -> float:
+    """Return the log-likelihood of displacements (n_markers, 3) that are independent of each other."""
+    values = motion[np.isfinite(motion)]
+    wide = 0.35 * extent
+    return float(np.sum(-0.5 * (values / wide) ** 2) - len(values) * (np.log(wide) + 0.5 * np.log(2 * np.pi)))
+
+
+def _rigid_columns(arms: FloatArray, freedom: FloatArray, extent: float) -> tuple[list[FloatArray], FloatArray]:
+    """Return translations and rotations (n_markers, 3, 6): of unit size, each fading; then of a whole body's size."""
+    centred = arms - arms.mean(axis=0)
+    radius = max(float(np.sqrt(np.sum(centred**2, axis=1).mean())), 0.1 * extent)
+    columns = np.zeros((len(arms), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    for axis, second, third in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        columns[:, second, 3 + axis] = -centred[:, third]
+        columns[:, third, 3 + axis] = centred[:, second]
+    local, whole = columns.copy(), columns.copy()
+    local[:, :, 3:] /= radius
+    whole[:, :, :3] *= _RIGID_SHARE * extent
+    whole[:, :, 3:] *= _RIGID_RADIAN
+    return [local * fade[:, None, None] for fade in freedom], whole
+
+
+def _diagonal(
+    arms: FloatArray,
+    freedom: FloatArray,
+    motion: FloatArray,
+    columns: FloatArray,
+    seen: BoolArray,
+    lengths: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return eigenvalues (l, n), and displacements (l, n, n_readings) and columns (l, n, c) in the eigenvectors' frame.
+
+    Of smooth motions of each length, (l,) in mm.
+    """
+    gaps = np.sqrt(3.0) * np.linalg.norm(arms[:, None] - arms[None], axis=2) / lengths[:, None, None]
+    covariance = (1.0 + gaps) * np.exp(-gaps) * freedom[:, None] * freedom[None]
+    values, turned, mixed = [], [], []
+    known: tuple[bytes, FloatArray, FloatArray] | None = None
+    for axis in range(3):
+        rows = seen[:, axis]
+        if not rows.any():
+            continue
+        if known is None or known[0] != rows.tobytes():
+            spectrum, vectors = np.linalg.eigh(covariance[:, rows][:, :, rows])
+            known = rows.tobytes(), spectrum, np.swapaxes(vectors, 1, 2)
+        values.append(np.maximum(known[1], 0.0))
+        turned.append(known[2] @ motion[:, rows, axis].T)
+        mixed.append(known[2] @ columns[rows, axis])
+    return np.concatenate(values, axis=1), np.concatenate(turned, axis=1), np.concatenate(mixed, axis=1)
+
+
+def _gaussian(variance: FloatArray, turned: FloatArray, columns: FloatArray, factors: FloatArray) -> FloatArray:
+    """Return log N(v; 0, D + B B'), (l, h, n_readings), for each of many variances of each length.
+
+    D = diag(variance), (l, h, n); v = `turned`, (l, n, n_readings); B = `columns` (l, n, c) times `factors` (h, c).
+    """
+    weighted = factors[:, :, None] * (np.swapaxes(columns, 1, 2)[:, None] / variance[:, :, None])
+    n, n_readings = columns.shape[2], turned.shape[2]
+    plain = (1.0 / variance) @ turned**2
+    whole = np.eye(n) + (weighted @ columns[:, None]) * factors[:, None]
+    w = weighted @ turned[:, None]
+    if n_readings > _FEW_READINGS:
+        lower = np.linalg.cholesky(whole)
+        explained = np.sum((np.linalg.inv(lower) @ w) ** 2, axis=2)
+    else:
+        # Bordered by the readings, one Cholesky factor L has L^-1 w as well; the corner only has to be large enough.
+        inner = np.zeros((*variance.shape[:2], n + n_readings, n + n_readings))
+        inner[..., :n, :n], inner[..., n:, :n] = whole, np.swapaxes(w, 2, 3)
+        inner[..., n:, n:] = (1.0 + np.einsum("lhcr,lhcr->lh", w, w))[..., None, None] * np.eye(n_readings)
+        factor = np.linalg.cholesky(inner)
+        lower, explained = factor[..., :n, :n], np.sum(factor[..., n:, :n] ** 2, axis=3)
+    diagonal = np.diagonal(lower, axis1=2, axis2=3)
+    logs = np.log(2 * np.pi * variance).sum(axis=2) + 2.0 * np.log(diagonal).sum(axis=2)
+    return np.asarray(-0.5 * (plain - explained + logs[..., None]))
+
+
+def log_mean_exp(values: FloatArray) -> FloatArray:
+    """Return the logarithm of the mean of the exponentials along the first axis."""
+    top = values.max(axis=0)
+    return np.asarray(top + np.log(np.exp(values - top).mean(axis=0)))

@@ -1,0 +1,104 @@
+"""A reading: one interpretation of the input, with the prior cost of the mistake it assumes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray, IntArray
+from tissuereg.body.markers import Markers
+from tissuereg.body.mesh import Mesh
+from tissuereg.registration.readings.skin import Skin, skin_of
+
+#: Upper limit on the noise of a coordinate, mm: a larger stated value is more likely an error of units.
+_LARGEST_NOISE_MM = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """The input as given, with derived data that readings need.
+
+    Attributes
+    ----------
+    skin : Skin
+        Surface of the body.
+    held_nodes : ndarray of float64, shape (n_held, 3)
+        Places of the held nodes, mm.
+    names : tuple of str
+        Names of the markers.
+    reference, measured : ndarray of float64, shape (n_markers, 3)
+        mm; NaN = not seen.
+    motion : ndarray of float64, shape (n_markers, 3)
+        Measured minus reference, mm.
+    noise : float
+        Median standard deviation of a measured coordinate, mm.
+    """
+
+    skin: Skin
+    held_nodes: FloatArray
+    names: tuple[str, ...]
+    reference: FloatArray
+    measured: FloatArray
+    motion: FloatArray
+    noise: float
+
+    @classmethod
+    def of(cls, mesh: Mesh, markers: Markers, rows: IntArray) -> "Given":
+        """Return the input of some of the markers."""
+        skin = skin_of(mesh)
+        return cls(
+            skin,
+            mesh.nodes[skin.held],
+            tuple(markers.names[i] for i in rows),
+            markers.reference[rows],
+            markers.measured[rows],
+            markers.displacement[rows],
+            min(float(np.median(markers.std[rows])), _LARGEST_NOISE_MM),
+        )
+
+    @property
+    def complete(self) -> BoolArray:
+        """Which markers were seen with all three coordinates, shape (n_markers,)."""
+        return np.asarray(np.isfinite(self.measured).all(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """One candidate reading.
+
+    Attributes
+    ----------
+    kind : str
+        First word of the sentence.
+    words : str
+        The change of the input that this reading makes.
+    cost : float
+        Minus the logarithm of the prior odds of such a mistake.
+    places : ndarray of float64, shape (n_markers, 3)
+        Reference places under this reading, mm.
+    motion : ndarray of float64, shape (n_markers, 3)
+        Displacements under this reading, mm, possibly in a rotated frame; NaN = not seen.
+    arms : ndarray of float64, shape (n_markers, 3)
+        The places in that frame.
+    log_scale : float
+        Logarithm of the factor on measured coordinates.
+    rigid : bool
+        Whether the body may move as a whole.
+    rows : sequence of int
+        Markers that are read differently; empty = all.
+    """
+
+    kind: str
+    words: str
+    cost: float
+    places: FloatArray
+    motion: FloatArray
+    arms: FloatArray
+    log_scale: float = 0.0
+    rigid: bool = False
+    rows: Sequence[int] = field(default_factory=tuple)
+
+
+def as_given(given: Given) -> Reading:
+    """Return the reading of the input as given."""
+    return Reading("", "", 0.0, given.reference, given.motion, given.reference)

@@ -1,0 +1,71 @@
+"""Repeated numbers that real measurements do not give: stale poses and markers that are listed twice.
+
+Two coordinates agree bit for bit by chance with probability ``q / (sqrt(4 pi) sigma)`` if the file keeps steps of
+q mm and the noise is sigma; a finding is reported if that probability is below one in a thousand.
+"""
+
+import itertools
+from math import lgamma, log, pi, sqrt
+
+import numpy as np
+
+from tissuereg._base.arrays import BoolArray, FloatArray
+from tissuereg.body.markers import Markers
+
+#: Logarithm of the odds that a finding needs.
+_MARGIN = log(1000.0)
+
+#: Finest step of numbers that came through text or single precision, mm.
+_FINEST_MM = 1e-6
+
+
+def stale(markers: Markers, resting: BoolArray) -> list[int]:
+    """Return the markers whose measured coordinates equal their reference places bit for bit, beyond chance.
+
+    Parameters
+    ----------
+    markers : Markers
+        The input.
+    resting : ndarray of bool, shape (n_markers,)
+        Markers on the held part of the surface, which may be at rest.
+    """
+    seen = np.isfinite(markers.measured)
+    same = (seen.any(axis=1) & ((markers.measured == markers.reference) | ~seen).all(axis=1)) & ~resting
+    found = np.flatnonzero(same)
+    if not len(found):
+        return []
+    steps = _step(markers)
+    chance = np.minimum(steps / (sqrt(4.0 * pi) * markers.std[found]), 1.0)
+    odds = -float(np.sum(seen[found].sum(axis=1) * np.log(chance)))
+    n = len(markers)
+    choices = lgamma(n + 1) - lgamma(len(found) + 1) - lgamma(n - len(found) + 1)
+    return [int(i) for i in found] if odds - choices > _MARGIN else []
+
+
+def repeated(markers: Markers, extent: float) -> list[tuple[int, int, str]]:
+    """Return pairs of markers with the same place, "reference", "measured" or "both", that chance does not explain."""
+    n = len(markers)
+    chance = (_step(markers) / (0.3 * extent)) ** 2 * max(n * (n - 1) / 2, 1.0)
+    if n < 2 or -log(chance) < _MARGIN:
+        return []
+    found = {}
+    for what, places in (("reference", markers.reference), ("measured", markers.measured)):
+        groups: dict[bytes, list[int]] = {}
+        for row in np.flatnonzero(np.isfinite(places).all(axis=1)):
+            groups.setdefault((places[row] + 0.0).tobytes(), []).append(int(row))
+        for group in groups.values():
+            for pair in itertools.pairwise(group):
+                found[pair] = "both" if pair in found else what
+    return [(i, j, what) for (i, j), what in sorted(found.items())]
+
+
+def _step(markers: Markers) -> float:
+    """Return the steps in mm in which the numbers were written: 10, 1, 0.1, ..., at the finest `_FINEST_MM`."""
+    values: FloatArray = np.concatenate([markers.reference.ravel(), markers.measured.ravel()])
+    values = values[np.isfinite(values)]
+    step = 10.0
+    while step > _FINEST_MM * 1.5:
+        if np.all(np.abs(values / step - np.round(values / step)) < 1e-7 * np.maximum(np.abs(values / step), 1.0)):
+            return step
+        step /= 10.0
+    return _FINEST_MM

@@ -1,0 +1,420 @@
+"""The result of a registration: the displaced body, its spread, targets with regions, and whether to trust it."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arguments import MOST_COUNTED, flag, named, place, real, text, whole
+from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg.body.markers import Markers
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import MarkerError, ModelError
+from tissuereg.registration.contacts.found import FoundContact
+from tissuereg.registration.contacts.surface_fit import SurfaceFit
+from tissuereg.registration.learned.spread_law import squared_radius
+from tissuereg.registration.trust import Trust
+
+#: Flag of a target of which the markers say too little.
+NO_MARKER = "no marker tells"
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """The ellipsoid that contains a point with a given probability.
+
+    Attributes
+    ----------
+    centre : ndarray of float64, shape (3,)
+        mm.
+    axes : ndarray of float64, shape (3, 3)
+        Unit half-axes, one per row, in the order of `radii`.
+    radii : ndarray of float64, shape (3,)
+        Half-axes in mm, largest last.
+    share : float
+        Probability inside.
+    """
+
+    centre: FloatArray
+    axes: FloatArray
+    radii: FloatArray
+    share: float
+
+    def contains(self, point: Any) -> bool:
+        """Return whether a point (3,) in mm lies inside or on the border."""
+        along = self.axes @ (float_array("point", point, (3,)) - self.centre)
+        return bool(np.sum((along / np.maximum(self.radii, 1e-300)) ** 2) <= 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """An inner point after registration.
+
+    Attributes
+    ----------
+    reference : ndarray of float64, shape (3,)
+        Place in the undeformed body, mm.
+    mean : ndarray of float64, shape (3,)
+        Registered place, mm.
+    covariance : ndarray of float64, shape (3, 3)
+        mm^2: posterior ensemble and the model's own error. Where there is a `tail`, that of the Gaussian that has the
+        same 90 % region.
+    simulation : ndarray of float64, shape (3,), or None
+        Place by the simulation alone, mm.
+    constrained : float or None
+        Share of its variance under unseen contacts that the markers remove, 0 to 1. With a calibrated model the share
+        of the expected squared error of the simulation (or of the undeformed body) that is gone; None with another
+        one.
+    flag : str or None
+        ``"no marker tells"`` if that share is too small to rely on the region, or on the answer being the better one.
+    tail : float or None
+        Degrees of freedom of the t law of the true place about the mean, of a calibrated model; None for a Gaussian.
+    """
+
+    reference: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    simulation: FloatArray | None
+    constrained: float | None = None
+    flag: str | None = None
+    tail: float | None = None
+
+    def region(self, share: float = 0.90) -> Region:
+        """Return the ellipsoid that contains the true place with probability `share`.
+
+        Parameters
+        ----------
+        share : float
+            Probability inside, in (0, 1).
+
+        Returns
+        -------
+        Region
+            Half-axes largest last.
+        """
+        if not 0.0 < real("share", share, error=MarkerError) < 1.0:
+            message = f"`share` must lie in (0, 1), got {share}"
+            raise MarkerError(message, where="share")
+        values, vectors = np.linalg.eigh(self.covariance)
+        radii = np.sqrt(np.maximum(values, 0.0) * squared_radius(share, self.tail))
+        return Region(self.mean, vectors.T, radii, share)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its entry in ``registration.json``: plain numbers, lists and strings."""
+        return {
+            "reference_mm": self.reference.tolist(),
+            "mean_mm": self.mean.tolist(),
+            "covariance_mm2": self.covariance.tolist(),
+            "region90_radii_mm": self.region(0.90).radii.tolist(),
+            "simulation_mm": None if self.simulation is None else self.simulation.tolist(),
+            "constrained": self.constrained,
+            "flag": self.flag,
+            "tail_degrees_of_freedom": self.tail,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerFit:
+    """Fit of the markers.
+
+    Attributes
+    ----------
+    used : tuple of str
+        Markers that entered the fit.
+    dropped : tuple of (str, str)
+        Markers that did not, each with the reason.
+    before_rms_mm, after_rms_mm : float
+        Root mean square over markers of the Euclidean distance to the measurement: simulation (or rest), registration.
+    residual_mm : dict of str to ndarray of float64, shape (3,)
+        Measured minus registered.
+    """
+
+    used: tuple[str, ...]
+    dropped: tuple[tuple[str, str], ...]
+    before_rms_mm: float
+    after_rms_mm: float
+    residual_mm: dict[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Fallback:
+    """Where the body is by linear elasticity alone, of which nothing more is claimed.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    targets : dict of str to ndarray of float64, shape (3,)
+        Places of the inner points, mm.
+    """
+
+    displacement: FloatArray
+    targets: dict[str, FloatArray]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its entry in ``registration.json``."""
+        return {"method": "linear elastic", "targets_mm": {name: at.tolist() for name, at in self.targets.items()}}
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """The registered body.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    displacement : ndarray of float64, shape (n_nodes, 3)
+        Decoded from the posterior mean, mm.
+    nodes : callable
+        Returns the covariance of every node, or their standard deviations: see `node_covariance` and `std`.
+    targets : dict of str to Target
+        Inner points.
+    unseen : dict of str to Target
+        Predicted measurements of the markers that were not seen or are wrong; the covariance includes tracker noise.
+    markers : MarkerFit
+        Residuals, used and dropped markers.
+    all_markers : Markers
+        The markers as given.
+    start_markers : ndarray of float64, shape (n_markers, 3)
+        Places of the markers by the simulation, or at rest, mm.
+    min_det_f : float
+        Smallest volume ratio of a tet.
+    inverted_tets : int
+        Tets with det F <= 0.
+    trust : Trust
+        Whether the result can be trusted, and the reasons if not.
+    model : dict
+        Kind, source, members and test errors of the latent model; ``variants``, how many were given, if any.
+    seconds : dict of str to float
+        Wall time per stage.
+    seed : int
+        Seed of all random numbers.
+    dropped_members : list of (int, str)
+        Ensemble members that were lost, with the reason.
+    contacts : tuple of FoundContact
+        Places where the body is probably pushed or pulled; empty with a trained model.
+    surface : SurfaceFit or None
+        Fit of the points of the surface; None if none were given.
+    work : dict of str to int
+        Factorisations, right-hand sides, solves, sweeps; empty with a trained model.
+    forces : ndarray of float64, shape (n_nodes, 3), or None
+        Nodal forces of the estimated load in mN at the believed modulus, including the believed load but not its body
+        force; None with a trained model.
+    draw : callable of int, optional
+        Returns posterior displacement fields; see `draws`.
+    linear : callable, optional
+        Returns where linear elasticity alone has the body; see `fallback`.
+    """
+
+    mesh: Mesh
+    displacement: FloatArray
+    nodes: Callable[[], FloatArray]
+    targets: dict[str, Target]
+    unseen: dict[str, Target]
+    markers: MarkerFit
+    all_markers: Markers
+    start_markers: FloatArray
+    min_det_f: float
+    inverted_tets: int
+    trust: Trust
+    model: dict[str, Any]
+    seconds: dict[str, float]
+    seed: int
+    dropped_members: list[tuple[int, str]]
+    contacts: tuple[FoundContact, ...] = ()
+    surface: SurfaceFit | None = None
+    work: dict[str, int] = field(default_factory=dict)
+    forces: FloatArray | None = None
+    draw: Callable[[int], FloatArray] | None = None
+    linear: Callable[[], Fallback | None] | None = None
+
+    @cached_property
+    def fallback(self) -> Fallback | None:
+        """Where linear elasticity alone has the body, about the simulation or about rest; it has no regions.
+
+        None where the answer can be trusted, where no marker was used, where the body can move freely, and where it
+        has more than 50,000 nodes.
+
+        Cost: computed when it is first read; the body is linearised for the first such answer of a registrar.
+        """
+        return None if self.trust.ok or self.linear is None else self.linear()
+
+    @cached_property
+    def node_covariance(self) -> FloatArray | None:
+        """Covariance of every node, ndarray of float64, shape (n_nodes, 3, 3), mm^2; None with a trained model.
+
+        Cost: computed when it, or `std`, is first read; one right-hand side for each of 64 draws.
+        """
+        found = self._of_nodes
+        return found if found.ndim == 3 else None
+
+    @cached_property
+    def std(self) -> FloatArray:
+        """Root of the trace of every node's covariance, ndarray of float64, shape (n_nodes,), mm."""
+        found = self._of_nodes
+        return found if found.ndim == 1 else np.asarray(np.sqrt(np.trace(found, axis1=1, axis2=2)))
+
+    @cached_property
+    def _of_nodes(self) -> FloatArray:
+        return self.nodes()
+
+    def draws(self, count: int) -> FloatArray:
+        """Return displacement fields drawn from the posterior, each in equilibrium.
+
+        Parameters
+        ----------
+        count : int
+            Number of fields.
+
+        Returns
+        -------
+        ndarray of float64, shape (count, n_nodes, 3)
+            mm. The same at every call. Cost: one solve each, started from the registered state.
+
+        Raises
+        ------
+        ModelError
+            If the registration used a trained model, whose ensemble is not in equilibrium.
+        ConvergenceError
+            If a drawn load finds no equilibrium.
+        """
+        if self.draw is None:
+            message = "draws need a registration by contacts; this one used a trained model"
+            raise ModelError(message, where="draws")
+        if whole("count", count, least=-MOST_COUNTED, error=ModelError) < 1:
+            message = f"`count` must be at least 1, got {count}"
+            raise ModelError(message, where="count")
+        return self.draw(count)
+
+    def __repr__(self) -> str:
+        used, trusted = len(self.markers.used), "trusted" if self.trust.ok else "not to be trusted"
+        return (
+            f"Registration({self.mesh.n_nodes} nodes, {used} marker{'' if used == 1 else 's'}, {len(self.targets)} "
+            f"target{'' if len(self.targets) == 1 else 's'}, {len(self.contacts)} "
+            f"contact{'' if len(self.contacts) == 1 else 's'}, {trusted})"
+        )
+
+    @property
+    def starts_simulated(self) -> bool:
+        """Whether distances `before` are those of a believed simulation, and not of the body at rest."""
+        return not np.allclose(self.start_markers, self.all_markers.reference, rtol=0.0, atol=1e-6)
+
+    def target(self, name: str) -> Target:
+        """Return a target by name.
+
+        Raises
+        ------
+        MarkerError
+            If there is none of that name.
+        """
+        if text("name", name, error=MarkerError) not in self.targets:
+            message = f"no target named '{name}' was registered; there are: {', '.join(self.targets) or 'none'}"
+            raise MarkerError(message, where=name)
+        return self.targets[name]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of ``registration.json``: plain numbers, lists and strings."""
+        fit = self.markers
+        return {
+            "schema": "tissuereg.registration/1",
+            "seed": self.seed,
+            "frame": self.mesh.frame,
+            "markers": {
+                "used": list(fit.used),
+                "dropped": [{"marker": name, "reason": reason} for name, reason in fit.dropped],
+                "before_rms_mm": fit.before_rms_mm,
+                "after_rms_mm": fit.after_rms_mm,
+                "residual_mm": {name: _row_json(row) for name, row in fit.residual_mm.items()},
+            },
+            "surface": None if self.surface is None else self.surface.to_json(),
+            "targets": {name: target.to_json() for name, target in self.targets.items()},
+            "unseen_markers": {name: target.to_json() for name, target in self.unseen.items()},
+            "body": {
+                "min_det_f": self.min_det_f,
+                "inverted_tets": self.inverted_tets,
+                "mean_std_mm": float(self.std.mean()),
+                "largest_mm": float(np.linalg.norm(self.displacement, axis=1).max()),
+            },
+            "trust": {
+                "ok": self.trust.ok,
+                "p_value": self.trust.p_value,
+                "reasons": list(self.trust.reasons),
+                "chi_square": self.trust.chi_square,
+                "residual_chi_square": self.trust.residual_chi_square,
+                "n_obs": self.trust.n_obs,
+            },
+            "fallback": None if self.fallback is None else self.fallback.to_json(),
+            "model": dict(self.model),
+            "contacts": [contact.to_json() for contact in self.contacts],
+            "work": dict(self.work),
+            "dropped_members": [{"member": index, "reason": reason} for index, reason in self.dropped_members],
+            "seconds": dict(self.seconds),
+        }
+
+    def save(
+        self, folder: str | os.PathLike[str], extra: dict[str, Any] | None = None, *, deformed: bool = False
+    ) -> Path:
+        """Write the result, all files or none.
+
+        ``registered.vtu``, ``targets.csv``, ``targets.mrk.json`` (registered places for 3D Slicer, in the frame of the
+        mesh; LPS, Slicer's default, if the mesh declares none), ``registration.json`` and
+        ``registered.png``.
+
+        Parameters
+        ----------
+        folder : path-like
+            Created if absent.
+        extra : dict, optional
+            Entries added to the JSON; they override its own.
+        deformed : bool
+            Write ``registered_deformed.vtu`` too: the body with displaced nodes and the same point data.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written; nothing is changed then.
+        """
+        from tissuereg.io.atomic import OutputError
+        from tissuereg.report.files import save_registration
+
+        target, added = place("folder", folder, error=OutputError), dict(named("extra", extra))
+        return save_registration(self, target, added, deformed=flag("deformed", deformed))
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the body before and after, with the markers and the spread."""
+        from tissuereg.report.picture import registration_figure
+
+        return registration_figure(self)
+
+    def report(self, path: str | os.PathLike[str]) -> Path:
+        """Write one self-contained HTML page: picture, markers, targets with regions, trust, model, times.
+
+        Parameters
+        ----------
+        path : path-like
+            File to write, whole or not at all.
+
+        Returns
+        -------
+        Path
+            The file.
+        """
+        from tissuereg.io.atomic import OutputError
+        from tissuereg.report.page import write_page
+
+        return write_page(self, place("path", path, error=OutputError))
+
+
+def _row_json(row: FloatArray) -> list[float | None]:
+    """Return a row with None where nothing was seen."""
+    return [float(value) if np.isfinite(value) else None for value in row]

@@ -1,0 +1,209 @@
+r"""Tests of one registration against its assumptions, to decide whether it can be trusted.
+
+The misfit of a registration is
+
+    J = (z - z0)' P^-1 (z - z0)  +  r' C_d^-1 r,
+
+prior and data terms at the posterior mean. If prior and noise are as stated and the model is linear, J equals the
+chi-square of the innovation and follows a chi-square law with one degree of freedom per measured coordinate.
+Each marker is tested separately by its fitted residual (`tissuereg.registration.wrong_markers`).
+"""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.registration.wrong_markers import score_markers
+
+#: Significance level of the tests.
+LEVEL = 0.01
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Whether a registration can be trusted, and why not.
+
+    Attributes
+    ----------
+    ok : bool
+        True if there is no reason against it.
+    p_value : float
+        Probability of a misfit at least this large if prior and noise are as stated; with a calibrated model the share
+        of honest events that look at least as bad.
+    reasons : list of str
+        Reasons not to trust the result, in sentences that start with their kind: ``misfit``, ``few markers``, ``wrong
+        marker``, ``inverted tets``, ``simulation``, ``unfamiliar``, or a kind of
+        `tissuereg.registration.readings.Suspicion`.
+    chi_square : float
+        J above.
+    residual_chi_square : float
+        Data term of J alone.
+    n_obs : int
+        Number of measured coordinates.
+    """
+
+    ok: bool
+    p_value: float
+    chi_square: float
+    residual_chi_square: float
+    n_obs: int
+    reasons: list[str] = field(default_factory=list)
+
+
+def judge(
+    names: tuple[str, ...],
+    residual: FloatArray,
+    noise: FloatArray,
+    posterior_spread: FloatArray,
+    prior_misfit: float,
+    min_det_f: float,
+    notes: list[str],
+    points: tuple[float, int] = (0.0, 0),
+) -> Trust:
+    """Return whether a registration can be trusted, and why not.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Markers that were used.
+    residual : ndarray of float64, shape (n_markers, 3)
+        Measured minus fitted, mm; NaN = not seen, ignored.
+    noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
+        Covariance C_d, mm^2.
+    posterior_spread : ndarray of float64, shape (3 n_markers, 3 n_markers)
+        Posterior covariance H P+ H' of the markers' predictions, mm^2.
+    prior_misfit : float
+        Prior term of J.
+    min_det_f : float
+        Smallest volume ratio of the registered body.
+    notes : list of str
+        Reasons found earlier in the registration.
+    points : (float, int)
+        Data term of the points of the surface, and their number.
+
+    Returns
+    -------
+    Trust
+        With one reason per failed test.
+    """
+    from scipy.stats import chi2
+
+    flat = residual.ravel()
+    seen = np.flatnonzero(np.isfinite(flat))
+    n_obs = len(seen) + points[1]
+    data_misfit = float(flat[seen] @ np.linalg.solve(noise[np.ix_(seen, seen)], flat[seen])) + points[0]
+    total = data_misfit + prior_misfit
+    p_value = float(chi2.sf(total, n_obs))
+    reasons = list(notes)
+    if p_value < LEVEL:
+        reasons.append(
+            f"misfit: {_data(len(names), points[1])} and model disagree, {total:.1f} where {n_obs} is expected "
+            f"(p = {p_value:.2g}); the noise is larger than stated, the prior too narrow, or the model misses something"
+        )
+    if len(names) == 1 and not points[1]:
+        reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
+    # Markers are taken for independent here: a spread estimated from an ensemble is not consistent enough with the
+    # noise to take out what correlated errors share.
+    own = np.kron(np.eye(len(names)), np.ones((3, 3)))
+    scores = score_markers(residual, noise * own, posterior_spread)
+    for index in sorted(scores.wrong(LEVEL)):
+        off = np.sqrt(scores.chi_square[index])
+        reasons.append(f"wrong marker: {names[index]} does not fit the others, {off:.1f} standard deviations off")
+    if min_det_f <= 0:
+        reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
+    return Trust(not reasons, p_value, total, data_misfit, n_obs, reasons)
+
+
+class Compared(Protocol):
+    """Honest events; see `tissuereg.registration.learned.honest.Honest`."""
+
+    def p_value(self, signs: FloatArray) -> float:
+        """Return the share of honest events whose rarest sign is as rare as that of signs (4,)."""
+        ...
+
+    def shares(self, signs: FloatArray) -> FloatArray:
+        """Return for each of signs (4,) the share of honest events that look as bad."""
+        ...
+
+
+def judge_by_rehearsal(
+    names: tuple[str, ...],
+    residual: FloatArray,
+    noise: FloatArray,
+    honest: Compared,
+    signs: FloatArray,
+    marker_signs: FloatArray,
+    marker_misfits: FloatArray,
+    min_det_f: float,
+    notes: list[str],
+) -> Trust:
+    """Return whether a registration with a calibrated model can be trusted, and why not.
+
+    Its signs are judged together: an honest event raises an alarm by any of them at a rate of one percent.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Markers that were used.
+    residual : ndarray of float64, shape (n_markers, 3)
+        Measured minus fitted, mm.
+    noise : ndarray of float64, shape (3 n_markers, 3 n_markers)
+        Covariance of the tracker's noise, mm^2.
+    honest : Compared
+        Honest events.
+    signs : ndarray of float64, shape (4,)
+        Misfit, wrong marker, unfamiliar, simulation; see `tissuereg.registration.learned.honest.SIGNS`.
+    marker_signs, marker_misfits : ndarray of float64, shape (n_markers,)
+        The second sign of each marker, and its squared misfit to the others in its own standard deviations.
+    min_det_f : float
+        Smallest volume ratio of the registered body.
+    notes : list of str
+        Reasons found earlier in the registration.
+
+    Returns
+    -------
+    Trust
+        With a reason for each sign that is rare enough to be one, and at least for the rarest.
+    """
+    flat = residual.ravel()
+    data = float(flat @ np.linalg.solve(noise, flat))
+    p_value, reasons = honest.p_value(signs), list(notes)
+    if p_value < LEVEL:
+        shares = honest.shares(signs)
+        limit = max(LEVEL / len(shares), float(shares.min()))
+        misfit, marker, unfamiliar, simulation = (bool(share <= limit) for share in shares)
+        if misfit:
+            reasons.append(
+                f"misfit: fewer than one in {_in_words(shares[0])} honest events fit the model so badly "
+                f"(p = {shares[0]:.2g}); the noise is larger than stated, or the body does what the model never saw"
+            )
+        if marker:
+            for index, sign in enumerate(marker_signs):
+                if honest.shares(np.array([signs[0], sign, *signs[2:]]))[1] > limit:
+                    continue
+                off = np.sqrt(marker_misfits[index])
+                reasons.append(
+                    f"wrong marker: {names[index]} does not fit the others, {off:.1f} standard deviations off"
+                )
+        if unfamiliar:
+            reasons.append(
+                f"unfamiliar: the shape lies {signs[2]:.1f} standard deviations from all that the model knows"
+            )
+        if simulation:
+            reasons.append("simulation: another event than the simulated one explains the markers better")
+    if len(names) == 1:
+        reasons.append(f"few markers: {names[0]} alone was used, and nothing else could contradict it")
+    if min_det_f <= 0:
+        reasons.append(f"inverted tets: the registered body turns tets inside out, smallest det F {min_det_f:.3g}")
+    return Trust(not reasons, p_value, data, data, len(flat), reasons)
+
+
+def _in_words(p_value: float) -> str:
+    return f"{int(1.0 / max(p_value, 1e-9)):,}"
+
+
+def _data(n_markers: int, n_points: int) -> str:
+    """Return what was measured, in words."""
+    return " and ".join(word for word, count in (("markers", n_markers), ("surface points", n_points)) if count)

@@ -1,5 +1,0 @@
-"""Simulations: one solve, many solves, random events, data sets, whole experiments."""
-
-from tissuereg.simulate.solve import Simulation, Simulations, Simulator, simulate
-
-__all__ = ["Simulation", "Simulations", "Simulator", "simulate"]

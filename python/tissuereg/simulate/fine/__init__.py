@@ -1,7 +1,0 @@
-"""A reference model with an error far below the noise: pads cut out of the mesh, ten-node elements."""
-
-from tissuereg.simulate.fine.meshing import FineMeshing, fine_experiment
-from tissuereg.simulate.fine.model import FineModel, rough_element, without_time
-from tissuereg.simulate.fine.third import third_meshes
-
-__all__ = ["FineMeshing", "FineModel", "fine_experiment", "rough_element", "third_meshes", "without_time"]

@@ -1,0 +1,245 @@
+"""Inelastic behaviour of a material, and springs and membranes on the surface of a body.
+
+Fields have the names of the keys of an experiment's ``[[effect]]`` tables: ``Relaxation(g=[0.3], tau_s=[2.0])``
+corresponds to such a table. Ranges are checked by the solver.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import index_array
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Stress relaxation, as a Prony series; moduli are instantaneous.
+
+    Parameters
+    ----------
+    g : sequence of float
+        Share of the stress that each term relaxes; above 0, sum below 1.
+    tau_s : sequence of float
+        Relaxation time of each term in s.
+    part : {"whole", "isochoric"}
+        Which part of the stress relaxes.
+    """
+
+    g: Sequence[float]
+    tau_s: Sequence[float]
+    part: str = "whole"
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Viscous stress ``2 eta D``, added to the elastic Cauchy stress.
+
+    Parameters
+    ----------
+    viscosity_kpa_s : float
+        Viscosity ``eta`` in kPa s.
+    """
+
+    viscosity_kpa_s: float
+
+
+@dataclass(frozen=True)
+class Softening:
+    """Softening by the largest energy so far, `Wm`.
+
+    Parameters
+    ----------
+    r : float
+        Largest softening is ``1 - 1/r``; at least 1.
+    m_kpa : float
+        Energy over which small loads soften, in kPa.
+    beta : float
+        Share of the largest energy added to it; 0 for damage.
+    form : {'ogden-roxburgh', 'damage'}
+        The Mullins effect: below the largest isochoric energy the isochoric stress is multiplied by
+        ``1 - erf((Wm - W) / (m + beta Wm)) / r``; first loading is unaffected (Ogden and
+        Roxburgh, Proc. R. Soc. A 455, 1999). Damage: the whole stress, under a first load too, is multiplied by
+        ``1 - (1 - 1/r) (1 - exp(-Wm/m))`` with the whole energy (after Simo, Comput. Methods Appl. Mech. Eng. 60,
+        1987).
+    """
+
+    r: float
+    m_kpa: float
+    beta: float = 0.0
+    form: str = "ogden-roxburgh"
+
+
+@dataclass(frozen=True)
+class Set:
+    """Permanent set: a share of the largest strain remains; it acts from the next frame on.
+
+    Parameters
+    ----------
+    fraction : float
+        In (0, 1).
+    """
+
+    fraction: float
+
+
+@dataclass(frozen=True)
+class Drainage:
+    """Relaxation of the volumetric stress, as a simple model of drainage.
+
+    Parameters
+    ----------
+    share : float
+        Share that drains, in (0, 1).
+    tau_s : float
+        Relaxation time in s.
+    """
+
+    share: float
+    tau_s: float
+
+
+@dataclass(frozen=True)
+class Swelling:
+    """Isotropic, uniform growth along a ramp in time.
+
+    Parameters
+    ----------
+    linear_strain : float
+        Strain at the end of the ramp, above -1.
+    from_time_s : float
+        Start of the ramp in s.
+    to_time_s : float
+        End of the ramp in s.
+    """
+
+    linear_strain: float
+    from_time_s: float
+    to_time_s: float
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """Inelastic behaviour of a material; purely elastic if all are None.
+
+    Parameters
+    ----------
+    relaxation : Relaxation, optional
+        Stress relaxation.
+    rate : Rate, optional
+        Viscous stress.
+    softening : Softening, optional
+        Softening by earlier load.
+    set : Set, optional
+        Permanent strain.
+    drainage : Drainage, optional
+        Relaxation of the volumetric stress.
+    swelling : Swelling, optional
+        Growth.
+    """
+
+    relaxation: Relaxation | None = None
+    rate: Rate | None = None
+    softening: Softening | None = None
+    set: Set | None = None
+    drainage: Drainage | None = None
+    swelling: Swelling | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the compiled solver takes.
+
+        Returns
+        -------
+        dict
+            Parameters of every behaviour that is present.
+        """
+        numbers: dict[str, Any] = {}
+        if self.relaxation is not None:
+            g, tau = ([float(v) for v in np.atleast_1d(x)] for x in (self.relaxation.g, self.relaxation.tau_s))
+            numbers["relaxation"] = (g, tau, self.relaxation.part)
+        if self.rate is not None:
+            numbers["viscosity_kpa_s"] = float(self.rate.viscosity_kpa_s)
+        if self.softening is not None:
+            soft = self.softening
+            numbers["softening"] = (soft.form, soft.r, soft.m_kpa, soft.beta)
+        if self.set is not None:
+            numbers["set"] = self.set.fraction
+        if self.drainage is not None:
+            numbers["drainage"] = (self.drainage.share, self.drainage.tau_s)
+        if self.swelling is not None:
+            ramp = self.swelling
+            numbers["swelling"] = (ramp.linear_strain, ramp.from_time_s, ramp.to_time_s)
+        return numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """Springs between triangles of the surface and their undeformed place.
+
+    Parameters
+    ----------
+    triangles : array_like of int, shape (n, 3)
+        Boundary triangles.
+    normal_kpa_per_mm : float
+        Stiffness along the undeformed normal, in kPa/mm.
+    tangential_kpa_per_mm : float
+        Stiffness in the plane, in kPa/mm.
+    friction : float, optional
+        Coefficient of Coulomb friction: the traction of the springs in the plane is at most the cohesion plus this
+        coefficient times the pressure of the normal springs.
+    cohesion_kpa : float
+        Traction that holds without pressure; used with friction only.
+    """
+
+    triangles: Any
+    normal_kpa_per_mm: float
+    tangential_kpa_per_mm: float
+    friction: float | None = None
+    cohesion_kpa: float = 0.0
+
+    def as_tuple(self) -> tuple[Any, list[float]]:
+        """Return what the compiled solver takes.
+
+        Returns
+        -------
+        tuple of (ndarray of int64, list of float)
+            Triangles and stiffness, followed by coefficient and cohesion if there is friction.
+        """
+        numbers = [float(self.normal_kpa_per_mm), float(self.tangential_kpa_per_mm)]
+        if self.friction is not None:
+            numbers += [float(self.friction), float(self.cohesion_kpa)]
+        return index_array("springs", self.triangles, (None, 3)), numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """A thin neo-Hookean membrane on triangles of the surface, without stress in the reference shape.
+
+    Parameters
+    ----------
+    triangles : array_like of int, shape (n, 3)
+        Boundary triangles.
+    thickness_mm : float
+        Undeformed thickness.
+    young_kpa : float
+        Young's modulus.
+    poisson : float
+        Poisson's ratio, in [0, 0.5).
+    """
+
+    triangles: Any
+    thickness_mm: float
+    young_kpa: float
+    poisson: float = 0.45
+
+    def as_tuple(self) -> tuple[Any, list[float]]:
+        """Return what the compiled solver takes.
+
+        Returns
+        -------
+        tuple of (ndarray of int64, list of float)
+            Triangles and thickness, Young's modulus, Poisson's ratio.
+        """
+        numbers = [float(self.thickness_mm), float(self.young_kpa), float(self.poisson)]
+        return index_array("skin", self.triangles, (None, 3)), numbers

@@ -1,0 +1,69 @@
+"""Simulation of an experiment, by the fine model that `diagnose` uses or on the mesh as it is."""
+
+from collections.abc import Callable
+
+from tissuereg._base.arguments import called, check_running, found, of_kind
+from tissuereg._base.choice import check_choice
+from tissuereg.errors import ArgumentError, ExperimentError
+from tissuereg.experiment.experiment import Experiment
+from tissuereg.simulation.experiment import CaseSimulation, simulate_plain
+from tissuereg.simulation.solve import ELEMENTS
+
+
+def simulate_experiment(
+    experiment: Experiment,
+    *,
+    model: str = "fine",
+    element: str = "tet4",
+    threads: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, CaseSimulation]:
+    """Return the prediction of the believed model, effects included, for every case of an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The believed model (`tissuereg.read_experiment`).
+    model : {"fine", "plain"}
+        `fine`: pads cut out of the surface along their rims, with small ten-node elements around them: the model that
+        `tissuereg.diagnose` uses (`tissuereg.FineModel`). `plain`: the mesh as it is.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements of the plain model; the fine one has its own.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    progress : callable of (int, int), optional
+        Called with frames done and frames in all.
+
+    Returns
+    -------
+    dict of str to CaseSimulation
+        One per case, in the experiment's order; displacements are those of the nodes of its mesh, mm.
+
+    Raises
+    ------
+    ConvergenceError
+        If no frame of a case finds equilibrium, or a mesh that was imaged under gravity has no unloaded shape.
+    ExperimentError
+        If there is no such model, or an effect does not fit the experiment.
+    MeshError
+        If the mesh cannot be refined.
+
+    Examples
+    --------
+    >>> import tissuereg as tr
+    >>> rig = tr.read_experiment("rig")  # doctest: +SKIP
+    >>> tr.simulate_experiment(rig)["push_x"].markers.shape  # doctest: +SKIP
+    (24, 25, 3)
+    """
+    of_kind("experiment", experiment, Experiment)
+    check_choice("element", element, ELEMENTS, ArgumentError)
+    check_running(threads=threads)
+    called("progress", progress)
+    if isinstance(model, str) and model == "plain":
+        return simulate_plain(experiment, element=element, threads=threads, progress=progress)
+    if not isinstance(model, str) or model != "fine":
+        message = f"`model` must be 'fine' or 'plain', got {found(model)}"
+        raise ExperimentError(message, where="model")
+    from tissuereg.simulation.fine import FineModel
+
+    return FineModel(experiment).simulate(threads=threads, progress=progress)

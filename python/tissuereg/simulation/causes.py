@@ -1,0 +1,138 @@
+"""Causes by which an equilibrium is differentiated, and observations of it, in the form of the compiled solver."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg.body.load import Load
+from tissuereg.simulation.solve import Simulator
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A scalar parameter, changed uniformly: of the law, of a behaviour, or of springs and skins on the surface.
+
+    Parameters
+    ----------
+    name : str
+        ``"young"``, ``"poisson"``, a shape parameter of the law (as in `Material.shape`), or ``"k1_over_mu"`` and
+        ``"k2"`` of fibres. For frames also those of a
+        behaviour (``"relaxation.g"``, ``"relaxation.tau_s"``, ``"rate.viscosity_kpa_s"``, ``"softening.r"``,
+        ``"softening.m_kpa"``, ``"softening.beta"``, ``"set.fraction"``, ``"drainage.share"``, ``"drainage.tau_s"``,
+        ``"swelling.linear_strain"``, ``"swelling.from_time_s"``, ``"swelling.to_time_s"``), of springs
+        (``"springs.normal_kpa_per_mm"``, ``"springs.tangential_kpa_per_mm"``) and of skins (``"skins.young_kpa"``,
+        ``"skins.thickness_mm"``). A parameter of an absent behaviour has no derivative, except the viscosity.
+    term : int
+        Index of the term of an Ogden law or of the relaxation, or of the springs or skin; from 0 on.
+    """
+
+    name: str
+    term: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A change of a modulus by a field of rates; of an inclusion or a layer, 1 inside and 0 outside.
+
+    Parameters
+    ----------
+    name : {"young", "poisson"}
+        Which modulus.
+    rates : array_like of float, shape (n_tets,) or (n_tets, n_points)
+        Change of the modulus per unit of the cause.
+    """
+
+    name: str
+    rates: Any
+
+
+#: Causes by which an equilibrium can be differentiated. A `Load` is a change of the load; for frames, of all loads.
+Cause = Parameter | Field | Load
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """A scalar observation of an equilibrium: weights times displacements plus weights times reactions.
+
+    Parameters
+    ----------
+    nodes : array_like of int, shape (k,)
+        Nodes whose displacement is used; repeated nodes add up.
+    weights : array_like of float, shape (k, 3)
+        Weights of their components.
+    held_nodes : array_like of int, shape (r,)
+        Held nodes whose reaction is used.
+    held_weights : array_like of float, shape (r, 3)
+        Weights of its components.
+    """
+
+    nodes: Any = ()
+    weights: Any = ()
+    held_nodes: Any = ()
+    held_weights: Any = ()
+
+
+def core_cause(simulator: Simulator, cause: Cause) -> _core.Cause:
+    """Return a cause in the form of the compiled solver.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        The analysed body.
+    cause : Parameter, Field or Load
+        The cause.
+
+    Returns
+    -------
+    _core.Cause
+        Checked as far as possible without a law.
+
+    Raises
+    ------
+    TissueRegError
+        If there is no such parameter or field.
+    LoadError, ShapeError
+        If rates do not fit the body.
+    """
+    if isinstance(cause, Parameter):
+        return _core.Cause.parameter(cause.name, cause.term)
+    if isinstance(cause, Load):
+        return _core.Cause.load(**simulator.load_parts(cause))
+    rates = np.asarray(cause.rates, np.float64)
+    shape = (simulator.mesh.n_tets, simulator.n_points)
+    if rates.ndim == 1:
+        rates = np.repeat(rates[:, None], simulator.n_points, axis=1)
+    return _core.Cause.field(cause.name, float_array(f"rates of {cause.name}", rates, shape))
+
+
+def core_observation(observation: Observation) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
+    """Return an observation in the form of the compiled solver.
+
+    Parameters
+    ----------
+    observation : Observation
+        The observation.
+
+    Returns
+    -------
+    tuple of ndarray
+        Nodes and weights of displacements, nodes and weights of reactions.
+
+    Raises
+    ------
+    ShapeError
+        If there is not one row of weights per node.
+    """
+    nodes = index_array("nodes", observation.nodes, (None,))
+    held = index_array("held_nodes", observation.held_nodes, (None,))
+    weights = np.reshape(observation.weights, (-1, 3)) if len(nodes) == 0 else observation.weights
+    held_weights = np.reshape(observation.held_weights, (-1, 3)) if len(held) == 0 else observation.held_weights
+    return (
+        nodes,
+        float_array("weights", weights, (len(nodes), 3)),
+        held,
+        float_array("held_weights", held_weights, (len(held), 3)),
+    )

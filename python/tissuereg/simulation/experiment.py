@@ -1,0 +1,293 @@
+"""Predictions of an experiment's believed model: for a frame, a case, or all cases.
+
+If the model is elastic a frame depends on its own load alone, and all frames of a case are solved in parallel. With
+memory, sliding supports, or a mesh that was imaged under gravity they are solved one after another (`memory`).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.load import Load
+from tissuereg.body.observe import MarkerObservation, TargetObservation
+from tissuereg.errors import ConvergenceError
+from tissuereg.experiment.effects import extended, seen_markers
+from tissuereg.experiment.experiment import Actuator, Case, Experiment
+from tissuereg.simulation.frames import Rigs
+from tissuereg.simulation.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
+from tissuereg.simulation.memory import SolvedCase, goes_through_time, solve_through_time
+from tissuereg.simulation.solve import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """One case of an experiment, ready to be solved.
+
+    Attributes
+    ----------
+    simulator : Simulator
+        With fixed boundaries and bonded pads held.
+    loads : list of Load
+        One per frame.
+    """
+
+    simulator: Simulator
+    loads: list[Load]
+
+
+@dataclass(frozen=True, eq=False)
+class CaseSimulation:
+    """Prediction of the believed model for one case.
+
+    Attributes
+    ----------
+    times : ndarray of float64, shape (n_frames,)
+        s.
+    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
+        mm; NaN in frames without equilibrium.
+    markers : ndarray of float64, shape (n_frames, n_markers, 3)
+        Places of the markers in mm, as the tracker sees them.
+    forces : dict of str to ndarray of float64, shape (n_frames, 3)
+        Force on the body at every displacement actuator that is present, mN.
+    targets : dict of str to ndarray of float64, shape (n_frames, 3)
+        Places of the targets in mm.
+    failed : list of (int, str)
+        Frames without equilibrium, with the reason.
+    """
+
+    times: FloatArray
+    displacement: FloatArray
+    markers: FloatArray
+    forces: dict[str, FloatArray]
+    targets: dict[str, FloatArray]
+    failed: list[tuple[int, str]]
+
+
+#: Analysed bodies of one mesh by elements and held nodes, cached by callers that need many solutions.
+Simulators = dict[tuple[str, bytes], Simulator]
+
+
+def believed_case(
+    experiment: Experiment,
+    case: Case,
+    *,
+    element: str = "tet4",
+    threads: int = 0,
+    simulators: Simulators | None = None,
+) -> Believed:
+    """Return the solver's input for a case: held nodes, and the load of every frame.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The believed model, effects applied (`tissuereg.experiment.effects.extended`).
+    case : Case
+        One of its cases.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    threads : int
+        Threads to use; 0 takes all cores.
+    simulators : dict, optional
+        Cached simulators of the same mesh; new ones are added.
+
+    Returns
+    -------
+    Believed
+        A pad is bonded to the shape that the body has when the case begins: with gravity acting, the sagged one.
+        A weight under which the mesh was imaged is left out: it is in balance there, and its influence on the response
+        to other loads is neglected. `simulate_plain` includes it.
+
+    Raises
+    ------
+    ConvergenceError
+        If the body's own weight finds no equilibrium.
+    """
+    mesh = experiment.mesh
+    pads = pads_of(experiment, case)
+    fixed = mesh.fixed_nodes
+    held = np.unique(np.concatenate([fixed, *(pad.nodes for pad in pads)]))
+    weight = None if hangs_already(experiment) else weight_of(experiment)
+    sag = np.zeros((mesh.n_nodes, 3))
+    if weight is not None and pads:
+        sag = (
+            Simulator(mesh, element=element)
+            .solve(Load(body_force=weight), experiment.material, threads=threads)
+            .displacement
+        )
+    key = (element, held.tobytes())
+    simulator = None if simulators is None else simulators.get(key)
+    if simulator is None or simulator.mesh is not mesh:
+        simulator = Simulator(mesh, element=element, held_nodes=held)
+        if simulators is not None:
+            simulators[key] = simulator
+    return Believed(simulator, _loads(experiment, case, pads, held, sag, weight))
+
+
+def simulate_plain(
+    experiment: Experiment,
+    *,
+    element: str = "tet4",
+    threads: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, CaseSimulation]:
+    """Return the prediction of the believed model, effects included, for every case, on the mesh as it is.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The believed model.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    progress : callable of (int, int), optional
+        Called with frames done and frames in all.
+
+    Returns
+    -------
+    dict of str to CaseSimulation
+        One per case, in the experiment's order.
+
+    Raises
+    ------
+    ConvergenceError
+        If no frame of a case finds equilibrium, or a mesh that was imaged under gravity has no unloaded shape.
+    ExperimentError
+        If an effect does not fit the experiment.
+    """
+    experiment = extended(experiment, element)
+    markers = MarkerObservation(experiment.mesh, experiment.marker_reference, experiment.marker_names)
+    targets = TargetObservation(experiment.mesh, experiment.targets)
+    solved = solve_cases(
+        experiment, list(experiment.cases.values()), element=element, threads=threads, progress=progress
+    )
+    answers = {}
+    for name, case in experiment.cases.items():
+        field = solved[name].displacement
+        places = experiment.marker_reference + markers.predict(field[:, markers.nodes])
+        inner = targets.reference + targets.predict(field[:, targets.nodes])
+        answers[name] = CaseSimulation(
+            case.times,
+            field,
+            seen_markers(experiment, places, case.times),
+            solved[name].forces,
+            {target: inner[:, i] for i, target in enumerate(targets.names)},
+            solved[name].failed,
+        )
+    return answers
+
+
+def solve_cases(
+    experiment: Experiment,
+    cases: Sequence[Case],
+    *,
+    element: str = "tet4",
+    tolerance: float = 1e-9,
+    threads: int = 0,
+    simulators: Simulators | None = None,
+    near: Mapping[str, FloatArray] | None = None,
+    rigs: Rigs | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, SolvedCase]:
+    """Return the equilibria of cases: elastic frames in parallel, frames with memory in order.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With effects applied (`tissuereg.experiment.effects.extended`).
+    cases : sequence of Case
+        Some of its cases.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    tolerance : float
+        Norm of the residual over the norm of the load.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    simulators : dict, optional
+        As in `believed_case`, of elastic models.
+    near : mapping of str to ndarray of float64, shape (n_frames, n_element_nodes, 3), optional
+        `SolvedCase.all_displacement` of a similar model by case, of models that go through time (`solve_frames`).
+    rigs : dict, optional
+        As in `solve_frames`, of the same models.
+    progress : callable of (int, int), optional
+        Called with frames done and frames in all.
+
+    Returns
+    -------
+    dict of str to SolvedCase
+        One per case.
+
+    Raises
+    ------
+    ConvergenceError, ExperimentError
+        As `simulate_plain`.
+    """
+    in_all = sum(len(case.times) for case in cases)
+    if goes_through_time(experiment):
+        through = None if progress is None else (lambda n: progress(n, in_all))
+        return solve_through_time(
+            experiment,
+            cases,
+            element=element,
+            tolerance=tolerance,
+            threads=threads,
+            near=near,
+            rigs=rigs,
+            progress=through,
+        )
+    done, solved = 0, {}
+    for case in cases:
+        report = None if progress is None else (lambda n, before=done: progress(before + n, in_all))
+        believed = believed_case(experiment, case, element=element, threads=threads, simulators=simulators)
+        solved[case.name] = _solve_elastic(experiment, case, believed, tolerance, threads, report)
+        done += len(case.times)
+    return solved
+
+
+def _solve_elastic(
+    experiment: Experiment,
+    case: Case,
+    believed: Believed,
+    tolerance: float,
+    threads: int,
+    progress: Callable[[int], None] | None,
+) -> SolvedCase:
+    """Return the frames of a case, solved independently and in parallel."""
+    simulator = believed.simulator
+    _, state_of = distinct_states(case)
+    loads = [believed.loads[frame] for frame in first_frames(state_of)]
+    report = None if progress is None else (lambda n: progress(n * len(state_of) // len(loads)))
+    materials = [experiment.material] * len(loads)
+    found = simulator.solve_many(loads, materials, tolerance=tolerance, threads=threads, progress=report)
+    if len(found.failed) == len(loads):
+        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {found.failed[0][1]}"
+        raise ConvergenceError(message, where=case.name)
+    forces = {
+        pad.name: found.reactions[:, np.isin(simulator.held_nodes, pad.nodes)].sum(axis=1)
+        for pad in pads_of(experiment, case)
+    }
+    solved = SolvedCase(found.displacement, forces, found.failed, found.all_displacement)
+    return solved.at_every_frame(state_of)
+
+
+def _loads(
+    experiment: Experiment,
+    case: Case,
+    pads: list[Actuator],
+    held: IntArray,
+    sag: FloatArray,
+    weight: FloatArray | None,
+) -> list[Load]:
+    """Return the load of every frame."""
+    rows = [np.flatnonzero(np.isin(held, pad.nodes)) for pad in pads]
+    fixed = np.isin(held, experiment.mesh.fixed_nodes)
+    loads = []
+    for frame in range(len(case.times)):
+        prescribed = np.zeros((len(held), 3))
+        for pad, mine in zip(pads, rows, strict=True):
+            prescribed[mine] = sag[held[mine]] + case.displacements[pad.name][frame]
+        prescribed[fixed] = 0.0
+        loads.append(Load(body_force=weight, prescribed=prescribed, traction=traction_of(experiment, case, frame)))
+    return loads

@@ -1,0 +1,251 @@
+"""Bisection of tetrahedra at edges: an edge is cut in every tetrahedron that has it, so the mesh stays conforming."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import MeshError
+
+#: Corners of a tet's edges, and the two others.
+_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+
+#: Ends of a list of edges.
+_PAIR = np.array([[0, 1]])
+
+#: Corners of a triangle's edges.
+_SIDES = np.array([[0, 1], [1, 2], [2, 0]])
+
+#: Largest number of rounds: more than any refinement to a size above a millionth of the body takes.
+_MOST_ROUNDS = 1000
+
+
+class Bisection:
+    """A mesh whose edges can be cut.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The initial mesh; it is not changed.
+
+    Attributes
+    ----------
+    nodes : ndarray of float64, shape (n_nodes, 3)
+        Those of the mesh, then new ones, mm.
+    tets : ndarray of int64, shape (n_tets, 4)
+        With positive orientation, as in the mesh.
+    surface : ndarray of int64, shape (n_triangles, 3)
+        Boundary triangles.
+    parents : ndarray of int64, shape (n_nodes, 2)
+        Ends of the edge cut by each new node; a node of the initial mesh has itself twice.
+    on_surface : ndarray of bool, shape (n_nodes,)
+        Whether a node lies on the boundary.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.nodes: FloatArray = mesh.nodes.copy()
+        self.tets: IntArray = mesh.tets.copy()
+        self.surface: IntArray = mesh.surface.copy()
+        self.parents: IntArray = np.repeat(np.arange(mesh.n_nodes)[:, None], 2, axis=1)
+        self.on_surface = np.zeros(mesh.n_nodes, dtype=bool)
+        self.on_surface[mesh.surface_nodes] = True
+        self._keys = _keys(self.tets, _EDGES)
+        self._surface_keys = _keys(self.surface, _SIDES)
+
+    def surface_edges(self) -> IntArray:
+        """Return the edges of the boundary triangles, each once, lower index first, shape (n, 2)."""
+        return np.unique(np.sort(self.surface[:, _SIDES].reshape(-1, 2), axis=1), axis=0)
+
+    def cut(self, edges: IntArray, places: FloatArray) -> IntArray:
+        """Cut edges.
+
+        Parameters
+        ----------
+        edges : ndarray of int64, shape (n, 2)
+            Ends, each edge once.
+        places : ndarray of float64, shape (n, 3)
+            Positions of the new nodes, on or near their edges, mm.
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+            The new nodes.
+
+        Notes
+        -----
+        Edges of one tetrahedron are cut in the given order; cutting one edge leaves the others intact.
+        """
+        keys = _keys(edges, _PAIR)[:, 0]
+        rank = np.argsort(keys)
+        waiting = keys[rank]
+        found = np.empty(len(edges), dtype=np.int64)
+        while len(waiting):
+            now = self._independent(waiting, rank)
+            rows = rank[now]
+            found[rows] = self._cut_apart(edges[rows], places[rows])
+            waiting, rank = waiting[~now], rank[~now]
+        return found
+
+    def refine(self, size: Callable[[FloatArray], FloatArray]) -> None:
+        """Cut longest edges until no tetrahedron is too large (Rivara 1984).
+
+        Parameters
+        ----------
+        size : callable
+            From centres of tetrahedra (n, 3) in mm to the largest edge length allowed for each, (n,) in mm.
+
+        Raises
+        ------
+        MeshError
+            If that takes more than a thousand rounds.
+
+        Notes
+        -----
+        An edge is cut only if it is the longest in all tetrahedra that have it; if one of these has a longer edge, that
+        edge is cut first. This gives a graded mesh.
+        """
+        allowed = size(self.nodes[self.tets].mean(axis=1))
+        length, longest = self._longest(self.tets)
+        for _ in range(_MOST_ROUNDS):
+            if not (length > allowed).any():
+                return
+            marked = np.unique(longest[length > allowed])
+            while True:
+                tet, side, _ = _found(self._keys, marked)
+                more = np.union1d(marked, longest[tet])
+                if len(more) == len(marked):
+                    break
+                marked = more
+            edge = self._keys[tet, side]
+            blocked = edge[edge != longest[tet]]
+            ready = np.setdiff1d(marked, blocked)
+            edges = np.stack(np.divmod(ready, _FACTOR), axis=1)
+            split = tet[np.isin(edge, ready)]
+            before = len(self.tets)
+            self._cut_apart(edges, self.nodes[edges].mean(axis=1))
+            fresh = np.concatenate([split, np.arange(before, len(self.tets))])
+            more_room = np.empty(len(self.tets) - before)
+            allowed, length = np.concatenate([allowed, more_room]), np.concatenate([length, more_room])
+            longest = np.concatenate([longest, np.empty(len(more_room), np.int64)])
+            allowed[fresh] = size(self.nodes[self.tets[fresh]].mean(axis=1))
+            length[fresh], longest[fresh] = self._longest(self.tets[fresh])
+        message = f"refinement must end within {_MOST_ROUNDS} rounds; the requested sizes are too small"
+        raise MeshError(message, where="refine")
+
+    def mesh(self, node_sets: Mapping[str, IntArray]) -> Mesh:
+        """Return the mesh as it is now.
+
+        Parameters
+        ----------
+        node_sets : mapping of str to ndarray of int64
+            Sets of the initial mesh. A new node belongs to a set if both ends of its edge do, and to a set of surface
+            nodes only if it lies on the surface.
+
+        Returns
+        -------
+        Mesh
+            With the sets carried over.
+        """
+        return Mesh(self.nodes, self.tets, {name: self.carried(nodes) for name, nodes in node_sets.items()})
+
+    def carried(self, nodes: IntArray) -> IntArray:
+        """Return a node set of the initial mesh, new nodes included, sorted."""
+        member = np.zeros(len(self.nodes), dtype=bool)
+        member[nodes] = True
+        of_surface = bool(self.on_surface[nodes].all())
+        for node in np.flatnonzero(self.parents[:, 0] != self.parents[:, 1]):
+            # A node's parents have smaller indices.
+            member[node] = member[self.parents[node]].all() and (self.on_surface[node] or not of_surface)
+        return np.flatnonzero(member)
+
+    def _longest(self, tets: IntArray) -> tuple[FloatArray, IntArray]:
+        """Return length in mm and key of the longest edge of tets; of equally long ones that with the largest key."""
+        ends = np.sort(tets[:, _EDGES], axis=2)
+        lengths = np.linalg.norm(self.nodes[ends[..., 1]] - self.nodes[ends[..., 0]], axis=2)
+        length = lengths.max(axis=1)
+        keys = ends[..., 0] * _FACTOR + ends[..., 1]
+        return length, np.where(lengths == length[:, None], keys, -1).max(axis=1)
+
+    def _independent(self, waiting: IntArray, rank: IntArray) -> "np.ndarray[Any, np.dtype[np.bool_]]":
+        """Return which waiting edges (sorted keys) come first in all tets that have them."""
+        tet, _, row = _found(self._keys, waiting)
+        first = np.full(len(self.tets), len(self.nodes) + len(self.tets))
+        np.minimum.at(first, tet, rank[row])
+        now = np.ones(len(waiting), dtype=bool)
+        now[row[rank[row] != first[tet]]] = False
+        return now
+
+    def _cut_apart(self, edges: IntArray, places: FloatArray) -> IntArray:
+        """Cut edges of which no two belong to one tetrahedron; return the new nodes."""
+        keys = _keys(edges, _PAIR)[:, 0]
+        order = np.argsort(keys)
+        new = len(self.nodes) + np.arange(len(edges))
+        self.tets, self._keys, _ = _halved(self.tets, self._keys, _EDGES, keys[order], new)
+        self.surface, self._surface_keys, cut = _halved(self.surface, self._surface_keys, _SIDES, keys[order], new)
+        outside = np.zeros(len(edges), dtype=bool)
+        outside[cut] = True
+        self.nodes = np.concatenate([self.nodes, places[order]])
+        self.parents = np.concatenate([self.parents, np.sort(edges, axis=1)[order]])
+        self.on_surface = np.concatenate([self.on_surface, outside])
+        found = np.empty_like(new)
+        found[order] = new
+        return found
+
+
+#: Two node numbers are combined into one key; an upper limit on the number of nodes.
+_FACTOR = 2**31
+
+
+def _keys(cells: IntArray, sides: IntArray) -> IntArray:
+    """Return one number for every edge of every cell, the same for both directions, shape (n_cells, n_sides)."""
+    a, b = cells[:, sides[:, 0]], cells[:, sides[:, 1]]
+    return np.asarray(np.minimum(a, b) * _FACTOR + np.maximum(a, b))
+
+
+def _found(keys: IntArray, few: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Return where keys (n, m) occur among a few, sorted ones: rows, columns, and the index of each in the few."""
+    place = np.minimum(np.searchsorted(few, keys.ravel()), len(few) - 1)
+    flat = np.flatnonzero(few[place] == keys.ravel())
+    rows, columns = np.divmod(flat, keys.shape[1])
+    return rows, columns, place[flat]
+
+
+def _halved(
+    cells: IntArray, of_cells: IntArray, sides: IntArray, keys: IntArray, new: IntArray
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return cells, and their edges' keys, with those that have an edge of `keys` (sorted) cut at the nodes `new`.
+
+    The third result is a mask of the `keys` that were cut.
+    """
+    cell, side, row = _found(of_cells, keys)
+    first, second = cells[cell], cells[cell]
+    each = np.arange(len(cell))
+    first[each, sides[side, 0]] = new[row]
+    second[each, sides[side, 1]] = new[row]
+    kept, kept_keys = cells.copy(), of_cells.copy()
+    kept[cell], kept_keys[cell] = first, _keys(first, sides)
+    return np.concatenate([kept, second]), np.concatenate([kept_keys, _keys(second, sides)]), np.unique(row)
+
+
+def shape_quality(nodes: FloatArray, tets: IntArray) -> FloatArray:
+    """Return the mean ratio of tetrahedra: 1 where regular, 0 where flat, negative where inverted.
+
+    Parameters
+    ----------
+    nodes : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    tets : ndarray of int64, shape (n_tets, 4)
+        Nodes of each.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_tets,)
+        ``12 (3 V)^(2/3) / sum of squared edges``, with the sign of the volume.
+    """
+    corners = nodes[tets]
+    a, b, c = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
+    volume = np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0
+    squares = ((corners[:, _EDGES[:, 0]] - corners[:, _EDGES[:, 1]]) ** 2).sum(axis=(1, 2))
+    return np.asarray(np.sign(volume) * 12.0 * np.cbrt(3.0 * np.abs(volume)) ** 2 / squares)

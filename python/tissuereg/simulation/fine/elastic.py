@@ -1,0 +1,189 @@
+"""Frames of an elastic case on a fine mesh: every distinct load is solved once, in order along the ramp."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.errors import ConvergenceError, LoadError
+from tissuereg.experiment.experiment import Case, Experiment
+from tissuereg.simulation.experiment import believed_case
+from tissuereg.simulation.loading import distinct_states, pads_of
+from tissuereg.simulation.memory import SolvedCase
+from tissuereg.simulation.solve import Simulator
+
+#: Loads whose directions differ by less than this are collinear.
+_ALONG = 1e-6
+
+#: Largest number of solved states for an extrapolated guess: a parabola.
+_MOST_POINTS = 3
+
+#: Relative residual at which a frame counts as solved: errors of about 1e-5 mm in markers and 1e-2 mN in forces.
+TOLERANCE = 1e-4
+
+
+def solve_states(
+    experiment: Experiment,
+    case: Case,
+    *,
+    element: str = "tet10",
+    tolerance: float = TOLERANCE,
+    threads: int = 0,
+    near: FloatArray | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> SolvedCase:
+    """Return the equilibria of a case whose frames depend on their own load alone.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        On a fine mesh, effects applied.
+    case : Case
+        One of its cases.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    tolerance : float
+        Norm of the residual over the norm of the load.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    near : ndarray of float64, shape (n_states, n_element_nodes, 3), optional
+        Fields of a similar model in the `distinct_states` of the case; NaN if unknown.
+    progress : callable of int, optional
+        Called with frames done.
+
+    Returns
+    -------
+    SolvedCase
+        Frames of equal load have equal rows.
+
+    Raises
+    ------
+    ConvergenceError
+        If no frame finds equilibrium.
+
+    Notes
+    -----
+    The initial guess of a state is extrapolated from earlier states with collinear loads, with zero displacement at no
+    load. This avoids load steps for a pad's sudden motion in the small elements at its rim. The field of a similar
+    model is a better guess: Poisson's ratio 0.42 started from 0.45 on 8,000 tets takes 4.8 instead of 8.7 s.
+    """
+    believed = believed_case(experiment, case, element=element, threads=threads)
+    simulator = believed.simulator
+    states, of_frame = distinct_states(case)
+    pads = pads_of(experiment, case)
+    n_nodes = simulator.body.n_nodes
+    field = np.full((len(case.times), n_nodes, 3), np.nan)
+    forces = {pad.name: np.full((len(case.times), 3), np.nan) for pad in pads}
+    solved: list[tuple[FloatArray, FloatArray]] = []
+    nothing = np.zeros((n_nodes, 3)), np.zeros((len(simulator.held_nodes), 3))
+    if believed.loads[0].body_force is None:
+        solved.append((np.zeros(states.shape[1]), nothing[0]))
+    failed = []
+    done = 0
+    for number, state in enumerate(states):
+        frames = np.flatnonzero(of_frame == number)
+        known = bool(solved) and not state.any() and not solved[0][0].any()
+        try:
+            settings = {"tolerance": tolerance, "threads": threads}
+            load = believed.loads[frames[0]]
+            begin = near[number] if near is not None and len(near) == len(states) else None
+            found = nothing if known else _solve(simulator, load, state, experiment.material, solved, begin, settings)
+        except ConvergenceError as error:
+            failed += [(int(frame), str(error)) for frame in frames]
+        else:
+            field[frames] = found[0]
+            if not known:
+                solved.append((state, found[0]))
+            for pad in pads:
+                forces[pad.name][frames] = found[1][np.isin(simulator.held_nodes, pad.nodes)].sum(axis=0)
+        done += len(frames)
+        if progress is not None:
+            progress(done)
+    if len(failed) == len(case.times):
+        message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
+        raise ConvergenceError(message, where=case.name)
+    return SolvedCase(field[:, : simulator.mesh.n_nodes], forces, sorted(failed), field)
+
+
+def guess(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
+    """Return an initial guess for the field of a state from states solved before.
+
+    Parameters
+    ----------
+    state : ndarray of float64, shape (n_parts,)
+        Loads.
+    solved : list of tuple of ndarray
+        Loads and field (n_nodes, 3) of each.
+
+    Returns
+    -------
+    ndarray of float64, shape (n_nodes, 3), or None
+        Extrapolated from the three nearest states with collinear loads; the nearest state's field if there are no two
+        collinear ones; None if there are no states.
+    """
+    size = float(np.linalg.norm(state))
+    if not solved or size == 0.0:
+        return solved[0][1] if solved and not solved[0][0].any() else None
+    on_line = sorted(_along(state, solved), key=lambda point: abs(point[0] - size))[:_MOST_POINTS]
+    if len(on_line) < 2:
+        nearest = min(solved, key=lambda one: float(np.linalg.norm(one[0] - state)))
+        # The undeformed body is not used as a guess, a body that sags under its weight is.
+        return nearest[1] if nearest[1].any() and np.linalg.norm(nearest[0] - state) <= size else None
+    total = np.zeros_like(on_line[0][1])
+    for i, (place, field) in enumerate(on_line):
+        others = [p for j, (p, _) in enumerate(on_line) if j != i]
+        total += np.prod([(size - p) / (place - p) for p in others]) * field
+    return total
+
+
+def _along(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]]) -> list[tuple[float, FloatArray]]:
+    """Return the solved states on the line from no load to a state: position along it, and fields."""
+    size = max(float(np.linalg.norm(state)), 1e-300)
+    line = state / size
+    return [(float(s @ line), u) for s, u in solved if np.linalg.norm(s - (s @ line) * line) <= _ALONG * size]
+
+
+def _solve(
+    simulator: Simulator,
+    load: Load,
+    state: FloatArray,
+    material: Material,
+    solved: list[tuple[FloatArray, FloatArray]],
+    near: FloatArray | None,
+    settings: dict[str, Any],
+) -> tuple[FloatArray, FloatArray]:
+    """Return the field of all nodes and the reactions in a state, started from a similar field if that converges."""
+    if near is not None and np.isfinite(near).all():
+        with suppress(ConvergenceError, LoadError):
+            found = simulator.solve(load, material, start=near, **settings)
+            return found.all_displacement, found.reactions
+    for steps in (1, 2):
+        known = list(solved)
+        try:
+            for share in _shares(state, solved, steps if load.body_force is None else 1):
+                part = load if share == 1.0 else _scaled(load, share)
+                found = simulator.solve(part, material, start=guess(share * state, known), **settings)
+                known.append((share * state, found.all_displacement))
+        except (ConvergenceError, LoadError):  # the latter where a guess turns a tet inside out
+            continue
+        return found.all_displacement, found.reactions
+    found = simulator.solve(load, material, **settings)
+    return found.all_displacement, found.reactions
+
+
+def _shares(state: FloatArray, solved: list[tuple[FloatArray, FloatArray]], steps: int) -> FloatArray:
+    """Return shares of a state in equal steps from the nearest smaller one that was solved along the same line."""
+    size = max(float(np.linalg.norm(state)), 1e-300)
+    along = [place / size for place, _ in _along(state, solved)]
+    before = max((share for share in along if 0.0 < share < 1.0), default=0.0)
+    return np.linspace(before, 1.0, steps + 1)[1:]
+
+
+def _scaled(load: Load, share: float) -> Load:
+    """Return a share of the motion of pads."""
+    traction = None if load.traction is None else (load.traction[0], share * np.asarray(load.traction[1]))
+    return Load(prescribed=share * np.asarray(load.prescribed), traction=traction)

@@ -1,0 +1,110 @@
+"""Markers, targets and forces of the solved frames of a case, and the correction of frames with memory."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.body.mesh import Mesh
+from tissuereg.body.observe import MarkerObservation, TargetObservation
+from tissuereg.experiment.experiment import Experiment
+from tissuereg.simulation.fine.forces import force_maps, mapped
+from tissuereg.simulation.memory import SolvedCase
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Frames of one case, as observables of the experiment.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
+        Of the given mesh's nodes, mm; NaN in frames without equilibrium.
+    markers : ndarray of float64, shape (n_frames, n_markers, 3)
+        Positions of the markers, mm, without errors of their tracker.
+    targets : ndarray of float64, shape (n_frames, n_targets, 3)
+        Positions of the targets, mm.
+    forces : dict of str to ndarray of float64, shape (n_frames, 3)
+        Force on the body at every displacement actuator that is present, mN.
+    failed : list of (int, str)
+        Frames without equilibrium, with the reason.
+    """
+
+    displacement: FloatArray
+    markers: FloatArray
+    targets: FloatArray
+    forces: dict[str, FloatArray]
+    failed: list[tuple[int, str]]
+
+
+class Reader:
+    """Evaluates markers and targets of fields on one mesh.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With the mesh.
+    given : Mesh
+        The mesh from which it was refined: its nodes come first, some of them moved onto a rim.
+    quadratic : bool
+        Whether fields are those of ten-node elements.
+    """
+
+    def __init__(self, experiment: Experiment, given: Mesh, *, quadratic: bool) -> None:
+        self._n_given = given.n_nodes
+        self._moved = np.flatnonzero((experiment.mesh.nodes[: given.n_nodes] != given.nodes).any(axis=1))
+        names = tuple(f"node {node}" for node in self._moved)
+        places = given.nodes[self._moved]
+        self._old = MarkerObservation(experiment.mesh, places, names, quadratic=quadratic) if names else None
+        self._markers = MarkerObservation(
+            experiment.mesh, experiment.marker_reference, experiment.marker_names, quadratic=quadratic
+        )
+        self._marker_reference = experiment.marker_reference
+        self._targets = TargetObservation(experiment.mesh, experiment.targets, quadratic=quadratic)
+
+    def read(self, solved: SolvedCase) -> Reading:
+        """Return the observables of the frames of a case."""
+        field = solved.all_displacement
+        displacement = solved.displacement[:, : self._n_given].copy()
+        if self._old is not None:
+            # The node's place before it was moved onto the rim.
+            displacement[:, self._moved] = self._old.predict(field[:, self._old.nodes])
+        return Reading(
+            displacement,
+            self._marker_reference + self._markers.predict(field[:, self._markers.nodes]),
+            self._targets.reference + self._targets.predict(field[:, self._targets.nodes]),
+            solved.forces,
+            solved.failed,
+        )
+
+
+def corrected(rough: Reading, rough_elastic: Reading, fine_elastic: Reading) -> Reading:
+    """Return frames with memory, corrected for finer elements.
+
+    Parameters
+    ----------
+    rough : Reading
+        With memory, by elements of first order.
+    rough_elastic : Reading
+        The same case without memory, by the same elements.
+    fine_elastic : Reading
+        Without memory, by finer elements on the same mesh.
+
+    Returns
+    -------
+    Reading
+        Places are corrected by the difference of the two elastic solutions, forces by the maps between them
+        (`force_maps`) and the remaining difference.
+    """
+    forces = {}
+    for name, force in rough.forces.items():
+        before, after = rough_elastic.forces[name], fine_elastic.forces[name]
+        forces[name] = after + mapped(force - before, force_maps(before, after))
+    lost = dict(rough_elastic.failed) | dict(fine_elastic.failed) | dict(rough.failed)
+    return Reading(
+        rough.displacement + (fine_elastic.displacement - rough_elastic.displacement),
+        rough.markers + (fine_elastic.markers - rough_elastic.markers),
+        rough.targets + (fine_elastic.targets - rough_elastic.targets),
+        forces,
+        sorted(lost.items()),
+    )

@@ -1,0 +1,227 @@
+"""Surface patches within a ball, cut out along their rim.
+
+The rim of a patch is where the surface meets the sphere ``|x - centre| = radius``. First the elements around it are
+refined, because the stress under a bonded pad peaks there; then surface nodes near the rim slide onto it, and edges
+that still cross it are cut. After that every boundary triangle lies entirely within the patch or outside.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.simulation.fine.bisection import Bisection, shape_quality
+from tissuereg.simulation.fine.folds import folds_of
+
+#: An end of a crossing edge slides onto the rim if the crossing is nearer to it than this share of the edge.
+SNAP_SHARE = 0.35
+
+#: After a slide every tetrahedron must keep this share of its quality, and have at least this quality.
+_KEPT_QUALITY, _LEAST_QUALITY = 0.5, 0.1
+
+#: Nodes of the rim lie this share of the radius inside it, so that rounding leaves none outside.
+INSIDE = 1e-11
+
+#: Edges between outer nodes are cut if they enter the ball by this share of their length.
+_DIP_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Rim:
+    """The outline of a patch.
+
+    Parameters
+    ----------
+    centre : tuple of float
+        mm.
+    radius : float
+        mm.
+    """
+
+    centre: tuple[float, float, float]
+    radius: float
+
+    def depth(self, points: FloatArray) -> FloatArray:
+        """Return the depth of points (..., 3) in the ball, mm; 0 on the rim, up to rounding."""
+        depth = self.radius - np.linalg.norm(points - np.asarray(self.centre), axis=-1)
+        return np.asarray(np.where(np.abs(depth) <= 1e3 * INSIDE * self.radius, 0.0, depth))
+
+    def crossing(self, outer: FloatArray, inner: FloatArray) -> FloatArray:
+        """Return where segments (n, 3) from outside the ball to inside pass its sphere, shares of the way (n,)."""
+        start, along = outer - np.asarray(self.centre), inner - outer
+        a, b = (along**2).sum(axis=1), (start * along).sum(axis=1)
+        c = (start**2).sum(axis=1) - (self.radius * (1.0 - INSIDE)) ** 2
+        return np.asarray(c / (-b + np.sqrt(np.maximum(b**2 - a * c, 0.0))))
+
+
+def samples(cutter: Bisection, rim: Rim) -> FloatArray:
+    """Return points of the rim, one on every edge of the surface that crosses it, (n, 3) in mm.
+
+    For an edge between outer nodes that enters the ball this is its deepest point. If no edge comes near, the
+    surface node next to the rim is used.
+    """
+    outer, inner = _crossing_edges(cutter, rim)
+    share = rim.crossing(cutter.nodes[outer], cutter.nodes[inner])
+    points = cutter.nodes[outer] + share[:, None] * (cutter.nodes[inner] - cutter.nodes[outer])
+    _, deepest = _dipping_edges(cutter, rim, 0.0)
+    points = np.concatenate([points, deepest])
+    if len(points):
+        return points
+    surface = np.flatnonzero(cutter.on_surface)
+    nearest = np.argmin(np.abs(rim.depth(cutter.nodes[surface])))
+    return cutter.nodes[surface[[nearest]]]
+
+
+def refine_round(cutter: Bisection, rims: Sequence[Rim], shortest: float, growth: float) -> None:
+    """Make elements small round rims.
+
+    Parameters
+    ----------
+    cutter : Bisection
+        Changed in place.
+    rims : sequence of Rim
+        Where.
+    shortest : float
+        Longest edge of an element at a rim over the rim's radius.
+    growth : float
+        Increase of the allowed edge length per mm of distance from the rim, mm/mm.
+    """
+    for rim in rims:
+        # The rim of a coarse surface is known by few points, so it is refined in steps.
+        wanted, at_rim = shortest * rim.radius, 2.0 * rim.radius
+        while at_rim > wanted:
+            at_rim = max(0.5 * at_rim, wanted)
+            refine_near(cutter, samples(cutter, rim), at_rim, growth)
+
+
+def refine_near(cutter: Bisection, points: FloatArray, edge: float, growth: float) -> None:
+    """Make elements small near points.
+
+    Parameters
+    ----------
+    cutter : Bisection
+        Changed in place.
+    points : ndarray of float64, shape (n, 3)
+        mm.
+    edge : float
+        Longest edge of an element at a point, mm.
+    growth : float
+        Increase of the allowed edge length per mm of distance from the points, mm/mm.
+    """
+    from scipy.spatial import KDTree
+
+    tree = KDTree(points)
+
+    def size(centres: FloatArray) -> FloatArray:
+        return np.asarray(edge + growth * tree.query(centres)[0])
+
+    cutter.refine(size)
+
+
+def cut_along(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
+    """Cut the surface along a rim.
+
+    Parameters
+    ----------
+    cutter : Bisection
+        Changed in place.
+    rim : Rim
+        Where.
+    stay : ndarray of int64, shape (n,)
+        Nodes that must not slide.
+    """
+    edges, deepest = _dipping_edges(cutter, rim, _DIP_SHARE)
+    if len(edges):
+        cutter.cut(edges, deepest)
+    _snap(cutter, rim, stay)
+    outer, inner = _crossing_edges(cutter, rim)
+    if len(outer):
+        share = rim.crossing(cutter.nodes[outer], cutter.nodes[inner])
+        places = cutter.nodes[outer] + share[:, None] * (cutter.nodes[inner] - cutter.nodes[outer])
+        # Cuts in the middle first: they leave the better halves.
+        order = np.argsort(np.abs(share - 0.5), kind="stable")
+        cutter.cut(np.stack([outer, inner], axis=1)[order], places[order])
+
+
+def patch_nodes(cutter: Bisection, rim: Rim) -> IntArray:
+    """Return the surface nodes within a rim and on it, sorted."""
+    surface = np.flatnonzero(cutter.on_surface)
+    return np.asarray(surface[rim.depth(cutter.nodes[surface]) >= 0.0])
+
+
+def rim_nodes(cutter: Bisection, rim: Rim) -> IntArray:
+    """Return the surface nodes on a rim, sorted."""
+    surface = np.flatnonzero(cutter.on_surface)
+    return np.asarray(surface[rim.depth(cutter.nodes[surface]) == 0.0])
+
+
+def _crossing_edges(cutter: Bisection, rim: Rim) -> tuple[IntArray, IntArray]:
+    """Return outer and inner ends of the surface's edges that cross a rim."""
+    edges = cutter.surface_edges()
+    depth = rim.depth(cutter.nodes[edges])
+    crossing = depth[:, 0] * depth[:, 1] < 0.0
+    edges, depth = edges[crossing], depth[crossing]
+    swap = depth[:, 0] > 0.0
+    return np.where(swap, edges[:, 1], edges[:, 0]), np.where(swap, edges[:, 0], edges[:, 1])
+
+
+def _dipping_edges(cutter: Bisection, rim: Rim, least_share: float) -> tuple[IntArray, FloatArray]:
+    """Return edges between outer nodes that enter the ball by a share of their length, and their deepest points."""
+    edges = cutter.surface_edges()
+    edges = edges[(rim.depth(cutter.nodes[edges]) < 0.0).all(axis=1)]
+    start = cutter.nodes[edges[:, 0]]
+    along = cutter.nodes[edges[:, 1]] - start
+    squares = (along**2).sum(axis=1)
+    share = np.clip(((np.asarray(rim.centre) - start) * along).sum(axis=1) / squares, 0.0, 1.0)
+    deepest = start + share[:, None] * along
+    dips = rim.depth(deepest) > least_share * np.sqrt(squares)
+    return edges[dips], deepest[dips]
+
+
+def _snap(cutter: Bisection, rim: Rim, stay: IntArray) -> None:
+    """Slide nodes along edges onto a rim nearby, where the tetrahedra around them stay good."""
+    outer, inner = _crossing_edges(cutter, rim)
+    if not len(outer):
+        return
+    share = rim.crossing(cutter.nodes[outer], cutter.nodes[inner])
+    places = cutter.nodes[outer] + share[:, None] * (cutter.nodes[inner] - cutter.nodes[outer])
+    node = np.where(share < 0.5, outer, inner)
+    near = np.minimum(share, 1.0 - share)
+    blocked = np.isin(node, stay) | np.isin(node, sharp_nodes(cutter.nodes, cutter.surface))
+    able = np.flatnonzero((near < SNAP_SHARE) & ~blocked)
+    able = able[np.argsort(near[able], kind="stable")]
+    _, first = np.unique(node[able], return_index=True)
+    able = able[np.sort(first)]
+    moving, towards = node[able], places[able]
+    around = np.flatnonzero(np.isin(cutter.tets, moving).any(axis=1))
+    tets = cutter.tets[around]
+    wanted = np.minimum(_KEPT_QUALITY * shape_quality(cutter.nodes, tets), _LEAST_QUALITY)
+    moved = cutter.nodes.copy()
+    moved[moving] = towards
+    while True:
+        spoilt = shape_quality(moved, tets) < wanted
+        back = moving[np.isin(moving, tets[spoilt]) & (moved[moving] != cutter.nodes[moving]).any(axis=1)]
+        if not len(back):
+            break
+        moved[back] = cutter.nodes[back]
+    cutter.nodes = moved
+
+
+def sharp_nodes(nodes: FloatArray, surface: IntArray) -> IntArray:
+    """Return the nodes on edges of the body, which do not slide.
+
+    Parameters
+    ----------
+    nodes : ndarray of float64, shape (n_nodes, 3)
+        mm.
+    surface : ndarray of int64, shape (n_triangles, 3)
+        Boundary triangles.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Sorted.
+    """
+    folds = folds_of(nodes, surface)
+    return np.unique(folds.edges[folds.is_sharp])

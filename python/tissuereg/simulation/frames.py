@@ -1,0 +1,378 @@
+"""A body through time frames: history, pads that come and go, springs, skin, a mesh that was imaged under gravity."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._base.arrays import FloatArray, IntArray, float_array, index_array
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ConvergenceError, LoadError
+from tissuereg.simulation.behaviour import Behaviour, Skin, Springs
+from tissuereg.simulation.solve import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Pad:
+    """A patch of nodes that an actuator holds in some of the frames.
+
+    Parameters
+    ----------
+    name : str
+        Key of its forces in the answer.
+    nodes : array_like of int, shape (n,)
+        Nodes of the patch; nodes that are held anyway stay where they are.
+    motion : array_like of float, shape (n_frames, 3)
+        Translation in mm in every frame, relative to the shape of the body when the pad attaches. Rows of NaN are
+        frames in which it is absent and its nodes are free.
+    """
+
+    name: str
+    nodes: Any
+    motion: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Equilibria of all frames; those without are rows of NaN.
+
+    Attributes
+    ----------
+    times : ndarray of float64, shape (n_frames,)
+        s.
+    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
+        Displacement of the mesh's nodes from the mesh as given, mm.
+    reactions : ndarray of float64, shape (n_frames, n_held, 3)
+        Force on the body at every held node, mN.
+    pad_forces : dict of str to ndarray of float64, shape (n_frames, 3)
+        Force of every pad on the body, mN; NaN where it is absent.
+    pad_moments : dict of str to ndarray of float64, shape (n_frames, 3)
+        Its moment about the mean place of the pad's nodes, mN mm.
+    spring_forces : ndarray of float64, shape (n_frames, n_springs, 3)
+        Force of every set of springs on the body, mN.
+    all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
+        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
+    rest_nodes : ndarray of float64, shape (n_nodes, 3)
+        Nodes without load, mm; those of the mesh unless it was given under its weight.
+    failed : list of (int, str)
+        Frames without equilibrium, with the reason; the history continues from the previous frame.
+    reports : list of dict
+        Work done, one per frame; empty for one that failed.
+    record : Record or None
+        Data for derivatives, if `solve_frames` recorded them (`tissuereg.simulation.sensitivity`).
+    """
+
+    times: FloatArray
+    displacement: FloatArray
+    reactions: FloatArray
+    pad_forces: dict[str, FloatArray]
+    pad_moments: dict[str, FloatArray]
+    spring_forces: FloatArray
+    all_displacement: FloatArray
+    rest_nodes: FloatArray
+    failed: list[tuple[int, str]]
+    reports: list[dict[str, Any]]
+    record: "Record | None" = None
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Recorded frames, for `tissuereg.simulation.sensitivity`.
+
+    Attributes
+    ----------
+    rig : _core.Rig
+        The body with all its steps.
+    spreader : Simulator
+        Distributes loads over nodes.
+    n_held : int
+        Number of held nodes.
+    pads : list of str
+        Names of the pads.
+    """
+
+    rig: _core.Rig
+    spreader: Simulator
+    n_held: int
+    pads: list[str]
+
+
+@dataclass(frozen=True, eq=False)
+class KeptRig:
+    """A cached rig from which others are made.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Its mesh.
+    spreader : Simulator
+        Spreads loads over nodes.
+    rig : _core.Rig
+        In the frame in which it was last used.
+    """
+
+    mesh: Mesh
+    spreader: Simulator
+    rig: _core.Rig
+
+
+#: Largest number of cached rigs.
+MOST_RIGS = 12
+
+#: Rigs by all but material, behaviour and loads.
+Rigs = dict[tuple[object, ...], KeptRig]
+
+
+def solve_frames(
+    mesh: Mesh,
+    material: Material,
+    times: Any,
+    *,
+    loads: Load | Sequence[Load] | None = None,
+    pads: Sequence[Pad] = (),
+    behaviour: Behaviour | None = None,
+    springs: Sequence[Springs] = (),
+    skins: Sequence[Skin] = (),
+    weight: Any = None,
+    in_reference: bool = False,
+    element: str = "tet4",
+    held_nodes: Any = None,
+    record: bool = False,
+    near: Any = None,
+    rigs: Rigs | None = None,
+    tolerance: float = 1e-9,
+    threads: int = 0,
+    progress: Callable[[int], object] | None = None,
+) -> Frames:
+    """Return the equilibria of a body in successive time frames.
+
+    The first frame is reached instantaneously (the elastic solution). Between frames, forces and motions change
+    linearly; the step to a frame without equilibrium is subdivided.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape; its node set ``fixed`` is held unless `held_nodes` is given.
+    material : Material
+        The elastic law; instantaneous moduli where the stress relaxes.
+    times : array_like of float, shape (n_frames,)
+        s, never decreasing.
+    loads : Load or sequence of Load, optional
+        The same in all frames, or one per frame. Prescribed rows are those of the held nodes.
+    pads : sequence of Pad
+        Patches that are held in some frames.
+    behaviour : Behaviour, optional
+        Inelastic behaviour of the material.
+    springs : sequence of Springs
+        Springs under the surface; they can support the body without held nodes.
+    skins : sequence of Skin
+        Membranes on the surface.
+    weight : array_like of float, shape (3,), optional
+        Body force in all frames, mN/mm^3, added to that of the loads; `Material.weight` gives gravity's.
+    in_reference : bool
+        Whether the mesh is given in its shape under `weight`. The unloaded shape is then found first.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Four-node tets, or ten-node tets on the same edges.
+    held_nodes : array_like of int, optional
+        Nodes whose displacement is given by the loads (zero where absent).
+    record : bool
+        Whether to record all steps for derivatives.
+    near : array_like of float, shape (n_frames, n_element_nodes, 3), optional
+        `Frames.all_displacement` of a similar body, mm; the initial guess of a frame is the last frame plus the change
+        of that body. NaN where unknown. Saves most of the work if the bodies are similar.
+    rigs : dict, optional
+        Cached rigs of the same mesh, whose analyses and factors are reused; new ones are added. For many
+        histories that differ in material and behaviour; rigs with springs, skins or `in_reference` are made anew.
+    tolerance : float
+        Norm of the residual over the norm of the load.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+    progress : callable of int, optional
+        Called with the number of frames done.
+
+    Returns
+    -------
+    Frames
+        Displacements, forces, failures.
+
+    Raises
+    ------
+    LoadError
+        If loads, pads and times do not fit together.
+    ConvergenceError
+        If no frame finds equilibrium, or the mesh has no unloaded shape.
+    MaterialError, ShapeError, SupportError
+        If the input does not fit the body.
+
+    Warns
+    -----
+    LockingWarning
+        If Poisson's ratio is above 0.475 somewhere and the elements are ``"tet4"``.
+
+    Examples
+    --------
+    >>> block = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
+    >>> push = Pad("tip", [3], [[0, 0, -1.0], [0, 0, -1.0], [np.nan] * 3])
+    >>> frames = solve_frames(block, Material(young=10.0), [0.0, 1.0, 2.0], pads=[push])
+    >>> bool(frames.pad_forces["tip"][1, 2] < 0), bool(abs(frames.displacement[2]).max() < 1e-6)
+    (True, True)
+    """
+    times = float_array("times", times, (None,))
+    n = len(times)
+    each = _one_a_frame(loads, n)
+    motions = _motions(pads, n)
+    held = mesh.fixed_nodes if held_nodes is None else index_array("held_nodes", held_nodes, (None,))
+    body_force = None if weight is None else float_array("weight", weight, (3,))
+    if in_reference and body_force is None:
+        message = "a mesh can hang in its weight only where `weight` is given"
+        raise LoadError(message, where="weight")
+    plan = _Plan(mesh, element, held, pads, tuple(springs), tuple(skins), record, tolerance, threads)
+    if in_reference or springs or skins:
+        rigs = None
+    old = None if rigs is None else rigs.get(plan.key)
+    if old is not None and old.mesh is mesh:
+        spreader = old.spreader
+        young, poisson = spreader.moduli(material)
+        rig = old.rig.again(young, poisson, law=material.core_law(), behaviour=_table(behaviour))
+    else:
+        # Distributes tractions over nodes and holds the moduli; it never solves.
+        spreader = Simulator(mesh, element=element, held_nodes=np.arange(mesh.n_nodes))
+        rig = plan.build(spreader, material, behaviour, body_force if in_reference else None)
+    if rigs is not None:
+        rigs.pop(plan.key, None)
+        rigs[plan.key] = KeptRig(mesh, spreader, rig)
+        for oldest in list(rigs)[:-MOST_RIGS]:
+            rigs.pop(oldest, None)
+    guides = None if near is None else float_array("near", near, (n, spreader.body.n_nodes, 3))
+    last = -1
+    answer = _empty(times, mesh.n_nodes, spreader.body.n_nodes, len(held), [pad.name for pad in pads], len(springs))
+    for frame, (time, load) in enumerate(zip(times, each, strict=True)):
+        parts = spreader.load_parts(load, len(held))
+        both = [force for force in (parts["body_force"], body_force) if force is not None]
+        parts["body_force"] = np.sum(both, axis=0) if both else None
+        change = None if guides is None or last < 0 else guides[frame] - guides[last]
+        if change is not None and not np.isfinite(change).all():
+            change = None
+        try:
+            found = rig.advance(float(time), motions[frame], change=change, **parts)
+        except ConvergenceError as error:
+            answer.failed.append((frame, str(error)))
+            answer.reports.append({})
+        else:
+            _keep(answer, frame, found)
+            last = frame
+        if progress is not None:
+            progress(frame + 1)
+    if len(answer.failed) == n > 0:
+        message = f"some frame must find equilibrium; none does: {answer.failed[0][1]}"
+        raise ConvergenceError(message, where="frame 0")
+    kept = Record(rig, spreader, len(held), [pad.name for pad in pads]) if record else None
+    return replace(answer, rest_nodes=rig.rest_nodes[: mesh.n_nodes].copy(), record=kept)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """The parts of a rig other than its material."""
+
+    mesh: Mesh
+    element: str
+    held: IntArray
+    pads: Sequence[Pad]
+    springs: tuple[Springs, ...]
+    skins: tuple[Skin, ...]
+    record: bool
+    tolerance: float
+    threads: int
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Cache key of rigs without springs and skins on one mesh."""
+        patches = tuple((pad.name, np.asarray(pad.nodes).tobytes()) for pad in self.pads)
+        return (self.element, self.held.tobytes(), patches, self.record, self.tolerance, self.threads)
+
+    def build(
+        self, spreader: Simulator, material: Material, behaviour: Behaviour | None, hangs_in: FloatArray | None
+    ) -> _core.Rig:
+        """Return the rig at its beginning."""
+        young, poisson = spreader.moduli(material)
+        return _core.Rig(
+            self.mesh.nodes,
+            self.mesh.tets,
+            self.held,
+            young,
+            poisson,
+            law=material.core_law(),
+            element=self.element,
+            pads=[index_array(f"nodes of pad '{pad.name}'", pad.nodes, (None,)) for pad in self.pads],
+            behaviour=_table(behaviour),
+            springs=[one.as_tuple() for one in self.springs],
+            rests=len(self.springs) > 0,
+            skins=[one.as_tuple() for one in self.skins],
+            hangs_in=hangs_in,
+            record=self.record,
+            tolerance=self.tolerance,
+            threads=self.threads,
+        )
+
+
+def _table(behaviour: Behaviour | None) -> dict[str, Any] | None:
+    return None if behaviour is None else behaviour.as_dict()
+
+
+def _one_a_frame(loads: Load | Sequence[Load] | None, n_frames: int) -> list[Load]:
+    if loads is None or isinstance(loads, Load):
+        return [loads or Load()] * n_frames
+    if len(loads) != n_frames:
+        message = f"there must be one load per frame, got {len(loads)} for {n_frames}"
+        raise LoadError(message, where="loads")
+    return list(loads)
+
+
+def _motions(pads: Sequence[Pad], n_frames: int) -> FloatArray:
+    names = [pad.name for pad in pads]
+    if len(set(names)) < len(names):
+        message = f"pads must have different names, got {', '.join(names)}"
+        raise LoadError(message, where="pads")
+    motions = np.empty((n_frames, len(pads), 3))
+    for k, pad in enumerate(pads):
+        motions[:, k] = float_array(f"motion of pad '{pad.name}'", pad.motion, (n_frames, 3))
+        missing = np.isnan(motions[:, k])
+        if (missing.any(axis=1) != missing.all(axis=1)).any():
+            frame = int(np.flatnonzero(missing.any(axis=1) != missing.all(axis=1))[0])
+            message = f"the motion of pad '{pad.name}' must be known along all axes or none, not so in frame {frame}"
+            raise LoadError(message, where=f"pad '{pad.name}'")
+    return motions
+
+
+def _empty(
+    times: FloatArray, n_nodes: int, n_element_nodes: int, n_held: int, pads: list[str], n_springs: int
+) -> Frames:
+    n = len(times)
+    everything = np.full((n, n_element_nodes, 3), np.nan)
+    return Frames(
+        times,
+        everything[:, :n_nodes],
+        np.full((n, n_held, 3), np.nan),
+        {name: np.full((n, 3), np.nan) for name in pads},
+        {name: np.full((n, 3), np.nan) for name in pads},
+        np.full((n, n_springs, 3), np.nan),
+        everything,
+        np.empty((0, 3)),
+        [],
+        [],
+    )
+
+
+def _keep(answer: Frames, frame: int, found: _core.RigFrame) -> None:
+    # The displacement of the mesh's nodes is a view of this.
+    answer.all_displacement[frame] = found.displacement
+    answer.reactions[frame] = found.reactions
+    answer.spring_forces[frame] = found.spring_forces
+    for k, name in enumerate(answer.pad_forces):
+        answer.pad_forces[name][frame] = found.pad_forces[k]
+        answer.pad_moments[name][frame] = found.pad_moments[k]
+    answer.reports.append(found.report)

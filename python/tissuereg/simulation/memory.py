@@ -1,0 +1,378 @@
+"""Cases whose frames depend on earlier ones, or whose body is not supported by held nodes alone.
+
+Fading memory (relaxation, drainage, viscosity) starts anew with every case, which is one load history from rest: by
+then the body has been at rest long enough without its actuators. Permanent memory (softening, set) is carried through
+all cases on their common clock, together with fading memory, which decays over the time between two cases.
+"""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.load import Load
+from tissuereg.errors import ConvergenceError, ExperimentError
+from tissuereg.experiment.effects import Drainage, Relaxation, Set, Sliding, Softening, Swelling
+from tissuereg.experiment.effects.history import Memory
+from tissuereg.experiment.experiment import Case, Experiment
+from tissuereg.simulation import behaviour
+from tissuereg.simulation.frames import Pad, Rigs, solve_frames
+from tissuereg.simulation.loading import distinct_states, first_frames, hangs_already, pads_of, traction_of, weight_of
+
+#: Relaxation times per step, in the four steps in which a loaded body comes to rest before the first frame. A step
+#: assumes linearly growing strain, so each leaves about 1/30 of the remaining creep.
+_REST = 30.0
+
+#: Memory that depends on the load path alone, not on time, so that it does not change under constant load. (A set acts
+#: one frame later.)
+_TIMELESS = (Softening,)
+
+#: Normal stiffness of a sliding boundary, in modulus over extent: it gives way by about 1e-4 of the strain.
+_ACROSS = 1e4
+
+#: Tangential stiffness of a boundary that sticks by friction, in the same unit.
+_STICKS = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedCase:
+    """Frames of one case.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_frames, n_nodes, 3)
+        mm; NaN in frames without equilibrium.
+    forces : dict of str to ndarray of float64, shape (n_frames, 3)
+        Force on the body at every displacement actuator that is present, mN.
+    failed : list of (int, str)
+        Frames without equilibrium, with the reason.
+    all_displacement : ndarray of float64, shape (n_frames, n_element_nodes, 3)
+        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
+    """
+
+    displacement: FloatArray
+    forces: dict[str, FloatArray]
+    failed: list[tuple[int, str]]
+    all_displacement: FloatArray
+
+    def at_every_frame(self, of_frame: IntArray) -> "SolvedCase":
+        """Return a case of more frames, each equal to one of these; `of_frame` (n,) holds the indices."""
+        why = dict(self.failed)
+        every = self.all_displacement[of_frame]
+        return SolvedCase(
+            every[:, : self.displacement.shape[1]],
+            {name: force[of_frame] for name, force in self.forces.items()},
+            [(frame, why[solved]) for frame, solved in enumerate(of_frame.tolist()) if solved in why],
+            every,
+        )
+
+
+def goes_through_time(experiment: Experiment) -> bool:
+    """Return whether frames must be solved one after another.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With the effects on body, supports and actuators applied (`tissuereg.experiment.effects.extended`).
+
+    Returns
+    -------
+    bool
+        True with memory, swelling, sliding supports, or a mesh that was imaged under gravity.
+    """
+    return hangs_already(experiment) or any(isinstance(effect, Memory | Sliding) for effect in experiment.effects)
+
+
+def remembers(experiment: Experiment) -> bool:
+    """Return whether the material depends on earlier frames.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With effects applied.
+
+    Returns
+    -------
+    bool
+        True with memory or swelling.
+    """
+    return any(isinstance(effect, Memory) for effect in experiment.effects)
+
+
+def is_carried(experiment: Experiment) -> bool:
+    """Return whether a case depends on the cases before it: with softening, set or friction."""
+    return any(
+        isinstance(effect, Softening | Set) or (isinstance(effect, Sliding) and effect.friction is not None)
+        for effect in experiment.effects
+    )
+
+
+def solve_through_time(
+    experiment: Experiment,
+    cases: Sequence[Case],
+    *,
+    element: str = "tet4",
+    tolerance: float = 1e-9,
+    threads: int = 0,
+    near: Mapping[str, FloatArray] | None = None,
+    rigs: Rigs | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> dict[str, SolvedCase]:
+    """Return the equilibria of cases, solved frame after frame.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With the effects on body, supports and actuators applied.
+    cases : sequence of Case
+        The cases to solve: with softening, set or friction, every case from the first one on.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Elements to use.
+    tolerance : float
+        Norm of the residual over the norm of the load.
+    threads : int
+        Threads to use; 0 takes all cores.
+    near : mapping of str to ndarray of float64, shape (n_frames, n_element_nodes, 3), optional
+        `SolvedCase.all_displacement` of a similar model by case (`solve_frames`).
+    rigs : dict, optional
+        As in `solve_frames`.
+    progress : callable of int, optional
+        Called with frames done.
+
+    Returns
+    -------
+    dict of str to SolvedCase
+        One per case, in the order given.
+
+    Raises
+    ------
+    ConvergenceError
+        If no frame of a case finds equilibrium.
+    ExperimentError
+        If cases that depend on each other overlap in time.
+    """
+    groups = [sorted(cases, key=lambda case: float(case.times[0]))] if is_carried(experiment) else [[c] for c in cases]
+    growing = _growing(experiment, element, tolerance, threads)
+    solved: dict[str, SolvedCase] = {}
+    done = 0
+    for group in groups:
+        _refuse_overlap(group)
+        frames = [frames_of_own(experiment, case) for case in group]
+        fewer = [_only(case, first) for case, (first, _) in zip(group, frames, strict=True)]
+        guides = None
+        if near is not None:
+            guides = {case.name: near[case.name][first] for case, (first, _) in zip(group, frames, strict=True)}
+        report = None if progress is None else _counting(progress, done, frames)
+        found = _solve_group(experiment, fewer, growing, element, tolerance, threads, guides, rigs, report)
+        for case, (_, of_frame) in zip(group, frames, strict=True):
+            solved[case.name] = found[case.name].at_every_frame(of_frame)
+        done += sum(len(case.times) for case in group)
+    return {case.name: solved[case.name] for case in cases}
+
+
+def frames_of_own(experiment: Experiment, case: Case) -> tuple[IntArray, IntArray]:
+    """Return the frames of a case that must be solved, and for every frame the index of its solved equal.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        With effects applied.
+    case : Case
+        One of its cases.
+
+    Returns
+    -------
+    tuple of ndarray of int64, shapes (n_solved,) and (n_frames,)
+        If memory depends on time, all frames; if it depends on the load path alone, or with friction, the frames whose
+        load differs from the previous one; otherwise one frame per distinct load.
+    """
+    if any(isinstance(effect, Memory) and not isinstance(effect, _TIMELESS) for effect in experiment.effects):
+        every = np.arange(len(case.times))
+        return every, every
+    of_frame = distinct_states(case)[1]
+    if is_carried(experiment):
+        of_frame = np.cumsum(np.diff(of_frame, prepend=of_frame[0]) != 0)
+    return first_frames(of_frame), of_frame
+
+
+def _only(case: Case, frames: IntArray) -> Case:
+    """Return some frames of the loads of a case."""
+    return replace(
+        case,
+        times=case.times[frames],
+        displacements={name: motion[frames] for name, motion in case.displacements.items()},
+        applied_forces={name: force[frames] for name, force in case.applied_forces.items()},
+    )
+
+
+def _counting(
+    progress: Callable[[int], object], before: int, frames: Sequence[tuple[IntArray, IntArray]]
+) -> Callable[[int], None]:
+    """Return a progress callback that counts all frames when it is called with solved ones."""
+    done = before + np.cumsum(np.concatenate([[0], *(np.bincount(of_frame) for _, of_frame in frames)]))
+
+    def report(solved: int) -> None:
+        progress(int(done[solved]))
+
+    return report
+
+
+def _solve_group(
+    experiment: Experiment,
+    group: Sequence[Case],
+    growing: "_Growing | None",
+    element: str,
+    tolerance: float,
+    threads: int,
+    near: Mapping[str, FloatArray] | None,
+    rigs: Rigs | None,
+    progress: Callable[[int], object] | None,
+) -> dict[str, SolvedCase]:
+    """Return cases that share one history."""
+    standing = _standing_times(experiment, float(group[0].times[0]))
+    times, loads, rows = [standing], [Load()] * len(standing), {}
+    done = [0] * (len(standing) + 1)
+    for number, case in enumerate(group):
+        if number > 0:
+            # The actuators of the previous case are released.
+            times.append(group[number - 1].times[-1:])
+            loads.append(Load())
+            done.append(done[-1])
+        rows[case.name] = slice(len(loads), len(loads) + len(case.times))
+        times.append(case.times)
+        loads += [Load(traction=traction_of(experiment, case, i)) for i in range(len(case.times))]
+        done += range(done[-1] + 1, done[-1] + 1 + len(case.times))
+    report = None if progress is None else (lambda n: progress(done[n]))
+    guides = None
+    if near is not None:
+        guides = np.full((len(loads), *next(iter(near.values())).shape[1:]), np.nan)
+        for name, mine in rows.items():
+            guides[mine] = near[name]
+    found = solve_frames(
+        experiment.mesh,
+        experiment.material,
+        np.concatenate(times),
+        loads=loads,
+        pads=_pads(experiment, group, rows, len(loads), growing),
+        behaviour=behaviour_of(experiment),
+        springs=_springs(experiment),
+        weight=weight_of(experiment),
+        in_reference=hangs_already(experiment),
+        element=element,
+        held_nodes=_held(experiment),
+        near=guides,
+        rigs=rigs,
+        tolerance=tolerance,
+        threads=threads,
+        progress=report,
+    )
+    answers = {}
+    for case in group:
+        mine = rows[case.name]
+        failed = [(frame - mine.start, why) for frame, why in found.failed if mine.start <= frame < mine.stop]
+        if len(failed) == len(case.times):
+            message = f"case '{case.name}' must have a frame that finds equilibrium; none does: {failed[0][1]}"
+            raise ConvergenceError(message, where=case.name)
+        forces = {pad.name: found.pad_forces[pad.name][mine] for pad in pads_of(experiment, case)}
+        answers[case.name] = SolvedCase(found.displacement[mine], forces, failed, found.all_displacement[mine])
+    return answers
+
+
+def behaviour_of(experiment: Experiment) -> behaviour.Behaviour | None:
+    """Return the behaviour given by the history effects, in the solver's form; None if there are none."""
+    given = {}
+    for effect in experiment.effects:
+        if isinstance(effect, Memory):
+            kind = getattr(behaviour, type(effect).__name__)
+            given[effect.id] = kind(**{key.name: getattr(effect, key.name) for key in fields(kind)})
+    return behaviour.Behaviour(**given) if given else None
+
+
+def _standing_times(experiment: Experiment, begin: float) -> FloatArray:
+    """Return the frames in which a body with a weight or a swelling comes to rest before its first case."""
+    fading = [tau for effect in experiment.effects if isinstance(effect, Relaxation) for tau in effect.tau_s]
+    fading += [effect.tau_s for effect in experiment.effects if isinstance(effect, Drainage)]
+    swells = any(isinstance(effect, Swelling) for effect in experiment.effects)
+    loaded = (experiment.gravity is not None and not hangs_already(experiment)) or swells
+    return begin - _REST * max(fading) * np.arange(4.0, -1.0, -1.0) if fading and loaded else np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Growing:
+    """Final displacement of a growing body that nothing touches, (n_nodes, 3) in mm."""
+
+    swelling: Swelling
+    field: FloatArray
+
+    def moved(self, nodes: IntArray, times: FloatArray) -> FloatArray:
+        """Return how far a patch has moved on since the first of some times, (n, 3) in mm."""
+        share = self.swelling.share(times)
+        return np.asarray((share - share[0])[:, None] * self.field[nodes].mean(axis=0))
+
+
+def _growing(experiment: Experiment, element: str, tolerance: float, threads: int) -> _Growing | None:
+    """Return the growth of a body whose pads follow it; None if pads hold their patches or nothing grows."""
+    swelling = next((effect for effect in experiment.effects if isinstance(effect, Swelling)), None)
+    if swelling is None or swelling.pads == "hold":
+        return None
+    alone = replace(experiment, effects=(swelling,))
+    found = solve_frames(
+        experiment.mesh,
+        experiment.material,
+        np.array([swelling.from_time_s, swelling.to_time_s]),
+        loads=[Load(), Load()],
+        behaviour=behaviour_of(alone),
+        element=element,
+        held_nodes=experiment.mesh.fixed_nodes,
+        tolerance=tolerance,
+        threads=threads,
+    )
+    return _Growing(swelling, found.displacement[1])
+
+
+def _pads(
+    experiment: Experiment, group: Sequence[Case], rows: dict[str, slice], n_frames: int, growing: _Growing | None
+) -> list[Pad]:
+    motions: dict[str, FloatArray] = {}
+    for case in group:
+        for pad in pads_of(experiment, case):
+            motion = motions.setdefault(pad.name, np.full((n_frames, 3), np.nan))
+            motion[rows[case.name]] = case.displacements[pad.name]
+            if growing is not None:
+                motion[rows[case.name]] += growing.moved(pad.nodes, case.times)
+    return [Pad(name, experiment.actuator(name).nodes, motion) for name, motion in motions.items()]
+
+
+def _held(experiment: Experiment) -> IntArray:
+    """Return the nodes of all boundaries that do not slide."""
+    sliding = {effect.boundary for effect in experiment.effects if isinstance(effect, Sliding)}
+    if not sliding:
+        return experiment.mesh.fixed_nodes
+    held = [boundary.nodes for boundary in experiment.boundaries if boundary.name not in sliding]
+    return np.unique(np.concatenate(held)) if held else np.empty(0, np.int64)
+
+
+def _springs(experiment: Experiment) -> list[behaviour.Springs]:
+    unit = float(experiment.material.young_array.max()) / experiment.mesh.extent
+    found = []
+    for effect in experiment.effects:
+        if isinstance(effect, Sliding):
+            along = _STICKS * unit if effect.spring_kpa_per_mm is None else effect.spring_kpa_per_mm
+            cohesion = effect.cohesion_kpa or 0.0
+            found.append(
+                behaviour.Springs(effect.triangles(experiment), _ACROSS * unit, along, effect.friction, cohesion)
+            )
+    return found
+
+
+def _refuse_overlap(group: Sequence[Case]) -> None:
+    for case, following in itertools.pairwise(group):
+        if following.times[0] < case.times[-1]:
+            message = (
+                "cases must follow each other on one clock where softening, set or friction is carried from one to the "
+                f"next: '{following.name}' begins at {following.times[0]:g} s, before '{case.name}' ends at "
+                f"{case.times[-1]:g} s"
+            )
+            raise ExperimentError(message, where=following.name)

@@ -1,0 +1,92 @@
+"""How far the members of a data set move, and how far they lie apart."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg.io.chunks import Fields
+
+#: Members of a chunk of which all pairs are compared: members are independent, so pairs within chunks stand for all.
+_PAIRED = 32
+
+#: Quantiles that are stated.
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+#: Distance of two members, mm, whose share among pairs is stated: the start error of the paper's Fig. 8 is 7.3 mm.
+FAR_MM = 7.0
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Motion of some members.
+
+    Attributes
+    ----------
+    mean_mm, largest_mm : ndarray of float64, shape (k,)
+        Mean and largest displacement of a member's nodes.
+    apart_mm : ndarray of float64, shape (n_pairs,)
+        Mean distance between corresponding nodes of two members, over pairs.
+    """
+
+    mean_mm: FloatArray
+    largest_mm: FloatArray
+    apart_mm: FloatArray
+
+
+def motion_of(displacement: Fields) -> Motion:
+    """Return the motion of a chunk's members.
+
+    Parameters
+    ----------
+    displacement : ndarray of float32, shape (k, n_nodes, 3)
+        In mm.
+
+    Returns
+    -------
+    Motion
+        All pairs of the first 32 members.
+    """
+    moved = np.linalg.norm(displacement.astype(np.float64), axis=2)
+    few = displacement[:_PAIRED].astype(np.float64)
+    apart = [np.linalg.norm(few[i + 1 :] - few[i], axis=2).mean(axis=1) for i in range(len(few) - 1)]
+    return Motion(moved.mean(axis=1), moved.max(axis=1), np.concatenate([np.empty(0), *apart]))
+
+
+def motion_summary(motions: Sequence[Motion]) -> dict[str, object]:
+    """Return means and quantiles of the motion of all members.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        One a chunk.
+
+    Returns
+    -------
+    dict
+        ``quantiles`` (the probabilities), for ``mean_node_mm``, ``largest_mm`` and ``apart_mm`` a dict of ``mean``,
+        ``quantiles`` and ``largest``; ``n_pairs``; ``share_apart_7_mm``, the share of pairs at least 7 mm apart.
+    """
+    mean, largest, apart = (
+        np.concatenate([np.empty(0), *(getattr(motion, name) for motion in motions)])
+        for name in ("mean_mm", "largest_mm", "apart_mm")
+    )
+    return {
+        "quantiles": list(QUANTILES),
+        "mean_node_mm": _spread(mean),
+        "largest_mm": _spread(largest),
+        "apart_mm": _spread(apart),
+        "n_pairs": len(apart),
+        "share_apart_7_mm": float(np.mean(apart >= FAR_MM)) if len(apart) else None,
+    }
+
+
+def _spread(values: FloatArray) -> dict[str, object] | None:
+    if not len(values):
+        return None
+    return {
+        "mean": float(values.mean()),
+        "quantiles": [float(one) for one in np.quantile(values, QUANTILES)],
+        "largest": float(values.max()),
+    }

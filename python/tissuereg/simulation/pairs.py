@@ -1,0 +1,134 @@
+"""Pairs of a data set: the same event simulated by the believed model and by another one."""
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray
+from tissuereg._version import __version__
+from tissuereg.body.material import Material
+from tissuereg.errors import EnsembleError
+from tissuereg.io.hdf5 import array_of, opened, packed
+from tissuereg.io.pairs import PAIRS_SCHEMA, check_pairs
+from tissuereg.io.stores import store_of
+from tissuereg.simulation.chunks import SOLVE, SOLVE_ITERATIONS, ChunkMaker, ChunkTask, chunk_maker
+from tissuereg.simulation.solve import Simulator
+from tissuereg.simulation.variation import random_inclusion
+
+PAIRS_NAME = "pairs.h5"
+
+
+@dataclass(frozen=True)
+class PairsReport:
+    """What is known about the pairs' file: its size and SHA-256, and whether it was made now."""
+
+    n_bytes: int
+    sha256: str
+    made: bool
+
+
+def make_pairs(task: ChunkTask) -> PairsReport:
+    """Make the pairs and write them, or find that they are there.
+
+    Parameters
+    ----------
+    task : ChunkTask
+        Any task of the data set; its number does not matter.
+
+    Returns
+    -------
+    PairsReport
+        Size and fingerprint of the file.
+
+    Raises
+    ------
+    EnsembleError
+        If more than half of the pairs fail.
+    FormatError
+        If the pairs are there already, but spoilt.
+    OutputError
+        If they cannot be written.
+    """
+    store = store_of(task.destination)
+    made = not store.exists(PAIRS_NAME)
+    if not made:
+        content = store.read(PAIRS_NAME)
+        _check(task, content)
+    else:
+        simulations, truths = simulated_pairs(chunk_maker(task), task.threads)
+        arrays = {
+            "simulation_mm": simulations.astype(np.float32),
+            "truth_mm": truths.astype(np.float32),
+        }
+        attributes = {"schema": PAIRS_SCHEMA, "recipe_sha256": task.mark, "version": __version__}
+        content = packed(arrays, attributes, frozenset(arrays))
+        store.write(PAIRS_NAME, content)
+    return PairsReport(len(content), hashlib.sha256(content).hexdigest(), made)
+
+
+def _check(task: ChunkTask, content: bytes) -> None:
+    """Refuse pairs of another data set, or spoilt ones; their checksums are compared."""
+    store = store_of(task.destination)
+    where, n_nodes = store.where(PAIRS_NAME), chunk_maker(task).simulator.mesh.n_nodes
+    with opened(store, PAIRS_NAME, content) as file:
+        check_pairs(file, where, task.mark)
+        n_pairs = len(array_of(file, where, "simulation_mm", "f", (None, n_nodes, 3)))
+        array_of(file, where, "truth_mm", "f", (n_pairs, n_nodes, 3))
+
+
+def simulated_pairs(
+    maker: ChunkMaker, threads: int = 0, *, max_iterations: int = SOLVE_ITERATIONS
+) -> tuple[FloatArray, FloatArray]:
+    """Return the pairs of a data set.
+
+    Parameters
+    ----------
+    maker : ChunkMaker
+        Recipe, mesh and seed.
+    threads : int
+        Threads to use; 0 takes all cores. The pairs do not depend on it.
+    max_iterations : int
+        A simulation that needs more fails, and its pair with it.
+
+    Returns
+    -------
+    simulations, truths : ndarray of float64, shape (n_pairs, n_nodes, 3)
+        Displacements of the believed model and of the other one, mm; pairs of which one found no equilibrium are left
+        out.
+
+    Raises
+    ------
+    EnsembleError
+        If more than half of the pairs fail.
+    """
+    recipe, simulator = maker.recipe, maker.simulator
+    # A stream of its own: what else is drawn does not depend on Poisson's ratio.
+    rng, of_poisson = np.random.default_rng([maker.seed, 4]), np.random.default_rng([maker.seed, 5])
+    pairs = recipe.pairs
+    believed = Material(recipe.material.young_kpa[0], recipe.material.poisson)
+    events, size, _ = maker.events(believed, pairs.members, rng, threads)
+    true_simulator = Simulator(simulator.mesh, element=pairs.element)
+    loads, true_loads, truths = [], [], []
+    for event, s in zip(events, size, strict=True):
+        loads.append(event.load(simulator, s))
+        load, material = pairs.variation.draw(event.load(true_simulator, s), believed, rng)
+        true_loads.append(load)
+        poisson = believed.poisson + of_poisson.uniform(*pairs.poisson_change)
+        truths.append(Material(material.young_array * _inclusion(maker, rng), poisson))
+    how: dict[str, Any] = {**SOLVE, "threads": threads, "max_iterations": max_iterations}
+    simulated = simulator.solve_many(loads, [believed] * len(loads), **how)
+    true = true_simulator.solve_many(true_loads, truths, **how)
+    both = np.intersect1d(simulated.solved, true.solved)
+    if len(both) < pairs.members / 2:
+        message = f"at least half of the pairs must find equilibrium, {len(both)} of {pairs.members} did"
+        raise EnsembleError(message, dropped=simulated.failed + true.failed)
+    return simulated.displacement[both], true.displacement[both]
+
+
+def _inclusion(maker: ChunkMaker, rng: np.random.Generator) -> FloatArray:
+    """Return the factor on Young's modulus of every tet: a stiff ball around a random node, or none."""
+    pairs, mesh = maker.recipe.pairs, maker.simulator.mesh
+    ball = random_inclusion(mesh, rng, pairs.inclusion_radius_mm, pairs.inclusion_contrast)
+    return ball if rng.random() < pairs.inclusion_share else np.ones(mesh.n_tets)

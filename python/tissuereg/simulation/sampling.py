@@ -1,0 +1,368 @@
+"""Random events on a body: surface patches pulled or pushed, plates pressed in, body forces in random directions.
+
+An event is drawn in two steps. First its *shape*: one to three patches of the free surface, each with a direction, or a
+plate, and a share of body force; or a body force alone. Then its *size*: the load is scaled so that in the linear
+solution the largest node displacement has a wanted value. The linear solutions of all events come from one cheap pass
+of nearly unloaded solves. Patches near the support and far from it therefore deform the body by similar amounts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import EnsembleError, MeshError
+from tissuereg.simulation.solve import Simulator
+
+#: Size of the first, nearly linear pass, as a share of the body's extent.
+_SMALL = 1e-4
+
+#: Range of a plate's depth as a share of its radius.
+_DEPTH_SHARE = (0.05, 0.4)
+
+
+#: Standard deviation of the logarithm of a random change's size.
+_SIZE_LOG_STD = 0.7
+
+
+@dataclass(frozen=True)
+class EventSettings:
+    """Settings of random events.
+
+    Parameters
+    ----------
+    n_patches : tuple of int
+        Smallest and largest number of patches of an event.
+    radius_share : tuple of float
+        Smallest and largest patch radius as a share of the body's largest extent.
+    body_force_share : float
+        Probability that an event with patches or a plate has a body force as well.
+    plate_share : float
+        Probability that a plate is pressed in, in place of patches.
+    gravity_share : float
+        Probability that there is nothing but a body force.
+    """
+
+    n_patches: tuple[int, int] = (1, 3)
+    radius_share: tuple[float, float] = (0.08, 0.33)
+    body_force_share: float = 0.6
+    plate_share: float = 0.0
+    gravity_share: float = 0.0
+
+
+class EventSampler:
+    """Draws random events on one body.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape with its held nodes.
+    settings : EventSettings
+        Settings of the events.
+    held_nodes : ndarray of int64, optional
+        Nodes that patches avoid; by default the node set ``fixed``.
+
+    Raises
+    ------
+    MeshError
+        If the whole surface is held, so that nothing could be loaded.
+    """
+
+    def __init__(self, mesh: Mesh, settings: EventSettings | None = None, held_nodes: Any = None) -> None:
+        self.mesh = mesh
+        self.settings = settings or EventSettings()
+        held = np.zeros(mesh.n_nodes, dtype=bool)
+        held[mesh.fixed_nodes if held_nodes is None else held_nodes] = True
+        corners = mesh.nodes[mesh.surface]
+        free = ~held[mesh.surface].all(axis=1)
+        if not free.any():
+            message = "the body must have a free surface to load; every boundary triangle is held"
+            raise MeshError(message, where="fixed")
+        normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self._triangles = mesh.surface[free]
+        self._centres = corners.mean(axis=1)[free]
+        self._areas = np.linalg.norm(normal, axis=1)[free]
+        self._normals = normal[free] / self._areas[:, None]
+        self._volume = float(mesh.volumes.sum())
+
+    def draw(self, rng: np.random.Generator) -> "Event":
+        """Return one event of unit total force (1 mN a patch, 1 mN for the body force).
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of random numbers.
+
+        Returns
+        -------
+        Event
+            Shape of the load, not yet scaled.
+        """
+        settings = self.settings
+        other = settings.plate_share + settings.gravity_share
+        kind = rng.random() if other > 0.0 else 1.0
+        if kind < settings.gravity_share:
+            return Event((), _direction(rng) / self._volume)
+        if kind < other:
+            plate = self._plate(rng)
+            return Event((self.pressed(plate),), self._body_force(rng), (), plate)
+        patches: list[Loaded] = []
+        drawn: list[Patch] = []
+        for _ in range(int(rng.integers(settings.n_patches[0], settings.n_patches[1] + 1))):
+            row, radius = self._place(rng)
+            centre = self._centres[row]
+            rows = np.flatnonzero(np.linalg.norm(self._centres - centre, axis=1) <= radius)
+            direction = _direction(rng) * rng.uniform(0.3, 1.0)
+            patches.append((self._triangles[rows], direction / self._areas[rows].sum()))
+            drawn.append(Patch(centre, radius, direction))
+        return Event(tuple(patches), self._body_force(rng), tuple(drawn))
+
+    def pressed(self, plate: "Plate") -> "Loaded":
+        """Return the triangles that a plate presses, and the traction on each for a total of 1 mN.
+
+        The pressure is that of an elastic foundation: it grows with the depth by which the plate overlaps the
+        undeformed surface (K. L. Johnson, Contact Mechanics, 1985, section 4.3); no contact problem is solved.
+        """
+        along = (self._centres - plate.centre) @ plate.direction
+        across = np.linalg.norm(self._centres - plate.centre - np.outer(along, plate.direction), axis=1)
+        meets = (across <= plate.radius) & (self._normals @ plate.direction < 0.0) & (along <= plate.radius)
+        overlap = np.where(meets, along[meets].min(initial=np.inf) + plate.depth - along, 0.0)
+        rows = np.flatnonzero(overlap > 0.0)
+        share = overlap[rows] / (overlap[rows] * self._areas[rows]).sum()
+        return self._triangles[rows], np.outer(share, plate.direction)
+
+    def _plate(self, rng: np.random.Generator) -> "Plate":
+        row, radius = self._place(rng)
+        tilted = -self._normals[row] + 0.5 * rng.uniform() * _direction(rng)
+        depth = radius * rng.uniform(*_DEPTH_SHARE)
+        return Plate(self._centres[row], radius, np.asarray(tilted / np.linalg.norm(tilted)), depth)
+
+    def _place(self, rng: np.random.Generator) -> tuple[int, float]:
+        """Return a random triangle of the free surface, and a radius in mm."""
+        row = int(rng.choice(len(self._areas), p=self._areas / self._areas.sum()))
+        return row, self.mesh.extent * rng.uniform(*self.settings.radius_share)
+
+    def _body_force(self, rng: np.random.Generator) -> FloatArray:
+        """Return a body force in mN/mm^3, or zero."""
+        if rng.random() < self.settings.body_force_share:
+            return np.asarray(_direction(rng) * rng.uniform(0.0, 1.5) / self._volume)
+        return np.zeros(3)
+
+    def columns(self, events: Sequence["Event"], sizes: FloatArray) -> dict[str, FloatArray]:
+        """Return a table of events with their sizes.
+
+        Parameters
+        ----------
+        events : sequence of Event
+            As drawn.
+        sizes : ndarray of float64, shape (n_events,)
+            Their sizes in mN.
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``patch_centre_mm`` (n_events, p, 3), ``patch_radius_mm`` (n_events, p), ``patch_force_mN`` (n_events, p, 3)
+            with p the largest number of patches, NaN where an event has fewer; ``body_force_mN_per_mm3`` (n_events, 3);
+            where plates are drawn, ``plate_centre_mm``, ``plate_force_mN`` (n_events, 3), ``plate_radius_mm``,
+            ``plate_depth_mm`` (n_events,), NaN where an event has none.
+        """
+        shape = (len(events), self.settings.n_patches[1])
+        centre, force = np.full((*shape, 3), np.nan), np.full((*shape, 3), np.nan)
+        radius = np.full(shape, np.nan)
+        for row, (event, size) in enumerate(zip(events, sizes, strict=True)):
+            for column, patch in enumerate(event.drawn):
+                centre[row, column], radius[row, column] = patch.centre, patch.radius
+                force[row, column] = size * patch.force
+        weight = np.array([size * event.body_force for event, size in zip(events, sizes, strict=True)])
+        columns = {
+            "patch_centre_mm": centre,
+            "patch_radius_mm": radius,
+            "patch_force_mN": force,
+            "body_force_mN_per_mm3": weight.reshape(-1, 3),
+        }
+        if self.settings.plate_share == 0.0:
+            return columns
+        none = Plate(np.full(3, np.nan), np.nan, np.full(3, np.nan), np.nan)
+        plates = [event.plate or none for event in events]
+        pushes = [size * plate.direction for plate, size in zip(plates, sizes, strict=True)]
+        return columns | {
+            "plate_centre_mm": np.array([plate.centre for plate in plates]).reshape(-1, 3),
+            "plate_radius_mm": np.array([plate.radius for plate in plates]),
+            "plate_depth_mm": np.array([plate.depth for plate in plates]),
+            "plate_force_mN": np.array(pushes).reshape(-1, 3),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A loaded part of the surface: centre and radius in mm, total force of an event of unit size in mN."""
+
+    centre: FloatArray
+    radius: float
+    force: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """A flat disc pressed in along `direction` (a unit vector): centre, radius, and depth of overlap in mm.
+
+    The disc overlaps the undeformed surface by the depth where it meets it first.
+    """
+
+    centre: FloatArray
+    radius: float
+    direction: FloatArray
+    depth: float
+
+
+#: Triangles, and the traction on all or on each of them, kPa per mN of the event's size.
+Loaded = tuple[IntArray, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A random load of unit size: patches (triangles, traction in kPa a unit) and a body force (mN/mm^3 a unit).
+
+    `drawn` and `plate` say what was drawn; other makers of events leave them out.
+    """
+
+    patches: tuple[Loaded, ...]
+    body_force: FloatArray
+    drawn: tuple[Patch, ...] = ()
+    plate: Plate | None = None
+
+    def load(self, simulator: Simulator, scale: float, base: Load | None = None) -> Load:
+        """Return the event as a load of a given size on top of another load.
+
+        Parameters
+        ----------
+        simulator : Simulator
+            Body on which tractions become nodal forces.
+        scale : float
+            Size of the event in mN.
+        base : Load, optional
+            Load that acts in addition.
+
+        Returns
+        -------
+        Load
+            Tractions added up where patches share a triangle.
+        """
+        base = base or Load()
+        body_force = scale * self.body_force + (0.0 if base.body_force is None else np.asarray(base.body_force))
+        if not self.patches:
+            return Load(base.forces, body_force, base.prescribed, base.traction)
+        triangles = np.concatenate([t for t, _ in self.patches])
+        traction = np.concatenate([np.broadcast_to(scale * p, (len(t), 3)) for t, p in self.patches])
+        if base.traction is not None:
+            base_triangles = np.asarray(base.traction[0])
+            base_traction = np.broadcast_to(np.asarray(base.traction[1], np.float64), base_triangles.shape)
+            triangles = np.concatenate([base_triangles, triangles])
+            traction = np.concatenate([base_traction, traction])
+        _, first, facet = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_inverse=True)
+        total = np.zeros((len(first), 3))
+        np.add.at(total, facet.reshape(-1), traction)
+        triangles, traction = triangles[first], total
+        return Load(base.forces, body_force, base.prescribed, (triangles, traction))
+
+
+def linear_answers(
+    simulator: Simulator, events: Sequence[Event], material: Material, *, threads: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Return each event's linear displacement, scaled to a largest node displacement of 1 mm, and its size for that.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Analysed body.
+    events : sequence of Event
+        Unit events.
+    material : Material
+        Material of the body.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Returns
+    -------
+    displacement : ndarray of float64, shape (n_events, n_nodes, 3)
+        mm, largest node displacement 1 mm.
+    scale : ndarray of float64, shape (n_events,)
+        mN that give it.
+
+    Notes
+    -----
+    Solved by the nonlinear solver under loads that move the body by about 1e-4 of its extent, so that the solution
+    is linear to about 1e-4; cost: a few back-substitutions per event.
+    """
+    extent = simulator.mesh.extent
+    force_per_mm = float(np.median(material.young_array)) * extent  # stiffness of a cube of this size, mN/mm
+    scale = np.full(len(events), force_per_mm * _SMALL * extent)
+    loads = [event.load(simulator, s) for event, s in zip(events, scale, strict=True)]
+    found = simulator.solve_many(loads, [material] * len(events), tolerance=1e-4, threads=threads)
+    largest = np.linalg.norm(found.displacement, axis=2).max(axis=1)
+    lost = ~np.isfinite(largest) | (largest <= 0)
+    largest[lost] = np.inf  # such an event gets no load and is counted as failed by its size 0
+    displacement = np.where(lost[:, None, None], 0.0, found.displacement) / largest[:, None, None]
+    return displacement, scale / largest
+
+
+def random_changes(
+    mesh: Mesh,
+    material: Material,
+    *,
+    largest_mm: float,
+    n_events: int,
+    rng: np.random.Generator,
+    held_nodes: Any = None,
+    threads: int = 0,
+) -> FloatArray:
+    """Return fields of random pushes and pulls, linear about the undeformed body.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Undeformed body.
+    material : Material
+        Believed material.
+    largest_mm : float
+        Largest node displacement of a usual event, mm; sizes are log-normal about it.
+    n_events : int
+        Events drawn.
+    rng : numpy.random.Generator
+        Source of places, directions and sizes.
+    held_nodes : array_like of int, optional
+        Nodes that are held; by default the node set ``fixed``.
+    threads : int
+        Threads to use; 0 takes all cores.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, n_nodes, 3)
+        Of the events with an equilibrium, mm. Cost: a nearly linear solve each.
+
+    Raises
+    ------
+    MeshError, SupportError
+        If nothing of the surface is free, or the body can move freely.
+    EnsembleError
+        If half of the events find no equilibrium.
+    """
+    simulator = Simulator(mesh, held_nodes=held_nodes)
+    sampler = EventSampler(mesh, held_nodes=held_nodes)
+    fields, scale = linear_answers(simulator, [sampler.draw(rng) for _ in range(n_events)], material, threads=threads)
+    fields = fields[scale > 0.0]
+    if len(fields) < max(4, n_events // 2):
+        message = f"half of {n_events} events or more must find an equilibrium, {len(fields)} did"
+        raise EnsembleError(message, where="n_events")
+    fields *= largest_mm * np.exp(_SIZE_LOG_STD * rng.standard_normal(len(fields)))[:, None, None]
+    return fields
+
+
+def _direction(rng: np.random.Generator) -> FloatArray:
+    vector = rng.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))

@@ -1,0 +1,320 @@
+"""Derivatives of an equilibrium by causes, and of observations by the stiffness of every point.
+
+The derivatives are exact. The tangent stiffness at the equilibrium is factored once; each cause costs one solution, and
+so does each observation. `tissuereg.simulation.frame_sensitivity` does the same through time frames.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tissuereg._base.arrays import FloatArray, float_array
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.simulation.bed import stiffness_array
+from tissuereg.simulation.causes import Cause, Field, Observation, Parameter, core_cause, core_observation
+from tissuereg.simulation.solve import Simulation, Simulator
+
+__all__ = [
+    "Adjoints",
+    "Cause",
+    "Compliance",
+    "Derivatives",
+    "Field",
+    "Linearised",
+    "Observation",
+    "Parameter",
+    "core_cause",
+    "core_observation",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Derivatives of an equilibrium by each cause, per unit of the cause.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_causes, n_nodes, 3)
+        Of the mesh's nodes, mm.
+    reactions : ndarray of float64, shape (n_causes, n_held, 3)
+        Of the force on the body at every held node, mN.
+    all_displacement : ndarray of float64, shape (n_causes, n_element_nodes, 3)
+        Of all nodes, with the mid-edge nodes of ten-node elements after the mesh's nodes.
+    """
+
+    displacement: FloatArray
+    reactions: FloatArray
+    all_displacement: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Adjoints:
+    """Derivatives of each observation by all inputs (adjoint solutions).
+
+    Attributes
+    ----------
+    young : ndarray of float64, shape (n_obs, n_tets, n_points)
+        Derivative by Young's modulus of every quadrature point, per kPa. The derivative by a field is the weighted sum.
+    poisson : ndarray of float64, shape (n_obs, n_tets, n_points)
+        By Poisson's ratio of every quadrature point.
+    forces : ndarray of float64, shape (n_obs, n_element_nodes, 3)
+        By the force at every node, per mN.
+    body_force : ndarray of float64, shape (n_obs, 3)
+        By the body force, per mN/mm^3.
+    prescribed : ndarray of float64, shape (n_obs, n_held, 3)
+        By the prescribed displacement of every held node, per mm.
+    springs : ndarray of float64, shape (n_obs, n_sets, 2)
+        By the stiffness of every set of springs along the normal and in the plane, per kPa/mm.
+    """
+
+    young: FloatArray
+    poisson: FloatArray
+    forces: FloatArray
+    body_force: FloatArray
+    prescribed: FloatArray
+    springs: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """Derivatives of observations of displacements by forces and prescribed displacements.
+
+    Attributes
+    ----------
+    forces : ndarray of float64, shape (n_obs, n_element_nodes, 3)
+        Derivative by the force at every node, per mN; zero at held nodes.
+    body_force : ndarray of float64, shape (n_obs, 3)
+        By the body force, per mN/mm^3.
+    prescribed : ndarray of float64, shape (n_obs, n_held, 3)
+        By the prescribed displacement of every held node, per mm.
+    """
+
+    forces: FloatArray
+    body_force: FloatArray
+    prescribed: FloatArray
+
+
+class Linearised:
+    """An equilibrium with its exact tangent, factored once for any number of causes and observations.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        The analysed body.
+    load : Load
+        The load.
+    material : Material
+        Material of the body.
+    displacement : array_like of float, shape (n_element_nodes, 3)
+        Equilibrium under them in mm: `Simulation.all_displacement`.
+    springs : array_like of float, shape (n_sets, 2), optional
+        Stiffness of the simulator's springs in kPa/mm; by default that given to the simulator.
+    precision : {"double", "single"}
+        Precision of the factor. A single one takes 60 to 80 % of the time and half the memory; its solutions are
+        refined to a relative error of 1e-9. If the tangent is too close to singular for that, a double one is used.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+
+    Raises
+    ------
+    ConvergenceError
+        If the displacement is not an equilibrium, or not a stable one.
+    LoadError, MaterialError, ShapeError
+        If the input does not fit the body.
+
+    Examples
+    --------
+    >>> from tissuereg import Mesh
+    >>> block = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
+    >>> simulator, pull = Simulator(block), Load(forces=[[0, 0, 0]] * 3 + [[0, 0, 30.0]])
+    >>> silicone = Material(young=10.0, poisson=0.3)
+    >>> found = simulator.solve(pull, silicone)
+    >>> here = Linearised(simulator, pull, silicone, found.all_displacement)
+    >>> by_young = here.derivatives([Parameter("young")]).displacement[0, 3, 2]
+    >>> bool(by_young < 0)
+    True
+    >>> by_tet = here.adjoints([Observation([3], [[0, 0, 1.0]])]).young[0]
+    >>> bool(abs(by_tet.sum() - by_young) < 1e-9)
+    True
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        load: Load,
+        material: Material,
+        displacement: Any,
+        *,
+        springs: Any = None,
+        precision: str = "double",
+        threads: int = 0,
+    ) -> None:
+        self.simulator = simulator
+        young, poisson = simulator.moduli(material)
+        self._core = simulator.body.linearise(
+            float_array("displacement", displacement, (simulator.body.n_nodes, 3)),
+            young,
+            poisson,
+            law=material.core_law(),
+            springs=stiffness_array(springs, (simulator.n_springs, 2)),
+            precision=precision,
+            threads=threads,
+            **simulator.load_parts(load),
+        )
+
+    def derivatives(self, causes: Sequence[Cause]) -> Derivatives:
+        """Return the derivatives of displacement and reactions by each cause.
+
+        Parameters
+        ----------
+        causes : sequence of Parameter, Field or Load
+            Causes; the cost is one solution each.
+
+        Returns
+        -------
+        Derivatives
+            One entry per cause, in their order.
+
+        Raises
+        ------
+        MaterialError
+            If the law does not have a parameter.
+        LoadError, ShapeError
+            If rates do not fit the body.
+        """
+        everything, reactions = self._core.derivatives([core_cause(self.simulator, cause) for cause in causes])
+        n_nodes = self.simulator.mesh.n_nodes
+        return Derivatives(everything[:, :n_nodes].copy(), reactions, everything)
+
+    def adjoints(self, observations: Sequence[Observation]) -> Adjoints:
+        """Return the derivatives of each observation by all inputs.
+
+        Parameters
+        ----------
+        observations : sequence of Observation
+            Observations; the cost is one solution each.
+
+        Returns
+        -------
+        Adjoints
+            One entry per observation, in their order.
+
+        Raises
+        ------
+        LoadError
+            If a node does not exist or is not held.
+        ShapeError
+            If there is not one row of weights per node.
+        """
+        found = self._core.adjoints([core_observation(observation) for observation in observations])
+        return Adjoints(found.young, found.poisson, found.forces, found.body_force, found.prescribed, found.springs)
+
+    def compliance(self, observations: Sequence[Observation]) -> Compliance:
+        """Return the derivatives of observations of displacements by forces and supports only; fast for many.
+
+        Parameters
+        ----------
+        observations : sequence of Observation
+            Observations, without reactions.
+
+        Returns
+        -------
+        Compliance
+            One entry per observation, in their order; each has the same bits whatever the others are.
+
+        Raises
+        ------
+        LoadError
+            If a node does not exist, or if an observation weighs reactions.
+        ShapeError
+            If there is not one row of weights per node.
+        """
+        found = self._core.compliance([core_observation(observation) for observation in observations])
+        return Compliance(found.forces, found.body_force, found.prescribed)
+
+    def responses(self, forces: Any) -> FloatArray:
+        """Return the linear response of the displacement to each of many fields of nodal forces.
+
+        Parameters
+        ----------
+        forces : array_like of float, shape (n_fields, n_element_nodes, 3)
+            Nodal forces in mN.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_fields, n_element_nodes, 3)
+            Displacement in mm, to first order; zero at held nodes.
+
+        Raises
+        ------
+        LoadError, ShapeError
+            If the forces are not finite or do not fit the body.
+        """
+        return self._core.responses(float_array("forces", forces, (None, self.simulator.body.n_nodes, 3)))
+
+    def unbalanced(self, causes: Sequence[Cause]) -> FloatArray:
+        """Return the unbalanced nodal forces of each cause at fixed displacement.
+
+        The derivative of an observation ``o`` of free nodes by cause ``c`` is
+        ``-sum(compliance.forces[o] * unbalanced[c])``: one matrix product for many of both.
+
+        Parameters
+        ----------
+        causes : sequence of Parameter, Field or Load
+            Causes.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_causes, n_element_nodes, 3)
+            In mN per unit of the cause.
+
+        Raises
+        ------
+        MaterialError
+            If the law does not have a parameter.
+        LoadError, ShapeError
+            If rates do not fit the body.
+        """
+        return self._core.unbalanced([core_cause(self.simulator, cause) for cause in causes])
+
+    def solve_near(
+        self, load: Load, *, springs: Any = None, tolerance: float = 1e-9, max_iterations: int = 1000
+    ) -> Simulation:
+        """Return the equilibrium under another load, starting from this one with its factor.
+
+        Parameters
+        ----------
+        load : Load
+            The load.
+        springs : array_like of float, shape (n_sets, 2), optional
+            Stiffness of the simulator's springs in kPa/mm; by default that given to the simulator.
+        tolerance : float
+            Norm of the residual over the norm of the load, free degrees of freedom.
+        max_iterations : int
+            Iterations allowed.
+
+        Returns
+        -------
+        Simulation
+            As `Simulator.solve` with the material of this equilibrium.
+
+        Raises
+        ------
+        ConvergenceError
+            If no equilibrium is found.
+        LoadError, ShapeError
+            If the load does not fit the body.
+        """
+        found = self._core.solve_near(
+            **self.simulator.load_parts(load),
+            springs=stiffness_array(springs, (self.simulator.n_springs, 2)),
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+        )
+        return self.simulator.simulation(found)
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """Work so far: `precision` of the factor, `factorisations`, `right_hand_sides` and their `corrections`."""
+        return self._core.report

@@ -1,0 +1,297 @@
+"""How much memory and time a body will take, estimated from its symbolic analysis before anything is factored.
+
+The rule for large bodies (``docs/large-bodies.md``): a body is refused if its estimated memory is more than what is
+available; above half of that a warning is given. Numbers of bytes and operations below are properties of the code, set
+by ``benchmarks/large_bodies.py``; the speed is that of the machine, measured when it is first needed.
+"""
+
+import math
+import time
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tissuereg._base.machine import LIMIT, available_bytes, n_cores, resident_bytes
+from tissuereg.errors import LargeBodyError, LargeBodyWarning
+
+if TYPE_CHECKING:
+    from tissuereg.simulation.solve import Simulator
+
+#: A warning is given above this share of the available memory, and a message shown above this time in seconds.
+WARNED_SHARE, LONG_SECONDS = 0.5, 60.0
+
+#: Working entries while a factor is made, as a multiple of those of one thread: threads work on several fronts.
+_WORKING = 2.4
+
+#: A factor of so many entries is checked in any case, whatever is done with the body.
+_LARGE_ENTRIES = 10_000_000
+
+#: Costs as operations at the speed of matrix products: per factor entry and right-hand side; per tet and factorisation.
+_PER_ENTRY, _PER_TET = 42.0, 4e5
+
+#: Order of the matrix product that measures the speed, and how often it is made.
+_ORDER, _REPEATS = 512, 5
+
+#: Meshes of fewer nodes are not suggested.
+_SMALLEST = 50
+
+#: Share of the available memory that a suggested mesh may take.
+_ROOM = 0.85
+
+
+@dataclass(frozen=True)
+class BodySize:
+    """Result of the symbolic analysis.
+
+    Attributes
+    ----------
+    n_nodes, n_tets, n_unknowns : int
+        Nodes of the mesh, elements, and displacement components that are not held.
+    n_entries : int
+        Entries of the factor of the stiffness.
+    flops : float
+        Floating-point operations of one factorisation.
+    n_working : int
+        Most additional entries that one thread holds while it makes the factor.
+    element : str
+        Elements of the solver.
+    """
+
+    n_nodes: int
+    n_tets: int
+    n_unknowns: int
+    n_entries: int
+    flops: float
+    n_working: int
+    element: str
+
+    @classmethod
+    def of(cls, simulator: "Simulator") -> "BodySize":
+        """Return the size of an analysed body."""
+        body, mesh = simulator.body, simulator.mesh
+        n_entries, flops, n_working = body.factor_size
+        return cls(mesh.n_nodes, mesh.n_tets, body.n_unknowns, n_entries, flops, n_working, simulator.element)
+
+
+@dataclass(frozen=True)
+class Work:
+    """The work to be done with a body.
+
+    Attributes
+    ----------
+    factorisations : int
+        Expected number.
+    factors_held : int
+        Factors that are held at the same time.
+    entry_bytes : int
+        Memory of an entry of a factor.
+    right_hand_sides : int
+        Expected number.
+    fields : int
+        Whole fields, three numbers per node, that are held at the same time.
+    tet_fields : int
+        Numbers per tet that are held at the same time.
+    later_bytes : int
+        Memory of modules imported and pictures drawn later; not part of the rule, since it does not depend on the body.
+    tet_flops : float
+        All other work per tet, as operations at the speed of matrix products.
+    """
+
+    factorisations: int
+    factors_held: int
+    entry_bytes: int
+    right_hand_sides: int
+    fields: int
+    tet_fields: int
+    later_bytes: int = 0
+    tet_flops: float = 0.0
+
+
+#: One static solve: the metric at rest, its factor kept as 16-bit integers, and the iterations of a large deformation.
+SOLVE = Work(1, 1, 2, 60, 60, 60)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Time and memory that a body will need.
+
+    Attributes
+    ----------
+    size : BodySize
+        The body.
+    work : Work
+        What is done with it.
+    seconds : float
+        Wall time, while nothing else runs on the machine.
+    added_bytes : int
+        Memory that the body takes in addition to what the process holds.
+    peak_bytes : int
+        Memory of the process at most.
+    available_bytes : int or None
+        Memory that the process may still take; None if unknown.
+    """
+
+    size: BodySize
+    work: Work
+    seconds: float
+    added_bytes: int
+    peak_bytes: int
+    available_bytes: int | None
+
+    @classmethod
+    def of(cls, size: BodySize, work: Work, threads: int) -> "Estimate":
+        """Return the estimate of some work on a body with so many threads (0: all cores).
+
+        Cost: about two milliseconds, once per process.
+        """
+        n_threads = min(threads or n_cores(), n_cores())
+        flops = work.factorisations * (size.flops + _PER_TET * size.n_tets)
+        flops += _PER_ENTRY * size.n_entries * work.right_hand_sides + work.tet_flops * size.n_tets
+        element_nodes = size.n_nodes if size.element != "tet10" else max(size.n_nodes, size.n_unknowns // 3)
+        # A factor that is kept in fewer bytes is made in single precision.
+        making = max(work.entry_bytes, 4) * _WORKING * size.n_working
+        added = work.entry_bytes * work.factors_held * size.n_entries + making
+        added += 24.0 * work.fields * element_nodes + 8.0 * work.tet_fields * size.n_tets
+        held = work.later_bytes + (resident_bytes() or 0)
+        return cls(size, work, flops / (n_threads * product_rate()), int(added), int(added) + held, available_bytes())
+
+    @property
+    def is_small(self) -> bool:
+        """Whether it takes about a second at most, and little of the available memory."""
+        return self.seconds < 1.0 and self.added_bytes < 1e9
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it will take longer than a minute or so."""
+        return self.seconds > LONG_SECONDS
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether it needs more memory than is available."""
+        return self.available_bytes is not None and self.added_bytes > self.available_bytes
+
+    def duration(self) -> str:
+        """Return the time in words."""
+        return _duration(self.seconds)
+
+    def sentence(self) -> str:
+        """Return size and need in one line.
+
+        Returns
+        -------
+        str
+            Nodes, tets, unknowns, the factor, how often it is made, time and memory.
+        """
+        size, work = self.size, self.work
+        times = f"about {work.factorisations} factorisation{'' if work.factorisations == 1 else 's'}"
+        there = "" if self.available_bytes is None else f", {_gb(self.available_bytes)} more are available"
+        return (
+            f"{size.n_nodes:,} nodes, {size.n_tets:,} {size.element}, {size.n_unknowns:,} unknowns; a factor has "
+            f"{_count(size.n_entries)} entries ({_gb(work.entry_bytes * size.n_entries)}) and takes "
+            f"{_figure(size.flops / 1e9)} GFlop; {times}, {self.duration()}, "
+            f"peak memory {_gb(self.peak_bytes)}{there}"
+        )
+
+    def check(self) -> None:
+        """Refuse a body that does not fit into memory, and warn of one that takes more than half of it.
+
+        Raises
+        ------
+        LargeBodyError
+            If the estimated memory is more than what is available; the message names the size of a mesh that would fit.
+        """
+        there = self.available_bytes
+        if there is None or self.added_bytes <= WARNED_SHARE * there:
+            return
+        need = (
+            f"this body needs about {_gb(self.added_bytes)} more memory and {_gb(there)} are available "
+            f"({self.size.n_nodes:,} nodes, {self.size.element}; a factor has {_count(self.size.n_entries)} "
+            "entries)"
+        )
+        if self.added_bytes > there:
+            message = f"a body must fit into memory; {need}: {self._advice(there)}"
+            raise LargeBodyError(
+                message, where="mesh", needed_bytes=self.added_bytes, available_bytes=self.available_bytes
+            )
+        warnings.warn(need, LargeBodyWarning, stacklevel=2)
+
+    def _advice(self, there: int) -> str:
+        """Return advice for a body that does not fit into memory."""
+        # Entries of a factor grow with the power 4/3 of the nodes (nested dissection in space).
+        share = (_ROOM * there / self.added_bytes) ** 0.75
+        fits = int(float(f"{share * self.size.n_nodes:.2g}"))
+        more = f"a machine with more memory; where that is wrong, set {LIMIT} in the environment"
+        if fits < _SMALLEST:
+            return f"use {more}"
+        coarser = f"use a mesh of at most about {fits:,} nodes (edges {share ** (-1 / 3):.2g} times as long)"
+        linear = ", or element 'tet4', which has an eighth of the unknowns" if self.size.element == "tet10" else ""
+        return f"{coarser}{linear}, or {more}"
+
+
+def check_fits(simulator: "Simulator") -> None:
+    """Refuse a body whose smallest factor would not fit into memory.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Analysed. The available memory is not looked up for a small body.
+
+    Raises
+    ------
+    LargeBodyError
+        If one factor of 16-bit integers, with the memory for making it, is more than what is available.
+    """
+    if simulator.body.factor_size[0] < _LARGE_ENTRIES:
+        return
+    estimate = Estimate.of(BodySize.of(simulator), SOLVE, 0)
+    if estimate.is_too_large:
+        estimate.check()
+
+
+@cache
+def product_rate() -> float:
+    """Return the speed of matrix products on one thread of this machine, in floating-point operations per second."""
+    from threadpoolctl import threadpool_limits
+
+    left = np.ones((_ORDER, _ORDER), np.float32)
+    out = np.empty_like(left)
+    spent = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        for _ in range(_REPEATS):
+            start = time.perf_counter()
+            np.matmul(left, left, out=out)
+            spent.append(time.perf_counter() - start)
+    return 2.0 * _ORDER**3 / max(sorted(spent)[_REPEATS // 2], 1e-9)
+
+
+def _figure(value: float) -> str:
+    """Return a number in words: at least two digits, never an exponent."""
+    return f"{value:,.0f}" if value >= 10.0 else f"{max(value, 0.01):.2g}"
+
+
+def _count(number: int) -> str:
+    return f"{number:,}" if number < 1e6 else f"{_figure(number / 1e6)} million"
+
+
+def _gb(size: float) -> str:
+    """Return bytes in GB (1e9)."""
+    return f"{_figure(size / 1e9)} GB"
+
+
+def _duration(seconds: float) -> str:
+    """Return a time in words, two digits at most.
+
+    Examples
+    --------
+    >>> _duration(0.2), _duration(33.0), _duration(400.0), _duration(9000.0)
+    ('under a second', 'about 33 s', 'about 7 minutes', 'about 2.5 hours')
+    """
+    if seconds < 1.0:
+        return "under a second"
+    if seconds < 100.0:
+        return f"about {seconds:.2g} s"
+    minutes = seconds / 60.0
+    return f"about {math.ceil(minutes)} minutes" if minutes < 100.0 else f"about {minutes / 60.0:.2g} hours"

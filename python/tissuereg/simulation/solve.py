@@ -1,0 +1,464 @@
+"""One static solve, or many on one body: the Python interface of the Rust solver."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypedDict
+
+import numpy as np
+
+from tissuereg import _core
+from tissuereg._base.arguments import MOST_COUNTED, called, check_running, each, flag, of_kind, real, text, whole
+from tissuereg._base.arrays import FloatArray, IntArray, depth, float_array, index_array, optional_array, stacked
+from tissuereg._base.choice import check_choice
+from tissuereg.body.load import Load
+from tissuereg.body.material import Material
+from tissuereg.body.mesh import Mesh
+from tissuereg.errors import ArgumentError, LoadError, MaterialError
+from tissuereg.simulation.bed import core_springs, stiffness_array
+from tissuereg.simulation.size import check_fits
+
+#: Names of the elements.
+ELEMENTS = ("tet4", "tet4-averaged", "tet10")
+
+
+class LoadParts(TypedDict):
+    """The parts of a load, or of many with the member axis first, in the form of the compiled solver."""
+
+    forces: FloatArray | None
+    body_force: FloatArray | None
+    prescribed: FloatArray | None
+
+
+def stacked_parts(parts: Sequence[LoadParts]) -> LoadParts:
+    """Return the parts of many loads stacked, zero where absent; None where absent in all."""
+    return {
+        "forces": stacked([part["forces"] for part in parts]),
+        "body_force": stacked([part["body_force"] for part in parts]),
+        "prescribed": stacked([part["prescribed"] for part in parts]),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """Result of a solve.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_nodes, 3)
+        Displacement of the mesh's nodes in mm.
+    reactions : ndarray of float64, shape (n_held, 3)
+        Force on the body at every held node in mN.
+    all_displacement : ndarray of float64, shape (n_element_nodes, 3)
+        The same with the mid-edge nodes of ten-node elements after the mesh's nodes.
+    report : dict
+        Work counters and quality: `iterations`, `solves`, `factorisations`, `load_steps`, `residual`, `min_det_f`.
+    """
+
+    displacement: FloatArray
+    reactions: FloatArray
+    all_displacement: FloatArray
+    report: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Simulations:
+    """Results of many solves; failed members are rows of NaN.
+
+    Attributes
+    ----------
+    displacement : ndarray of float64, shape (n_members, n_nodes, 3)
+        Displacement of the mesh's nodes in mm.
+    reactions : ndarray of float64, shape (n_members, n_held, 3)
+        Force on the body at every held node in mN.
+    failed : list of (int, str)
+        Members without equilibrium, each with its reason.
+    all_displacement : ndarray of float64, shape (n_members, n_element_nodes, 3)
+        The displacement with the mid-edge nodes of ten-node elements after the mesh's nodes.
+    """
+
+    displacement: FloatArray
+    reactions: FloatArray
+    failed: list[tuple[int, str]]
+    all_displacement: FloatArray
+
+    @property
+    def solved(self) -> IntArray:
+        """Indices of the members that found equilibrium."""
+        lost = {index for index, _ in self.failed}
+        return np.array([i for i in range(len(self.displacement)) if i not in lost], dtype=np.int64)
+
+
+class Simulator:
+    """A mesh analysed once for many solves: element data, ordering, symbolic factor.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Four-node tets, the same with volume ratios averaged at the nodes (for Poisson's ratios above 0.475), or
+        ten-node tets on the same edges (second order, straight edges).
+    held_nodes : array_like of int, optional
+        Nodes whose displacement is given; by default the node set ``fixed``. With springs there may be none.
+    springs : sequence of (array_like of int (n, 3), array_like of float (2,)), optional
+        Sets of springs: surface triangles with the stiffness along the normal and in the plane in kPa/mm, which every
+        solve may override.
+    rests : bool
+        Whether the springs support the body. Directions without stiffness must then have none in every solve, and
+        the others must keep theirs.
+
+    Raises
+    ------
+    SupportError
+        If held nodes and springs leave a rigid motion free.
+    LoadError, ShapeError
+        If springs do not lie on the surface.
+    LargeBodyError
+        If one factor of the stiffness would not fit into memory.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        *,
+        element: str = "tet4",
+        held_nodes: Any = None,
+        springs: Sequence[tuple[Any, Any]] = (),
+        rests: bool = True,
+    ) -> None:
+        of_kind("mesh", mesh, Mesh)
+        check_choice("element", element, ELEMENTS, ArgumentError)
+        held = mesh.fixed_nodes if held_nodes is None else index_array("held_nodes", held_nodes, (None,))
+        self.mesh = mesh
+        self.element = element
+        self.held_nodes: IntArray = held
+        sets = core_springs(springs)
+        flag("rests", rests)
+        self.n_springs = len(sets)
+        self.body = _core.Body(mesh.nodes, mesh.tets, held, element=element, springs=sets, rests=rests and bool(sets))
+        check_fits(self)
+
+    @property
+    def n_points(self) -> int:
+        """Quadrature points of an element."""
+        return 1 if self.element == "tet4" else 4
+
+    def forces(self, load: Load) -> FloatArray | None:
+        """Return all nodal forces of a load, tractions included, in mN; None where there are none."""
+        of_kind("load", load, Load)
+        total = None
+        if load.forces is not None:
+            n_rows = self.body.n_nodes if len(load.forces) == self.body.n_nodes else self.mesh.n_nodes
+            given = float_array("forces", load.forces, (n_rows, 3))
+            total = np.zeros_like(self.body.nodes)
+            total[: len(given)] += given
+        if load.traction is not None:
+            triangles, traction = load.traction
+            triangles = index_array("traction triangles", triangles, (None, 3))
+            pulls = np.ascontiguousarray(np.broadcast_to(np.asarray(traction, np.float64), triangles.shape))
+            pulled = self.body.traction_forces(triangles, pulls)
+            total = pulled if total is None else total + pulled
+        return total
+
+    def load_parts(self, load: Load, n_held: int | None = None) -> LoadParts:
+        """Return the parts of a load in the form of the compiled solver.
+
+        Parameters
+        ----------
+        load : Load
+            The load.
+        n_held : int, optional
+            Number of nodes whose displacement a load may prescribe; by default that of the held nodes.
+
+        Returns
+        -------
+        LoadParts
+            ``forces``, ``body_force`` and ``prescribed``.
+
+        Raises
+        ------
+        LoadError, ShapeError
+            If the load does not fit the body.
+        """
+        n_held = len(self.held_nodes) if n_held is None else n_held
+        return {
+            "forces": self.forces(load),
+            "body_force": optional_array("body_force", load.body_force, (3,)),
+            "prescribed": optional_array("prescribed", load.prescribed, (n_held, 3)),
+        }
+
+    def solve(self, load: Load, material: Material, **settings: Any) -> Simulation:
+        """Return the equilibrium under one load.
+
+        Parameters
+        ----------
+        load : Load
+            The load.
+        material : Material
+            Material of the body.
+        **settings
+            ``tolerance`` (residual over load), ``threads`` (0: all), ``method``, ``start`` (n_element_nodes, 3) in mm,
+            ``springs`` (n_sets, 2) in kPa/mm, ``max_iterations``.
+
+        Returns
+        -------
+        Simulation
+            Displacement, reactions and the record of work.
+
+        Raises
+        ------
+        ConvergenceError
+            If no equilibrium is found; it has the last load fraction with equilibrium and the worst tets.
+        LoadError, MaterialError, ShapeError
+            If the input does not fit the body.
+
+        Warns
+        -----
+        LockingWarning
+            If Poisson's ratio is above 0.475 somewhere and the elements are ``"tet4"``.
+        """
+        young, poisson = self.moduli(material)
+        found = self.body.solve(
+            young,
+            poisson,
+            law=material.core_law(),
+            **self.load_parts(load),
+            **self._arrays(settings, ()),
+        )
+        return self.simulation(found)
+
+    def simulation(self, found: _core.Solution) -> Simulation:
+        """Return a result of the compiled solver as a simulation of the mesh."""
+        everything = found.displacement
+        return Simulation(everything[: self.mesh.n_nodes].copy(), found.reactions, everything, found.report)
+
+    def _arrays(self, settings: dict[str, Any], members: tuple[int, ...]) -> dict[str, Any]:
+        """Return settings with their arrays checked; of many, the member axis may be absent."""
+        _check_settings(settings)
+        checked = dict(settings)
+        if settings.get("springs") is not None:
+            checked["springs"] = stiffness_array(settings["springs"], (*members, self.n_springs, 2))
+        if settings.get("start") is not None:
+            own = members if depth("start", settings["start"]) == 3 else ()
+            checked["start"] = float_array("start", settings["start"], (*own, self.body.n_nodes, 3))
+        return checked
+
+    def internal_forces(self, displacement: Any, material: Material, *, springs: Any = None) -> FloatArray:
+        """Return the nodal forces that hold a displacement in equilibrium, including the body's springs.
+
+        Parameters
+        ----------
+        displacement : array_like of float, shape (n_element_nodes, 3)
+            Displacement of all nodes in mm.
+        material : Material
+            Material of the body.
+        springs : array_like of float, shape (n_sets, 2), optional
+            Stiffness of the springs in kPa/mm; by default that given to the simulator.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_element_nodes, 3)
+            In mN; at held nodes the reactions of a body without load.
+
+        Raises
+        ------
+        LoadError
+            If the displacement turns a tet inside out.
+        MaterialError, ShapeError
+            If the input does not fit the body.
+        """
+        young, poisson = self.moduli(material)
+        return self.body.internal_forces(
+            float_array("displacement", displacement, (self.body.n_nodes, 3)),
+            young,
+            poisson,
+            law=material.core_law(),
+            springs=stiffness_array(springs, (self.n_springs, 2)),
+        )
+
+    def spring_forces(self, displacement: Any, *, springs: Any = None) -> FloatArray:
+        """Return the forces of each set of springs on the body at a displacement.
+
+        Springs whose fixed ends move by ``a`` add the nodal forces ``-spring_forces(a)`` of all sets to the load.
+
+        Parameters
+        ----------
+        displacement : array_like of float, shape (n_element_nodes, 3)
+            Displacement of all nodes in mm.
+        springs : array_like of float, shape (n_sets, 2), optional
+            Their stiffness in kPa/mm; by default that given to the simulator.
+
+        Returns
+        -------
+        ndarray of float64, shape (n_sets, n_element_nodes, 3)
+            In mN.
+
+        Raises
+        ------
+        ShapeError
+            If the input does not fit the body.
+        """
+        rows = float_array("displacement", displacement, (self.body.n_nodes, 3))
+        return self.body.spring_forces(rows, stiffness_array(springs, (self.n_springs, 2)))
+
+    def solve_many(
+        self, loads: Sequence[Load], materials: Sequence[Material], *, progress: Any = None, **settings: Any
+    ) -> Simulations:
+        """Return the equilibria of many members, solved in parallel, each on one thread.
+
+        Parameters
+        ----------
+        loads : sequence of Load
+            One per member.
+        materials : sequence of Material
+            One per member.
+        progress : callable of int, optional
+            Called with the number of members finished so far.
+        **settings
+            As in `solve`; ``start`` (n_members, n_element_nodes, 3) or one for all, ``springs`` (n_members, n_sets, 2)
+            or one for all.
+
+        Returns
+        -------
+        Simulations
+            The same bits at any thread count. A member's failure is a row of NaN and an entry in `failed`.
+
+        Raises
+        ------
+        LoadError
+            If there is not one material a load.
+
+        Warns
+        -----
+        LockingWarning
+            As `solve`, once for all members.
+        """
+        loads, materials = each("loads", loads, Load), each("materials", materials, Material)
+        called("progress", progress)
+        if len(loads) != len(materials):
+            message = f"there must be one material a load, got {len(materials)} for {len(loads)}"
+            raise LoadError(message, where="materials")
+        moduli = [self.moduli(material) for material in materials]
+        found = self.body.solve_many(
+            _one_a_member([m[0] for m in moduli]),
+            _one_a_member([m[1] for m in moduli]),
+            laws=[material.core_law() for material in materials],
+            **stacked_parts([self.load_parts(load) for load in loads]),
+            progress=progress,
+            **self._arrays(settings, (len(loads),)),
+        )
+        everything = found.displacement
+        return Simulations(everything[:, : self.mesh.n_nodes].copy(), found.reactions, found.failed, everything)
+
+    def moduli(self, material: Material) -> tuple[FloatArray, FloatArray]:
+        """Return a material's moduli, checked against the mesh.
+
+        Parameters
+        ----------
+        material : Material
+            One value for all tets, or one per tet.
+
+        Returns
+        -------
+        tuple of ndarray of float64, each of shape (1,) or (n_tets,)
+            Young's modulus in kPa and Poisson's ratio.
+
+        Raises
+        ------
+        MaterialError
+            If the number of values is neither one nor that of the tets.
+        """
+        of_kind("material", material, Material)
+        young, poisson = material.young_array, material.poisson_array
+        n_points = self.n_points
+        for name, values in (("young", young), ("poisson", poisson)):
+            if values.shape not in ((1,), (self.mesh.n_tets,), (self.mesh.n_tets, 1), (self.mesh.n_tets, n_points)):
+                points = f" or one per quadrature point ({self.mesh.n_tets}, {n_points})" if values.ndim == 2 else ""
+                got = values.shape if values.ndim == 2 else len(values)
+                message = f"`{name}` must hold one value or one per tet ({self.mesh.n_tets}){points}, got {got}"
+                raise MaterialError(message, where=name)
+        young, poisson = (v[:, 0] if v.ndim == 2 and v.shape[1] == 1 else v for v in (young, poisson))
+        young, poisson = _broadcast([young, poisson])
+        return young, poisson
+
+
+def _check_settings(settings: dict[str, Any]) -> None:
+    """Refuse settings of a solve that are unknown or out of their range."""
+    known = ("tolerance", "threads", "method", "start", "springs", "max_iterations", "load_steps")
+    for name in settings:
+        check_choice("setting", name, known, ArgumentError)
+    check_running(threads=settings.get("threads", 0))
+    if "tolerance" in settings:
+        real("tolerance", settings["tolerance"], above=0.0, below=1.0)
+    for name, least in (("max_iterations", 1), ("load_steps", 0)):
+        if name in settings:
+            whole(name, settings[name], least=least, most=MOST_COUNTED)
+    if "method" in settings:
+        text("method", settings["method"])
+
+
+def _broadcast(fields: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return fields of moduli, (1,), (n_tets,) or (n_tets, n_points), all in the largest shape among them."""
+    deepest = max((values.ndim for values in fields), default=1)
+    columns = [values[:, None] if values.ndim < deepest else values for values in fields]
+    return [np.ascontiguousarray(values) for values in np.broadcast_arrays(*columns)]
+
+
+def _one_a_member(fields: Sequence[FloatArray]) -> FloatArray:
+    """Return fields stacked: (n,), (n, n_tets) or (n, n_tets, n_points)."""
+    if not fields:
+        return np.empty(0)
+    stacked = np.stack(_broadcast(fields))
+    return stacked[:, 0].copy() if stacked.shape[1:] == (1,) else stacked
+
+
+def simulate(
+    mesh: Mesh,
+    load: Load,
+    material: Material,
+    *,
+    element: str = "tet4",
+    held_nodes: Any = None,
+    tolerance: float = 1e-9,
+    threads: int = 0,
+) -> Simulation:
+    """Return the equilibrium of a mesh under one load: one solve, everything included.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Reference shape; its node set ``fixed`` is held unless `held_nodes` is given.
+    load : Load
+        The load.
+    material : Material
+        Material of the body.
+    element : {"tet4", "tet4-averaged", "tet10"}
+        Four-node tets, or ten-node tets on the same edges.
+    held_nodes : array_like of int, optional
+        Nodes whose displacement is given by `load.prescribed` (zero where absent).
+    tolerance : float
+        Norm of the residual over the norm of the load, free degrees of freedom.
+    threads : int
+        Threads to use; 0 takes all cores. The result does not depend on it.
+
+    Returns
+    -------
+    Simulation
+        Displacement in mm, reactions in mN, record of work.
+
+    Raises
+    ------
+    ConvergenceError
+        If no equilibrium is found.
+    SupportError
+        If the body can move freely.
+
+    Examples
+    --------
+    >>> block = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
+    >>> pulled = simulate(block, Load(forces=[[0, 0, 0]] * 3 + [[0, 0, 30.0]]), Material(young=10.0, poisson=0.3))
+    >>> float(pulled.displacement[3, 2]) > 0
+    True
+    """
+    simulator = Simulator(mesh, element=element, held_nodes=held_nodes)
+    return simulator.solve(load, material, tolerance=tolerance, threads=threads)
