@@ -132,7 +132,6 @@ test-training: training
 $(DOCS_VENV)/.installed: pyproject.toml tools/extra.py
 	$(PYTHON) -m venv $(DOCS_VENV)
 	$(DOCS_BIN)/python -m pip install --quiet --upgrade pip
-	$(DOCS_BIN)/python -m pip install --quiet "tomli>=2.0; python_version < '3.11'"
 	$(DOCS_BIN)/python tools/extra.py docs > $(DOCS_VENV)/requirements.txt
 	$(DOCS_BIN)/python -m pip install --quiet --requirement $(DOCS_VENV)/requirements.txt
 	touch $@

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -253,7 +253,7 @@ def main() -> int:
         answer = {
             "schema": SCHEMA,
             "command": "python benchmarks/large_bodies.py",
-            "date": datetime.now(timezone.utc).date().isoformat(),
+            "date": datetime.now(UTC).date().isoformat(),
             **commit(),
             "machine": machine(),
             "versions": versions(),

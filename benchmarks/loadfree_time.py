@@ -11,7 +11,7 @@ import json
 import os
 import subprocess
 import sys
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -72,7 +72,7 @@ def main() -> int:
         answer = {
             "schema": SCHEMA,
             "command": "python benchmarks/loadfree_time.py",
-            "date": datetime.now(timezone.utc).date().isoformat(),
+            "date": datetime.now(UTC).date().isoformat(),
             **commit(),
             "machine": machine(),
             "versions": runs[options.cases[0]][0]["versions"],

@@ -14,7 +14,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -178,7 +178,7 @@ def again(answer: dict, reference: Path, names: list[str], repeats: int, members
     floor = best_of(before, work(2, "floor"))
     with_floors(rows, floor)
     rates = {name: floor[name] for name in ("dgemm_gflops", "sgemm_gflops", "triad_gb_per_s")}
-    when = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    when = datetime.now(UTC).isoformat(timespec="seconds")
     stamp = {"date": when, "commit": commit(), "floor": rates}
     new = {(row["name"], row["threads"]): {**row, **stamp} for row in rows}
     kept = [new.get((row["name"], row["threads"]), row) for row in answer["solves"]]
@@ -236,7 +236,7 @@ def main() -> None:
         answer = {
             "schema": "tissuereg.bench-solver/1",
             "command": shlex.join(["python", "benchmarks/solver.py", *sys.argv[1:]]),
-            "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "commit": commit(),
             "quick": quick,
             **about,

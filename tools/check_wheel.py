@@ -2,7 +2,7 @@
 
     python tools/check_wheel.py WHEEL [--sdist ARCHIVE]
 
-* The wheel serves every Python from 3.10 on, and holds its licences, one compiled module and no tests, in bounded
+* The wheel serves every Python from 3.11 on, and holds its licences, one compiled module and no tests, in bounded
   size.
 * pip installs it into a new environment, with a search path that holds the commands of that environment alone. There
   ``pip check``, ``import tissuereg``, ``tissuereg demo`` (the embedded phantom) and ``tissuereg register`` work.
@@ -62,7 +62,7 @@ def files_of(wheel: Path) -> set[str]:
     """Return the names of the package's files in a wheel, after a check of all that it holds."""
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if not name.endswith("/")}
-    must("-cp310-abi3-" in wheel.name, f"a wheel must serve every Python from 3.10 on, got {wheel.name}")
+    must("-cp311-abi3-" in wheel.name, f"a wheel must serve every Python from 3.11 on, got {wheel.name}")
     size = wheel.stat().st_size
     must(size <= LARGEST_WHEEL, f"{wheel.name} must have at most {LARGEST_WHEEL} bytes, it has {size}")
     info = f"{wheel.name.split('-cp310', maxsplit=1)[0]}.dist-info"

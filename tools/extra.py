@@ -1,12 +1,8 @@
 """Print the requirements of an extra, one per line, so that pip installs them without building the package."""
 
 import sys
+import tomllib
 from pathlib import Path
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 PROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
 

@@ -1,7 +1,7 @@
 """Recipes: reading `[train]` and checking it."""
 
 import os
-import sys
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +9,6 @@ from typing import Any
 
 from tissuereg_training.errors import ExperimentError
 from tissuereg_training.settings import SETTINGS, TrainSettings
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 #: What a recipe may hold at its top.
 TOP_LEVEL = ("seed", "mesh", "material", "data", "pairs", "train")

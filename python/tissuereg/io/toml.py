@@ -1,7 +1,7 @@
 """Checked reading of TOML tables: every key is read, and an unread one is refused."""
 
 import os
-import sys
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -12,11 +12,6 @@ from tissuereg._base.arguments import is_number, place
 from tissuereg._base.arrays import FloatArray
 from tissuereg.errors import ExperimentError, FormatError, TissueRegError
 from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 
 class Table:
