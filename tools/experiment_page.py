@@ -28,9 +28,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "experiment.md"
 TRAIN_SETTINGS = ROOT / "training" / "tissuereg_training" / "settings.py"
 RECIPES = (
-    (ROOT / "python" / "tissuereg" / "simulate" / "recipe.py", "MaterialRecipe", "[material]"),
-    (ROOT / "python" / "tissuereg" / "simulate" / "recipe.py", "DataRecipe", "[data]"),
-    (ROOT / "python" / "tissuereg" / "simulate" / "recipe.py", "PairsRecipe", "[pairs]"),
+    (ROOT / "python" / "tissuereg" / "simulation" / "recipe.py", "MaterialRecipe", "[material]"),
+    (ROOT / "python" / "tissuereg" / "simulation" / "recipe.py", "DataRecipe", "[data]"),
+    (ROOT / "python" / "tissuereg" / "simulation" / "recipe.py", "PairsRecipe", "[pairs]"),
     (TRAIN_SETTINGS, "TrainSettings", "[train]"),
     # The text stands between backticks, and so do its two parts.
     (TRAIN_SETTINGS, "GraphSettings", '[train]`, `kind = "graph"'),

@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 from blind.materialise import DATA, case_names, folder_of
@@ -101,7 +101,7 @@ def diagnose(question: Question, work: Path, threads: int = 0) -> dict:
         answer = {"verdict": "failed", "causes": [], "error": f"{type(error).__name__}: {error}"[-2000:]}
     answer["seconds"] = time.perf_counter() - begun
     answer["commit"] = _commit()
-    answer["date"] = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    answer["date"] = datetime.now(UTC).isoformat(timespec="seconds")
     kept.parent.mkdir(parents=True, exist_ok=True)
     partial = kept.with_suffix(".part")
     partial.write_text(json.dumps(answer), encoding="utf-8")

@@ -1,15 +1,10 @@
 """What the three published crates hold: licences, metadata, examples that stand alone, and errors that Python knows."""
 
 import re
-import sys
+import tomllib
 from pathlib import Path
 
 import pytest
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 ROOT = Path(__file__).parents[2]
 CRATES = ("fem", "contacts", "esmda")

@@ -2,7 +2,7 @@
 
 import json
 import subprocess
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +62,7 @@ def write_results(bench: Bench, half: str, method: str, rows: list[dict], run: d
     answer = read_results(path)
     answer["half"] = half
     answer["methods"][method] = run | {
-        "date": datetime.now(timezone.utc).date().isoformat(),
+        "date": datetime.now(UTC).date().isoformat(),
         "machine": machine(),
         "versions": versions(),
         "n": len(rows),

@@ -11,6 +11,7 @@ from support.meshes import block
 from support.pushes import MATERIAL, TIGHT, columns_of, push
 from tissuereg.body.per_mesh import per_mesh
 from tissuereg.errors import ConvergenceError
+from tissuereg.registration.contacts.body import forget_bodies
 from tissuereg.registration.contacts.frame import Frame
 from tissuereg.registration.contacts.moment import Moment
 from tissuereg.registration.contacts.tangent import MOST_REMEMBERED, Tangent, forget_rest, tangent_at
@@ -114,7 +115,7 @@ def test_what_belongs_to_a_mesh_is_made_once_and_goes_with_it():
     tr.register(mesh, (mesh.nodes[-4:], mesh.nodes[-4:] + 0.1), targets={"middle": (4.0, 4.0, 4.0)})
     gone = weakref.ref(mesh)
     del mesh
-    tr.contacts.body.forget_bodies()
+    forget_bodies()
     forget_rest()
     gc.collect()
     assert gone() is None
