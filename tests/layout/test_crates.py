@@ -86,8 +86,8 @@ def test_every_error_of_a_crate_has_an_exception(crate):
     ("crate", "path", "name"),
     [
         ("fem", "solve/settings.rs", "SolveSettings"),
-        ("contacts", "run.rs", "ChainSettings"),
-        ("esmda", "step/mod.rs", "StepSettings"),
+        ("contacts", "settings.rs", "ChainSettings"),
+        ("esmda", "step/settings.rs", "StepSettings"),
         ("esmda", "gauss_newton/mod.rs", "SearchSettings"),
     ],
 )

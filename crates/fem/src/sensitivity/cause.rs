@@ -2,10 +2,12 @@
 
 use crate::assembly::PointMap;
 use crate::body::Body;
+use crate::check::check_length;
 use crate::error::FemError;
-use crate::load::{Load, NodalLoad, check_length};
+use crate::load::{Load, NodalLoad};
 use crate::material::{Law, Material, Matrix3, Parameter};
-use crate::surface::{Skin, Springs, SurfaceTerms};
+use crate::springs::Springs;
+use crate::surface::SurfaceTerms;
 
 /// The input by which an equilibrium is differentiated.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,10 +27,6 @@ pub enum Cause {
     SpringNormal(usize),
     /// Stiffness in the plane of a set of springs, kPa/mm.
     SpringTangential(usize),
-    /// Young's modulus of a skin, by its place in the material, kPa.
-    SkinYoung(usize),
-    /// Thickness of a skin, mm.
-    SkinThickness(usize),
 }
 
 /// Rates at fixed displacement.
@@ -89,12 +87,6 @@ impl Scene<'_> {
             Cause::Load(rate) => return self.by_load(rate),
             Cause::SpringNormal(set) => self.by_springs(*set, 1.0, 0.0)?,
             Cause::SpringTangential(set) => self.by_springs(*set, 0.0, 1.0)?,
-            Cause::SkinYoung(sheet) => {
-                self.by_skin(*sheet, |skin| Skin { young: 1.0, ..skin.clone() })?
-            }
-            Cause::SkinThickness(sheet) => {
-                self.by_skin(*sheet, |skin| Skin { thickness: 1.0, ..skin.clone() })?
-            }
         };
         Ok(Rates { unbalanced, held: None })
     }
@@ -147,29 +139,9 @@ impl Scene<'_> {
             return Err(FemError::NoSuchCause { what });
         };
         let unit = Springs { normal, tangential, ..springs.clone() };
-        self.surface_forces(&SurfaceTerms::new(self.body, &[unit], &[])?)
-    }
-
-    /// A skin is linear in its modulus and its thickness.
-    fn by_skin(
-        &self,
-        sheet: usize,
-        unit: impl FnOnce(&Skin) -> Skin,
-    ) -> Result<Vec<f64>, FemError> {
-        let skins = self.material.skin();
-        let Some(skin) = skins.get(sheet) else {
-            let what = format!("skin {sheet} of {}", skins.len());
-            return Err(FemError::NoSuchCause { what });
-        };
-        self.surface_forces(&SurfaceTerms::new(self.body, &[], &[unit(skin)])?)
-    }
-
-    fn surface_forces(&self, terms: &SurfaceTerms) -> Result<Vec<f64>, FemError> {
         let mut force = vec![0.0; self.displacement.len()];
-        match terms.add_force(self.displacement, &mut force) {
-            Some(_) => Ok(force),
-            None => Err(FemError::NoSuchCause { what: "a skin without area".to_owned() }),
-        }
+        SurfaceTerms::new(self.body, &[unit])?.add_force(self.displacement, &mut force);
+        Ok(force)
     }
 }
 
