@@ -40,7 +40,8 @@ LAYERS: tuple[tuple[str, str], ...] = (
 
 #: Crates, and the crates of this repository that each may depend on.
 CRATES: dict[str, tuple[str, ...]] = {
-    "bindings": ("contacts", "esmda", "fem"),
+    "bindings": ("boundary", "contacts", "esmda", "fem"),
+    "boundary": ("fem",),
     "contacts": (),
     "esmda": (),
     "fem": (),

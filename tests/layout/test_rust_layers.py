@@ -1,4 +1,4 @@
-"""What the files of a crate may use of each other: no circle, and lower layers alone; `tools/layers.py` declares them."""
+"""What the files of a crate may use of each other: no circle, and lower layers alone, as `tools/layers.py` has them."""
 
 import importlib.util
 import re
@@ -38,12 +38,13 @@ def sources_of(crate: Path) -> dict[Module, str]:
     return {module_of(path, source): code_of(path.read_text(encoding="utf-8")) for path in paths}
 
 
-def leaves(tree: str) -> Iterator[str]:
-    """Yield the single paths of a `use` tree, by the names that they have at their origin."""
-    tree = re.sub(r"\s+as\s+\w+", "", re.sub(r"\s+", " ", tree)).strip()
+def leaves(tree: str) -> Iterator[tuple[str, str]]:
+    """Yield the single paths of a `use` tree, each with the name that it gets."""
+    tree = re.sub(r"\s+", " ", tree).strip()
     head, brace, rest = tree.partition("{")
     if not brace:
-        yield tree
+        path, _, name = tree.partition(" as ")
+        yield path, name or path.rsplit("::", 1)[-1]
         return
     body, depth, start = rest[: rest.rindex("}")], 0, 0
     for place, letter in enumerate(body + ","):
@@ -62,7 +63,7 @@ class Crate:
         self.handed_on: dict[Module, dict[str, str]] = {}
         for module, text in sources.items():
             trees = re.findall(r"\bpub(?:\([\w ]+\))? use ([^;]+);", text)
-            self.handed_on[module] = {path.rsplit("::", 1)[-1]: path for tree in trees for path in leaves(tree)}
+            self.handed_on[module] = {name: path for tree in trees for path, name in leaves(tree)}
 
     def origin(self, module: Module, path: str) -> Module | None:
         """Return the module that a path leads to from a module, behind what others hand on; None outside the crate."""
@@ -87,9 +88,10 @@ class Crate:
     def uses(self, module: Module) -> set[Module]:
         """Return the other modules of which a module uses something; what it only hands on does not count."""
         text = re.sub(r"\bpub(?:\([\w ]+\))? use [^;]+;", "", self.sources[module])
-        paths = {path for tree in re.findall(r"\buse ([^;]+);", text) for path in leaves(tree)}
+        paths = {path for tree in re.findall(r"\buse ([^;]+);", text) for path, _ in leaves(tree)}
         rest = re.sub(r"\buse [^;]+;|pub\(in [\w:]+\)", "", text)
-        paths |= set(re.findall(r"\b(?:crate|super)(?:::\w+)+", rest))
+        own = [other[-1] for other in self.sources if other[:-1] == module and other]
+        paths |= set(re.findall(rf"(?<![\w:])(?:{'|'.join(['crate', 'super', *own])})(?:::\w+)+", rest))
         return {found for path in paths if (found := self.origin(module, path)) is not None} - {module, ()}
 
 
@@ -129,17 +131,20 @@ def test_every_module_is_in_a_layer(name):
 
 def test_what_is_found_of_a_crate():
     """The reading itself: nested trees, what is handed on, paths in the text, tests left out."""
+    inner = "use super::super::b; // crate::c::no\n#[cfg(test)]\nmod tests { use crate::c::X; }"
     sources = {
         (): "mod a; mod b; pub use a::Known;",
         ("a",): "mod inner; pub(crate) use inner::{Known, other as renamed}; use crate::b::helper;",
-        ("a", "inner"): code_of("use super::super::b; // crate::c::never\n#[cfg(test)]\nmod tests { use crate::c::X; }"),
-        ("b",): "use std::fmt; use crate::{\n  a::Known,\n c::{self, Deep}\n}; fn f() { crate::d::call(); }",
+        ("a", "inner"): code_of(inner),
+        ("b",): "use std::fmt; use crate::{\n  a::renamed,\n c::{self, Deep}\n}; fn f() { crate::d::call(); }",
         ("c",): "",
-        ("d",): "",
+        ("d",): "mod below; fn g() { below::call(); other::below(); }",
+        ("d", "below"): "",
     }
     crate = Crate(sources)
     assert crate.uses(("a",)) == {("b",)}
     assert crate.uses(("a", "inner")) == {("b",)}
     assert crate.uses(("b",)) == {("a", "inner"), ("c",), ("d",)}
+    assert crate.uses(("d",)) == {("d", "below")}
     with pytest.raises(CycleError):
         TopologicalSorter({module: crate.uses(module) for module in sources}).prepare()

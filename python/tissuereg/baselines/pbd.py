@@ -3,8 +3,8 @@
 from typing import Any, ClassVar
 
 import numpy as np
+from tissuereg_paper import _core
 
-from tissuereg import _core
 from tissuereg._arguments import real, whole
 from tissuereg._arrays import FloatArray, IntArray
 from tissuereg.baselines.rival import Estimate, Rival, Setting
