@@ -5,7 +5,7 @@ use crate::body::Body;
 use crate::check::check_length;
 use crate::error::FemError;
 use crate::load::{Load, NodalLoad};
-use crate::material::{Law, Material, Matrix3, Parameter};
+use crate::material::{Material, Matrix3, Parameter, det_f_minus_one};
 use crate::springs::Springs;
 use crate::surface::SurfaceTerms;
 
@@ -30,11 +30,11 @@ pub enum Cause {
 }
 
 /// Rates at fixed displacement.
-pub(crate) struct Rates {
+pub(super) struct Rates {
     /// `ṙ` at all nodes, `(3 n_nodes)`, mN.
-    pub(crate) unbalanced: Vec<f64>,
+    pub(super) unbalanced: Vec<f64>,
     /// `u̇` of held components, `(3 n_nodes)`; none where they stay.
-    pub(crate) held: Option<Vec<f64>>,
+    pub(super) held: Option<Vec<f64>>,
 }
 
 /// Where causes are looked up.
@@ -92,8 +92,24 @@ impl Scene<'_> {
     }
 
     /// `∂P/∂parameter` at every point, kPa over the unit of the parameter.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::NoSuchCause`] for a parameter that the material does not have,
+    /// [`FemError::InvertedStart`] for a point that has no stress.
     pub(super) fn stresses_by(&self, parameter: Parameter) -> Result<Vec<Matrix3>, FemError> {
-        stresses_by(self.body, self.material, self.gradients, parameter, Law::stress_by)
+        if !self.material.parameters().contains(&parameter) {
+            return Err(FemError::NoSuchCause { what: format!("{parameter} of this law") });
+        }
+        let n_points = self.body.element().n_points();
+        let one = |(index, h): (usize, &Matrix3)| {
+            let (tet, point) = (index / n_points, index % n_points);
+            self.material
+                .law_at(tet, point)
+                .stress_by(h, parameter)
+                .ok_or_else(|| FemError::InvertedStart { tet, det_f: 1.0 + det_f_minus_one(h) })
+        };
+        self.gradients.iter().enumerate().map(one).collect()
     }
 
     fn by_parameter(
@@ -142,37 +158,5 @@ impl Scene<'_> {
         let mut force = vec![0.0; self.displacement.len()];
         SurfaceTerms::new(self.body, &[unit])?.add_force(self.displacement, &mut force);
         Ok(force)
-    }
-}
-
-/// A derivative of the stress by a parameter at every point.
-///
-/// # Errors
-///
-/// [`FemError::NoSuchCause`] for a parameter that the material does not have,
-/// [`FemError::InvertedStart`] for a point that has no stress.
-pub(crate) fn stresses_by(
-    body: &Body,
-    material: &Material,
-    gradients: &[Matrix3],
-    parameter: Parameter,
-    by: impl Fn(&Law, &Matrix3, Parameter) -> Option<Matrix3>,
-) -> Result<Vec<Matrix3>, FemError> {
-    check_parameter(material, parameter)?;
-    let n_points = body.element().n_points();
-    let one = |(index, h): (usize, &Matrix3)| {
-        let (tet, point) = (index / n_points, index % n_points);
-        by(&material.law_at(tet, point), h, parameter).ok_or_else(|| {
-            let det_f = 1.0 + crate::material::det_f_minus_one(h);
-            FemError::InvertedStart { tet, det_f }
-        })
-    };
-    gradients.iter().enumerate().map(one).collect()
-}
-
-pub(crate) fn check_parameter(material: &Material, parameter: Parameter) -> Result<(), FemError> {
-    match material.parameters().contains(&parameter) {
-        true => Ok(()),
-        false => Err(FemError::NoSuchCause { what: format!("{parameter} of this law") }),
     }
 }

@@ -216,7 +216,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             self.tangent().each(causes, |cause, buffers, parallel| {
                 self.settings.check_cancel()?;
                 let rates = self.scene().rates(cause)?;
-                Ok(self.tangent().follow(&rates, buffers, parallel)?.1)
+                self.tangent().follow(&rates, buffers, parallel)
             })
         })
     }
