@@ -39,10 +39,27 @@ LATE: dict[tuple[str, str], str] = {
 
 #: Crates, and the crates of this repository that each may depend on.
 CRATES: dict[str, tuple[str, ...]] = {
-    "bindings": ("contacts", "esmda", "fem"),
+    "bindings": ("boundary", "contacts", "esmda", "fem"),
+    "boundary": ("fem",),
     "contacts": (),
     "esmda": (),
     "fem": (),
+}
+
+#: Layers of the sources of a crate, from the top: a title, and its modules. A module may use its own
+#: layer (without a circle among files) and lower ones.
+RUST_LAYERS: dict[str, tuple[tuple[str, str], ...]] = {
+    "fem": (
+        ("derivatives of equilibria", "sensitivity"),
+        ("many members, frame after frame, the shape without load", "ensemble history rest_shape"),
+        ("equilibrium", "solve"),
+        ("loads on a body, materials with a memory", "load memory surface"),
+        ("a body, analysed once", "body"),
+        ("loops over elements", "assembly"),
+        ("elements, supports and what they leave free, systems of one unknown a node", "element rigid scalar supports"),
+        ("meshes, laws, sparse systems", "material mesh system"),
+        ("plain data and checks", "check error groups resultant springs"),
+    ),
 }
 
 #: The only module that may name the training package, which it imports when it is run.
@@ -69,6 +86,18 @@ def ranks() -> dict[str, int]:
                 raise ValueError(message)
             found[module] = height
     return found
+
+
+def rust_ranks(crate: str) -> dict[str, int]:
+    """Return the height of the layer of every module of a crate, 0 for the lowest.
+
+    Raises
+    ------
+    KeyError
+        If the crate has no layers.
+    """
+    rows = enumerate(reversed(RUST_LAYERS[crate]))
+    return {module: height for height, (_, modules) in rows for module in modules.split()}
 
 
 def diagram() -> str:

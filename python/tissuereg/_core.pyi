@@ -10,7 +10,7 @@ _Element = Literal["tet4", "tet4-averaged", "tet10"]
 
 __all__ = [
     "Adjoints",
-    "AdmmBody",
+    "Behaviour",
     "Body",
     "Cause",
     "Compliance",
@@ -19,10 +19,8 @@ __all__ = [
     "GroupScores",
     "Law",
     "Linearised",
-    "LocalizedStep",
     "ManySolutions",
     "Noise",
-    "Pbd",
     "Rig",
     "RigFrame",
     "Solution",
@@ -30,10 +28,7 @@ __all__ = [
     "__version__",
     "check_mesh",
     "check_schedule",
-    "gaspari_cohn",
     "laws",
-    "next_alpha",
-    "schedule_constant",
     "schedule_geometric",
     "screen_members",
     "surface_triangles",
@@ -46,19 +41,8 @@ def check_mesh(nodes: _Floats, tets: _Integers) -> None: ...
 def surface_triangles(nodes: _Floats, tets: _Integers) -> _Integers: ...
 def tet_volumes(nodes: _Floats, tets: _Integers) -> _Floats: ...
 def laws() -> list[tuple[str, list[tuple[str, bool, float, float]], list[list[float]]]]: ...
-def schedule_constant(n_steps: int) -> _Floats: ...
 def schedule_geometric(n_steps: int, decrease: float) -> _Floats: ...
 def check_schedule(alphas: _Floats, *, total: float = 1.0) -> _Floats: ...
-def next_alpha(
-    predicted: _Floats,
-    observed: _Floats,
-    noise: Noise,
-    *,
-    rule: str,
-    assimilated: float,
-    steps_left: int,
-) -> float: ...
-def gaspari_cohn(ratios: _Floats) -> _Floats: ...
 def screen_members(predicted: _Floats, limit: float) -> tuple[_Integers, list[tuple[int, str]]]: ...
 
 @final
@@ -77,35 +61,17 @@ class Adjoints:
     def springs(self) -> _Floats: ...
 
 @final
-class AdmmBody:
+class Behaviour:
     def __new__(
         cls,
-        nodes: _Floats,
-        tets: _Integers,
-        held_nodes: _Integers,
-        young: _Floats,
-        poisson: _Floats,
         *,
-        density: float,
-    ) -> AdmmBody: ...
-    def step(
-        self,
-        dt: float,
-        n_iterations: int,
-        *,
-        forces: _Floats | None = None,
-        prescribed: _Floats | None = None,
-        threads: int = 0,
-    ) -> tuple[float, float]: ...
-    def set_state(self, displacement: _Floats, velocity: _Floats) -> None: ...
-    @property
-    def displacement(self) -> _Floats: ...
-    @property
-    def velocity(self) -> _Floats: ...
-    @property
-    def masses(self) -> _Floats: ...
-    @property
-    def n_nodes(self) -> int: ...
+        relaxation: tuple[list[float], list[float], str] | None = None,
+        viscosity_kpa_s: float = 0.0,
+        softening: tuple[str, float, float, float] | None = None,
+        set: float | None = None,
+        drainage: tuple[float, float] | None = None,
+        swelling: tuple[float, float, float] | None = None,
+    ) -> Behaviour: ...
 
 @final
 class Body:
@@ -217,16 +183,6 @@ class Cause:
     def load(
         *, forces: _Floats | None = None, body_force: _Floats | None = None, prescribed: _Floats | None = None
     ) -> Cause: ...
-    @staticmethod
-    def loads(
-        n_frames: int,
-        *,
-        forces: _Floats | None = None,
-        body_force: _Floats | None = None,
-        prescribed: _Floats | None = None,
-    ) -> Cause: ...
-    @staticmethod
-    def motion(pad: int, rates: _Floats) -> Cause: ...
 
 @final
 class Compliance:
@@ -352,49 +308,17 @@ class Linearised:
     def report(self) -> dict[str, Any]: ...
 
 @final
-class Pbd:
-    def __new__(
-        cls,
-        inverse_masses: _Floats,
-        places: _Floats,
-        edges: _Integers,
-        edge_compliance: _Floats,
-        tets: _Integers,
-        tet_compliance: _Floats,
-    ) -> Pbd: ...
-    def set_rest(self, places: _Floats) -> None: ...
-    def project(
-        self,
-        places: _Floats,
-        particles: _Integers,
-        weights: _Floats,
-        observed: _Floats,
-        compliance: _Floats,
-        dt: float,
-        n_iterations: int,
-    ) -> _Floats: ...
-    @property
-    def n_particles(self) -> int: ...
-
-@final
 class Rig:
     def __new__(
         cls,
-        nodes: _Floats,
-        tets: _Integers,
-        held_nodes: _Integers,
+        body: Body,
         young: _Floats,
         poisson: _Floats,
         *,
         law: Law | None = None,
-        element: str = "tet4",
         pads: list[_Integers] = ...,
-        behaviour: dict[str, Any] | None = None,
-        springs: list[tuple[_Integers, list[float]]] = ...,
-        rests: bool = False,
-        skins: list[tuple[_Integers, list[float]]] = ...,
+        behaviour: Behaviour | None = None,
         hangs_in: _Floats | None = None,
-        record: bool = False,
         tolerance: float = 1e-9,
         max_iterations: int = 1000,
         threads: int = 0,
@@ -415,13 +339,8 @@ class Rig:
         poisson: _Floats,
         *,
         law: Law | None = None,
-        behaviour: dict[str, Any] | None = None,
+        behaviour: Behaviour | None = None,
     ) -> Rig: ...
-    def derivatives(self, causes: list[Cause]) -> tuple[_Floats, _Floats, _Floats]: ...
-    def adjoints(
-        self,
-        observations: list[tuple[int, tuple[_Integers, _Floats], tuple[_Integers, _Floats], tuple[_Integers, _Floats]]],
-    ) -> tuple[_Floats, _Floats]: ...
     @property
     def rest_nodes(self) -> _Floats: ...
 
@@ -466,35 +385,8 @@ class Noise:
     def diagonal(std: _Floats) -> Noise: ...
     @staticmethod
     def dense(covariance: _Floats) -> Noise: ...
-    @staticmethod
-    def low_rank(std: _Floats, columns: _Floats) -> Noise: ...
     @property
     def n_obs(self) -> int: ...
-
-@final
-class LocalizedStep:
-    def __new__(
-        cls,
-        predicted: _Floats,
-        observed: _Floats,
-        noise: Noise,
-        draws: _Floats,
-        *,
-        alpha: float,
-        threads: int = 0,
-        energy: float | None = None,
-        rank: int | None = None,
-    ) -> LocalizedStep: ...
-    def apply(self, parameters: _Floats, taper: _Floats) -> _Floats: ...
-    def apply_by_correlation(
-        self,
-        parameters: _Floats,
-        *,
-        kind: str = "smooth",
-        threshold: float | None = None,
-    ) -> _Floats: ...
-    @property
-    def n_members(self) -> int: ...
 
 @final
 class Step:
@@ -508,8 +400,6 @@ class Step:
         alpha: float,
         threads: int = 0,
         factorisation: str = "auto",
-        energy: float | None = None,
-        rank: int | None = None,
     ) -> Step: ...
     @staticmethod
     def square_root(
@@ -519,8 +409,6 @@ class Step:
         *,
         alpha: float,
         threads: int = 0,
-        energy: float | None = None,
-        rank: int | None = None,
     ) -> Step: ...
     def apply(self, parameters: _Floats) -> _Floats: ...
     @property

@@ -28,27 +28,10 @@ def one(value):
     return np.array([value])
 
 
-def proposed(predicted, observed):
-    noise = _core.Noise.diagonal(np.ones(2))
-    return _core.next_alpha(predicted, observed, noise, rule="dmc", assimilated=0.0, steps_left=5)
-
-
-def localized(draws=None):
-    predicted = np.arange(8.0).reshape(2, 4)
-    draws = np.zeros((2, 4)) if draws is None else draws
-    return _core.LocalizedStep(predicted, np.zeros(2), _core.Noise.diagonal(np.ones(2)), draws, alpha=1.0)
-
-
 NO_NODES, NO_WEIGHTS = np.empty(0, dtype=np.int64), np.empty((0, 3))
 
 
 NOTHING = NO_NODES, NO_WEIGHTS
-
-
-def recorded(mesh, **settings):
-    rig = _core.Rig(mesh.nodes, mesh.tets, mesh.fixed_nodes, one(9.0), one(0.4), record=True, **settings)
-    rig.advance(0.0, np.empty((0, 3)), body_force=np.array([0.0, 1e-3, 0.0]))
-    return rig
 
 
 def at_rest(body):
@@ -91,13 +74,6 @@ def at_rest(body):
         ("young", lambda b, m: b.linearise(np.zeros_like(b.nodes), np.ones(2), one(0.4))),
         ("rates", lambda b, m: _core.Cause.field("young", np.ones(360))),
         ("forces", lambda b, m: _core.Cause.load(forces=np.ones(3))),
-        ("forces", lambda b, m: _core.Cause.loads(2, forces=np.ones((3, 4, 3)))),
-        ("body_force", lambda b, m: _core.Cause.loads(2, body_force=np.ones(3))),
-        ("prescribed", lambda b, m: _core.Cause.loads(2, prescribed=np.ones((2, 3)))),
-        ("rates", lambda b, m: _core.Cause.motion(0, np.ones(3))),
-        ("weights", lambda b, m: recorded(m).adjoints([(0, (np.array([1]), np.ones(3)), NOTHING, NOTHING)])),
-        ("held_nodes", lambda b, m: recorded(m).adjoints([(0, NOTHING, (np.ones(1), np.ones((1, 3))), NOTHING)])),
-        ("pad_weights", lambda b, m: recorded(m).adjoints([(0, NOTHING, NOTHING, (np.array([0]), np.ones(3)))])),
         ("nodes", lambda b, m: at_rest(b).adjoints([(np.ones(1), np.ones((1, 3)), NO_NODES, NO_WEIGHTS)])),
         ("weights", lambda b, m: at_rest(b).adjoints([(np.array([1]), np.ones((2, 3)), NO_NODES, NO_WEIGHTS)])),
         ("held_weights", lambda b, m: at_rest(b).adjoints([(NO_NODES, NO_WEIGHTS, np.array([0]), NO_WEIGHTS)])),
@@ -106,15 +82,6 @@ def at_rest(body):
         ("std", lambda b, m: _core.Noise.diagonal([0.1])),
         ("covariance", lambda b, m: _core.Noise.dense(np.ones(3))),
         ("covariance", lambda b, m: _core.Noise.dense(np.ones((3, 2)))),
-        ("std", lambda b, m: _core.Noise.low_rank([0.1], np.ones((1, 1)))),
-        ("columns", lambda b, m: _core.Noise.low_rank(np.ones(2), np.ones((3, 1)))),
-        ("ratios", lambda b, m: _core.gaspari_cohn(np.ones((2, 2)))),
-        ("predicted", lambda b, m: proposed(np.ones(3), np.ones(3))),
-        ("observed", lambda b, m: proposed(np.ones((2, 3)), np.ones(3))),
-        ("draws", lambda b, m: localized(np.ones((2, 3)))),
-        ("parameters", lambda b, m: localized().apply(np.ones((2, 3)), np.ones((2, 2)))),
-        ("taper", lambda b, m: localized().apply(np.ones((2, 4)), np.ones((2, 3)))),
-        ("parameters", lambda b, m: localized().apply_by_correlation(np.ones((2, 3)))),
     ],
 )
 def test_a_wrong_array_is_refused_by_name_with_what_was_wanted_and_what_was_found(body, block_mesh, name, call):
@@ -189,11 +156,6 @@ def test_results_own_their_memory_and_have_the_stated_shapes(body, block_mesh):
     assert adjoints.young.shape == adjoints.poisson.shape == (1, body.n_tets, 1)
     assert (adjoints.forces.shape, adjoints.body_force.shape) == ((1, n, 3), (1, 3))
     assert adjoints.prescribed.shape == (1, h, 3)
-    rig = recorded(block_mesh)
-    rows, forces, pads = rig.derivatives([_core.Cause.parameter("young"), _core.Cause.parameter("poisson")])
-    assert (rows.shape, forces.shape, pads.shape) == ((2, 1, n, 3), (2, 1, h, 3), (2, 1, 0, 3))
-    young, poisson = rig.adjoints([(0, (np.array([n - 1]), np.ones((1, 3))), NOTHING, NOTHING)])
-    assert young.shape == poisson.shape == (1, body.n_tets, 1)
     nothing, _ = here.derivatives([])
     assert nothing.shape == (0, n, 3)
     assert body.surface_triangles.dtype == body.tets.dtype == body.held_nodes.dtype == np.int64
@@ -248,7 +210,6 @@ def test_no_members_give_empty_arrays(body):
 
 
 def test_schedules_come_as_arrays():
-    np.testing.assert_array_equal(_core.schedule_constant(3), np.full(3, 3.0))
     np.testing.assert_array_equal(_core.schedule_geometric(3, 2.0), [7.0, 3.5, 1.75])
     np.testing.assert_array_equal(_core.check_schedule(np.ones(2), total=2.0), np.ones(2))
 

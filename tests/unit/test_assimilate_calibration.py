@@ -81,10 +81,9 @@ def body():
     "settings",
     [
         {},
-        {"schedule": "dmc"},
         {"options": StepOptions(form="square_root")},
     ],
-    ids=["stochastic", "misfit-controlled", "square-root"],
+    ids=["stochastic", "square-root"],
 )
 def test_regions_at_targets_hold_what_they_promise(body, settings):
     scores = Scores(body, 1.0, **settings)

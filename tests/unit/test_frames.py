@@ -10,7 +10,6 @@ from tissuereg.simulation.behaviour import (
     Rate,
     Relaxation,
     Set,
-    Skin,
     Softening,
     Springs,
     Swelling,
@@ -111,16 +110,6 @@ def test_a_body_on_springs_sinks_by_weight_over_stiffness():
     np.testing.assert_allclose(sunk, WEIGHT[2] * 30.0 / 0.3, rtol=2e-2)
 
 
-def test_a_skin_stiffens_what_it_covers():
-    mesh = block(2)
-    skin = Skin(facets(mesh, mesh.nodes[:, 2] > 30.0 - 1e-9), 1.0, 5000.0, 0.4)
-    lean = {"weight": np.array([9.81e-3, 0.0, 0.0])}
-    bare = solve_frames(mesh, SOFT, [0.0], **lean).displacement[0]
-    covered = solve_frames(mesh, SOFT, [0.0], skins=[skin], **lean).displacement[0]
-    top = mesh.node_sets["top"]
-    assert np.ptp(covered[top, 0]) < 0.5 * np.ptp(bare[top, 0])
-
-
 @pytest.mark.parametrize("element", ["tet4", "tet10"])
 def test_a_mesh_given_under_its_weight_stays_where_it_is(element):
     mesh = block()
@@ -171,8 +160,6 @@ def test_what_does_not_fit_is_named():
         solve_frames(mesh, SOFT, [0], behaviour=Behaviour(relaxation=Relaxation([1.5], [1.0])))
     with pytest.raises(tr.errors.TissueRegError, match="`part` must be"):
         solve_frames(mesh, SOFT, [0], behaviour=Behaviour(relaxation=Relaxation([0.5], [1.0], part="half")))
-    with pytest.raises(tr.errors.MaterialError, match=r"`skin\.poisson`"):
-        solve_frames(mesh, SOFT, [0], skins=[Skin(mesh.surface, 1.0, 10.0, 0.6)])
     with pytest.raises(tr.errors.SupportError, match="translation x"):
         solve_frames(mesh, SOFT, [0], held_nodes=[])
     with pytest.raises(tr.errors.ConvergenceError, match="no unloaded shape"):

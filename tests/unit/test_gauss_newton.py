@@ -221,13 +221,12 @@ def test_a_search_without_a_minimum_raises_with_its_report():
 
 def test_noise_may_be_factored_already():
     given = (lambda z: 2.0 * z, np.array([1.0]))
-    dense, low_rank = (
-        gauss_newton(*given, noise, ONE)
-        for noise in (0.05 * np.eye(1), _core.Noise.low_rank(np.array([0.1]), np.array([[0.2]])))
+    dense, made = (
+        gauss_newton(*given, noise, ONE) for noise in (0.04 * np.eye(1), _core.Noise.diagonal(np.array([0.2])))
     )
-    # 0.1^2 + 0.2^2 is 0.05 but for the rounding.
-    np.testing.assert_allclose(low_rank.mean, dense.mean, rtol=1e-12)
-    np.testing.assert_allclose(low_rank.covariance, dense.covariance, rtol=1e-12)
+    # 0.2^2 is 0.04 but for the rounding.
+    np.testing.assert_allclose(made.mean, dense.mean, rtol=1e-12)
+    np.testing.assert_allclose(made.covariance, dense.covariance, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

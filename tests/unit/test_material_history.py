@@ -116,7 +116,8 @@ def solved(material, numbers, times, shear):
     mesh = block((10.0, 10.0, 10.0), (2, 2, 2))
     held = np.flatnonzero(((mesh.nodes == 0.0) | (mesh.nodes == 10.0)).any(axis=1)).astype(np.int64)
     fields = np.full(len(mesh.tets), material.young), np.full(len(mesh.tets), material.poisson)
-    rig = _core.Rig(mesh.nodes, mesh.tets, held, *fields, law=material.core_law(), behaviour=numbers)
+    body = _core.Body(mesh.nodes, mesh.tets, held)
+    rig = _core.Rig(body, *fields, law=material.core_law(), behaviour=_core.Behaviour(**numbers))
     stress = []
     for time, amount in zip([0.0, *times], [0.0, *shear], strict=True):
         moved = np.zeros((len(held), 3))

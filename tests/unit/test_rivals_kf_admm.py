@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from tissuereg_paper import _core
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg import _core
 from tissuereg.baselines import KfAdmm, Setting
 from tissuereg.baselines.modal_filter import ModalFilter
 from tissuereg.baselines.modes import admm_modes, vibration_modes

@@ -555,11 +555,7 @@ CALLS = {
         lambda **given: tr.FineModel(**{"experiment": rig(), **given}),
         {"experiment": rig(), "meshing": FineMeshing(rim_edge=2.0)},
     ),
-    "StepOptions": (StepOptions, {"form": "stochastic", "factorisation": "auto", "energy": 0.9, "batch_rows": 2}),
-    "StepOptions by correlation": (
-        lambda **given: assimilated(options=StepOptions(**{"localization": "smooth", **given})),
-        {"localization": "smooth", "threshold": 0.3, "rank": 1},
-    ),
+    "StepOptions": (StepOptions, {"form": "stochastic", "factorisation": "auto"}),
     "assimilate": (
         lambda **given: assimilated(**given),
         {
@@ -571,7 +567,6 @@ CALLS = {
             "n_steps": 2,
             "schedule": "geometric",
             "decrease": 2.0,
-            "max_steps": 5,
             "options": StepOptions(),
             "perturbations": lambda step, shape: np.ones(shape),
             "min_members": 5,

@@ -4,14 +4,14 @@ use faer::MatRef;
 use numpy::{PyArray1, PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use tissuereg_boundary::views::View;
+use tissuereg_boundary::{arrays, lock};
 use tissuereg_contacts::{
     ChainSettings, Configuration, Contact, Dictionary, Family, Observed, Patch, Prior, Problem,
     Wrong,
 };
 
-use crate::arrays::{self, View};
 use crate::errors;
-use crate::lock;
 
 /// Dictionary, prior and data of sparse causes.
 #[pyclass(frozen, module = "tissuereg._core")]

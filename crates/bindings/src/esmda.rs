@@ -3,22 +3,12 @@
 use faer::MatMut;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
-use tissuereg_esmda::{
-    AdaptiveRule, Factorisation, NoiseCovariance, Schedule, StepSettings, Truncation, step,
-};
+use tissuereg_boundary::errors::{Class, raise};
+use tissuereg_boundary::lock;
+use tissuereg_boundary::views::View;
+use tissuereg_esmda::{Factorisation, NoiseCovariance, Schedule, StepSettings, step};
 
-use crate::arrays::View;
-use crate::errors::{self, Class};
-use crate::lock;
-
-/// Equal inflation coefficients, float64 (n_steps,).
-#[pyfunction]
-pub(crate) fn schedule_constant(
-    py: Python<'_>,
-    n_steps: usize,
-) -> PyResult<Bound<'_, PyArray1<f64>>> {
-    alphas_of(py, Schedule::constant(n_steps))
-}
+use crate::errors;
 
 /// Inflation coefficients each `decrease` times smaller than the one before, float64 (n_steps,).
 #[pyfunction]
@@ -40,32 +30,6 @@ pub(crate) fn check_schedule<'py>(
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
     let alphas = View::<f64>::new("alphas", alphas, &[&[None]])?;
     alphas_of(py, Schedule::with_total(alphas.slice(), total))
-}
-
-/// The coefficient of the next step by a rule, "dmc" or "ler", from predictions, float64 (n_obs, n_members).
-#[pyfunction]
-#[pyo3(signature = (predicted, observed, noise, *, rule, assimilated, steps_left))]
-pub(crate) fn next_alpha(
-    py: Python<'_>,
-    predicted: &Bound<'_, PyAny>,
-    observed: &Bound<'_, PyAny>,
-    noise: &Bound<'_, Noise>,
-    rule: &str,
-    assimilated: f64,
-    steps_left: usize,
-) -> PyResult<f64> {
-    let (predicted, observed) = compared(predicted, observed)?;
-    let rule = match rule {
-        "dmc" => AdaptiveRule::DataMisfit,
-        "ler" => AdaptiveRule::RestrictedStep,
-        other => {
-            let message = format!("`rule` must be one of dmc, ler, got {other}");
-            return Err(errors::raise(py, Class::Schedule, &message, Some("rule")));
-        }
-    };
-    let (y, d, noise) = (predicted.matrix(), observed.slice(), &noise.get().0);
-    tissuereg_esmda::next_alpha(rule, y, d, noise, assimilated, steps_left)
-        .map_err(|error| errors::from_esmda(py, &error))
 }
 
 fn alphas_of(
@@ -117,21 +81,6 @@ impl Noise {
         noise.map(Self).map_err(|error| errors::from_esmda(py, &error))
     }
 
-    /// Independent noise and shared errors: `diag(std)^2 + columns columns'`; float64 (n_obs,) and (n_obs, k).
-    #[staticmethod]
-    fn low_rank(
-        py: Python<'_>,
-        std: &Bound<'_, PyAny>,
-        columns: &Bound<'_, PyAny>,
-    ) -> PyResult<Self> {
-        let std = View::<f64>::new("std", std, &[&[None]])?;
-        let n_obs = std.slice().len();
-        let columns = View::<f64>::new("columns", columns, &[&[Some(n_obs), None]])?;
-        let (std, columns) = (std.slice(), columns.matrix());
-        let noise = lock::run_released(py, 1, |_| NoiseCovariance::low_rank(std, columns));
-        noise.map(Self).map_err(|error| errors::from_esmda(py, &error))
-    }
-
     /// Number of observations.
     #[getter]
     fn n_obs(&self) -> usize {
@@ -143,13 +92,8 @@ impl Noise {
     }
 }
 
-/// Settings of a step from what Python may choose: a factorisation by name, and what is kept of the anomalies.
-pub(crate) fn settings_of(
-    py: Python<'_>,
-    factorisation: &str,
-    energy: Option<f64>,
-    rank: Option<usize>,
-) -> PyResult<StepSettings> {
+/// Settings of a step with a factorisation by name.
+fn settings_of(py: Python<'_>, factorisation: &str) -> PyResult<StepSettings> {
     let factorisation = match factorisation {
         "auto" => Factorisation::Auto,
         "cholesky" => Factorisation::Cholesky,
@@ -158,24 +102,14 @@ pub(crate) fn settings_of(
         other => {
             let choices = "auto, cholesky, qr, svd";
             let message = format!("`factorisation` must be one of {choices}, got {other}");
-            return Err(errors::raise(py, Class::Argument, &message, Some("factorisation")));
+            return Err(raise(py, Class::Argument, &message, Some("factorisation")));
         }
     };
-    let truncation = match (energy, rank) {
-        (None, None) => None,
-        (Some(energy), None) => Some(Truncation::Energy(energy)),
-        (None, Some(rank)) => Some(Truncation::Rank(rank)),
-        (Some(_), Some(_)) => {
-            let message = "`energy` and `rank` must not both be given: each sets the truncation";
-            return Err(errors::raise(py, Class::Argument, message, Some("rank")));
-        }
-    };
-    let settings = StepSettings::default().with_factorisation(factorisation);
-    Ok(settings.with_truncation(truncation))
+    Ok(StepSettings::default().with_factorisation(factorisation))
 }
 
 /// Predictions, float64 (n_obs, n_members), and what was observed, float64 (n_obs,).
-pub(crate) fn compared<'py>(
+fn compared<'py>(
     predicted: &Bound<'py, PyAny>,
     observed: &Bound<'py, PyAny>,
 ) -> PyResult<(View<'py, f64>, View<'py, f64>)> {
@@ -195,7 +129,7 @@ pub(crate) struct Step {
 impl Step {
     #[new]
     #[pyo3(signature = (
-        predicted, observed, noise, draws, *, alpha, threads=0, factorisation="auto", energy=None, rank=None
+        predicted, observed, noise, draws, *, alpha, threads=0, factorisation="auto"
     ))]
     #[allow(clippy::too_many_arguments)] // Keywords of the Python signature.
     fn new(
@@ -207,10 +141,8 @@ impl Step {
         alpha: f64,
         threads: usize,
         factorisation: &str,
-        energy: Option<f64>,
-        rank: Option<usize>,
     ) -> PyResult<Self> {
-        let settings = settings_of(py, factorisation, energy, rank)?;
+        let settings = settings_of(py, factorisation)?;
         let (predicted, observed) = compared(predicted, observed)?;
         let (n_obs, n_members) = predicted.matrix().shape();
         let draws = View::<f64>::new("draws", draws, &[&[Some(n_obs), Some(n_members)]])?;
@@ -224,7 +156,7 @@ impl Step {
 
     /// The deterministic square-root form: no draws.
     #[staticmethod]
-    #[pyo3(signature = (predicted, observed, noise, *, alpha, threads=0, energy=None, rank=None))]
+    #[pyo3(signature = (predicted, observed, noise, *, alpha, threads=0))]
     #[allow(clippy::too_many_arguments)] // Keywords of the Python signature.
     fn square_root(
         py: Python<'_>,
@@ -233,14 +165,12 @@ impl Step {
         noise: &Bound<'_, Noise>,
         alpha: f64,
         threads: usize,
-        energy: Option<f64>,
-        rank: Option<usize>,
     ) -> PyResult<Self> {
-        let settings = settings_of(py, "auto", energy, rank)?;
         let (predicted, observed) = compared(predicted, observed)?;
         let (y, d, noise) = (predicted.matrix(), observed.slice(), &noise.get().0);
         let prepared = lock::run_released(py, threads, |par| {
-            step::Step::prepare_square_root(y, d, noise, alpha, &settings.with_par(par))
+            let settings = StepSettings::default().with_par(par);
+            step::Step::prepare_square_root(y, d, noise, alpha, &settings)
         });
         prepared.map(|step| Self { step, threads }).map_err(|error| errors::from_esmda(py, &error))
     }

@@ -3,12 +3,13 @@
 use faer::MatRef;
 use numpy::{Element, IntoPyArray, PyArray1, PyArray2};
 use pyo3::prelude::*;
+use tissuereg_boundary::arrays;
+use tissuereg_boundary::views::View;
 use tissuereg_esmda::{
     EsmdaError, Evaluation, Gaussian, GroupScore, Linearised, SearchSettings, gauss_newton,
     outliers,
 };
 
-use crate::arrays::{self, View};
 use crate::errors;
 use crate::esmda::Noise;
 

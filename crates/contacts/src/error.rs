@@ -67,3 +67,39 @@ pub enum ContactsError {
         pivot: usize,
     },
 }
+
+impl ContactsError {
+    /// Return what the error is about.
+    pub fn class(&self) -> ErrorClass {
+        match self {
+            Self::Shape { .. } | Self::Index { .. } => ErrorClass::Shape,
+            Self::NotFinite { argument: "innovation", .. } => ErrorClass::Observed,
+            Self::NotFinite { .. } | Self::Range { .. } => ErrorClass::Setting,
+            Self::NotPositiveDefinite { .. } => ErrorClass::Noise,
+        }
+    }
+
+    /// Return the argument that the error concerns.
+    pub fn place(&self) -> &'static str {
+        match self {
+            Self::Shape { argument, .. }
+            | Self::NotFinite { argument, .. }
+            | Self::Range { argument, .. }
+            | Self::Index { argument, .. } => argument,
+            Self::NotPositiveDefinite { .. } => "noise",
+        }
+    }
+}
+
+/// What an error is about. The list is complete: every [`ContactsError`] has one of these.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum ErrorClass {
+    /// The size of an array, or an index in one.
+    Shape,
+    /// What was observed.
+    Observed,
+    /// A number of the dictionary, the prior or the chains.
+    Setting,
+    /// The covariance of the observations.
+    Noise,
+}

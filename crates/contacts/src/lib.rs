@@ -55,8 +55,10 @@ mod error;
 mod gain;
 mod linalg;
 mod moments;
+mod packed;
 mod prior;
 mod run;
+mod settings;
 mod state;
 mod table;
 
@@ -65,10 +67,11 @@ pub use faer;
 
 pub use chain::Counters;
 pub use dictionary::{Dictionary, Patch};
-pub use error::ContactsError;
+pub use error::{ContactsError, ErrorClass};
 pub use moments::Moments;
 pub use prior::{Family, Observed, Prior, Problem, Wrong};
-pub use run::{ChainSettings, Run, Sample};
+pub use run::{Run, Sample};
+pub use settings::ChainSettings;
 pub use state::{Configuration, Contact};
 
 /// The README's code runs as a test.

@@ -3,7 +3,7 @@
 use faer::{Mat, MatRef};
 
 use crate::dictionary::check_finite;
-use crate::table::Packed;
+use crate::packed::Packed;
 use crate::{ContactsError, Dictionary};
 
 /// Causes that act together with one unknown size: a Gaussian whose variances share a factor.

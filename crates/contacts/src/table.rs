@@ -13,47 +13,14 @@
 
 use pulp::Simd;
 
-use crate::dictionary::Dictionary;
 use crate::elementary::{exp, ln};
 use crate::gain::gain_of;
+use crate::packed::{LANES, Packed, ROWS};
 use crate::prior::Problem;
 use crate::state::{Contact, Evidence};
 
-/// Patches processed together; a multiple of every machine's lanes.
-const LANES: usize = 16;
-
-/// Rows that one step of the triangular solve finishes: with their three directions, what they are solved by and one
-/// factor they fill 13 of 16 registers; with four rows one of them is kept in memory.
-const ROWS: usize = 3;
-
 /// Logarithm of a weight over the largest below which all weights are alike.
 const LEAST: f64 = -60.0;
-
-/// Columns of all patches as the table reads them: blocks of `LANES` patches, in them row by row the three directions.
-#[derive(Debug)]
-pub(crate) struct Packed {
-    blocks: Vec<[f32; LANES]>,
-    n_patches: usize,
-    /// Rows with those that fill up the last step.
-    n_rows: usize,
-}
-
-impl Packed {
-    pub(crate) fn new(dictionary: &Dictionary) -> Self {
-        let n_patches = dictionary.n_patches();
-        let n_rows = dictionary.n_obs().next_multiple_of(ROWS);
-        let mut blocks = vec![[0.0; LANES]; n_patches.div_ceil(LANES) * n_rows * 3];
-        for patch in 0..n_patches {
-            let (block, lane) = (patch / LANES, patch % LANES);
-            for (axis, column) in dictionary.own(patch).col_iter().enumerate() {
-                for (row, &value) in column.iter().enumerate() {
-                    blocks[(block * n_rows + row) * 3 + axis][lane] = value as f32;
-                }
-            }
-        }
-        Self { blocks, n_patches, n_rows }
-    }
-}
 
 /// Weights of every content of a slot: patch by patch, size by size, the empty slot last.
 #[derive(Debug, Default)]
@@ -260,6 +227,7 @@ mod tests {
     use faer::Mat;
 
     use super::*;
+    use crate::dictionary::Dictionary;
     use crate::{Configuration, Observed, Patch, Prior, Wrong};
 
     /// Seven observations of 20 patches: numbers of the golden ratio.

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use faer::MatRef;
 use pulp::{Arch, NullaryFnOnce};
 
-use crate::{EsmdaError, NoiseCovariance};
+use crate::error::EsmdaError;
 
 /// Relative asymmetry that rounding may leave in a covariance.
 const SYMMETRY_TOLERANCE: f64 = 1e-10;
@@ -115,24 +115,6 @@ pub(crate) fn find_asymmetry(covariance: MatRef<'_, f64>) -> Option<(usize, usiz
             let scale = (covariance[(row, row)] * covariance[(column, column)]).abs().sqrt();
             (value - mirrored).abs() > SYMMETRY_TOLERANCE * scale
         })
-}
-
-/// Refuses predictions (`n_obs`, `n_members`), observations and noise that do not make an update.
-pub(crate) fn check_update(
-    predicted: MatRef<'_, f64>,
-    observed: &[f64],
-    noise: &NoiseCovariance,
-) -> Result<(), EsmdaError> {
-    let (n_obs, n_members) = predicted.shape();
-    if n_obs == 0 {
-        return Err(EsmdaError::NoObservations);
-    }
-    if n_members < 2 {
-        let dropped = Vec::new();
-        return Err(EsmdaError::TooFewMembers { kept: n_members, minimum: 2, dropped });
-    }
-    check_shape("observed", (observed.len(), 1), (n_obs, 1))?;
-    check_shape("noise", (noise.n_obs(), 1), (n_obs, 1))
 }
 
 /// Refuses a setting that breaks its rule.

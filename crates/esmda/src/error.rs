@@ -1,6 +1,43 @@
 //! What can go wrong, with the numbers and the place.
 
-use crate::screening::Reason;
+use std::fmt;
+
+/// Why a member was dropped; `obs` is the first observation that shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Reason {
+    /// A prediction is not a number.
+    NotANumber {
+        /// Observation.
+        obs: usize,
+    },
+    /// A prediction is infinite.
+    Infinite {
+        /// Observation.
+        obs: usize,
+    },
+    /// A prediction is finite and absurd.
+    TooLarge {
+        /// Observation.
+        obs: usize,
+        /// The prediction.
+        value: f64,
+        /// Largest absolute value allowed.
+        limit: f64,
+    },
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotANumber { obs } => write!(f, "prediction {obs} is not a number"),
+            Self::Infinite { obs } => write!(f, "prediction {obs} is infinite"),
+            Self::TooLarge { obs, value, limit } => {
+                write!(f, "prediction {obs} is {value:e}, beyond {limit:e}")
+            }
+        }
+    }
+}
 
 /// Why a schedule, a noise covariance or a step was refused.
 ///
@@ -61,14 +98,6 @@ pub enum EsmdaError {
     NoiseStd {
         /// Observation.
         obs: usize,
-        /// The standard deviation.
-        std: f64,
-    },
-    /// A standard deviation of a parameter that is not a positive finite number.
-    #[error("parameter standard deviations must be positive and finite, got {std} at row {row}")]
-    ParameterStd {
-        /// Parameter.
-        row: usize,
         /// The standard deviation.
         std: f64,
     },
@@ -223,31 +252,6 @@ pub enum EsmdaError {
         /// Members that were dropped, each with its reason.
         dropped: Vec<(usize, Reason)>,
     },
-    /// A truncation that keeps nothing, or more than all.
-    #[error(
-        "a truncation must keep at least one direction or a share of the energy in (0, 1], got \
-         {value}"
-    )]
-    Truncation {
-        /// The rank or share.
-        value: f64,
-    },
-    /// A factor of a taper outside [0, 1].
-    #[error("a taper must lie in [0, 1], got {value} at parameter {row}, observation {column}")]
-    Taper {
-        /// Parameter.
-        row: usize,
-        /// Observation.
-        column: usize,
-        /// The factor.
-        value: f64,
-    },
-    /// A correlation threshold outside its range.
-    #[error("a correlation threshold must lie in [0, 1], below 1 for a smooth taper, got {value}")]
-    Threshold {
-        /// The threshold.
-        value: f64,
-    },
     /// The singular value decomposition did not converge.
     #[error("the singular values of {n_obs} x {n_members} whitened anomalies were not found")]
     NoConvergence {
@@ -275,7 +279,6 @@ impl EsmdaError {
             | Self::Decrease { .. }
             | Self::StepBeyondSchedule { .. }
             | Self::NoiseStd { .. }
-            | Self::ParameterStd { .. }
             | Self::NoiseNotFinite { .. }
             | Self::NoiseNotSymmetric { .. }
             | Self::NoiseNotPositiveDefinite { .. }
@@ -284,11 +287,97 @@ impl EsmdaError {
             | Self::Setting { .. }
             | Self::OutOfOrder { .. }
             | Self::Shape { .. }
-            | Self::Truncation { .. }
-            | Self::Taper { .. }
-            | Self::Threshold { .. }
             | Self::NoObservations
             | Self::TooFewMembers { .. } => false,
         }
     }
+
+    /// Return what the error is about.
+    pub fn class(&self) -> ErrorClass {
+        match self {
+            Self::EmptySchedule
+            | Self::Alpha { .. }
+            | Self::ScheduleSum { .. }
+            | Self::Decrease { .. }
+            | Self::StepBeyondSchedule { .. } => ErrorClass::Schedule,
+            Self::NoiseStd { .. }
+            | Self::NoiseNotFinite { .. }
+            | Self::NoiseNotSymmetric { .. }
+            | Self::NoiseNotPositiveDefinite { .. }
+            | Self::Overflow
+            | Self::NotFinite { argument: "noise", .. } => ErrorClass::Noise,
+            Self::PriorNotSymmetric { .. }
+            | Self::PriorNotPositiveDefinite { .. }
+            | Self::Setting { .. }
+            | Self::NotFinite {
+                argument: "mean" | "covariance" | "start" | "residual" | "absorbed",
+                ..
+            } => ErrorClass::Argument,
+            Self::OutOfOrder { .. } => ErrorClass::Order,
+            Self::NoMinimum { .. } => ErrorClass::Convergence,
+            Self::Shape { .. } | Self::NoObservations => ErrorClass::Shape,
+            Self::NotFinite { argument: "observed", .. } => ErrorClass::Observed,
+            Self::NotFinite { .. }
+            | Self::NoDifference { .. }
+            | Self::TooLarge { .. }
+            | Self::TooFewMembers { .. }
+            | Self::NoConvergence { .. } => ErrorClass::Ensemble,
+        }
+    }
+
+    /// Return where the error is, in words such as "step 2" or "predicted, member 5"; none where it concerns
+    /// the whole input.
+    pub fn place(&self) -> Option<String> {
+        Some(match self {
+            Self::Alpha { step, .. } | Self::StepBeyondSchedule { step, .. } => {
+                format!("step {step}")
+            }
+            Self::Decrease { .. } => "decrease".to_owned(),
+            Self::NoiseStd { obs, .. } => format!("observation {obs}"),
+            Self::NoiseNotFinite { row, column, .. }
+            | Self::NoiseNotSymmetric { row, column, .. }
+            | Self::PriorNotSymmetric { row, column, .. } => format!("row {row}, column {column}"),
+            Self::NoiseNotPositiveDefinite { pivot } | Self::PriorNotPositiveDefinite { pivot } => {
+                format!("pivot {pivot}")
+            }
+            Self::Setting { name, .. } => (*name).to_owned(),
+            Self::OutOfOrder { call, .. } => (*call).to_owned(),
+            Self::NoDifference { direction } => format!("prior direction {direction}"),
+            Self::Shape { argument, .. } => (*argument).to_owned(),
+            Self::NoObservations => "predicted".to_owned(),
+            Self::NotFinite { argument, row, column, .. } => match self.class() {
+                ErrorClass::Observed => format!("{argument}, row {row}"),
+                ErrorClass::Ensemble => format!("{argument}, member {column}"),
+                _ => format!("{argument}, row {row}, column {column}"),
+            },
+            Self::TooLarge { column, .. } => format!("predicted, member {column}"),
+            Self::EmptySchedule
+            | Self::ScheduleSum { .. }
+            | Self::NoMinimum { .. }
+            | Self::Overflow
+            | Self::TooFewMembers { .. }
+            | Self::NoConvergence { .. } => return None,
+        })
+    }
+}
+
+/// What an error is about. The list is complete: every [`EsmdaError`] has one of these.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum ErrorClass {
+    /// Inflation coefficients.
+    Schedule,
+    /// The covariance of the noise, or numbers over it.
+    Noise,
+    /// The prior, a setting or another argument.
+    Argument,
+    /// A call before the one that it needs.
+    Order,
+    /// A search that did not reach a minimum.
+    Convergence,
+    /// The shape of an array.
+    Shape,
+    /// What was observed.
+    Observed,
+    /// Members, their predictions or parameters.
+    Ensemble,
 }

@@ -48,10 +48,9 @@
 //!
 //! # What is where
 //!
-//! * [`step`]: the update and its formula; [`Step::prepare`] returns what has [`Step::apply`]; [`LocalizedStep`] damps
-//!   chance correlations of few members.
-//! * [`schedule`]: inflation coefficients, checked: `sum 1 / alpha = 1`; or chosen on the way, [`next_alpha`].
-//! * [`noise`]: `C_d`, diagonal, dense, or diagonal and low rank, factored once.
+//! * [`step`]: the update and its formula; [`Step::prepare`] returns what has [`Step::apply`].
+//! * [`schedule`]: inflation coefficients, checked: `sum 1 / alpha = 1`.
+//! * [`noise`]: `C_d`, diagonal or dense, factored once.
 //! * [`screening`]: failed members, dropped with their reason.
 //! * [`gauss_newton`]: beside the ensemble, the most probable parameters and the Gaussian about them.
 //! * [`outliers`]: groups of observations that contradict the others after the fit.
@@ -83,17 +82,14 @@ pub mod step;
 /// The linear algebra that this crate's arguments are made of, in the version that it takes.
 pub use faer;
 
-pub use error::EsmdaError;
+pub use error::{ErrorClass, EsmdaError, Reason};
 pub use gauss_newton::{Evaluation, GaussNewton, Linearised, SearchSettings};
 pub use gaussian::Gaussian;
 pub use noise::NoiseCovariance;
 pub use outliers::{GroupScore, score_groups, wrong_groups};
-pub use schedule::{AdaptiveRule, Schedule, largest_change, next_alpha};
-pub use screening::{Reason, Screening, screen_members};
-pub use step::{
-    Factorisation, LocalizedStep, Side, Step, StepReport, StepSettings, Taper, Truncation,
-    gaspari_cohn,
-};
+pub use schedule::Schedule;
+pub use screening::{Screening, screen_members};
+pub use step::{Factorisation, Side, Step, StepReport, StepSettings};
 
 /// The README's code runs as a test.
 #[cfg(doctest)]

@@ -3,13 +3,9 @@
 //! All a step needs is `L^-1` times something (whitening); the covariance is never inverted. Whatever the model itself
 //! gets wrong at the observations belongs in `C_d` too, or every posterior is too narrow.
 
-mod low_rank;
+use faer::prelude::ReborrowMut;
+use faer::{Mat, MatMut, MatRef, Par};
 
-use faer::linalg::matmul::triangular::{BlockStructure, matmul};
-use faer::prelude::{Reborrow, ReborrowMut};
-use faer::{Accum, Mat, MatMut, MatRef, Par};
-
-use self::low_rank::LowRank;
 use crate::check::{check_shape, find, find_asymmetry};
 use crate::{EsmdaError, linalg};
 
@@ -39,7 +35,6 @@ pub struct NoiseCovariance {
 enum Root {
     Diagonal(Vec<f64>),
     Lower(Mat<f64>),
-    LowRank(LowRank),
 }
 
 impl NoiseCovariance {
@@ -51,46 +46,6 @@ impl NoiseCovariance {
     pub fn diagonal(std: &[f64]) -> Result<Self, EsmdaError> {
         check_std(std)?;
         Ok(Self { root: Root::Diagonal(std.to_vec()) })
-    }
-
-    /// Independent noise and errors that observations share: `C_d = diag(std)^2 + B B'`, `B` the `columns`.
-    ///
-    /// For the error of a model, say, known from a few samples or modes. `C_d` itself is never formed. The root is not
-    /// the lower triangle of [`NoiseCovariance::dense`]: with the same draws the stochastic step differs from its by a
-    /// rotation of the draws, in distribution not at all.
-    ///
-    /// # Shapes
-    ///
-    /// `std` is (`n_obs`), `columns` is (`n_obs`, anything), both in the unit of the observations.
-    ///
-    /// # Errors
-    ///
-    /// [`EsmdaError::NoiseStd`], [`EsmdaError::Shape`] and [`EsmdaError::NotFinite`] for `columns`;
-    /// [`EsmdaError::Overflow`] if a column over the standard deviations leaves the range of `f64`;
-    /// [`EsmdaError::NoConvergence`] if its singular values are not found.
-    ///
-    /// # Cost
-    ///
-    /// Singular values of (`n_obs`, `k`) once, then `2 n_obs k` multiply-adds a whitened vector, `k` columns.
-    ///
-    /// # Examples
-    ///
-    /// ```
-    /// use tissuereg_esmda::NoiseCovariance;
-    /// use tissuereg_esmda::faer::mat;
-    ///
-    /// // Two trackers of 0.1 mm and a model that is off by 0.3 mm in both or in none.
-    /// let noise = NoiseCovariance::low_rank(&[0.1, 0.1], mat![[0.3], [0.3]].as_ref())?;
-    /// assert_eq!(noise.n_obs(), 2);
-    /// # Ok::<(), tissuereg_esmda::EsmdaError>(())
-    /// ```
-    pub fn low_rank(std: &[f64], columns: MatRef<'_, f64>) -> Result<Self, EsmdaError> {
-        check_std(std)?;
-        check_shape("columns", columns.shape(), (std.len(), columns.ncols()))?;
-        if columns.ncols() == 0 {
-            return Self::diagonal(std);
-        }
-        Ok(Self { root: Root::LowRank(LowRank::new(std, columns)?) })
     }
 
     /// Correlated noise: a full covariance, (`n_obs`, `n_obs`).
@@ -116,7 +71,6 @@ impl NoiseCovariance {
         match &self.root {
             Root::Diagonal(std) => std.len(),
             Root::Lower(lower) => lower.nrows(),
-            Root::LowRank(low_rank) => low_rank.std.len(),
         }
     }
 
@@ -124,7 +78,7 @@ impl NoiseCovariance {
     pub(crate) fn independent(&self) -> Option<&[f64]> {
         match &self.root {
             Root::Diagonal(std) => Some(std),
-            Root::Lower(_) | Root::LowRank(_) => None,
+            Root::Lower(_) => None,
         }
     }
 
@@ -147,49 +101,6 @@ impl NoiseCovariance {
                     Par::Seq,
                 );
             }),
-            Root::LowRank(low_rank) => low_rank.whiten(columns, par),
-        }
-    }
-
-    /// The opposite of whitening: `columns <- columns L'`, shapes as there.
-    pub(crate) fn colour_in_place(&self, mut columns: MatMut<'_, f64>, par: Par) {
-        match &self.root {
-            Root::Diagonal(std) => {
-                for (obs, std) in std.iter().enumerate() {
-                    columns.rb_mut().col_mut(obs).iter_mut().for_each(|value| *value *= std);
-                }
-            }
-            Root::Lower(lower) => linalg::for_row_chunks(columns, par, |mut chunk| {
-                let whole = BlockStructure::Rectangular;
-                let white = chunk.rb().to_owned();
-                matmul(
-                    chunk.rb_mut(),
-                    whole,
-                    Accum::Replace,
-                    white.as_ref(),
-                    whole,
-                    lower.transpose(),
-                    BlockStructure::TriangularUpper,
-                    1.0,
-                    Par::Seq,
-                );
-            }),
-            Root::LowRank(low_rank) => low_rank.colour(columns, par),
-        }
-    }
-
-    /// A gain on whitened observations made one on observations: `columns <- columns L^-1`, shapes as there.
-    pub(crate) fn unscale_gain_in_place(&self, columns: MatMut<'_, f64>, par: Par) {
-        match &self.root {
-            Root::Diagonal(_) => self.whiten_in_place(columns, par),
-            Root::Lower(lower) => linalg::for_row_chunks(columns, par, |chunk| {
-                faer::linalg::triangular_solve::solve_upper_triangular_in_place(
-                    lower.transpose(),
-                    chunk.transpose_mut(),
-                    Par::Seq,
-                );
-            }),
-            Root::LowRank(low_rank) => low_rank.unscale(columns, par),
         }
     }
 }

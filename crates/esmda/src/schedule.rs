@@ -7,11 +7,7 @@
 //! Reference: A. A. Emerick and A. C. Reynolds, "Ensemble smoother with multiple data assimilation", Computers &
 //! Geosciences 55, 3-15, 2013, doi:10.1016/j.cageo.2012.03.011.
 
-mod adaptive;
-
 use crate::EsmdaError;
-
-pub use adaptive::{AdaptiveRule, largest_change, next_alpha};
 
 /// How far the sum of the inverse coefficients may lie from what it must be.
 pub const SUM_TOLERANCE: f64 = 1e-9;

@@ -4,48 +4,9 @@
 //! every mean and covariance meaningless, so it is dropped before a step, with its reason. It is never replaced by a
 //! copy of a good one, which would shrink the spread.
 
-use std::fmt;
-
 use faer::MatRef;
 
-use crate::EsmdaError;
-
-/// Why a member was dropped; `obs` is the first observation that shows it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub enum Reason {
-    /// A prediction is not a number.
-    NotANumber {
-        /// Observation.
-        obs: usize,
-    },
-    /// A prediction is infinite.
-    Infinite {
-        /// Observation.
-        obs: usize,
-    },
-    /// A prediction is finite and absurd.
-    TooLarge {
-        /// Observation.
-        obs: usize,
-        /// The prediction.
-        value: f64,
-        /// Largest absolute value allowed.
-        limit: f64,
-    },
-}
-
-impl fmt::Display for Reason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NotANumber { obs } => write!(f, "prediction {obs} is not a number"),
-            Self::Infinite { obs } => write!(f, "prediction {obs} is infinite"),
-            Self::TooLarge { obs, value, limit } => {
-                write!(f, "prediction {obs} is {value:e}, beyond {limit:e}")
-            }
-        }
-    }
-}
+use crate::error::{EsmdaError, Reason};
 
 /// Who stays and who goes.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,18 +1,19 @@
 //! A body: mesh, element type and supports, with everything that is made once from them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Instant;
 
 use crate::assembly::NodalGradients;
 use crate::element::{Element, Geometry, edges_of};
 use crate::error::FemError;
-use crate::mesh::{Mesh, ascending};
-use crate::solve::RestCache;
+use crate::material::Shape;
+use crate::mesh::{FacetOwners, Mesh, ascending, facet_owners};
+use crate::rigid::check_rigid_modes;
 use crate::supports::Supports;
-use crate::surface::{FacetOwners, facet_owners};
+use crate::system::factor::Factor;
 use crate::system::pattern::Pattern;
-use crate::system::{FactorSize, PlainOrder, check_rigid_modes};
+use crate::system::{FactorSize, PlainOrder};
 
 /// A supported mesh with its element data, elimination order and symbolic factor.
 ///
@@ -49,7 +50,8 @@ pub struct Body {
     held: Vec<[bool; 3]>,
     pattern: Arc<Pattern>,
     plain_order: OnceLock<Result<PlainOrder, FemError>>,
-    rest_cache: RestCache,
+    /// The factor made last, and of what.
+    kept: Mutex<Option<(Shape, Arc<Factor>)>>,
     analyse_seconds: f64,
 }
 
@@ -119,22 +121,9 @@ impl Body {
             held: self.held.clone(),
             pattern: Arc::clone(&self.pattern),
             plain_order: OnceLock::new(),
-            rest_cache: RestCache::default(),
+            kept: Mutex::default(),
             analyse_seconds: start.elapsed().as_secs_f64(),
         })
-    }
-
-    /// The same body once more, with a cache of its own; all else is shared or small.
-    pub(crate) fn again(&self) -> Self {
-        Self {
-            shape: Arc::clone(&self.shape),
-            supports: self.supports.clone(),
-            held: self.held.clone(),
-            pattern: Arc::clone(&self.pattern),
-            plain_order: OnceLock::new(),
-            rest_cache: RestCache::default(),
-            analyse_seconds: self.analyse_seconds,
-        }
     }
 
     fn supported(
@@ -154,7 +143,7 @@ impl Body {
             held,
             pattern,
             plain_order: OnceLock::new(),
-            rest_cache: RestCache::default(),
+            kept: Mutex::default(),
             analyse_seconds: start.elapsed().as_secs_f64(),
         })
     }
@@ -263,8 +252,17 @@ impl Body {
         self.shape.facet_owners.get_or_init(|| facet_owners(self.mesh()))
     }
 
-    pub(crate) fn rest_cache(&self) -> &RestCache {
-        &self.rest_cache
+    /// The factor that [`Body::keep_factor`] was given last, if it is that of this shape.
+    pub(crate) fn kept_factor(&self, shape: &Shape) -> Option<Arc<Factor>> {
+        let slot = self.kept.lock().ok()?;
+        slot.as_ref().filter(|(kept, _)| kept == shape).map(|(_, factor)| Arc::clone(factor))
+    }
+
+    /// Keep the factor of the undeformed stiffness of a shape in place of the one before.
+    pub(crate) fn keep_factor(&self, shape: Shape, factor: &Arc<Factor>) {
+        if let Ok(mut slot) = self.kept.lock() {
+            *slot = Some((shape, Arc::clone(factor)));
+        }
     }
 
     /// Held axes of all nodes.

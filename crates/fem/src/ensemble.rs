@@ -10,8 +10,8 @@ use rayon::prelude::*;
 use crate::body::Body;
 use crate::error::FemError;
 use crate::load::Load;
-use crate::material::Material;
-use crate::solve::{Shape, SharedRest, Solution, SolveSettings, Solver, Task};
+use crate::material::{Material, Shape};
+use crate::solve::{SharedRest, Solution, SolveSettings, Solver, Task};
 
 /// One member of an ensemble: what is loaded how.
 #[derive(Debug, Clone, Copy)]

@@ -3,7 +3,38 @@
 //! Messages state what must hold, what was found and where. Lengths are in mm, volumes in mm³,
 //! forces in mN, stiffness in kPa.
 
-use crate::system::RigidModes;
+/// How a body, or a loose part of it, can move without deforming.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct RigidModes {
+    /// Names such as "translation x", "rotation about y".
+    pub modes: Vec<String>,
+    /// Number of parts of the mesh that share no node.
+    pub n_parts: usize,
+    /// Number of nodes of the first free part.
+    pub n_part_nodes: usize,
+    /// One node of the first free part.
+    pub node: usize,
+}
+
+impl std::fmt::Display for RigidModes {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if self.n_parts > 1 {
+            write!(
+                f,
+                "a loose part of {} nodes (node {} is one; the mesh has {} parts that share no node)",
+                self.n_part_nodes, self.node, self.n_parts
+            )?;
+        } else {
+            write!(f, "the body of {} nodes", self.n_part_nodes)?;
+        }
+        write!(
+            f,
+            " must be held so that it cannot move without deforming; still free: {}",
+            self.modes.join(", ")
+        )
+    }
+}
 
 /// The reason why a body could not be made or a solve found no answer.
 ///
@@ -165,14 +196,6 @@ pub enum FemError {
         /// The vector found.
         direction: [f64; 3],
     },
-    /// A constraint or an observation names a particle that does not exist.
-    #[error("particle {particle} does not exist: there are {n_particles}")]
-    NoSuchParticle {
-        /// The index that is out of range.
-        particle: usize,
-        /// Number of particles.
-        n_particles: usize,
-    },
     /// An array has the wrong number of rows.
     #[error("{what} must have {expected} rows; found {found}")]
     WrongLength {
@@ -295,9 +318,6 @@ pub enum FemError {
         /// Number of unknowns.
         n_dofs: usize,
     },
-    /// Derivatives of a history whose steps were not recorded.
-    #[error("the history must record its steps for derivatives: make it by `History::recorded`")]
-    NothingRecorded,
     /// A derivative by something that the model does not have.
     #[error("there is no derivative by {what}: the model has none")]
     NoSuchCause {
@@ -342,6 +362,109 @@ impl FemError {
             Self::NoEquilibrium(_) | Self::InvertedStart { .. } | Self::NoRestShape { .. }
         )
     }
+
+    /// Return what the error is about.
+    pub fn class(&self) -> ErrorClass {
+        match self {
+            Self::EmptyMesh { .. }
+            | Self::NonFiniteNode { .. }
+            | Self::NodeOutOfRange { .. }
+            | Self::RepeatedNode { .. }
+            | Self::InvertedTet { .. }
+            | Self::DegenerateTet { .. }
+            | Self::UnusedNode { .. }
+            | Self::OverlappingTets { .. }
+            | Self::SingularStiffness { .. }
+            | Self::TooLarge { .. } => ErrorClass::Mesh,
+            Self::HeldNodeOutOfRange { .. }
+            | Self::HeldNodeRepeated { .. }
+            | Self::Unconstrained(_)
+            | Self::MissingSprings { .. } => ErrorClass::Support,
+            Self::BadYoung { .. }
+            | Self::BadPoisson { .. }
+            | Self::BadLaw { .. }
+            | Self::BadFibre { .. }
+            | Self::BadParameter { .. }
+            | Self::NoSuchCause { .. } => ErrorClass::Material,
+            Self::NonFinite { .. }
+            | Self::NotOnSurface { .. }
+            | Self::RepeatedFacet { .. }
+            | Self::TimeRunsBack { .. }
+            | Self::BadObservation { .. }
+            | Self::InvertedStart { .. } => ErrorClass::Load,
+            Self::WrongLength { .. } => ErrorClass::Shape,
+            Self::BadSetting { .. } => ErrorClass::Setting,
+            Self::NoRestShape { .. }
+            | Self::NotInEquilibrium { .. }
+            | Self::NotStable { .. }
+            | Self::NoEquilibrium(_) => ErrorClass::Convergence,
+            Self::Cancelled => ErrorClass::Cancelled,
+        }
+    }
+
+    /// Return where the error is, in words such as "tet 7" or "held node 3"; none where it concerns the
+    /// whole input.
+    pub fn place(&self) -> Option<String> {
+        Some(match self {
+            Self::NonFiniteNode { node, .. } | Self::UnusedNode { node, .. } => {
+                format!("node {node}")
+            }
+            Self::NodeOutOfRange { tet, .. }
+            | Self::RepeatedNode { tet, .. }
+            | Self::InvertedTet { tet, .. }
+            | Self::DegenerateTet { tet, .. } => format!("tet {tet}"),
+            Self::OverlappingTets { triangle: [a, b, c], .. }
+            | Self::MissingSprings { triangle: [a, b, c] } => format!("triangle {a} {b} {c}"),
+            Self::HeldNodeOutOfRange { node, .. } | Self::HeldNodeRepeated { node } => {
+                format!("held node {node}")
+            }
+            Self::Unconstrained(rigid) => format!("node {}", rigid.node),
+            Self::BadYoung { entry, .. } => format!("young, entry {entry}"),
+            Self::BadPoisson { entry, .. } => format!("poisson, entry {entry}"),
+            Self::BadFibre { entry, .. } => format!("direction, entry {entry}"),
+            Self::BadLaw { name, .. }
+            | Self::BadSetting { name, .. }
+            | Self::BadParameter { name, .. } => (*name).to_owned(),
+            Self::WrongLength { what, .. } => (*what).to_owned(),
+            Self::NonFinite { what, row, .. } => format!("{what}, row {row}"),
+            Self::NotOnSurface { row, .. } | Self::RepeatedFacet { row, .. } => {
+                format!("triangle {row}")
+            }
+            Self::TimeRunsBack { time_s, .. } => format!("time {time_s} s"),
+            Self::NoSuchCause { what } => what.clone(),
+            Self::BadObservation { what, node, .. } => format!("{what}, node {node}"),
+            Self::InvertedStart { tet, .. } => format!("start, tet {tet}"),
+            Self::NoEquilibrium(failure) => format!("tet {}", failure.worst_tets.first()?.tet),
+            Self::EmptyMesh { .. }
+            | Self::SingularStiffness { .. }
+            | Self::TooLarge { .. }
+            | Self::NoRestShape { .. }
+            | Self::NotInEquilibrium { .. }
+            | Self::NotStable { .. }
+            | Self::Cancelled => return None,
+        })
+    }
+}
+
+/// What an error is about. The list is complete: every [`FemError`] has one of these.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum ErrorClass {
+    /// Nodes and tetrahedra, or the matrix made from them.
+    Mesh,
+    /// What holds the body.
+    Support,
+    /// Laws, moduli, behaviours, and what derivatives are taken by.
+    Material,
+    /// Loads, and other fields over a body.
+    Load,
+    /// The length of a list.
+    Shape,
+    /// A setting of the solver.
+    Setting,
+    /// A search that found no answer, or a state that is none.
+    Convergence,
+    /// The caller's wish.
+    Cancelled,
 }
 
 /// Why an equilibrium search ended, and the last good state.

@@ -74,17 +74,14 @@
 //!
 //! [`History`] leads a body from one time frame to the next, with relaxation, rate, softening, set,
 //! drainage and swelling ([`Behaviour`]) on any law; [`Rig`] bonds pads to it and releases them.
-//! [`Springs`] hold facets of its surface, a [`Skin`] covers them, and [`rest_shape`] finds the
-//! unloaded shape of a body that is given in its shape under gravity. [`AdmmBody`] moves with inertia, by
-//! projective dynamics; [`Pbd`] meets distances, volumes and observed places one after another.
+//! [`Springs`] hold facets of its surface, and [`rest_shape`] finds the unloaded shape of a body that is
+//! given in its shape under gravity.
 //!
 //! # Derivatives
 //!
 //! [`Linearised`] is an equilibrium with its exact tangent. It gives the derivatives of displacement
-//! and reactions by a [`Cause`] (a parameter, a field of moduli, a load, springs, a skin) and, by one
-//! adjoint solution, those of an [`Observation`] by the stiffness of every quadrature point. For the
-//! frames of a [recorded](History::recorded) history, [`Rig::derivatives`] and [`Rig::adjoints`] do
-//! the same, also by the parameters of a [`Behaviour`] and the motion of pads.
+//! and reactions by a [`Cause`] (a parameter, a field of moduli, a load, springs) and, by one
+//! adjoint solution, those of an [`Observation`] by the stiffness of every quadrature point.
 //!
 //! # Promises
 //!
@@ -99,9 +96,9 @@
 //! [`Behaviour`] end with `..Default::default()`. No type of another crate is part of the interface.
 #![forbid(unsafe_code)]
 
-mod admm;
 mod assembly;
 mod body;
+mod check;
 mod element;
 mod ensemble;
 mod error;
@@ -109,42 +106,41 @@ mod groups;
 mod history;
 mod load;
 pub mod material;
+mod memory;
 mod mesh;
-mod pbd;
 mod rest_shape;
 mod resultant;
+mod rigid;
+mod scalar;
 mod sensitivity;
 mod solve;
+mod springs;
 mod supports;
 mod surface;
 mod system;
 
-pub use admm::{AdmmBody, AdmmReport};
 pub use body::Body;
 pub use element::Element;
 pub use ensemble::{Member, Outcome, solve_many};
-pub use error::{FemError, NoEquilibrium, StopReason, WorstTet};
-pub use history::{
-    Behaviour, BehaviourParameter, Drainage, History, Pad, Part, Relaxation, Rig, RigFrame, Set,
-    Softening, SofteningForm, Swelling,
-};
+pub use error::{ErrorClass, FemError, NoEquilibrium, RigidModes, StopReason, WorstTet};
+pub use history::{History, Pad, Rig, RigFrame};
 pub use load::Load;
 pub use material::{Material, Stiffness};
+pub use memory::{Behaviour, Drainage, Part, Relaxation, Set, Softening, SofteningForm, Swelling};
 pub use mesh::{DEGENERATE_LIMIT, Mesh, tet_volumes};
-pub use pbd::{Pbd, PbdConstraint, PbdObservation};
 pub use rest_shape::{RestShape, rest_shape};
 pub use resultant::{Resultant, resultant};
+pub use scalar::{ScalarFactor, ScalarScratch, ScalarSystem};
 pub use sensitivity::{
-    Adjoint, Cause, Compliance, Derivative, FrameAdjoint, FrameCause, FrameDerivative,
-    FrameObservation, Linearised, Observation, TangentReport,
+    Adjoint, Cause, Compliance, Derivative, Linearised, Observation, TangentReport,
 };
 pub use solve::{
     LoadSteps, Method, Precision, Solution, SolveReport, SolveSettings, StageSeconds,
     internal_forces, is_stable, solve, solve_from, spring_forces,
 };
+pub use springs::{Friction, Springs};
 pub use supports::Supports;
-pub use surface::{Friction, Skin, Springs};
-pub use system::{FactorSize, RigidModes};
+pub use system::FactorSize;
 
 /// Runs the examples of the README.
 #[cfg(doctest)]

@@ -3,8 +3,9 @@
 //! `Π(u) = W(u) − fᵀ u` exists and equilibrium is a minimum of it.
 
 use crate::body::Body;
+use crate::check::{check_finite, check_length};
 use crate::error::FemError;
-use crate::surface::Springs;
+use crate::springs::Springs;
 
 /// The load on a body; the default is none.
 ///
@@ -100,20 +101,5 @@ impl NodalLoad {
         };
         let moves_supports = prescribed.iter().any(|&v| v != 0.0);
         Ok(Self { force, prescribed, moves_supports })
-    }
-}
-
-pub(crate) fn check_length(
-    what: &'static str,
-    expected: usize,
-    found: usize,
-) -> Result<(), FemError> {
-    if expected == found { Ok(()) } else { Err(FemError::WrongLength { what, expected, found }) }
-}
-
-pub(crate) fn check_finite(what: &'static str, rows: &[[f64; 3]]) -> Result<(), FemError> {
-    match rows.iter().position(|row| !row.iter().all(|v| v.is_finite())) {
-        Some(row) => Err(FemError::NonFinite { what, row, values: rows[row] }),
-        None => Ok(()),
     }
 }

@@ -4,6 +4,9 @@
 //! existing nodes and positive volume, every node belongs to a tetrahedron, and no triangle is
 //! shared by more than two tetrahedra. What follows may rely on it.
 
+use std::collections::HashMap;
+
+use crate::check::check_length;
 use crate::error::FemError;
 use crate::groups::Groups;
 
@@ -76,7 +79,7 @@ impl Mesh {
     ///
     /// [`FemError::WrongLength`], and as [`Mesh::new`] for coordinates and volumes.
     pub fn moved_to(&self, nodes: Vec<[f64; 3]>) -> Result<Self, FemError> {
-        crate::load::check_length("nodes", self.n_nodes(), nodes.len())?;
+        check_length("nodes", self.n_nodes(), nodes.len())?;
         check_nodes(&nodes, &self.tets)?;
         check_volumes(&nodes, &self.tets)?;
         Ok(Self { nodes, ..self.clone() })
@@ -237,6 +240,23 @@ fn boundary_faces(tets: &[[usize; 4]], faces: &[KeyedFace]) -> Result<Vec<[usize
     }
     boundary.sort_unstable();
     Ok(boundary.into_iter().map(|p| FACES[p % 4].map(|a| tets[p / 4][a])).collect())
+}
+
+/// Tetrahedron and face of every triangle of the surface, by its nodes in ascending order.
+pub(crate) type FacetOwners = HashMap<[usize; 3], (usize, usize)>;
+
+/// Find the owners of all facets of a mesh.
+pub(crate) fn facet_owners(mesh: &Mesh) -> FacetOwners {
+    let mut owners: FacetOwners =
+        mesh.surface_triangles().iter().map(|&triangle| (ascending(triangle), (0, 0))).collect();
+    for (tet, corners) in mesh.tets().iter().enumerate() {
+        for (face, places) in FACES.iter().enumerate() {
+            if let Some(owner) = owners.get_mut(&ascending(places.map(|a| corners[a]))) {
+                *owner = (tet, face);
+            }
+        }
+    }
+    owners
 }
 
 fn blocks_by_tet(n_tets: usize, faces: &[KeyedFace]) -> Vec<usize> {

@@ -13,7 +13,7 @@ use crate::body::Body;
 use crate::error::FemError;
 use crate::load::Load;
 use crate::material::Material;
-use crate::solve::{Solution, SolveSettings, Solver, Task, dot};
+use crate::solve::{Metric, Solution, SolveSettings, Solver, Task, dot};
 
 /// Largest distance between loaded and given nodes, mm.
 const TOLERANCE: f64 = 1e-6;
@@ -144,8 +144,7 @@ impl Search<'_> {
         let body = self.given.moved_to(place.as_chunks::<3>().0.to_vec())?;
         let parallel = self.settings.is_parallel();
         let task = Task { material: self.material, load: self.load, start };
-        let (cache, springs) = (self.given.rest_cache(), &self.load.springs);
-        let metric = || cache.metric(self.given, self.material, springs, parallel);
+        let metric = || Metric::at_rest(self.given, self.material, &self.load.springs, parallel);
         let loaded = Solver::new(&body, parallel).solve(task, self.settings, metric)?;
         let wanted = self.given.mesh().nodes().as_flattened();
         let off = (0..wanted.len())

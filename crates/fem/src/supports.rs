@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use crate::error::FemError;
 use crate::mesh::ascending;
-use crate::surface::Springs;
+use crate::springs::Springs;
 
 /// Held nodes, each along chosen axes.
 ///

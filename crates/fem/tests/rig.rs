@@ -9,7 +9,7 @@ use std::sync::atomic::AtomicBool;
 use common::{bar, clamped_at_x0, dome, largest, largest_difference, nodes_where};
 use tissuereg_fem::{
     Behaviour, Body, Drainage, Element, FemError, History, Load, Material, Pad, Relaxation, Rig,
-    Set, Skin, Softening, SofteningForm, SolveSettings, Springs, Supports, Swelling, rest_shape,
+    Set, Softening, SofteningForm, SolveSettings, Springs, Supports, Swelling, rest_shape,
     resultant, solve,
 };
 
@@ -168,17 +168,16 @@ fn a_body_hangs_as_it_was_given() {
 }
 
 #[test]
-fn a_rest_shape_on_springs_with_a_skin_is_found() {
+fn a_rest_shape_on_springs_is_found() {
     let mesh = bar([4, 4, 2], [40.0, 40.0, 20.0]);
     let facets = |z: f64| -> Vec<[usize; 3]> {
         let on = |n: &usize| (mesh.nodes()[*n][2] - z).abs() < 1e-9;
         mesh.surface_triangles().iter().filter(|t| t.iter().all(on)).copied().collect()
     };
     let bed = Springs { triangles: facets(0.0), normal: 0.2, tangential: 0.1, friction: None };
-    let skin = Skin { triangles: facets(20.0), thickness: 1.0, young: 30.0, poisson: 0.4 };
     let body =
         Body::new(mesh.clone(), Element::Tet4, Supports::new().rest_on(&bed)).expect("stands");
-    let material = material().with_skin(skin).expect("sound");
+    let material = material();
     let load = Load { body_force: [1e-3, 0.0, -9.81e-3], springs: vec![bed], ..Load::default() };
     let rest = rest_shape(&body, &material, &load, &SolveSettings::default()).expect("found");
     let places: Vec<[f64; 3]> = (0..mesh.n_nodes())

@@ -7,7 +7,7 @@ use common::{Random, bar, clamped_at_x0, largest, laws, nodes_where};
 use tissuereg_fem::material::{Directions, Fibres, Parameter};
 use tissuereg_fem::{
     Body, Cause, Derivative, Element, FemError, Linearised, Load, Material, Method, Observation,
-    Skin, Solution, SolveSettings, Springs, Stiffness, Supports, solve,
+    Solution, SolveSettings, Springs, Stiffness, Supports, solve,
 };
 
 const ALL: [Element; 3] = [Element::Tet4, Element::Tet4Averaged, Element::Tet10];
@@ -101,15 +101,11 @@ fn every_parameter_of_every_law_agrees_with_differences() {
 }
 
 #[test]
-fn loads_springs_and_skin_agree_with_differences() {
+fn loads_and_springs_agree_with_differences() {
     for element in ALL {
         let body = held_bar(element);
         let top = top_of(&body);
-        let make = |young: f64, thickness: f64| {
-            let skin = Skin { triangles: top.clone(), thickness, young, poisson: 0.3 };
-            Material::neo_hookean(10.0, 0.4).and_then(|m| m.with_skin(skin)).expect("sound")
-        };
-        let material = make(50.0, 0.5);
+        let material = Material::neo_hookean(10.0, 0.4).expect("sound");
         let springs = |normal, tangential| Springs {
             triangles: top.clone(),
             normal,
@@ -125,11 +121,6 @@ fn loads_springs_and_skin_agree_with_differences() {
         for (cause, wanted) in [
             (Cause::SpringNormal(0), difference(1e-3, |d| sprung(0.3 + d, 0.2))),
             (Cause::SpringTangential(0), difference(1e-3, |d| sprung(0.3, 0.2 + d))),
-            (Cause::SkinYoung(0), difference(1e-2, |d| answer(&body, &make(50.0 + d, 0.5), &base))),
-            (
-                Cause::SkinThickness(0),
-                difference(1e-4, |d| answer(&body, &make(50.0, 0.5 + d), &base)),
-            ),
         ] {
             let words = format!("{element:?} {cause:?}");
             assert_close(&derivative(&here, cause), &wanted, &words);
@@ -174,8 +165,7 @@ fn the_adjoint_is_the_transpose_of_the_derivatives() {
         let n = body.n_tets() * n_points;
         let young = (0..n).map(|_| 10.0 + 4.0 * random.next()).collect();
         let field = Stiffness::PerPoint { n_points, young, poisson: vec![0.42] };
-        let skin = Skin { triangles: top.clone(), thickness: 0.4, young: 30.0, poisson: 0.3 };
-        let material = Material::new(field).and_then(|m| m.with_skin(skin)).expect("sound");
+        let material = Material::new(field).expect("sound");
         let bed = Springs { triangles: top, normal: 0.2, tangential: 0.1, friction: None };
         let load = Load { springs: vec![bed], ..pushed(&body, 1.5) };
         let here = at(&body, &material, &load);
@@ -210,7 +200,6 @@ fn the_adjoint_is_the_transpose_of_the_derivatives() {
             Cause::Load(rate.clone()),
             Cause::SpringNormal(0),
             Cause::SpringTangential(0),
-            Cause::SkinYoung(0),
         ];
         let derivatives = here.derivatives(&causes).expect("derivatives");
         let adjoints = here.adjoints(&observations).expect("adjoints");
@@ -229,7 +218,6 @@ fn the_adjoint_is_the_transpose_of_the_derivatives() {
                 by_load,
                 adjoint.springs[0][0],
                 adjoint.springs[0][1],
-                adjoint.skin_young[0],
             ];
             for ((derivative, found), cause) in derivatives.iter().zip(found).zip(&causes) {
                 let mut wanted = 0.0;
@@ -308,7 +296,6 @@ fn what_is_no_stable_equilibrium_is_refused() {
     for (cause, words) in [
         (Cause::Parameter(Parameter::FibreK1), "FibreK1"),
         (Cause::SpringNormal(0), "springs 0 of 0"),
-        (Cause::SkinYoung(2), "skin 2 of 0"),
     ] {
         let error = here.derivatives(&[cause]).expect_err("none").to_string();
         assert!(error.contains(words), "{error}");

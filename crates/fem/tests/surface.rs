@@ -1,13 +1,12 @@
-//! Springs and skin on the surface: closed forms, derivatives, equilibrium of forces.
+//! Springs on the surface: closed forms, derivatives, equilibrium of forces.
 #![allow(clippy::expect_used, clippy::panic)]
 
 mod common;
 
 use common::{Random, bar, dome, largest, nodes_where};
-use tissuereg_fem::material::{Hyperelastic, NeoHookean};
 use tissuereg_fem::{
-    Body, Element, FemError, Load, Material, Mesh, Skin, SolveSettings, Springs, Supports,
-    resultant, solve,
+    Body, Element, FemError, Load, Material, Mesh, SolveSettings, Springs, Supports, resultant,
+    solve,
 };
 
 const BOTH: [Element; 2] = [Element::Tet4, Element::Tet10];
@@ -109,7 +108,7 @@ fn springs_that_leave_a_rigid_motion_free_are_named() {
 }
 
 #[test]
-fn wrong_springs_and_skins_are_named() {
+fn wrong_springs_are_named() {
     let mesh = bar([2, 2, 2], [10.0; 3]);
     let body = common::clamped_at_x0(mesh, Element::Tet4);
     let material = Material::neo_hookean(10.0, 0.3).expect("sound");
@@ -126,84 +125,19 @@ fn wrong_springs_and_skins_are_named() {
     let inside =
         with(Springs { triangles: vec![[0, 1, 26]], normal: 1.0, tangential: 1.0, friction: None });
     assert!(inside.contains("no facet"), "{inside}");
-
-    let skin = Skin { triangles: vec![[0, 1, 26]], thickness: 1.0, young: 5.0, poisson: 0.4 };
-    for (wrong, word) in [
-        (Skin { thickness: 0.0, ..skin.clone() }, "`skin.thickness`"),
-        (Skin { young: f64::NAN, ..skin.clone() }, "`skin.young`"),
-        (Skin { poisson: 0.5, ..skin.clone() }, "`skin.poisson`"),
-    ] {
-        let error = material.clone().with_skin(wrong).expect_err("wrong").to_string();
-        assert!(error.contains(word), "{error}");
-    }
-    let loose = material.clone().with_skin(skin).expect("sound numbers");
-    let error = solve(&body, &loose, &Load::default(), &settings()).expect_err("inside");
-    assert!(matches!(error, FemError::NotOnSurface { row: 0, .. }), "{error}");
 }
 
-/// A sheet of skin on a core with the same Poisson ratio, stretched along x: both are in uniaxial
-/// stress and contract alike.
+/// Forces of springs against differences of the energy, and quadratic convergence of Newton's
+/// method, which only the right tangent has.
 #[test]
-fn a_stretched_skin_is_in_plane_stress() {
-    let (young, core, poisson, thickness) = (40.0, 3.0, 0.4, 0.5);
-    for element in BOTH {
-        let mesh = bar([2, 2, 1], [10.0, 10.0, 1.0]);
-        let triangles = facets(&mesh, |x| x[2] > 1.0 - 1e-9);
-        let on = |axis: usize, at: f64| nodes_where(&mesh, |x| (x[axis] - at).abs() < 1e-9);
-        let (left, right, front, low) = (on(0, 0.0), on(0, 10.0), on(1, 0.0), on(2, 0.0));
-        let mut axes = vec![[false; 3]; mesh.n_nodes()];
-        left.iter().chain(&right).for_each(|&n| axes[n][0] = true);
-        front.iter().for_each(|&n| axes[n][1] = true);
-        low.iter().for_each(|&n| axes[n][2] = true);
-        let mut supports = Supports::new();
-        for (node, axes) in axes.iter().enumerate().filter(|(_, axes)| axes.contains(&true)) {
-            supports = supports.hold_axes(&[node], *axes);
-        }
-        let body = Body::new(mesh, element, supports).expect("held");
-        let skin = Skin { triangles, thickness, young, poisson };
-        let material =
-            Material::neo_hookean(core, poisson).and_then(|m| m.with_skin(skin)).expect("sound");
-        let rows = body
-            .held_nodes()
-            .iter()
-            .map(|n| if right.contains(n) { [3.0, 0.0, 0.0] } else { [0.0; 3] });
-        let load = Load::from_prescribed(rows.collect());
-        let answer = solve(&body, &material, &load, &settings()).expect("stretched");
-        let pull: f64 = body
-            .held_nodes()
-            .iter()
-            .zip(&answer.reactions)
-            .filter(|(n, _)| right.contains(n))
-            .map(|(_, r)| r[0])
-            .sum();
-        // Uniaxial stress of the three-dimensional law: bisect for the stretch across.
-        let law = NeoHookean::from_young(1.0, poisson);
-        let (mut low, mut high) = (0.5, 1.0);
-        for _ in 0..60 {
-            let across = 0.5 * (low + high);
-            let h = [[0.3, 0.0, 0.0], [0.0, across - 1.0, 0.0], [0.0, 0.0, across - 1.0]];
-            if law.stress(&h).expect("upright")[1][1] > 0.0 { high = across } else { low = across }
-        }
-        let h = [[0.3, 0.0, 0.0], [0.0, low - 1.0, 0.0], [0.0, 0.0, low - 1.0]];
-        let wanted =
-            law.stress(&h).expect("upright")[0][0] * 10.0 * (young * thickness + core * 1.0);
-        assert!((pull - wanted).abs() < 1e-6 * wanted, "{element:?}: {pull} {wanted}");
-    }
-}
-
-/// Forces of springs and skin against differences of the energy, and quadratic convergence of
-/// Newton's method, which only the right tangent has.
-#[test]
-fn forces_and_tangent_of_skin_and_springs_are_derivatives() {
+fn forces_and_tangent_of_springs_are_derivatives() {
     for element in BOTH {
         let mesh = bar([2, 1, 1], [20.0, 10.0, 10.0]);
         let top = facets(&mesh, |x| x[2] > 9.0);
-        let skin = Skin { triangles: top.clone(), thickness: 0.7, young: 60.0, poisson: 0.3 };
         let springs = Springs { triangles: top, normal: 0.8, tangential: 0.3, friction: None };
         let all: Vec<usize> = (0..mesh.n_nodes()).collect();
         let body = Body::new(mesh, element, all).expect("held");
-        let material =
-            Material::neo_hookean(10.0, 0.4).and_then(|m| m.with_skin(skin)).expect("sound");
+        let material = Material::neo_hookean(10.0, 0.4).expect("sound");
         let mut random = Random::new(5);
         let u: Vec<[f64; 3]> = (0..body.n_corner_nodes())
             .map(|_| std::array::from_fn(|_| 1.5 * random.next()))
@@ -227,16 +161,13 @@ fn forces_and_tangent_of_skin_and_springs_are_derivatives() {
 }
 
 #[test]
-fn newton_converges_on_skin_and_springs() {
+fn newton_converges_on_springs() {
     for element in BOTH {
         let mesh = dome(6);
         let base = facets(&mesh, |x| x[2] < 1e-9);
-        let cap = facets(&mesh, |x| x[2] > 1e-9);
         let bed = Springs { triangles: base, normal: 0.1, tangential: 0.05, friction: None };
         let body = Body::new(mesh, element, Supports::new().rest_on(&bed)).expect("stands");
-        let skin = Skin { triangles: cap, thickness: 1.5, young: 100.0, poisson: 0.45 };
-        let material =
-            Material::neo_hookean(5.0, 0.45).and_then(|m| m.with_skin(skin)).expect("sound");
+        let material = Material::neo_hookean(5.0, 0.45).expect("sound");
         let load =
             Load { body_force: [5e-3, 0.0, -9.81e-3], springs: vec![bed], ..Load::default() };
         let newton = settings().with_method(tissuereg_fem::Method::Newton);

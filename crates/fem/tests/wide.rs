@@ -7,7 +7,7 @@ use common::{Random, bar, clamped_at_x0, dome, largest_difference, nodes_where};
 use tissuereg_fem::material::Parameter;
 use tissuereg_fem::{
     Body, Cause, Compliance, Element, FemError, Linearised, Load, Material, Method, Observation,
-    Precision, Skin, SolveSettings, Springs, Stiffness, Supports, solve, spring_forces,
+    Precision, SolveSettings, Springs, Stiffness, Supports, solve, spring_forces,
 };
 
 const ALL: [Element; 3] = [Element::Tet4, Element::Tet4Averaged, Element::Tet10];
@@ -32,7 +32,7 @@ fn at<'a>(
     Linearised::in_precision(body, material, load, &u, settings, precision).expect("stable")
 }
 
-/// A bar on rollers and springs, with a skin and a stiffness that varies.
+/// A bar on rollers and springs, with a stiffness that varies.
 fn rich(element: Element) -> (Body, Material, Load) {
     let mesh = bar([4, 2, 2], [18.0, 6.0, 6.0]);
     let end = nodes_where(&mesh, |x| x[0] < 1e-9);
@@ -48,8 +48,7 @@ fn rich(element: Element) -> (Body, Material, Load) {
     let n_points = element.n_points();
     let young = (0..body.n_tets() * n_points).map(|_| 10.0 + 4.0 * random.next()).collect();
     let field = Stiffness::PerPoint { n_points, young, poisson: vec![0.42] };
-    let skin = Skin { triangles: side(6.0), thickness: 0.4, young: 30.0, poisson: 0.3 };
-    let material = Material::new(field).and_then(|m| m.with_skin(skin)).expect("sound");
+    let material = Material::new(field).expect("sound");
     let bed = Springs { triangles: side(0.0), normal: 0.2, tangential: 0.1, friction: None };
     let rows = body
         .held_nodes()
@@ -174,7 +173,6 @@ fn unbalanced_forces_times_the_compliance_are_the_derivatives() {
             Cause::PoissonField(field()),
             Cause::Parameter(Parameter::Poisson),
             Cause::SpringTangential(0),
-            Cause::SkinYoung(0),
             Cause::Load(Load::from_prescribed(moved.collect())),
         ];
         let here = at(&body, &material, &load, &tight(), Precision::Double);

@@ -3,8 +3,8 @@
 from typing import Any, ClassVar
 
 import numpy as np
+from tissuereg_paper import _core
 
-from tissuereg import _core
 from tissuereg._base.arguments import real, whole
 from tissuereg._base.arrays import FloatArray
 from tissuereg._base.choice import check_choice

@@ -3,8 +3,8 @@
 from typing import Any, ClassVar
 
 import numpy as np
+from tissuereg_paper import _core
 
-from tissuereg import _core
 from tissuereg._base.arguments import real, whole
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.baselines.rival import Estimate, Rival, Setting

@@ -210,36 +210,3 @@ class Springs:
         if self.friction is not None:
             numbers += [float(self.friction), float(self.cohesion_kpa)]
         return index_array("springs", self.triangles, (None, 3)), numbers
-
-
-@dataclass(frozen=True, eq=False)
-class Skin:
-    """A thin neo-Hookean membrane on triangles of the surface, without stress in the reference shape.
-
-    Parameters
-    ----------
-    triangles : array_like of int, shape (n, 3)
-        Boundary triangles.
-    thickness_mm : float
-        Undeformed thickness.
-    young_kpa : float
-        Young's modulus.
-    poisson : float
-        Poisson's ratio, in [0, 0.5).
-    """
-
-    triangles: Any
-    thickness_mm: float
-    young_kpa: float
-    poisson: float = 0.45
-
-    def as_tuple(self) -> tuple[Any, list[float]]:
-        """Return what the compiled solver takes.
-
-        Returns
-        -------
-        tuple of (ndarray of int64, list of float)
-            Triangles and thickness, Young's modulus, Poisson's ratio.
-        """
-        numbers = [float(self.thickness_mm), float(self.young_kpa), float(self.poisson)]
-        return index_array("skin", self.triangles, (None, 3)), numbers

@@ -13,20 +13,16 @@ from tissuereg.simulation.solve import Simulator
 
 @dataclass(frozen=True)
 class Parameter:
-    """A scalar parameter, changed uniformly: of the law, of a behaviour, or of springs and skins on the surface.
+    """A scalar parameter, changed uniformly: of the law, or of springs on the surface.
 
     Parameters
     ----------
     name : str
         ``"young"``, ``"poisson"``, a shape parameter of the law (as in `Material.shape`), or ``"k1_over_mu"`` and
-        ``"k2"`` of fibres. For frames also those of a
-        behaviour (``"relaxation.g"``, ``"relaxation.tau_s"``, ``"rate.viscosity_kpa_s"``, ``"softening.r"``,
-        ``"softening.m_kpa"``, ``"softening.beta"``, ``"set.fraction"``, ``"drainage.share"``, ``"drainage.tau_s"``,
-        ``"swelling.linear_strain"``, ``"swelling.from_time_s"``, ``"swelling.to_time_s"``), of springs
-        (``"springs.normal_kpa_per_mm"``, ``"springs.tangential_kpa_per_mm"``) and of skins (``"skins.young_kpa"``,
-        ``"skins.thickness_mm"``). A parameter of an absent behaviour has no derivative, except the viscosity.
+        ``"k2"`` of fibres, or that of springs (``"springs.normal_kpa_per_mm"``,
+        ``"springs.tangential_kpa_per_mm"``).
     term : int
-        Index of the term of an Ogden law or of the relaxation, or of the springs or skin; from 0 on.
+        Index of the term of an Ogden law, or of the springs; from 0 on.
     """
 
     name: str
@@ -49,7 +45,7 @@ class Field:
     rates: Any
 
 
-#: Causes by which an equilibrium can be differentiated. A `Load` is a change of the load; for frames, of all loads.
+#: Causes by which an equilibrium can be differentiated. A `Load` is a change of the load.
 Cause = Parameter | Field | Load
 
 

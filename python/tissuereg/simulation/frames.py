@@ -1,4 +1,4 @@
-"""A body through time frames: history, pads that come and go, springs, skin, a mesh that was imaged under gravity."""
+"""A body through time frames: history, pads that come and go, springs, a mesh that was imaged under gravity."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from tissuereg.body.load import Load
 from tissuereg.body.material import Material
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ConvergenceError, LoadError
-from tissuereg.simulation.behaviour import Behaviour, Skin, Springs
+from tissuereg.simulation.behaviour import Behaviour, Springs
 from tissuereg.simulation.solve import Simulator
 
 
@@ -62,8 +62,6 @@ class Frames:
         Frames without equilibrium, with the reason; the history continues from the previous frame.
     reports : list of dict
         Work done, one per frame; empty for one that failed.
-    record : Record or None
-        Data for derivatives, if `solve_frames` recorded them (`tissuereg.simulation.sensitivity`).
     """
 
     times: FloatArray
@@ -76,29 +74,6 @@ class Frames:
     rest_nodes: FloatArray
     failed: list[tuple[int, str]]
     reports: list[dict[str, Any]]
-    record: "Record | None" = None
-
-
-@dataclass(frozen=True, eq=False)
-class Record:
-    """Recorded frames, for `tissuereg.simulation.sensitivity`.
-
-    Attributes
-    ----------
-    rig : _core.Rig
-        The body with all its steps.
-    spreader : Simulator
-        Distributes loads over nodes.
-    n_held : int
-        Number of held nodes.
-    pads : list of str
-        Names of the pads.
-    """
-
-    rig: _core.Rig
-    spreader: Simulator
-    n_held: int
-    pads: list[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +111,10 @@ def solve_frames(
     pads: Sequence[Pad] = (),
     behaviour: Behaviour | None = None,
     springs: Sequence[Springs] = (),
-    skins: Sequence[Skin] = (),
     weight: Any = None,
     in_reference: bool = False,
     element: str = "tet4",
     held_nodes: Any = None,
-    record: bool = False,
     near: Any = None,
     rigs: Rigs | None = None,
     tolerance: float = 1e-9,
@@ -169,8 +142,6 @@ def solve_frames(
         Inelastic behaviour of the material.
     springs : sequence of Springs
         Springs under the surface; they can support the body without held nodes.
-    skins : sequence of Skin
-        Membranes on the surface.
     weight : array_like of float, shape (3,), optional
         Body force in all frames, mN/mm^3, added to that of the loads; `Material.weight` gives gravity's.
     in_reference : bool
@@ -179,14 +150,12 @@ def solve_frames(
         Four-node tets, or ten-node tets on the same edges.
     held_nodes : array_like of int, optional
         Nodes whose displacement is given by the loads (zero where absent).
-    record : bool
-        Whether to record all steps for derivatives.
     near : array_like of float, shape (n_frames, n_element_nodes, 3), optional
         `Frames.all_displacement` of a similar body, mm; the initial guess of a frame is the last frame plus the change
         of that body. NaN where unknown. Saves most of the work if the bodies are similar.
     rigs : dict, optional
         Cached rigs of the same mesh, whose analyses and factors are reused; new ones are added. For many
-        histories that differ in material and behaviour; rigs with springs, skins or `in_reference` are made anew.
+        histories that differ in material and behaviour; rigs with springs or `in_reference` are made anew.
     tolerance : float
         Norm of the residual over the norm of the load.
     threads : int
@@ -230,14 +199,14 @@ def solve_frames(
     if in_reference and body_force is None:
         message = "a mesh can hang in its weight only where `weight` is given"
         raise LoadError(message, where="weight")
-    plan = _Plan(mesh, element, held, pads, tuple(springs), tuple(skins), record, tolerance, threads)
-    if in_reference or springs or skins:
+    plan = _Plan(mesh, element, held, pads, tuple(springs), tolerance, threads)
+    if in_reference or springs:
         rigs = None
     old = None if rigs is None else rigs.get(plan.key)
     if old is not None and old.mesh is mesh:
         spreader = old.spreader
         young, poisson = spreader.moduli(material)
-        rig = old.rig.again(young, poisson, law=material.core_law(), behaviour=_table(behaviour))
+        rig = old.rig.again(young, poisson, law=material.core_law(), behaviour=_core_behaviour(behaviour))
     else:
         # Distributes tractions over nodes and holds the moduli; it never solves.
         spreader = Simulator(mesh, element=element, held_nodes=np.arange(mesh.n_nodes))
@@ -270,8 +239,7 @@ def solve_frames(
     if len(answer.failed) == n > 0:
         message = f"some frame must find equilibrium; none does: {answer.failed[0][1]}"
         raise ConvergenceError(message, where="frame 0")
-    kept = Record(rig, spreader, len(held), [pad.name for pad in pads]) if record else None
-    return replace(answer, rest_nodes=rig.rest_nodes[: mesh.n_nodes].copy(), record=kept)
+    return replace(answer, rest_nodes=rig.rest_nodes[: mesh.n_nodes].copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,44 +251,43 @@ class _Plan:
     held: IntArray
     pads: Sequence[Pad]
     springs: tuple[Springs, ...]
-    skins: tuple[Skin, ...]
-    record: bool
     tolerance: float
     threads: int
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Cache key of rigs without springs and skins on one mesh."""
+        """Cache key of rigs without springs on one mesh."""
         patches = tuple((pad.name, np.asarray(pad.nodes).tobytes()) for pad in self.pads)
-        return (self.element, self.held.tobytes(), patches, self.record, self.tolerance, self.threads)
+        return (self.element, self.held.tobytes(), patches, self.tolerance, self.threads)
 
     def build(
         self, spreader: Simulator, material: Material, behaviour: Behaviour | None, hangs_in: FloatArray | None
     ) -> _core.Rig:
         """Return the rig at its beginning."""
         young, poisson = spreader.moduli(material)
-        return _core.Rig(
+        body = _core.Body(
             self.mesh.nodes,
             self.mesh.tets,
             self.held,
+            element=self.element,
+            springs=[one.as_tuple() for one in self.springs],
+            rests=len(self.springs) > 0,
+        )
+        return _core.Rig(
+            body,
             young,
             poisson,
             law=material.core_law(),
-            element=self.element,
             pads=[index_array(f"nodes of pad '{pad.name}'", pad.nodes, (None,)) for pad in self.pads],
-            behaviour=_table(behaviour),
-            springs=[one.as_tuple() for one in self.springs],
-            rests=len(self.springs) > 0,
-            skins=[one.as_tuple() for one in self.skins],
+            behaviour=_core_behaviour(behaviour),
             hangs_in=hangs_in,
-            record=self.record,
             tolerance=self.tolerance,
             threads=self.threads,
         )
 
 
-def _table(behaviour: Behaviour | None) -> dict[str, Any] | None:
-    return None if behaviour is None else behaviour.as_dict()
+def _core_behaviour(behaviour: Behaviour | None) -> _core.Behaviour | None:
+    return None if behaviour is None else _core.Behaviour(**behaviour.as_dict())
 
 
 def _one_a_frame(loads: Load | Sequence[Load] | None, n_frames: int) -> list[Load]:

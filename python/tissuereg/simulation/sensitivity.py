@@ -1,7 +1,7 @@
 """Derivatives of an equilibrium by causes, and of observations by the stiffness of every point.
 
 The derivatives are exact. The tangent stiffness at the equilibrium is factored once; each cause costs one solution, and
-so does each observation. `tissuereg.simulation.frame_sensitivity` does the same through time frames.
+so does each observation.
 """
 
 from collections.abc import Sequence

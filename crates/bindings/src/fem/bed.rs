@@ -2,10 +2,11 @@
 
 use numpy::PyArray2;
 use pyo3::prelude::*;
-use tissuereg_fem::Springs;
+use tissuereg_boundary::arrays;
+use tissuereg_boundary::views::View;
+use tissuereg_fem::{Friction, Springs};
 
-use super::rig::{exactly, triangles_of};
-use crate::arrays::{self, View};
+use super::given::{exactly, triangles_of};
 
 /// Triangles with numbers that describe what lies on them.
 pub(super) type Sheet<'py> = (Bound<'py, PyAny>, Vec<f64>);
@@ -23,10 +24,18 @@ pub(super) struct Bed {
 
 impl Bed {
     pub(super) fn new(py: Python<'_>, springs: &[Sheet<'_>], rests: bool) -> PyResult<Self> {
-        let one = |(triangles, stiffness): &Sheet<'_>| {
+        let one = |(triangles, numbers): &Sheet<'_>| {
+            let (stiffness, rest) = numbers.split_at(numbers.len().min(2));
             let [normal, tangential] = exactly(py, "springs", stiffness)?;
+            let friction = match rest {
+                [] => None,
+                rest => {
+                    let [coefficient, cohesion] = exactly(py, "friction", rest)?;
+                    Some(Friction { coefficient, cohesion })
+                }
+            };
             let triangles = triangles_of("spring triangles", triangles)?;
-            Ok(Springs { triangles, normal, tangential, friction: None })
+            Ok(Springs { triangles, normal, tangential, friction })
         };
         Ok(Self { springs: springs.iter().map(one).collect::<PyResult<_>>()?, rests })
     }
@@ -51,7 +60,8 @@ impl Bed {
     pub(super) fn sheets<'py>(&self, py: Python<'py>) -> PyResult<Vec<SheetOut<'py>>> {
         let one = |set: &Springs| {
             let triangles = arrays::from_triangles(py, &set.triangles)?;
-            Ok((triangles, vec![set.normal, set.tangential]))
+            let friction = set.friction.iter().flat_map(|one| [one.coefficient, one.cohesion]);
+            Ok((triangles, [set.normal, set.tangential].into_iter().chain(friction).collect()))
         };
         self.springs.iter().map(one).collect()
     }

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use numpy::prelude::*;
 use numpy::{IntoPyArray, PyArray1, PyArray3};
 use pyo3::prelude::*;
+use tissuereg_boundary::errors::{self, Class};
+use tissuereg_boundary::views::View;
 use tissuereg_fem::material as fem;
 use tissuereg_fem::material::homogeneous::{Compressibility, Mode, nominal_stress};
 use tissuereg_fem::material::{
@@ -12,9 +14,7 @@ use tissuereg_fem::material::{
 };
 use tissuereg_fem::{Element, FemError, Material, Stiffness};
 
-use super::bad_choice;
-use crate::arrays::View;
-use crate::errors::{self, Class};
+use super::given::bad_choice;
 
 /// Energies (n,) and stresses (n, 3, 3).
 type Answers<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
@@ -218,6 +218,21 @@ fn kind_of(py: Python<'_>, name: &str, mut shape: BTreeMap<String, Vec<f64>>) ->
             Err(errors::raise(py, Class::Material, &message, Some(key)))
         }
     }
+}
+
+/// Warn, once a call, of linear tets that lock with one of these materials, whose largest Poisson's ratio is among
+/// `poisson`.
+pub(super) fn warn_of_locking<'a>(
+    py: Python<'_>,
+    element: Element,
+    mut materials: impl Iterator<Item = &'a Material>,
+    poisson: &[f64],
+) -> PyResult<()> {
+    if element == Element::Tet4 && materials.any(Material::locks_linear_tets) {
+        let largest = poisson.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        py.import("tissuereg._base.locking")?.call_method1("warn_of_locking", (largest,))?;
+    }
+    Ok(())
 }
 
 fn refuse(py: Python<'_>, name: &str, wanted: &str, found: &str) -> PyErr {

@@ -6,12 +6,13 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use numpy::PyArray3;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
+use tissuereg_boundary::errors::{self, Class};
+use tissuereg_boundary::views::View;
+use tissuereg_boundary::{arrays, lock, report};
 use tissuereg_fem::{Body, FemError, Load, Material, Member, Outcome, SolveSettings, solve_many};
 
-use super::Law;
-use crate::arrays::{self, View};
-use crate::errors::{self, Class};
-use crate::{lock, report};
+use super::law::{Law, warn_of_locking};
+use super::supported::Supported;
 
 /// Equilibria of many members; those that failed are rows of NaN.
 #[pyclass(frozen, module = "tissuereg._core")]
@@ -57,12 +58,12 @@ pub(super) struct Loads<'a, 'py> {
 
 impl Members {
     pub(super) fn new(
-        owner: &super::Body,
+        owner: &Supported,
         [young, poisson]: [&Bound<'_, PyAny>; 2],
         laws: &[PyRef<'_, Law>],
         loads: Loads<'_, '_>,
     ) -> PyResult<Self> {
-        let super::Body(body, bed) = owner;
+        let Supported { body, bed } = owner;
         let Loads { forces, body_force, prescribed, springs, start } = loads;
         let (n_tets, three) = (Some(body.n_tets()), Some(3));
         let (all, corners) = (Some(body.n_nodes()), Some(body.n_corner_nodes()));
@@ -122,7 +123,7 @@ impl Members {
                 })),
             });
         }
-        errors::warn_of_locking(py, body.element(), members.materials.iter(), poisson.slice())?;
+        warn_of_locking(py, body.element(), members.materials.iter(), poisson.slice())?;
         Ok(members)
     }
 

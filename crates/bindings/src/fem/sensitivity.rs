@@ -6,47 +6,43 @@ use std::sync::{Arc, Mutex, PoisonError};
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use tissuereg_boundary::errors::{self, Class};
+use tissuereg_boundary::views::View;
+use tissuereg_boundary::{arrays, lock};
 use tissuereg_fem::material::Parameter;
-use tissuereg_fem::{
-    self as fem, BehaviourParameter, FemError, FrameCause, Load, Observation, Precision,
-};
+use tissuereg_fem::{self as fem, FemError, Load, Observation, Precision};
 
-use super::bad_choice;
-use crate::arrays::{self, View};
-use crate::errors::{self, Class};
-use crate::lock;
+use super::given::{bad_choice, settings_of};
+use super::solution::Solution;
+use super::supported::{Problem, Supported};
 
 /// What a derivative is taken by.
 #[pyclass(frozen, module = "tissuereg._core")]
 #[derive(Clone)]
-pub(crate) struct Cause(pub(super) FrameCause);
+pub(crate) struct Cause(fem::Cause);
 
 #[pymethods]
 impl Cause {
-    /// A number of the law, moved alike everywhere, or, by a name with a dot, one of the behaviour, of springs or of
-    /// skins; `term` counts terms of series and sets of springs and skins.
+    /// A number of the law, moved alike everywhere, or, by a name with a dot, one of springs; `term` counts terms of series
+    /// and sets of springs.
     #[staticmethod]
     #[pyo3(signature = (name, term=0))]
     fn parameter(py: Python<'_>, name: &str, term: usize) -> PyResult<Self> {
-        if let Some(number) = number_of_behaviour(name, term) {
-            return Ok(Self(FrameCause::Behaviour(number)));
-        }
-        let always = |cause| Ok(Self(FrameCause::Always(cause)));
         let parameter = match name {
             "young" => Parameter::Young,
             "poisson" => Parameter::Poisson,
             "k1_over_mu" => Parameter::FibreK1,
             "k2" => Parameter::FibreK2,
-            "springs.normal_kpa_per_mm" => return always(fem::Cause::SpringNormal(term)),
-            "springs.tangential_kpa_per_mm" => return always(fem::Cause::SpringTangential(term)),
-            "skins.young_kpa" => return always(fem::Cause::SkinYoung(term)),
-            "skins.thickness_mm" => return always(fem::Cause::SkinThickness(term)),
+            "springs.normal_kpa_per_mm" => return Ok(Self(fem::Cause::SpringNormal(term))),
+            "springs.tangential_kpa_per_mm" => {
+                return Ok(Self(fem::Cause::SpringTangential(term)));
+            }
             other => Parameter::shape_named(other, term).ok_or_else(|| {
-                let wanted = "a parameter of a law, a behaviour, springs or skins";
+                let wanted = "a parameter of a law or of springs";
                 bad_choice(py, "name", wanted, other)
             })?,
         };
-        always(fem::Cause::Parameter(parameter))
+        Ok(Self(fem::Cause::Parameter(parameter)))
     }
 
     /// Young's modulus or Poisson's ratio along a field of rates, float64 (n_tets, n_points).
@@ -59,11 +55,10 @@ impl Cause {
             "poisson" => fem::Cause::PoissonField(rates_of_all),
             other => return Err(bad_choice(rates.py(), "name", "`young` or `poisson`", other)),
         };
-        Ok(Self(FrameCause::Always(cause)))
+        Ok(Self(cause))
     }
 
-    /// The load along another one: forces, body force and prescribed displacements as rates; through frames, in all of
-    /// them.
+    /// The load along another one: forces, body force and prescribed displacements as rates.
     #[staticmethod]
     #[pyo3(signature = (*, forces=None, body_force=None, prescribed=None))]
     fn load(
@@ -75,93 +70,27 @@ impl Cause {
         let forces = View::<f64>::optional("forces", forces, &rows)?;
         let body_force = View::<f64>::optional("body_force", body_force, &[&[Some(3)]])?;
         let prescribed = View::<f64>::optional("prescribed", prescribed, &rows)?;
-        Ok(Self(FrameCause::Always(fem::Cause::Load(Load {
+        Ok(Self(fem::Cause::Load(Load {
             nodal_forces: forces.map(|view| view.rows::<3>().to_vec()),
             body_force: body_force.and_then(|v| v.rows().first().copied()).unwrap_or_default(),
             prescribed: prescribed.map(|view| view.rows::<3>().to_vec()),
             springs: Vec::new(),
-        }))))
-    }
-
-    /// The same with the frames as first axis.
-    #[staticmethod]
-    #[pyo3(signature = (n_frames, *, forces=None, body_force=None, prescribed=None))]
-    fn loads(
-        n_frames: usize,
-        forces: Option<&Bound<'_, PyAny>>,
-        body_force: Option<&Bound<'_, PyAny>>,
-        prescribed: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Self> {
-        let (n, three) = (Some(n_frames), Some(3));
-        let rows: [&[Option<usize>]; 1] = [&[n, None, three]];
-        let forces = View::<f64>::optional("forces", forces, &rows)?;
-        let body_force = View::<f64>::optional("body_force", body_force, &[&[n, three]])?;
-        let prescribed = View::<f64>::optional("prescribed", prescribed, &rows)?;
-        let of = |view: &Option<View<'_, f64>>, frame: usize| {
-            view.as_ref().map(|view| {
-                let each = view.shape()[1];
-                view.rows::<3>()[frame * each..(frame + 1) * each].to_vec()
-            })
-        };
-        let loads = (0..n_frames).map(|frame| Load {
-            nodal_forces: of(&forces, frame),
-            body_force: body_force.as_ref().map_or([0.0; 3], |view| view.rows()[frame]),
-            prescribed: of(&prescribed, frame),
-            springs: Vec::new(),
-        });
-        Ok(Self(FrameCause::Loads(loads.collect())))
-    }
-
-    /// The motion of a pad along another one, float64 (n_frames, 3).
-    #[staticmethod]
-    fn motion(pad: usize, rates: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let rates = View::<f64>::new("rates", rates, &[&[None, Some(3)]])?.rows::<3>().to_vec();
-        Ok(Self(FrameCause::Motion { pad, rates }))
+        })))
     }
 
     fn __repr__(&self) -> String {
         use fem::Cause as C;
         match &self.0 {
-            FrameCause::Always(C::YoungField(rates)) => {
-                format!("Cause(YoungField, n_points={})", rates.len())
-            }
-            FrameCause::Always(C::PoissonField(rates)) => {
-                format!("Cause(PoissonField, n_points={})", rates.len())
-            }
-            FrameCause::Always(C::Load(_)) => "Cause(Load)".to_owned(),
-            FrameCause::Always(other) => format!("Cause({other:?})"),
-            FrameCause::Behaviour(number) => format!("Cause({number:?})"),
-            FrameCause::Loads(loads) => format!("Cause(Loads, n_frames={})", loads.len()),
-            FrameCause::Motion { pad, rates } => {
-                format!("Cause(Motion, pad={pad}, n_frames={})", rates.len())
-            }
+            C::YoungField(rates) => format!("Cause(YoungField, n_points={})", rates.len()),
+            C::PoissonField(rates) => format!("Cause(PoissonField, n_points={})", rates.len()),
+            C::Load(_) => "Cause(Load)".to_owned(),
             other => format!("Cause({other:?})"),
         }
     }
 }
 
-/// A number of a behaviour by the names of its parts.
-fn number_of_behaviour(name: &str, term: usize) -> Option<BehaviourParameter> {
-    use BehaviourParameter as P;
-    Some(match name {
-        "relaxation.g" => P::RelaxationShare(term),
-        "relaxation.tau_s" => P::RelaxationTime(term),
-        "rate.viscosity_kpa_s" => P::Viscosity,
-        "softening.r" => P::SofteningR,
-        "softening.m_kpa" => P::SofteningM,
-        "softening.beta" => P::SofteningBeta,
-        "set.fraction" => P::SetFraction,
-        "drainage.share" => P::DrainageShare,
-        "drainage.tau_s" => P::DrainageTime,
-        "swelling.linear_strain" => P::SwellingStrain,
-        "swelling.from_time_s" => P::SwellingFrom,
-        "swelling.to_time_s" => P::SwellingTo,
-        _ => return None,
-    })
-}
-
 /// Rows for every cause.
-pub(super) type Stack<'py> = Bound<'py, PyArray3<f64>>;
+type Stack<'py> = Bound<'py, PyArray3<f64>>;
 
 /// Nodes and weights of displacements, nodes and weights of reactions.
 type Weights<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>);
@@ -171,7 +100,7 @@ type Weights<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>, Bo
 pub(crate) struct Linearised {
     /// Locked by a call for as long as it takes: it takes the call's flag.
     inner: Arc<Mutex<Inner>>,
-    body: super::Body,
+    owner: Supported,
     /// That of the settings, for solves near by.
     threads: usize,
 }
@@ -180,27 +109,22 @@ type Inner = tissuereg_fem::Linearised<Arc<tissuereg_fem::Body>>;
 
 impl Linearised {
     /// Factor the tangent at the equilibrium of a problem.
-    pub(super) fn new(
-        py: Python<'_>,
-        body: &super::Body,
-        problem: super::Problem,
-    ) -> PyResult<Self> {
-        let super::Problem { material, load, displacement, precision, settings } = problem;
+    pub(super) fn new(py: Python<'_>, owner: &Supported, problem: Problem) -> PyResult<Self> {
+        let Problem { material, load, displacement, precision, settings } = problem;
         let threads = settings.n_threads;
         let cancel = Arc::new(AtomicBool::new(false));
         let settings = settings.with_cancel(cancel.clone());
-        let own = body.0.clone();
+        let own = owner.body.clone();
         let work =
             move || Inner::in_precision(own, &material, &load, &displacement, &settings, precision);
         let inner = lock::run_watched(py, &cancel, |_| Ok(()), work)?
             .map_err(|error| errors::from_fem(py, &error, None))?;
-        let body = super::Body(body.0.clone(), body.1.clone());
-        Ok(Self { inner: Arc::new(Mutex::new(inner)), body, threads })
+        Ok(Self { inner: Arc::new(Mutex::new(inner)), owner: owner.clone(), threads })
     }
 
     /// Numbers of nodes and of held ones.
     fn sizes(&self) -> [usize; 2] {
-        [self.body.0.n_nodes(), self.body.0.held_nodes().len()]
+        [self.owner.body.n_nodes(), self.owner.body.held_nodes().len()]
     }
 
     /// Run a call that Ctrl-C ends.
@@ -230,7 +154,7 @@ impl Linearised {
         py: Python<'py>,
         causes: Vec<PyRef<'py, Cause>>,
     ) -> PyResult<(Stack<'py>, Stack<'py>)> {
-        let causes = alone(py, &causes)?;
+        let causes: Vec<fem::Cause> = causes.iter().map(|cause| cause.0.clone()).collect();
         let n = causes.len();
         let found = self.call(py, move |inner| inner.derivatives(&causes))?;
         let (mut displacement, mut reactions) = (Vec::new(), Vec::new());
@@ -250,7 +174,7 @@ impl Linearised {
     fn adjoints(&self, py: Python<'_>, observations: Vec<Weights<'_>>) -> PyResult<Adjoints> {
         let observations = observations_of(py, &observations)?;
         let found = self.call(py, move |inner| inner.adjoints(&observations))?;
-        Adjoints::new(py, &self.body, found)
+        Adjoints::new(py, &self.owner, found)
     }
 
     /// Derivatives of observations of displacements by forces and supports: arguments as those of `adjoints`, without reactions.
@@ -287,7 +211,7 @@ impl Linearised {
         py: Python<'py>,
         causes: Vec<PyRef<'py, Cause>>,
     ) -> PyResult<Stack<'py>> {
-        let causes = alone(py, &causes)?;
+        let causes: Vec<fem::Cause> = causes.iter().map(|cause| cause.0.clone()).collect();
         let n = causes.len();
         let found = self.call(py, move |inner| inner.unbalanced(&causes))?;
         arrays::from_vec(py, found.into_flattened(), [n, self.sizes()[0], 3])
@@ -306,14 +230,14 @@ impl Linearised {
         springs: Option<&Bound<'_, PyAny>>,
         tolerance: f64,
         max_iterations: usize,
-    ) -> PyResult<super::Solution> {
-        let load = self.body.load(forces, body_force, prescribed, springs)?;
-        let settings = super::settings_of(py, tolerance, max_iterations, "auto", 0, self.threads)?;
+    ) -> PyResult<Solution> {
+        let load = self.owner.load(forces, body_force, prescribed, springs)?;
+        let settings = settings_of(py, tolerance, max_iterations, "auto", 0, self.threads)?;
         let answer = self.call(py, move |inner| {
             let settings = settings.with_cancel(inner.cancel_flag());
             inner.solve_near(&load, &settings)
         })?;
-        super::Solution::new(py, answer, tolerance)
+        Solution::new(py, answer, tolerance)
     }
 
     /// Work so far: `precision` of the factor, `factorisations`, `right_hand_sides` and their `corrections`.
@@ -341,18 +265,6 @@ impl Linearised {
     }
 }
 
-/// Causes that act on one equilibrium.
-fn alone(py: Python<'_>, causes: &[PyRef<'_, Cause>]) -> PyResult<Vec<fem::Cause>> {
-    let one = |cause: &PyRef<'_, Cause>| match &cause.0 {
-        FrameCause::Always(cause) => Ok(cause.clone()),
-        _ => {
-            let wanted = "of an equilibrium, not of frames";
-            Err(bad_choice(py, "causes", wanted, &cause.__repr__()))
-        }
-    };
-    causes.iter().map(one).collect()
-}
-
 fn observations_of(py: Python<'_>, given: &[Weights<'_>]) -> PyResult<Vec<Observation>> {
     let one = |(nodes, weights, held, held_weights): &Weights<'_>| {
         Ok(Observation {
@@ -364,7 +276,7 @@ fn observations_of(py: Python<'_>, given: &[Weights<'_>]) -> PyResult<Vec<Observ
 }
 
 /// Nodes with their weights.
-pub(super) fn weights_of(
+fn weights_of(
     py: Python<'_>,
     [name, weights_name]: [&str; 2],
     nodes: &Bound<'_, PyAny>,
@@ -424,7 +336,7 @@ impl Compliance {
 impl Adjoints {
     fn new(
         py: Python<'_>,
-        super::Body(body, bed): &super::Body,
+        Supported { body, bed }: &Supported,
         found: Vec<tissuereg_fem::Adjoint>,
     ) -> PyResult<Self> {
         let n = found.len();

@@ -6,7 +6,7 @@ use faer::linalg::triangular_solve::{
 };
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 
-use super::{Factorisation, Side, StepReport, StepSettings};
+use super::settings::{Factorisation, Side, StepReport, StepSettings};
 use crate::EsmdaError;
 use crate::linalg::{self, product};
 

@@ -25,139 +25,20 @@
 //!   and preparation no `m n^2`; with more than half as many observations as members it is multiplied out.
 
 mod gain;
-mod localized;
 mod rows;
-mod subspace;
+mod settings;
 
 use faer::prelude::Reborrow;
 use faer::{MatMut, MatRef, Par};
 
 use self::gain::Gain;
-pub use self::localized::{LocalizedStep, Taper, gaspari_cohn};
 use self::rows::{Ensemble, Scaled, centred_transpose, check_matrix};
-pub use self::subspace::Truncation;
-use crate::check::{check_rows, check_shape, check_update};
+pub use self::settings::{Factorisation, Side, StepReport, StepSettings};
+use crate::check::{check_rows, check_shape};
+use crate::error::EsmdaError;
+use crate::linalg;
+use crate::noise::NoiseCovariance;
 use crate::schedule::check_alpha;
-use crate::{EsmdaError, NoiseCovariance, linalg};
-
-/// How the matrix of a step is factored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Factorisation {
-    /// Cholesky where the condition number allows it, else QR.
-    Auto,
-    /// Cholesky of `S S' + I` whatever its condition.
-    Cholesky,
-    /// QR of `[S'; I]`.
-    Qr,
-    /// Singular values of `S`.
-    Svd,
-}
-
-/// On which side of `S` (`n_obs`, `n_members`) Cholesky and QR work.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Side {
-    /// The smaller one.
-    Smaller,
-    /// A matrix with a row an observation.
-    Observations,
-    /// A matrix with a row per member.
-    Members,
-}
-
-/// What a caller may choose about a step; the answer depends on it by rounding only, on `par` not at all; only
-/// `truncation` changes it.
-///
-/// Further settings may come: start from the default and change what differs.
-///
-/// # Examples
-///
-/// ```
-/// use tissuereg_esmda::{Factorisation, StepSettings, faer::Par};
-///
-/// let settings = StepSettings::default().with_par(Par::rayon(0)).with_factorisation(Factorisation::Qr);
-/// assert_eq!(settings.condition_limit, 1e6);
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub struct StepSettings {
-    /// Threads: those of the current rayon pool, or none.
-    pub par: Par,
-    /// How to factor.
-    pub factorisation: Factorisation,
-    /// On which side.
-    pub side: Side,
-    /// Largest condition number that [`Factorisation::Auto`] leaves to Cholesky.
-    pub condition_limit: f64,
-    /// Largest absolute prediction taken for the work of a sane model, in the unit of the observations.
-    pub largest: f64,
-    /// Singular directions that are kept; all by default, see [`Truncation`] for why.
-    pub truncation: Option<Truncation>,
-}
-
-impl Default for StepSettings {
-    fn default() -> Self {
-        Self {
-            par: Par::Seq,
-            factorisation: Factorisation::Auto,
-            side: Side::Smaller,
-            condition_limit: 1e6,
-            largest: 1e12,
-            truncation: None,
-        }
-    }
-}
-
-impl StepSettings {
-    /// The same on other threads: [`par`](Self::par).
-    #[must_use]
-    pub fn with_par(self, par: Par) -> Self {
-        Self { par, ..self }
-    }
-
-    /// The same with another [`factorisation`](Self::factorisation).
-    #[must_use]
-    pub fn with_factorisation(self, factorisation: Factorisation) -> Self {
-        Self { factorisation, ..self }
-    }
-
-    /// The same on another [`side`](Self::side).
-    #[must_use]
-    pub fn with_side(self, side: Side) -> Self {
-        Self { side, ..self }
-    }
-
-    /// The same with another [`condition_limit`](Self::condition_limit).
-    #[must_use]
-    pub fn with_condition_limit(self, condition_limit: f64) -> Self {
-        Self { condition_limit, ..self }
-    }
-
-    /// The same with another largest prediction: [`largest`](Self::largest).
-    #[must_use]
-    pub fn with_largest(self, largest: f64) -> Self {
-        Self { largest, ..self }
-    }
-
-    /// The same with [`truncation`](Self::truncation), which by default there is not.
-    #[must_use]
-    pub fn with_truncation(self, truncation: Option<Truncation>) -> Self {
-        Self { truncation, ..self }
-    }
-}
-
-/// What was done to prepare a step.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub struct StepReport {
-    /// The factorisation used; never [`Factorisation::Auto`].
-    pub factorisation: Factorisation,
-    /// The side worked on; [`Side::Smaller`] where singular values were used.
-    pub side: Side,
-    /// Upper bound on the condition number of the matrix solved with; `None` where it was not formed.
-    pub condition_bound: Option<f64>,
-}
 
 /// One update of an ensemble, ready to be applied to any parameters of the same members.
 ///
@@ -184,8 +65,7 @@ impl Step {
     /// [`EsmdaError::NoObservations`]; [`EsmdaError::TooFewMembers`] for fewer than two; [`EsmdaError::Shape`],
     /// [`EsmdaError::NotFinite`], [`EsmdaError::TooLarge`] for an argument by name; [`EsmdaError::Alpha`];
     /// [`EsmdaError::Overflow`] where the noise is so small that whitened numbers leave the range of `f64`;
-    /// [`EsmdaError::Truncation`] for one out of range, and [`EsmdaError::NoConvergence`] where singular values are
-    /// requested and not found.
+    /// [`EsmdaError::NoConvergence`] where singular values are requested and not found.
     ///
     /// # Cost
     ///
@@ -200,7 +80,7 @@ impl Step {
     ) -> Result<Self, EsmdaError> {
         let (draws, largest) = (Some(draws), settings.largest);
         let ensemble = Ensemble { predicted, observed, noise, alpha, draws, largest };
-        let Scaled { anomalies, innovations } = scaled(&ensemble, settings)?;
+        let Scaled { anomalies, innovations } = scaled(&ensemble, settings.par)?;
         let (gain, report) = Gain::stochastic(anomalies, innovations, settings)?;
         Ok(Self { n_members: predicted.ncols(), par: settings.par, gain, report })
     }
@@ -232,7 +112,7 @@ impl Step {
     ) -> Result<Self, EsmdaError> {
         let (draws, largest) = (None, settings.largest);
         let ensemble = Ensemble { predicted, observed, noise, alpha, draws, largest };
-        let Scaled { anomalies, innovations } = scaled(&ensemble, settings)?;
+        let Scaled { anomalies, innovations } = scaled(&ensemble, settings.par)?;
         let (gain, report) = Gain::square_root(&anomalies, &innovations)?;
         Ok(Self { n_members: predicted.ncols(), par: settings.par, gain, report })
     }
@@ -301,22 +181,23 @@ impl Step {
     }
 }
 
-/// Checks the arguments; `S'` and `R'`, truncated if that is wanted.
-fn scaled(ensemble: &Ensemble<'_>, settings: &StepSettings) -> Result<Scaled, EsmdaError> {
-    check_arguments(ensemble)?;
-    let Scaled { anomalies, innovations } = Scaled::new(ensemble, settings.par)?;
-    let anomalies = match settings.truncation {
-        Some(truncation) => truncation.cut(anomalies)?,
-        None => anomalies,
-    };
-    Ok(Scaled { anomalies, innovations })
-}
-
-fn check_arguments(ensemble: &Ensemble<'_>) -> Result<(), EsmdaError> {
+/// Checks the arguments; `S'` and `R'`.
+fn scaled(ensemble: &Ensemble<'_>, par: Par) -> Result<Scaled, EsmdaError> {
     let Ensemble { predicted, observed, noise, alpha, draws, .. } = *ensemble;
-    check_update(predicted, observed, noise)?;
-    let n_obs = observed.len();
+    let (n_obs, n_members) = predicted.shape();
+    if n_obs == 0 {
+        return Err(EsmdaError::NoObservations);
+    }
+    if n_members < 2 {
+        let dropped = Vec::new();
+        return Err(EsmdaError::TooFewMembers { kept: n_members, minimum: 2, dropped });
+    }
+    check_shape("observed", (observed.len(), 1), (n_obs, 1))?;
+    check_shape("noise", (noise.n_obs(), 1), (n_obs, 1))?;
     check_alpha(0, alpha)?;
     check_matrix("observed", MatRef::from_column_major_slice(observed, n_obs, 1), (n_obs, 1))?;
-    draws.map_or(Ok(()), |draws| check_shape("draws", draws.shape(), predicted.shape()))
+    if let Some(draws) = draws {
+        check_shape("draws", draws.shape(), predicted.shape())?;
+    }
+    Scaled::new(ensemble, par)
 }

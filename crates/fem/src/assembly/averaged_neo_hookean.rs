@@ -18,10 +18,8 @@
 //! ∂²/∂F∂θ̄ = ⅓ μ s² (F − ⅓ I₁ G)              ∂²/∂θ̄² = ⅑ μ s² I₁ + ⅓ c + λ
 //! ```
 
-use super::averaged::{Averages, Deformed, Part, around};
-use super::force::Energy;
-use super::tangent::{TangentKind, spatial_gradients};
-use super::{Loops, PointModel};
+use super::averages::{Averages, Deformed, Part, around};
+use super::loops::{Energy, Loops, PointModel, TangentKind, spatial_gradients};
 use crate::element::{Patches, TET4};
 use crate::material::{Hyperelastic, Matrix3, NeoHookean, PlainLaws, x_minus_log};
 

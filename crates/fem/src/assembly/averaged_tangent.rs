@@ -11,9 +11,8 @@
 //! so that one patch is a sum of element blocks, of products of one vector `b = ∂ ln J̄/∂u` with
 //! others, and of `b ⊗ b`.
 
-use super::averaged::{Averages, around, deformation, dot, times};
-use super::tangent::{TangentKind, clamp, spatial_gradients};
-use super::{Loops, PointModel};
+use super::averages::{Averages, around, deformation, dot, times};
+use super::loops::{Loops, PointModel, TangentKind, clamp, spatial_gradients};
 use crate::element::{Patches, TET4};
 use crate::material::{Matrix3, Tangent};
 

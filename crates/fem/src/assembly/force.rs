@@ -4,30 +4,15 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::loops::{
+    CHUNK, Energy, Loops, PARALLEL_FROM, PointModel, Remembered, displacement_gradient, local,
+};
 use super::packs::{PACKS, Packs, PacksAnswer};
-use super::{CHUNK, Loops, PARALLEL_FROM, PointModel, Remembered, displacement_gradient, local};
 use crate::element::{Element, Geometry, PACK, Rule, TET4, TET10};
 use crate::material::PlainLaws;
 
 /// What elements side by side take.
 type Lanes<'a> = (PlainLaws<'a>, Option<&'a Remembered>);
-
-/// Energy and smallest volume ratio of a state.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Energy {
-    /// Strain energy, µJ.
-    pub(crate) total: f64,
-    /// Smallest det F of all quadrature points.
-    pub(crate) min_det_f: f64,
-}
-
-impl Energy {
-    pub(super) const NOTHING: Self = Self { total: 0.0, min_det_f: f64::INFINITY };
-
-    pub(super) fn and(self, other: Self) -> Self {
-        Self { total: self.total + other.total, min_det_f: self.min_det_f.min(other.min_det_f) }
-    }
-}
 
 /// Write the internal forces of a displacement and return its energy; none where an element is
 /// inverted (the forces are then unspecified).

@@ -57,7 +57,7 @@ pub(super) struct Elements<S: Simd> {
     pub(super) lambda: S::f64s,
 }
 
-/// What elements take that remember stresses, see [`super::Remembered`].
+/// What elements take that remember stresses, see [`Remembered`](super::Remembered).
 #[derive(Clone, Copy)]
 pub(super) struct Memory<S: Simd> {
     pub(super) volumetric: S::f64s,

@@ -12,8 +12,7 @@
 
 use rayon::prelude::*;
 
-use super::tangent::spatial_gradients;
-use super::{CHUNK, PARALLEL_FROM};
+use super::loops::{CHUNK, PARALLEL_FROM, spatial_gradients};
 use crate::element::{Element, Geometry, Rule, TET4, TET10};
 use crate::material::Matrix3;
 

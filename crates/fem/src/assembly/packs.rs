@@ -2,9 +2,8 @@
 
 use pulp::Simd;
 
-use super::Remembered;
-use super::force::Energy;
 use super::lanes::{Elements, Matrices, Memory, neo_hookean};
+use super::loops::{Energy, Remembered};
 use crate::element::{Geometry, PACK};
 use crate::material::PlainLaws;
 

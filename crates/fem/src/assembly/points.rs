@@ -3,11 +3,10 @@
 //!
 //! The two are transposes of each other: `Σ w P : ġ(v) = f(P) · v` for every stress and rate.
 
-use super::averaged::{Averages, Rates, averages, deformation, dot, sum_around};
-use super::gradients_at_points;
-use super::tangent::spatial_gradients;
+use super::averages::{self, Averages, Rates, averages, deformation, dot, sum_around};
+use super::loops::{displacement_gradient, local, spatial_gradients};
 use crate::element::{Element, Geometry, Patches, Rule, TET4, TET10};
-use crate::material::Matrix3;
+use crate::material::{Matrix3, det_f_minus_one};
 
 /// Undeformed volume that belongs to each quadrature point, element after element, mm³.
 pub(crate) fn point_volumes(geometry: &Geometry) -> Vec<f64> {
@@ -141,4 +140,59 @@ fn add_with<const N: usize, const Q: usize>(
             }
         }
     }
+}
+
+/// Smallest det F of every element of a displacement.
+///
+/// # Shapes
+///
+/// `displacement` `(3 n_nodes)`, mm; one entry an element, dimensionless.
+pub(crate) fn det_f_by_element(geometry: &Geometry, displacement: &[f64]) -> Vec<f64> {
+    match geometry.element {
+        Element::Tet4 | Element::Tet4Averaged => det_f_with(&TET4, geometry, displacement),
+        Element::Tet10 => det_f_with(&TET10, geometry, displacement),
+    }
+}
+
+/// Displacement gradients at all quadrature points, element after element.
+pub(crate) fn gradients_at_points(geometry: &Geometry, displacement: &[f64]) -> Vec<Matrix3> {
+    match geometry.element {
+        Element::Tet4 => gradients_with(&TET4, geometry, displacement),
+        Element::Tet4Averaged => averages::gradients(geometry, displacement),
+        Element::Tet10 => gradients_with(&TET10, geometry, displacement),
+    }
+}
+
+fn gradients_with<const N: usize, const Q: usize>(
+    rule: &Rule<N, Q>,
+    geometry: &Geometry,
+    displacement: &[f64],
+) -> Vec<Matrix3> {
+    (0..geometry.n_elements())
+        .flat_map(|element| {
+            let u = local::<N>(geometry, element, displacement);
+            let jacobian = &geometry.inverse_jacobian[element];
+            rule.gradients.iter().map(move |g| displacement_gradient(&u, g, jacobian))
+        })
+        .collect()
+}
+
+fn det_f_with<const N: usize, const Q: usize>(
+    rule: &Rule<N, Q>,
+    geometry: &Geometry,
+    displacement: &[f64],
+) -> Vec<f64> {
+    (0..geometry.n_elements())
+        .map(|element| {
+            let u = local::<N>(geometry, element, displacement);
+            let jacobian = &geometry.inverse_jacobian[element];
+            rule.gradients
+                .iter()
+                .map(|g| {
+                    let h = displacement_gradient(&u, g, jacobian);
+                    1.0 + det_f_minus_one(&h)
+                })
+                .fold(f64::INFINITY, f64::min)
+        })
+        .collect()
 }

@@ -1,22 +1,13 @@
 //! The tangent element by element, and its product with a direction.
 
-use nalgebra::{SMatrix, SymmetricEigen};
-
-use super::averaged::Averages;
 use super::averaged_neo_hookean::{PlainPatches, nodal_pressures};
-use super::{Loops, PointModel, displacement_gradient, local};
+use super::averages::Averages;
+use super::loops::{
+    Loops, PointModel, TangentKind, clamp, displacement_gradient, local, spatial_gradients,
+};
 use crate::element::{Geometry, Patches, Rule, TET4, TET10};
 use crate::material::{Matrix3, NeoHookean, Tangent};
 use crate::system::factor::Blocks;
-
-/// Which tangent an assembly forms.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum TangentKind {
-    /// The derivative of the forces.
-    Exact,
-    /// With the negative eigenvalues of `∂P/∂h` removed at every point: never indefinite.
-    Clamped,
-}
 
 /// The tangent at a displacement, element by element.
 pub(crate) struct ElementTangents<'a, M: PointModel> {
@@ -123,22 +114,6 @@ impl<M: PointModel> Loops<'_, M> {
     }
 }
 
-/// `∂N/∂X` from `∂N/∂ξ`.
-pub(super) fn spatial_gradients<const N: usize>(
-    gradients: &[[f64; 3]; N],
-    inverse_jacobian: &[[f64; 3]; 3],
-) -> [[f64; 3]; N] {
-    let mut spatial = [[0.0; 3]; N];
-    for a in 0..N {
-        for j in 0..3 {
-            for k in 0..3 {
-                spatial[a][j] += gradients[a][k] * inverse_jacobian[k][j];
-            }
-        }
-    }
-    spatial
-}
-
 /// Add the blocks of a neo-Hookean point. With `G = F⁻ᵀ` and `g_a' = G g_a` they are
 ///
 /// ```text
@@ -209,27 +184,6 @@ fn add_blocks<const N: usize>(
                     block[3 * i + k] += sum;
                 }
             }
-        }
-    }
-}
-
-/// Remove the negative eigenvalues of a symmetric tangent.
-pub(super) fn clamp(tangent: &mut Tangent) {
-    let matrix = SMatrix::<f64, 9, 9>::from_fn(|i, j| tangent[i][j]);
-    // Most points need no change, and a Cholesky factor shows this in a tenth of the time.
-    let rounding = 1e-13 * matrix.trace().abs();
-    if (matrix + SMatrix::<f64, 9, 9>::identity() * rounding).cholesky().is_some() {
-        return;
-    }
-    let mut eigen = SymmetricEigen::new(matrix);
-    if eigen.eigenvalues.iter().all(|&v| v >= 0.0) {
-        return;
-    }
-    eigen.eigenvalues.apply(|v| *v = v.max(0.0));
-    let clamped = eigen.recompose();
-    for i in 0..9 {
-        for j in 0..9 {
-            tangent[i][j] = clamped[(i, j)];
         }
     }
 }

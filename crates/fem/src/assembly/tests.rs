@@ -2,10 +2,8 @@
 #![allow(clippy::expect_used)]
 
 use super::averaged_neo_hookean::largest_stretch_bound;
-use super::{
-    Element, ElementTangents, Geometry, PointModel, TangentKind, internal_force_into,
-    tangent_product_into,
-};
+use super::{ElementTangents, PointModel, TangentKind, internal_force_into, tangent_product_into};
+use crate::element::{Element, Geometry};
 use crate::material::{Directions, Fibres, LawKind, Material};
 use crate::mesh::Mesh;
 use crate::system::factor::Blocks;

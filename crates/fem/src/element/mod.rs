@@ -53,7 +53,7 @@ pub enum Element {
     ///
     /// Stiffness couples a node with the elements two rings around: a factor has three times the
     /// entries of one of [`Element::Tet4`] and takes six times the operations. Up to `ν = 0.491`,
-    /// and without springs or skin, plain tets serve as the metric of the search, so that such a
+    /// and without springs, plain tets serve as the metric of the search, so that such a
     /// factor is made only where the load is large. Above, several are made. Fields per point have
     /// four points an element, one a corner. Hooke's law is linear in the averaged gradient, not in
     /// the displacement.

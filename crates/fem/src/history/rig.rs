@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::behaviour::Behaviour;
 use super::run::{Given, History};
 use crate::body::Body;
+use crate::check::{check_finite, check_length};
 use crate::error::FemError;
-use crate::load::{Load, check_finite, check_length};
+use crate::load::Load;
 use crate::material::Material;
+use crate::memory::Behaviour;
 use crate::resultant::{Resultant, resultant};
 use crate::solve::{Solution, SolveSettings};
 
@@ -54,20 +55,6 @@ pub struct Rig {
     bonded: Vec<Option<Vec<[f64; 3]>>>,
     /// Bodies by the pads that are present.
     bodies: BTreeMap<Vec<bool>, Arc<Body>>,
-    /// Of the recorded steps: how pads were while they were made.
-    phases: Vec<Phase>,
-}
-
-/// Recorded steps with the same pads.
-#[derive(Debug, Clone)]
-pub(crate) struct Phase {
-    /// Recorded steps up to its end.
-    pub(crate) end: usize,
-    /// Number of the frame, and whether this phase ends it.
-    pub(crate) frame: usize,
-    pub(crate) is_last: bool,
-    /// Recorded steps when each pad was bonded; none where it is gone.
-    pub(crate) bonded: Vec<Option<usize>>,
 }
 
 /// One frame of a rig.
@@ -86,7 +73,12 @@ impl Rig {
     /// # Errors
     ///
     /// [`FemError::HeldNodeOutOfRange`], [`FemError::HeldNodeRepeated`] within a pad.
-    pub fn new(body: Body, history: History, pads: Vec<Pad>) -> Result<Self, FemError> {
+    pub fn new(
+        body: impl Into<Arc<Body>>,
+        history: History,
+        pads: Vec<Pad>,
+    ) -> Result<Self, FemError> {
+        let body = body.into();
         let mut held = vec![false; body.n_corner_nodes()];
         body.held_nodes().iter().for_each(|&node| held[node] = true);
         let mut free = Vec::with_capacity(pads.len());
@@ -108,30 +100,24 @@ impl Rig {
         }
         let middles = free.iter().map(|nodes| middles_of(&body, nodes)).collect();
         let bonded = vec![None; free.len()];
-        let (bodies, phases) = (BTreeMap::new(), Vec::new());
-        let body = Arc::new(body);
-        Ok(Self { body, history, pads: free, middles, bonded, bodies, phases })
+        Ok(Self { body, history, pads: free, middles, bonded, bodies: BTreeMap::new() })
     }
 
     /// The same rig at its beginning, with another material and behaviour.
     ///
-    /// Bodies, their analyses and factors are shared: for many histories of one rig. Steps are
-    /// recorded where they were.
+    /// Bodies, their analyses and factors are shared: for many histories of one rig.
     ///
     /// # Errors
     ///
     /// As [`History::new`].
     pub fn afresh(&self, material: Material, behaviour: Behaviour) -> Result<Self, FemError> {
-        let recorded = self.history.steps().is_some();
-        let make = if recorded { History::recorded } else { History::new };
         Ok(Self {
             body: Arc::clone(&self.body),
-            history: make(&self.body, material, behaviour)?,
+            history: History::new(&self.body, material, behaviour)?,
             pads: self.pads.clone(),
             middles: self.middles.clone(),
             bonded: vec![None; self.pads.len()],
             bodies: self.bodies.clone(),
-            phases: Vec::new(),
         })
     }
 
@@ -194,14 +180,6 @@ impl Rig {
         let guess = change.map(|rows| self.after(rows)).transpose()?;
         let mut history = self.history.clone();
         let mut bonded = self.bonded.clone();
-        let mut phases = self.phases.clone();
-        let mut phase = match phases.last() {
-            Some(last) => Phase { frame: last.frame + 1, is_last: false, ..last.clone() },
-            None => Phase { end: 0, frame: 0, is_last: false, bonded: vec![None; bonded.len()] },
-        };
-        for (since, motion) in phase.bonded.iter_mut().zip(motions) {
-            *since = since.filter(|_| motion.is_some());
-        }
         let mut comes = false;
         for (place, motion) in bonded.iter_mut().zip(motions) {
             match motion {
@@ -212,16 +190,9 @@ impl Rig {
         if comes {
             if history.time_s().is_some() || acts(load, &history, time_s) {
                 match self.settle(&mut history, &bonded, load, (&given, None), time_s, settings) {
-                    Ok(_) => {
-                        phase.end = n_steps(&history);
-                        phases.push(phase.clone());
-                    }
-                    Err(FemError::Unconstrained(_)) => {}
+                    Ok(_) | Err(FemError::Unconstrained(_)) => {}
                     Err(error) => return Err(error),
                 }
-            }
-            for (since, motion) in phase.bonded.iter_mut().zip(motions) {
-                *since = since.or(motion.map(|_| n_steps(&history)));
             }
             let shape = history.displacement();
             for (pad, (place, motion)) in bonded.iter_mut().zip(motions).enumerate() {
@@ -233,10 +204,6 @@ impl Rig {
         }
         let solution =
             self.settle(&mut history, &bonded, load, (&given, guess), time_s, settings)?;
-        phases.push(Phase { end: n_steps(&history), is_last: true, ..phase });
-        if history.steps().is_some() {
-            self.phases = phases;
-        }
         self.history = history;
         self.bonded = bonded;
         Ok(self.frame(solution))
@@ -299,7 +266,7 @@ impl Rig {
 
     /// Displacement of all nodes, flat, from that of the body's own held nodes and of the nodes and
     /// middles of all pads that are present; zero where free. It is linear in both.
-    pub(crate) fn held_displacement(
+    fn held_displacement(
         &self,
         body: &Body,
         mut rows: Vec<[f64; 3]>,
@@ -319,25 +286,6 @@ impl Rig {
             }
         }
         all
-    }
-
-    /// Nodes of a pad, and the middles of edges within it.
-    pub(crate) fn pad_nodes(&self, pad: usize) -> (&[usize], &[usize]) {
-        (&self.pads[pad], &self.middles[pad])
-    }
-
-    /// Frames that have been recorded, see [`History::recorded`].
-    pub fn n_recorded_frames(&self) -> usize {
-        self.phases.iter().filter(|phase| phase.is_last).count()
-    }
-
-    pub(crate) fn n_pads(&self) -> usize {
-        self.pads.len()
-    }
-
-    /// Phases of the recorded steps.
-    pub(crate) fn phases(&self) -> &[Phase] {
-        &self.phases
     }
 
     /// Tell the reactions of supports and pads apart.
@@ -374,11 +322,6 @@ fn middles_of(body: &Body, nodes: &[usize]) -> Vec<usize> {
         .filter(|(_, [a, b])| inside[*a] && inside[*b])
         .map(|(edge, _)| body.n_corner_nodes() + edge)
         .collect()
-}
-
-/// Steps recorded so far.
-fn n_steps(history: &History) -> usize {
-    history.steps().map_or(0, <[_]>::len)
 }
 
 /// Whether anything can deform the body before the first pad comes.

@@ -3,21 +3,18 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use super::behaviour::Behaviour;
-use super::common::PointState;
-use super::point::StepModel;
-use super::record::StepRecord;
-use super::state::{StepState, fresh_states};
 use crate::assembly::gradients_at_points;
 use crate::body::Body;
+use crate::check::check_length;
 use crate::error::{FemError, NoEquilibrium};
-use crate::load::{Load, NodalLoad, check_length};
+use crate::load::{Load, NodalLoad};
 use crate::material::Material;
+use crate::memory::{Behaviour, PointState, StepModel, StepState, fresh_states};
 use crate::solve::{
-    LoadSteps, Model, Problem, Solution, SolveReport, SolveSettings, Solver, State, norm, solution,
-    surface_of,
+    LoadSteps, Metric, Model, Problem, Solution, SolveReport, SolveSettings, Solver, State, norm,
+    solution, surface_of,
 };
-use crate::surface::{Slip, SurfaceTerms, must_stick};
+use crate::surface::{Slip, SurfaceTerms};
 
 /// Iterations after which a time step is halved.
 const STEP_ITERATIONS: usize = 200;
@@ -78,13 +75,11 @@ struct Now {
     /// Loads of the last frame, `(3 n_nodes)`, mN.
     force: Vec<f64>,
     /// One per quadrature point; shared until the end of a step.
-    states: Arc<Vec<PointState<f64>>>,
+    states: Arc<Vec<PointState>>,
     /// One per point of the springs that may slip; none before the first step with such.
     slips: Vec<Slip>,
     /// Largest norm of a load so far, mN: a residual small compared with it is no force.
     largest_load: f64,
-    /// All steps so far, where they are recorded.
-    steps: Option<Vec<Arc<StepRecord>>>,
 }
 
 impl History {
@@ -105,35 +100,8 @@ impl History {
             states: Arc::new(fresh_states(&behaviour, body.n_tets() * body.element().n_points())),
             slips: Vec::new(),
             largest_load: 0.0,
-            steps: None,
         };
         Ok(Self { material, behaviour, now })
-    }
-
-    /// The same, with every step recorded for [`Rig::derivatives`](crate::Rig::derivatives) and
-    /// [`Rig::adjoints`](crate::Rig::adjoints). A step takes the memory of its points and a few
-    /// vectors of the displacement's length.
-    ///
-    /// # Errors
-    ///
-    /// As [`History::new`].
-    pub fn recorded(
-        body: &Body,
-        material: Material,
-        behaviour: Behaviour,
-    ) -> Result<Self, FemError> {
-        let mut history = Self::new(body, material, behaviour)?;
-        history.now.steps = Some(Vec::new());
-        Ok(history)
-    }
-
-    /// Steps so far, where they are recorded.
-    pub(crate) fn steps(&self) -> Option<&[Arc<StepRecord>]> {
-        self.now.steps.as_deref()
-    }
-
-    pub(crate) fn material(&self) -> &Material {
-        &self.material
     }
 
     /// Time of the last frame, s; none before the first.
@@ -159,7 +127,7 @@ impl History {
     /// no equilibrium is found the time step is halved, down to 1/64 of it; the report then counts
     /// several load steps. Where that fails as well, the history is left as it was.
     ///
-    /// The report's energy is that of the incremental problem (see the module's first formula).
+    /// The report's energy is that of the incremental problem (its formula heads the module `memory` of the sources).
     ///
     /// # Errors
     ///
@@ -197,10 +165,7 @@ impl History {
             target.moves_supports = prescribed.iter().any(|&v| v != 0.0);
             target.prescribed = prescribed;
         }
-        let surface = surface_of(body, &self.material, load)?;
-        if self.now.steps.is_some() {
-            must_stick(&load.springs)?;
-        }
+        let surface = surface_of(body, load)?;
         let mut now = self.now.clone();
         let frame = Frame { history: self, body, load, target, guess, surface, time_s, settings };
         let answer = settings.in_pool(|| frame.reach(&mut now))?;
@@ -321,9 +286,8 @@ impl Frame<'_> {
         state.displacement.clone_from(&now.displacement);
         let first = Problem { surface: &surface, ..problem };
         problem.least_load = solver.unbalanced(&first, &mut state).max(now.largest_load);
-        let least_load = problem.least_load;
-        let cache = self.body.rest_cache();
-        let rest = || cache.metric(self.body, elastic, &self.load.springs, problem.parallel);
+        let springs = &self.load.springs;
+        let rest = || Metric::at_rest(self.body, elastic, springs, problem.parallel);
         let guessed = self.guess.as_ref().filter(|_| to >= 1.0);
         let near = guessed.map(|guess| self.near(guess));
         let first = Problem { surface: &surface, ..problem };
@@ -345,7 +309,6 @@ impl Frame<'_> {
         }
         let problem = Problem { surface: &surface, ..problem };
 
-        let before = now.steps.is_some().then(|| now.states.clone());
         let gradients = gradients_at_points(self.body.geometry(), &state.displacement);
         if !step.update(elastic, &gradients, Arc::make_mut(&mut now.states).as_mut_slice()) {
             let worst = problem.worst_tets(&state.displacement);
@@ -357,26 +320,10 @@ impl Frame<'_> {
         now.force.clone_from(&load.force);
         now.slips = surface.slips_after(&state.displacement, true);
         now.time_s = Some(time);
-        let answer = solution(&problem, &state, report);
-        if let (Some(steps), Some(before)) = (&mut now.steps, before) {
-            steps.push(Arc::new(StepRecord {
-                body: self.body.again(),
-                springs: self.load.springs.clone(),
-                surface: self.surface.clone(),
-                load,
-                from: start.steps.as_ref().map_or(0, Vec::len),
-                part: if start.time_s.is_some() { to } else { 1.0 },
-                before,
-                length,
-                time,
-                displacement: state.displacement,
-                least_load,
-            }));
-        }
-        Ok(answer)
+        Ok(solution(&problem, &state, report))
     }
 
-    /// Springs and skin, what may slip as it was left.
+    /// Springs, what may slip as it was left.
     fn surface_after(&self, now: &Now) -> Result<Cow<'_, SurfaceTerms>, FemError> {
         let mut surface = Cow::Borrowed(&self.surface);
         if !now.slips.is_empty() {

@@ -4,7 +4,6 @@ use super::declaration::Range;
 use super::stiffness::Layout;
 use super::{Fibre, Fibres, Law, LawKind, NeoHookean, Parameter, Stiffness, Volumetric};
 use crate::error::FemError;
-use crate::surface::Skin;
 
 /// Poisson's ratio from which linear tetrahedra lock.
 const LOCKING_POISSON: f64 = 0.475;
@@ -47,7 +46,6 @@ pub struct Material {
     kind: LawKind,
     volumetric: Volumetric,
     fibres: Option<Fibres>,
-    skin: Vec<Skin>,
 }
 
 /// A field of neo-Hookean laws and nothing else.
@@ -87,7 +85,6 @@ impl Material {
             kind: LawKind::NeoHookean,
             volumetric: Volumetric::Log,
             fibres: None,
-            skin: Vec::new(),
         })
     }
 
@@ -142,22 +139,6 @@ impl Material {
         }
         self.fibres = Some(fibres);
         Ok(self)
-    }
-
-    /// Cover facets of the surface with a thin skin.
-    ///
-    /// # Errors
-    ///
-    /// [`FemError::BadParameter`]. That the triangles are facets is checked with the body.
-    pub fn with_skin(mut self, skin: Skin) -> Result<Self, FemError> {
-        skin.check()?;
-        self.skin.push(skin);
-        Ok(self)
-    }
-
-    /// Skins, in the order in which they were added.
-    pub fn skin(&self) -> &[Skin] {
-        &self.skin
     }
 
     /// Stiffness as given.

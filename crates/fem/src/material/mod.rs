@@ -20,6 +20,7 @@ mod laws;
 mod linear;
 mod neo_hookean;
 mod principal;
+mod shape;
 mod spectrum;
 mod stiffness;
 mod tensor;
@@ -32,10 +33,10 @@ pub use kind::{LawKind, OgdenTerms, Parameter};
 pub use kinematics::Volumetric;
 pub use law::Law;
 pub use neo_hookean::NeoHookean;
-pub(crate) use stiffness::Layout;
+pub(crate) use shape::Shape;
 pub use stiffness::{Directions, Fibres, Stiffness};
 pub use tensor::det_f_minus_one;
-pub(crate) use tensor::{cofactor, phi1, phi2, product, square, x_minus_log};
+pub(crate) use tensor::{cofactor, phi1, product, square, x_minus_log};
 
 /// A matrix of three rows, `[i][j]`.
 pub type Matrix3 = [[f64; 3]; 3];

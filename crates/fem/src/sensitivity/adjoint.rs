@@ -104,6 +104,4 @@ pub struct Adjoint {
     pub prescribed: Vec<[f64; 3]>,
     /// By the stiffness of every set of springs along the normal and in the plane, per kPa/mm.
     pub springs: Vec<[f64; 2]>,
-    /// By Young's modulus of every skin, per kPa.
-    pub skin_young: Vec<f64>,
 }

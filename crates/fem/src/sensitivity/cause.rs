@@ -2,10 +2,12 @@
 
 use crate::assembly::PointMap;
 use crate::body::Body;
+use crate::check::check_length;
 use crate::error::FemError;
-use crate::load::{Load, NodalLoad, check_length};
-use crate::material::{Law, Material, Matrix3, Parameter};
-use crate::surface::{Skin, Springs, SurfaceTerms};
+use crate::load::{Load, NodalLoad};
+use crate::material::{Material, Matrix3, Parameter, det_f_minus_one};
+use crate::springs::Springs;
+use crate::surface::SurfaceTerms;
 
 /// The input by which an equilibrium is differentiated.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,18 +27,14 @@ pub enum Cause {
     SpringNormal(usize),
     /// Stiffness in the plane of a set of springs, kPa/mm.
     SpringTangential(usize),
-    /// Young's modulus of a skin, by its place in the material, kPa.
-    SkinYoung(usize),
-    /// Thickness of a skin, mm.
-    SkinThickness(usize),
 }
 
 /// Rates at fixed displacement.
-pub(crate) struct Rates {
+pub(super) struct Rates {
     /// `ṙ` at all nodes, `(3 n_nodes)`, mN.
-    pub(crate) unbalanced: Vec<f64>,
+    pub(super) unbalanced: Vec<f64>,
     /// `u̇` of held components, `(3 n_nodes)`; none where they stay.
-    pub(crate) held: Option<Vec<f64>>,
+    pub(super) held: Option<Vec<f64>>,
 }
 
 /// Where causes are looked up.
@@ -89,19 +87,29 @@ impl Scene<'_> {
             Cause::Load(rate) => return self.by_load(rate),
             Cause::SpringNormal(set) => self.by_springs(*set, 1.0, 0.0)?,
             Cause::SpringTangential(set) => self.by_springs(*set, 0.0, 1.0)?,
-            Cause::SkinYoung(sheet) => {
-                self.by_skin(*sheet, |skin| Skin { young: 1.0, ..skin.clone() })?
-            }
-            Cause::SkinThickness(sheet) => {
-                self.by_skin(*sheet, |skin| Skin { thickness: 1.0, ..skin.clone() })?
-            }
         };
         Ok(Rates { unbalanced, held: None })
     }
 
     /// `∂P/∂parameter` at every point, kPa over the unit of the parameter.
+    ///
+    /// # Errors
+    ///
+    /// [`FemError::NoSuchCause`] for a parameter that the material does not have,
+    /// [`FemError::InvertedStart`] for a point that has no stress.
     pub(super) fn stresses_by(&self, parameter: Parameter) -> Result<Vec<Matrix3>, FemError> {
-        stresses_by(self.body, self.material, self.gradients, parameter, Law::stress_by)
+        if !self.material.parameters().contains(&parameter) {
+            return Err(FemError::NoSuchCause { what: format!("{parameter} of this law") });
+        }
+        let n_points = self.body.element().n_points();
+        let one = |(index, h): (usize, &Matrix3)| {
+            let (tet, point) = (index / n_points, index % n_points);
+            self.material
+                .law_at(tet, point)
+                .stress_by(h, parameter)
+                .ok_or_else(|| FemError::InvertedStart { tet, det_f: 1.0 + det_f_minus_one(h) })
+        };
+        self.gradients.iter().enumerate().map(one).collect()
     }
 
     fn by_parameter(
@@ -147,60 +155,8 @@ impl Scene<'_> {
             return Err(FemError::NoSuchCause { what });
         };
         let unit = Springs { normal, tangential, ..springs.clone() };
-        self.surface_forces(&SurfaceTerms::new(self.body, &[unit], &[])?)
-    }
-
-    /// A skin is linear in its modulus and its thickness.
-    fn by_skin(
-        &self,
-        sheet: usize,
-        unit: impl FnOnce(&Skin) -> Skin,
-    ) -> Result<Vec<f64>, FemError> {
-        let skins = self.material.skin();
-        let Some(skin) = skins.get(sheet) else {
-            let what = format!("skin {sheet} of {}", skins.len());
-            return Err(FemError::NoSuchCause { what });
-        };
-        self.surface_forces(&SurfaceTerms::new(self.body, &[], &[unit(skin)])?)
-    }
-
-    fn surface_forces(&self, terms: &SurfaceTerms) -> Result<Vec<f64>, FemError> {
         let mut force = vec![0.0; self.displacement.len()];
-        match terms.add_force(self.displacement, &mut force) {
-            Some(_) => Ok(force),
-            None => Err(FemError::NoSuchCause { what: "a skin without area".to_owned() }),
-        }
-    }
-}
-
-/// A derivative of the stress by a parameter at every point.
-///
-/// # Errors
-///
-/// [`FemError::NoSuchCause`] for a parameter that the material does not have,
-/// [`FemError::InvertedStart`] for a point that has no stress.
-pub(crate) fn stresses_by(
-    body: &Body,
-    material: &Material,
-    gradients: &[Matrix3],
-    parameter: Parameter,
-    by: impl Fn(&Law, &Matrix3, Parameter) -> Option<Matrix3>,
-) -> Result<Vec<Matrix3>, FemError> {
-    check_parameter(material, parameter)?;
-    let n_points = body.element().n_points();
-    let one = |(index, h): (usize, &Matrix3)| {
-        let (tet, point) = (index / n_points, index % n_points);
-        by(&material.law_at(tet, point), h, parameter).ok_or_else(|| {
-            let det_f = 1.0 + crate::material::det_f_minus_one(h);
-            FemError::InvertedStart { tet, det_f }
-        })
-    };
-    gradients.iter().enumerate().map(one).collect()
-}
-
-pub(crate) fn check_parameter(material: &Material, parameter: Parameter) -> Result<(), FemError> {
-    match material.parameters().contains(&parameter) {
-        true => Ok(()),
-        false => Err(FemError::NoSuchCause { what: format!("{parameter} of this law") }),
+        SurfaceTerms::new(self.body, &[unit])?.add_force(self.displacement, &mut force);
+        Ok(force)
     }
 }

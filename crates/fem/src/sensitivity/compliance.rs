@@ -12,8 +12,8 @@ use super::linearised::Linearised;
 use super::rates::Tangent;
 use super::wide::{Columns, Solutions};
 use crate::body::Body;
+use crate::check::check_finite;
 use crate::error::FemError;
-use crate::load::check_finite;
 
 /// Derivatives of observations of displacements by forces and supports.
 #[derive(Debug, Clone, PartialEq)]

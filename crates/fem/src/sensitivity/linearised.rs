@@ -11,11 +11,13 @@ use super::held::HeldRows;
 use super::rates::{Derivative, Tangent, exact, factor};
 use crate::assembly::{PointMap, gradients_at_points, point_volumes};
 use crate::body::Body;
+use crate::check::{check_finite, check_length};
 use crate::error::FemError;
-use crate::load::{Load, NodalLoad, check_finite, check_length};
+use crate::load::{Load, NodalLoad};
 use crate::material::{Material, Matrix3, Parameter};
 use crate::solve::{Model, Precision, Problem, SolveSettings, Solver, State, dot, surface_of};
-use crate::surface::{Springs, SurfaceTerms, must_stick};
+use crate::springs::{Springs, must_stick};
+use crate::surface::SurfaceTerms;
 use crate::system::factor::Factor;
 
 /// An equilibrium with the exact tangent there, factored once; it answers derivatives.
@@ -133,7 +135,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
         material.check_size(own.n_tets(), own.element().n_points())?;
         check_length("displacement (one row a node)", own.n_nodes(), displacement.len())?;
         check_finite("displacement", displacement)?;
-        let surface = surface_of(own, material, load)?;
+        let surface = surface_of(own, load)?;
         must_stick(&load.springs)?;
         let nodal = NodalLoad::new(own, load)?;
         let settings = exact(settings);
@@ -214,7 +216,7 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             self.tangent().each(causes, |cause, buffers, parallel| {
                 self.settings.check_cancel()?;
                 let rates = self.scene().rates(cause)?;
-                Ok(self.tangent().follow(&rates, buffers, parallel)?.1)
+                self.tangent().follow(&rates, buffers, parallel)
             })
         })
     }
@@ -246,9 +248,6 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
                     let normal = scene.rates(&Cause::SpringNormal(set))?.unbalanced;
                     Ok([normal, scene.rates(&Cause::SpringTangential(set))?.unbalanced])
                 })
-                .collect::<Result<_, FemError>>()?,
-            skins: (0..self.material.skin().len())
-                .map(|sheet| Ok(scene.rates(&Cause::SkinYoung(sheet))?.unbalanced))
                 .collect::<Result<_, FemError>>()?,
         };
         self.settings.in_pool(|| {
@@ -302,7 +301,6 @@ impl<B: Borrow<Body> + Send + Sync> Linearised<B> {
             body_force,
             prescribed: body.reactions(&at_held),
             springs: sources.springs.iter().map(|pair| [0, 1].map(|k| dot(&pair[k], &v))).collect(),
-            skin_young: sources.skins.iter().map(|force| dot(force, &v)).collect(),
         })
     }
 
@@ -338,6 +336,4 @@ struct Sources {
     poisson: Vec<Matrix3>,
     /// Forces by the stiffness of springs along the normal and in the plane.
     springs: Vec<[Vec<f64>; 2]>,
-    /// Forces by Young's modulus of skins.
-    skins: Vec<Vec<f64>>,
 }

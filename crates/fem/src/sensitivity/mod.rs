@@ -20,8 +20,7 @@
 //! Fibres that bear tension alone switch at zero strain, with continuous stress: a derivative is that
 //! of the side that the state is on, and at the switch itself that of taut fibres.
 //!
-//! The frames of a history have derivatives as well: [`Rig::derivatives`](crate::Rig::derivatives) and
-//! `frames`. None are there by the Poisson's ratio of a skin and the place of nodes.
+//! None are there by the place of nodes.
 //!
 //! # Reference
 //!
@@ -31,7 +30,6 @@ mod adjoint;
 mod cause;
 mod compliance;
 mod factored;
-mod frames;
 mod held;
 mod linearised;
 mod near;
@@ -41,6 +39,5 @@ mod wide;
 pub use adjoint::{Adjoint, Observation};
 pub use cause::Cause;
 pub use compliance::Compliance;
-pub use frames::{FrameAdjoint, FrameCause, FrameDerivative, FrameObservation};
 pub use linearised::{Linearised, TangentReport};
 pub use rates::Derivative;

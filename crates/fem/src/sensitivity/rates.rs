@@ -22,15 +22,15 @@ pub struct Derivative {
 
 /// Settings of a factor that serves derivatives: exact in double precision, so that a solution
 /// needs no refinement.
-pub(crate) fn exact(settings: &SolveSettings) -> SolveSettings {
+pub(super) fn exact(settings: &SolveSettings) -> SolveSettings {
     SolveSettings { method: Method::Newton, ..settings.clone() }
 }
 
 /// The exact tangent at an equilibrium, factored.
-pub(crate) struct Tangent<'a> {
-    pub(crate) problem: Problem<'a>,
-    pub(crate) state: &'a State,
-    pub(crate) factored: &'a Factored,
+pub(super) struct Tangent<'a> {
+    pub(super) problem: Problem<'a>,
+    pub(super) state: &'a State,
+    pub(super) factored: &'a Factored,
 }
 
 /// Factor the tangent at a state whose forces have been evaluated.
@@ -39,7 +39,7 @@ pub(crate) struct Tangent<'a> {
 ///
 /// [`FemError::NotInEquilibrium`], [`FemError::NotStable`], [`FemError::Cancelled`],
 /// [`FemError::TooLarge`].
-pub(crate) fn factor(
+pub(super) fn factor(
     problem: &Problem,
     state: &State,
     precision: Precision,
@@ -68,7 +68,7 @@ impl Tangent<'_> {
     /// # Errors
     ///
     /// [`FemError::BadSetting`] where a single factor does not suffice.
-    pub(crate) fn solve(
+    pub(super) fn solve(
         &self,
         rhs: &[f64],
         buffers: &mut Buffers,
@@ -88,19 +88,19 @@ impl Tangent<'_> {
 
     /// `K` times a direction, right in rows of held nodes; in all rows where only held components
     /// move.
-    pub(crate) fn product(&self, direction: &[f64]) -> Result<Vec<f64>, FemError> {
+    pub(super) fn product(&self, direction: &[f64]) -> Result<Vec<f64>, FemError> {
         let n_dofs = self.problem.body.n_unknowns();
         let product = self.problem.product_at_supports(self.state, direction);
         product.ok_or(FemError::NotStable { pivot: 0, n_dofs })
     }
 
-    /// Displacement rate of all nodes, flat, and rates of the reactions.
-    pub(crate) fn follow(
+    /// Derivatives along the rates of a cause.
+    pub(super) fn follow(
         &self,
         rates: &Rates,
         buffers: &mut Buffers,
         parallel: bool,
-    ) -> Result<(Vec<f64>, Derivative), FemError> {
+    ) -> Result<Derivative, FemError> {
         let mut rhs = rates.unbalanced.clone();
         if let Some(held) = &rates.held {
             for (sum, value) in rhs.iter_mut().zip(self.product(held)?) {
@@ -119,11 +119,11 @@ impl Tangent<'_> {
         }
         let displacement = flat.as_chunks::<3>().0.to_vec();
         let reactions = self.problem.body.reactions(&unbalanced);
-        Ok((flat, Derivative { displacement, reactions }))
+        Ok(Derivative { displacement, reactions })
     }
 
     /// Apply a function to every item, in parallel where there are several.
-    pub(crate) fn each<I: Sync, R: Send>(
+    pub(super) fn each<I: Sync, R: Send>(
         &self,
         items: &[I],
         one: impl Fn(&I, &mut Buffers, bool) -> Result<R, FemError> + Sync,

@@ -3,10 +3,11 @@
 use super::problem::State;
 use crate::assembly::{ElementTangents, TangentKind, det_f_by_element, internal_force_into};
 use crate::body::Body;
+use crate::check::{check_finite, check_length};
 use crate::error::FemError;
-use crate::load::{check_finite, check_length};
 use crate::material::Material;
-use crate::surface::{Springs, SurfaceTerms};
+use crate::springs::Springs;
+use crate::surface::SurfaceTerms;
 use crate::system::factor::{Entries, Factor, Making};
 
 /// Internal forces of a displacement: the nodal forces under which it is in equilibrium.
@@ -84,7 +85,7 @@ pub fn spring_forces(
 ) -> Result<Vec<Vec<[f64; 3]>>, FemError> {
     check_length("displacement (one row a node)", body.n_nodes(), displacement.len())?;
     check_finite("displacement", displacement)?;
-    let terms = SurfaceTerms::new(body, springs, &[])?;
+    let terms = SurfaceTerms::new(body, springs)?;
     Ok(terms.spring_forces(displacement.as_flattened()))
 }
 

@@ -10,7 +10,6 @@
 //! alternate from element to element, so that of both the softer is the better guide. It costs a
 //! third of a solve and a sixth of a factor.
 
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -18,10 +17,11 @@ use crate::assembly::{ElementTangents, TangentKind};
 use crate::body::Body;
 use crate::element::Element;
 use crate::error::FemError;
-use crate::material::{Fibres, Layout, Material, Matrix3, Stiffness};
+use crate::material::{Material, Matrix3, Shape};
 use crate::solve::carrier::inverse_deformations;
 use crate::solve::problem::{Problem, State, Workspace};
-use crate::surface::{Skin, Springs, SurfaceTerms, WithFacets};
+use crate::springs::Springs;
+use crate::surface::{SurfaceTerms, WithFacets};
 use crate::system::factor::{Entries, Factor, Making};
 use crate::system::{Fronts, PlainOrder};
 
@@ -46,6 +46,27 @@ pub(crate) struct Metric {
 }
 
 impl Metric {
+    /// The factor of the undeformed stiffness of a material, that which the body keeps or a new one,
+    /// which it keeps then.
+    pub(crate) fn at_rest(
+        body: &Body,
+        material: &Material,
+        springs: &[Springs],
+        parallel: bool,
+    ) -> Result<Self, FemError> {
+        let (shape, young) = Shape::of(material, springs);
+        let (scale, plain) = (1.0 / young, is_plain(&shape, body));
+        let factor = match body.kept_factor(&shape) {
+            Some(factor) => factor,
+            None => {
+                let factor = Arc::new(rest_factor(&shape, body, parallel)?);
+                body.keep_factor(shape, &factor);
+                factor
+            }
+        };
+        Ok(Self { factor, scale, plain, made_at: None })
+    }
+
     /// A factor of the tangent at a displacement, `(3 n_nodes)` mm.
     pub(crate) fn made_at(
         body: &Body,
@@ -169,154 +190,29 @@ impl Metric {
     }
 }
 
-/// Rest stiffness up to a factor: what a rest factor depends on.
-///
-/// All laws share the rest stiffness of the neo-Hookean one; fibres add theirs.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Shape {
-    /// Moduli over the largest, rounded to 24 bits; one entry where uniform.
-    young: Vec<f32>,
-    poisson: Vec<f64>,
-    layout: Layout,
-    /// Fibres as far as they matter at rest.
-    fibres: Option<Fibres>,
-    /// Springs and skins, their stiffness over the same modulus.
-    springs: Vec<Springs>,
-    skin: Vec<Skin>,
+/// Whether plain tets make the factor of a shape on a body.
+fn is_plain(shape: &Shape, body: &Body) -> bool {
+    body.element() == Element::Tet4Averaged
+        && shape.springs.is_empty()
+        && shape.poisson.iter().all(|&nu| nu <= PLAIN_LIMIT)
 }
 
-impl Shape {
-    /// Shape of a stiffness with springs and the modulus that was divided out, kPa.
-    pub(crate) fn of(material: &Material, springs: &[Springs]) -> (Self, f64) {
-        let stiffness = material.stiffness();
-        let (young, poisson) = stiffness.fields();
-        let largest = young.iter().fold(0.0_f64, |m, &v| m.max(v));
-        let fibres = material.fibres().filter(|fibres| fibres.k1_over_mu > 0.0);
-        let mut shape = Self {
-            young: young.iter().map(|v| (v / largest) as f32).collect(),
-            poisson: poisson.to_vec(),
-            layout: stiffness.layout(),
-            fibres: fibres.map(|fibres| Fibres { k2: 0.0, tension_only: false, ..fibres.clone() }),
-            springs: springs.to_vec(),
-            skin: material.skin().to_vec(),
-        };
-        for set in &mut shape.springs {
-            // At rest all sticks.
-            set.friction = None;
-            set.normal /= largest;
-            set.tangential /= largest;
-        }
-        shape.skin.iter_mut().for_each(|sheet| sheet.young /= largest);
-        shape.simplify();
-        (shape, largest)
+/// Factor of the undeformed stiffness of a shape.
+fn rest_factor(shape: &Shape, body: &Body, parallel: bool) -> Result<Factor, FemError> {
+    let at_rest = vec![0.0; 3 * body.n_nodes()];
+    let kind = TangentKind::Exact;
+    let making = Making { parallel, cancel: None };
+    if is_plain(shape, body) {
+        let material = shape.material(PLAIN_POISSON)?;
+        let elements = ElementTangents::without_patches(body.geometry(), &material, &at_rest, kind);
+        let fronts = &body.plain_order()?.pattern.fronts;
+        return Factor::new(fronts, &elements, Entries::CompactOrDouble, making);
     }
-
-    /// Fields that are constant after all have the shape of uniform ones.
-    fn simplify(&mut self) {
-        if self.poisson.windows(2).all(|w| w[0] == w[1]) {
-            self.poisson.truncate(1);
-        }
-        if self.poisson.len() == 1 && self.young.windows(2).all(|w| w[0] == w[1]) {
-            self.young.truncate(1);
-            self.layout = Layout::Uniform;
-        }
-    }
-
-    /// Number by which equal shapes are found.
-    pub(crate) fn key(&self) -> u64 {
-        let mut hasher = DefaultHasher::new();
-        self.young.iter().for_each(|v| v.to_bits().hash(&mut hasher));
-        self.poisson.iter().for_each(|v| v.to_bits().hash(&mut hasher));
-        self.layout.hash(&mut hasher);
-        if let Some(fibres) = &self.fibres {
-            fibres.k1_over_mu.to_bits().hash(&mut hasher);
-            let all = fibres.directions.vectors().as_flattened();
-            all.iter().for_each(|v| v.to_bits().hash(&mut hasher));
-        }
-        for set in &self.springs {
-            (set.normal.to_bits(), set.tangential.to_bits(), &set.triangles).hash(&mut hasher);
-        }
-        for sheet in &self.skin {
-            (sheet.young.to_bits(), sheet.thickness.to_bits(), &sheet.triangles).hash(&mut hasher);
-        }
-        hasher.finish()
-    }
-
-    /// Whether plain tets make the factor of this shape on a body.
-    fn is_plain_on(&self, body: &Body) -> bool {
-        body.element() == Element::Tet4Averaged
-            && self.springs.is_empty()
-            && self.skin.is_empty()
-            && self.poisson.iter().all(|&nu| nu <= PLAIN_LIMIT)
-    }
-
-    fn material(&self, most: f64) -> Result<Material, FemError> {
-        // A modulus of zero after rounding would make the shape singular.
-        let young: Vec<f64> = self.young.iter().map(|&v| f64::from(v).max(1e-30)).collect();
-        let poisson: Vec<f64> = self.poisson.iter().map(|nu| nu.min(most)).collect();
-        let material = Material::new(match (self.layout, young.as_slice(), poisson.as_slice()) {
-            (_, &[young], &[poisson]) => Stiffness::Uniform { young, poisson },
-            (Layout::PerPoint(n_points), ..) => Stiffness::PerPoint { n_points, young, poisson },
-            _ => Stiffness::PerTet { young, poisson },
-        })?;
-        match &self.fibres {
-            Some(fibres) => material.with_fibres(fibres.clone()),
-            None => Ok(material),
-        }
-    }
-
-    /// Factor of the undeformed stiffness of this shape.
-    pub(crate) fn factor(&self, body: &Body, parallel: bool) -> Result<Factor, FemError> {
-        let at_rest = vec![0.0; 3 * body.n_nodes()];
-        let kind = TangentKind::Exact;
-        let making = Making { parallel, cancel: None };
-        if self.is_plain_on(body) {
-            let material = self.material(PLAIN_POISSON)?;
-            let elements =
-                ElementTangents::without_patches(body.geometry(), &material, &at_rest, kind);
-            let fronts = &body.plain_order()?.pattern.fronts;
-            return Factor::new(fronts, &elements, Entries::CompactOrDouble, making);
-        }
-        let material = self.material(1.0)?;
-        let elements = ElementTangents::new(body.geometry(), &material, &at_rest, kind);
-        let surface = SurfaceTerms::new(body, &self.springs, &self.skin)?;
-        let Some(facets) = surface.blocks(None, kind) else {
-            return Err(FemError::SingularStiffness { pivot: 0, n_dofs: body.n_unknowns() });
-        };
-        let matrix = WithFacets { elements, facets: &facets };
-        Factor::new(&body.pattern().fronts, &matrix, Entries::CompactOrDouble, making)
-    }
-}
-
-/// The rest factor made last, kept with the body.
-#[derive(Debug, Default)]
-pub(crate) struct RestCache(Mutex<Option<(Shape, Arc<Factor>)>>);
-
-impl RestCache {
-    /// Rest metric of a material, from the cache or made and kept.
-    pub(crate) fn metric(
-        &self,
-        body: &Body,
-        material: &Material,
-        springs: &[Springs],
-        parallel: bool,
-    ) -> Result<Metric, FemError> {
-        let (shape, young) = Shape::of(material, springs);
-        let (scale, plain) = (1.0 / young, shape.is_plain_on(body));
-        if let Some(factor) = self.find(&shape) {
-            return Ok(Metric { factor, scale, plain, made_at: None });
-        }
-        let factor = Arc::new(shape.factor(body, parallel)?);
-        if let Ok(mut slot) = self.0.lock() {
-            *slot = Some((shape, Arc::clone(&factor)));
-        }
-        Ok(Metric { factor, scale, plain, made_at: None })
-    }
-
-    fn find(&self, shape: &Shape) -> Option<Arc<Factor>> {
-        let slot = self.0.lock().ok()?;
-        slot.as_ref().filter(|(kept, _)| kept == shape).map(|(_, factor)| Arc::clone(factor))
-    }
+    let material = shape.material(1.0)?;
+    let elements = ElementTangents::new(body.geometry(), &material, &at_rest, kind);
+    let surface = SurfaceTerms::new(body, &shape.springs)?;
+    let matrix = WithFacets { elements, facets: &surface.blocks(None) };
+    Factor::new(&body.pattern().fronts, &matrix, Entries::CompactOrDouble, making)
 }
 
 /// Rest factor shared by the members of one group of an ensemble.
@@ -340,13 +236,13 @@ impl SharedRest {
         };
         let factor = match slot.0.take() {
             Some(factor) => factor,
-            None => Arc::new(self.shape.factor(body, false)?),
+            None => Arc::new(rest_factor(&self.shape, body, false)?),
         };
         slot.1 = slot.1.saturating_sub(1);
         if slot.1 > 0 {
             slot.0 = Some(Arc::clone(&factor));
         }
-        let (scale, plain) = (1.0 / young, self.shape.is_plain_on(body));
+        let (scale, plain) = (1.0 / young, is_plain(&self.shape, body));
         Ok(Metric { factor, scale, plain, made_at: None })
     }
 }

@@ -21,13 +21,14 @@ mod support_path;
 use std::time::Instant;
 
 pub use inspect::{internal_forces, is_stable, spring_forces};
-pub(crate) use metric::{Metric, RestCache, Shape, SharedRest};
+pub(crate) use metric::{Metric, SharedRest};
 pub use report::{Solution, SolveReport, StageSeconds};
 pub use settings::{LoadSteps, Method, Precision, SolveSettings};
 
 use crate::body::Body;
+use crate::check::{check_finite, check_length};
 use crate::error::FemError;
-use crate::load::{Load, NodalLoad, check_finite, check_length};
+use crate::load::{Load, NodalLoad};
 use crate::material::Material;
 use crate::surface::SurfaceTerms;
 use load_steps::Path;
@@ -83,7 +84,7 @@ pub fn solve(
         let mut solver = Solver::new(body, parallel);
         settings.awake(|| {
             solver.solve(Task { material, load, start: None }, settings, || {
-                body.rest_cache().metric(body, material, &load.springs, parallel)
+                Metric::at_rest(body, material, &load.springs, parallel)
             })
         })
     })
@@ -112,7 +113,7 @@ pub fn solve_from(
         let parallel = settings.is_parallel();
         let mut solver = Solver::new(body, parallel);
         solver.solve(Task { material, load, start: Some(start) }, settings, || {
-            body.rest_cache().metric(body, material, &load.springs, parallel)
+            Metric::at_rest(body, material, &load.springs, parallel)
         })
     })
 }
@@ -147,7 +148,7 @@ impl<'a> Solver<'a> {
         rest_metric: impl FnOnce() -> Result<Metric, FemError>,
     ) -> Result<Solution, FemError> {
         let load = NodalLoad::new(self.body, task.load)?;
-        let surface = surface_of(self.body, task.material, task.load)?;
+        let surface = surface_of(self.body, task.load)?;
         task.material.check_size(self.body.n_tets(), self.body.element().n_points())?;
         let problem = Problem {
             body: self.body,
@@ -193,14 +194,10 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// Springs of a load and skins of a material, checked against a body.
-pub(crate) fn surface_of(
-    body: &Body,
-    material: &Material,
-    load: &Load,
-) -> Result<SurfaceTerms, FemError> {
+/// Springs of a load, checked against a body.
+pub(crate) fn surface_of(body: &Body, load: &Load) -> Result<SurfaceTerms, FemError> {
     body.supports().check_springs(&load.springs)?;
-    SurfaceTerms::new(body, &load.springs, material.skin())
+    SurfaceTerms::new(body, &load.springs)
 }
 
 /// What a state in equilibrium means to the caller.

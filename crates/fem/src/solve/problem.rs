@@ -7,9 +7,9 @@ use crate::assembly::{
 use crate::body::Body;
 use crate::element::Element;
 use crate::error::{FemError, WorstTet};
-use crate::history::StepModel;
 use crate::load::NodalLoad;
 use crate::material::Material;
+use crate::memory::StepModel;
 use crate::solve::carrier::Carrier;
 use crate::solve::report::SolveReport;
 use crate::solve::settings::{Method, SolveSettings};
@@ -85,8 +85,7 @@ impl Problem<'_> {
             }
         };
         let Some(mut energy) = inner else { return false };
-        let Some(surface) = self.surface.add_force(u, force) else { return false };
-        energy.total += surface;
+        energy.total += self.surface.add_force(u, force);
         state.energy = energy;
         energy.total.is_finite()
     }
@@ -142,9 +141,7 @@ impl Problem<'_> {
     ) -> Result<Factor, FemError> {
         let (geometry, u) = (self.body.geometry(), state.displacement.as_slice());
         let fronts = &self.body.pattern().fronts;
-        let Some(facets) = self.surface.blocks(Some(u), kind) else {
-            return Err(FemError::SingularStiffness { pivot: 0, n_dofs: self.body.n_unknowns() });
-        };
+        let facets = self.surface.blocks(Some(u));
         let making = Making { parallel: self.parallel, cancel: self.settings.cancel.as_deref() };
         match self.model {
             Model::Elastic(model) => {
@@ -165,7 +162,7 @@ impl Problem<'_> {
     pub(crate) fn operator(&self, state: &State, wanted: &[bool]) -> Option<Operator> {
         let (geometry, u) = (self.body.geometry(), state.displacement.as_slice());
         let kind = TangentKind::Exact;
-        let facets = self.surface.blocks(Some(u), kind)?;
+        let facets = self.surface.blocks(Some(u));
         match self.model {
             Model::Elastic(model) => {
                 let elements = ElementTangents::new(geometry, model, u, kind);
@@ -206,7 +203,8 @@ impl Problem<'_> {
                 tangent_product_into(geometry, model, u, direction, elements, &mut product)
             }
         };
-        (upright && self.surface.add_product(u, direction, &mut product)).then_some(product)
+        self.surface.add_product(u, direction, &mut product);
+        upright.then_some(product)
     }
 
     /// The five tetrahedra closest to inversion, worst first.

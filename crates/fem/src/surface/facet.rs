@@ -1,11 +1,9 @@
 //! Triangles of the surface and the element that each belongs to.
 
-use std::collections::HashMap;
-
 use crate::body::Body;
 use crate::element::{EDGES, Element, cross};
 use crate::error::FemError;
-use crate::mesh::{FACES, Mesh, ascending};
+use crate::mesh::{FACES, ascending};
 
 /// Corners of the edges of a facet, in the order of its mid-edge nodes 3 to 5.
 const FACET_EDGES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
@@ -37,23 +35,6 @@ pub(crate) fn facets_of(body: &Body, triangles: &[[usize; 3]]) -> Result<Vec<Fac
         None => Err(FemError::NotOnSurface { row, triangle }),
     };
     triangles.iter().enumerate().map(facet).collect()
-}
-
-/// Tetrahedron and face of every triangle of the surface, by its nodes in ascending order.
-pub(crate) type FacetOwners = HashMap<[usize; 3], (usize, usize)>;
-
-/// Find the owners of all facets of a mesh.
-pub(crate) fn facet_owners(mesh: &Mesh) -> FacetOwners {
-    let mut owners: FacetOwners =
-        mesh.surface_triangles().iter().map(|&triangle| (ascending(triangle), (0, 0))).collect();
-    for (tet, corners) in mesh.tets().iter().enumerate() {
-        for (face, places) in FACES.iter().enumerate() {
-            if let Some(owner) = owners.get_mut(&ascending(places.map(|a| corners[a]))) {
-                *owner = (tet, face);
-            }
-        }
-    }
-    owners
 }
 
 impl Facet {

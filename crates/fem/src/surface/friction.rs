@@ -6,55 +6,12 @@
 //! Stainier, Comput. Methods Appl. Mech. Eng. 171, 419 (1999)).
 
 use super::facet::Facet;
-use super::springs::Springs;
 use crate::element::cross;
-use crate::error::FemError;
-use crate::history::must;
+use crate::springs::{Friction, Springs};
 
 /// Share of the stiffness in the plane that slips never take: it keeps a body in its place that
 /// nothing presses down.
 pub(super) const LEFT: f64 = 1e-6;
-
-/// Coulomb's law with cohesion: springs in the plane pull with `cohesion` and `coefficient` times the
-/// pressure at most.
-///
-/// The pressure is what the springs along the normal push with, none where they pull. It holds
-/// within a time step: a [`History`](crate::History) makes it agree with the frame's end. A single
-/// solve takes the body from rest, with cohesion alone.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Friction {
-    /// What a pressure adds to the traction that holds, over it, dimensionless; at least 0.
-    pub coefficient: f64,
-    /// Traction in the plane that holds without pressure, kPa; at least 0.
-    pub cohesion: f64,
-}
-
-impl Friction {
-    /// Check ranges.
-    ///
-    /// # Errors
-    ///
-    /// [`FemError::BadParameter`].
-    pub(super) fn check(&self) -> Result<(), FemError> {
-        let fits = |v: f64| v >= 0.0 && v.is_finite();
-        let coefficient = self.coefficient;
-        must("springs.friction", "finite and not negative", coefficient, fits(coefficient))?;
-        must("springs.cohesion", "finite and not negative", self.cohesion, fits(self.cohesion))
-    }
-}
-
-/// Refuse friction where derivatives are requested: slipping has none.
-///
-/// # Errors
-///
-/// [`FemError::BadParameter`].
-pub(crate) fn must_stick(springs: &[Springs]) -> Result<(), FemError> {
-    let friction = springs.iter().find_map(|set| set.friction);
-    let name = "springs.friction";
-    friction.map_or(Ok(()), |f| {
-        must(name, "absent where derivatives are computed", f.coefficient, false)
-    })
-}
 
 /// What a point of a facet remembers.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -247,7 +204,7 @@ mod tests {
     use crate::element::Element;
     use crate::mesh::Mesh;
     use crate::surface::facet::facets_of;
-    use crate::surface::springs::SpringFacet;
+    use crate::surface::spring_facet::SpringFacet;
 
     /// Forces are the energy's derivatives, and the tangent is theirs, sticking and slipping.
     #[test]

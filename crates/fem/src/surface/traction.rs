@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use super::facet::{facets_of, minus};
 use crate::body::Body;
+use crate::check::{check_finite, check_length};
 use crate::element::{Element, cross};
 use crate::error::FemError;
-use crate::load::{check_finite, check_length};
 use crate::mesh::ascending;
 
 impl Body {

@@ -14,7 +14,7 @@
 //! unknowns and in panels, so that subtrees can be worked on at the same time.
 
 use super::cliques::Cliques;
-use super::graph::{Graph, inverse};
+use super::graph::{Graph, NONE, inverse};
 use super::groups::{Elimination, Groups};
 
 /// Columns of a panel that stand together, as a step: first the square of their own rows, column by
@@ -23,9 +23,6 @@ pub(super) const STEP: usize = 8;
 
 /// Rows of a block of a step; the last one is filled with zeros.
 pub(super) const BLOCK: usize = 16;
-
-/// No front, no place.
-pub(super) const NONE: u32 = u32::MAX;
 
 /// One front.
 #[derive(Debug, Clone)]

@@ -2,6 +2,9 @@
 
 use super::cliques::Cliques;
 
+/// No vertex, no front, no place.
+pub(super) const NONE: u32 = u32::MAX;
+
 /// Neighbours of every vertex, without the vertex itself.
 #[derive(Debug, Clone)]
 pub(super) struct Graph {
@@ -14,12 +17,12 @@ impl Graph {
     ///
     /// # Shapes
     ///
-    /// `vertex` one entry per node, `u32::MAX` for nodes that are no vertex.
+    /// `vertex` one entry per node, [`NONE`] for nodes that are no vertex.
     pub(super) fn of_cliques(cliques: Cliques, vertex: &[u32], n_vertices: usize) -> Self {
         let mut own = vec![0usize; n_vertices + 1];
         for &node in cliques.nodes() {
             let v = vertex[node as usize];
-            if v != u32::MAX {
+            if v != NONE {
                 own[v as usize + 1] += 1;
             }
         }
@@ -30,20 +33,20 @@ impl Graph {
         let mut vertex2clique = vec![0u32; own[n_vertices]];
         for (place, &node) in cliques.nodes().iter().enumerate() {
             let v = vertex[node as usize];
-            if v != u32::MAX {
+            if v != NONE {
                 vertex2clique[cursor[v as usize]] = cliques.owner(place) as u32;
                 cursor[v as usize] += 1;
             }
         }
         let mut start = vec![0];
         let mut neighbours = Vec::new();
-        let mut mark = vec![u32::MAX; n_vertices];
+        let mut mark = vec![NONE; n_vertices];
         for v in 0..n_vertices {
             mark[v] = v as u32;
             for &clique in &vertex2clique[own[v]..own[v + 1]] {
                 for &node in cliques.get(clique as usize) {
                     let w = vertex[node as usize];
-                    if w != u32::MAX && mark[w as usize] != v as u32 {
+                    if w != NONE && mark[w as usize] != v as u32 {
                         mark[w as usize] = v as u32;
                         neighbours.push(w);
                     }
@@ -69,18 +72,18 @@ impl Graph {
 }
 
 /// Parent of each position in the elimination tree of the graph ordered by `order`
-/// (position to vertex); `u32::MAX` marks roots.
+/// (position to vertex); [`NONE`] marks roots.
 pub(super) fn elimination_tree(graph: &Graph, order: &[u32]) -> Vec<u32> {
     let position = inverse(order);
     let n = order.len();
-    let mut parent = vec![u32::MAX; n];
-    let mut ancestor = vec![u32::MAX; n];
+    let mut parent = vec![NONE; n];
+    let mut ancestor = vec![NONE; n];
     for k in 0..n {
         for &w in graph.neighbours(order[k] as usize) {
             let mut i = position[w as usize];
             while (i as usize) < k {
                 let next = std::mem::replace(&mut ancestor[i as usize], k as u32);
-                if next == u32::MAX {
+                if next == NONE {
                     parent[i as usize] = k as u32;
                     break;
                 }
@@ -94,12 +97,12 @@ pub(super) fn elimination_tree(graph: &Graph, order: &[u32]) -> Vec<u32> {
 /// Positions in postorder: children before parents, each subtree contiguous.
 pub(super) fn postorder(parent: &[u32]) -> Vec<u32> {
     let n = parent.len();
-    let mut child = vec![u32::MAX; n];
-    let mut sibling = vec![u32::MAX; n];
-    let mut roots = u32::MAX;
+    let mut child = vec![NONE; n];
+    let mut sibling = vec![NONE; n];
+    let mut roots = NONE;
     for k in (0..n).rev() {
         let head = match parent[k] {
-            u32::MAX => &mut roots,
+            NONE => &mut roots,
             p => &mut child[p as usize],
         };
         sibling[k] = std::mem::replace(head, k as u32);
@@ -107,11 +110,11 @@ pub(super) fn postorder(parent: &[u32]) -> Vec<u32> {
     let mut order = Vec::with_capacity(n);
     let mut stack = Vec::new();
     let mut root = roots;
-    while root != u32::MAX {
+    while root != NONE {
         stack.push(root);
         while let Some(&top) = stack.last() {
-            match std::mem::replace(&mut child[top as usize], u32::MAX) {
-                u32::MAX => {
+            match std::mem::replace(&mut child[top as usize], NONE) {
+                NONE => {
                     order.push(top);
                     stack.pop();
                 }
@@ -132,7 +135,7 @@ pub(super) fn column_counts(graph: &Graph, order: &[u32], parent: &[u32]) -> Vec
     let position = inverse(order);
     let n = order.len();
     let mut count = vec![0u32; n];
-    let mut mark = vec![u32::MAX; n];
+    let mut mark = vec![NONE; n];
     for k in 0..n {
         mark[k] = k as u32;
         for &w in graph.neighbours(order[k] as usize) {

@@ -1,7 +1,6 @@
 //! Elimination orders, and the groups of nodes that are eliminated together.
 
-use super::fronts::NONE;
-use super::graph::{Graph, column_counts, elimination_tree, inverse, postorder};
+use super::graph::{Graph, NONE, column_counts, elimination_tree, inverse, postorder};
 
 /// Fronts of up to this many unknowns take in a child whatever zeros that stores.
 const TINY: usize = 24;

@@ -1,5 +1,5 @@
-//! What is made once a body: parts and rigid modes, the elimination order and the symbolic factor;
-//! and the numeric factor made from them.
+//! Sparse systems on nodes that are coupled in cliques: elimination order and symbolic factor, made once a
+//! body, and the numeric factor made from them.
 
 mod assemble;
 mod cliques;
@@ -14,7 +14,6 @@ mod panel_solve;
 mod panels;
 pub(crate) mod pattern;
 mod plain_order;
-mod rigid;
 mod separator;
 mod size;
 mod substitute;
@@ -24,7 +23,5 @@ pub(crate) use cliques::Cliques;
 pub(crate) use fronts::Fronts;
 pub(crate) use operator::Operator;
 pub(crate) use plain_order::PlainOrder;
-pub use rigid::RigidModes;
-pub(crate) use rigid::check_rigid_modes;
 pub use size::FactorSize;
 pub(crate) use substitute::{SolveScratch, WIDE, WIDE_SINGLE};

@@ -3,8 +3,8 @@
 //! Nodes with at least one free axis are ordered as wholes, then expanded to unknowns.
 
 use super::cliques::Cliques;
-use super::fronts::{Fronts, NONE};
-use super::graph::Graph;
+use super::fronts::Fronts;
+use super::graph::{Graph, NONE};
 use super::ordering::best_analysis;
 use crate::error::FemError;
 

@@ -5,7 +5,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -20,19 +19,13 @@ from tissuereg.registration.learned.model import Gaussian
 ABSURD_MM = 1e4
 
 #: Schedules that have a name.
-SCHEDULES = ("geometric", "dmc", "ler")
-
-#: Most prior standard deviations by which a restricted step may change a latent.
-MOST_CHANGE = 2.0
+SCHEDULES = ("geometric",)
 
 #: Forms of a step.
 FORMS = ("stochastic", "square_root")
 
 #: Factorisations of a stochastic step.
 FACTORISATIONS = ("auto", "cholesky", "qr", "svd")
-
-#: Localizations by sample correlation.
-BY_CORRELATION = ("threshold", "smooth")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,18 +37,7 @@ class StepOptions:
     form : {"stochastic", "square_root"}
         Perturbed observations, or a deterministic transform (ETKF) without draws.
     factorisation : {"auto", "cholesky", "qr", "svd"}
-        Of the stochastic form without localization; changes rounding only.
-    energy : float, optional
-        Share of the sum of squared singular values of the whitened anomalies that is kept, in (0, 1]. Nothing is cut
-        by default: the update damps what the noise hides, and a cut removes data.
-    rank : int, optional
-        Number of singular directions kept, in place of `energy`.
-    localization : ndarray of float64, shape (n_latent, n_obs), or {"threshold", "smooth"}, optional
-        Factors in [0, 1] on the gain, or factors by sample correlation; stochastic form only.
-    threshold : float, optional
-        Absolute correlation that counts, of a localization by sample correlation; 3 / sqrt(n_members) by default.
-    batch_rows : int, optional
-        Latents updated at a time; all by default.
+        Of the stochastic form; changes rounding only.
 
     Raises
     ------
@@ -65,39 +47,13 @@ class StepOptions:
 
     form: str = "stochastic"
     factorisation: str = "auto"
-    energy: float | None = None
-    rank: int | None = None
-    localization: FloatArray | str | None = None
-    threshold: float | None = None
-    batch_rows: int | None = None
 
     def __post_init__(self) -> None:
         check_choice("form", self.form, FORMS, ArgumentError)
         check_choice("factorisation", self.factorisation, FACTORISATIONS, ArgumentError)
-        if isinstance(self.localization, str):
-            check_choice("localization", self.localization, BY_CORRELATION, ArgumentError)
-        if self.localization is not None and self.form == "square_root":
-            message = "`localization` must be None in the square-root form: it has no gain of single observations"
-            raise ArgumentError(message, where="localization")
-        if self.factorisation != "auto" and (self.form == "square_root" or self.localization is not None):
-            message = (
-                "`factorisation` must be auto in the square-root form and with localization: both take singular values"
-            )
+        if self.factorisation != "auto" and self.form == "square_root":
+            message = "`factorisation` must be auto in the square-root form: it takes singular values"
             raise ArgumentError(message, where="factorisation")
-        if self.threshold is not None:
-            if not isinstance(self.localization, str):
-                message = "`threshold` must be None unless `localization` is one of threshold, smooth"
-                raise ArgumentError(message, where="threshold")
-            real("threshold", self.threshold, least=0.0)
-        if self.energy is not None:
-            if self.rank is not None:
-                message = "`energy` and `rank` must not both be given: each sets the truncation"
-                raise ArgumentError(message, where="rank")
-            real("energy", self.energy, above=0.0)
-        if self.rank is not None:
-            whole("rank", self.rank, least=1)
-        if self.batch_rows is not None:
-            whole("batch_rows", self.batch_rows, least=1)
 
     def update(
         self,
@@ -134,38 +90,13 @@ class StepOptions:
         ndarray of float64, shape (n_latent, n_members)
             Members after the step.
         """
-        cut: dict[str, Any] = {"energy": self.energy, "rank": self.rank}
-        if self.localization is not None:
-            localized = _core.LocalizedStep(predicted, observed, noise, draws, alpha=alpha, threads=threads, **cut)
-            localization = self.localization
-            if isinstance(localization, str):
-                kind = localization
-                return self._by_rows(
-                    latents,
-                    lambda rows: localized.apply_by_correlation(latents[rows], kind=kind, threshold=self.threshold),
-                )
-            taper = float_array("localization", localization, (len(latents), len(predicted)))
-            return self._by_rows(latents, lambda rows: localized.apply(latents[rows], taper[rows]))
         if self.form == "square_root":
-            step = _core.Step.square_root(predicted, observed, noise, alpha=alpha, threads=threads, **cut)
+            step = _core.Step.square_root(predicted, observed, noise, alpha=alpha, threads=threads)
         else:
             step = _core.Step(
-                predicted,
-                observed,
-                noise,
-                draws,
-                alpha=alpha,
-                threads=threads,
-                factorisation=self.factorisation,
-                **cut,
+                predicted, observed, noise, draws, alpha=alpha, threads=threads, factorisation=self.factorisation
             )
-        return self._by_rows(latents, lambda rows: step.apply(latents[rows]))
-
-    def _by_rows(self, latents: FloatArray, apply: Callable[[slice], FloatArray]) -> FloatArray:
-        if self.batch_rows is None:
-            return apply(slice(None))
-        starts = range(0, len(latents), self.batch_rows)
-        return np.concatenate([apply(slice(start, start + self.batch_rows)) for start in starts])
+        return step.apply(latents)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +176,6 @@ def assimilate(
     n_steps: int = 5,
     schedule: str | Sequence[float] = "geometric",
     decrease: float = 2.0,
-    max_steps: int = 20,
     options: StepOptions | None = None,
     perturbations: Callable[[int, tuple[int, int]], FloatArray] | None = None,
     first: FirstEnsemble | None = None,
@@ -268,16 +198,12 @@ def assimilate(
         The only source of random numbers.
     n_members, n_steps : int
         Ensemble size N_e and number of assimilations N_a of a geometric schedule.
-    schedule : {"geometric", "dmc", "ler"} or sequence of float
-        Inflation coefficients: each `decrease` times smaller than the one before; chosen at each step by the data
-        misfit controller, or as large a step as changes no latent by more than two prior standard deviations; or the
-        coefficients themselves.
+    schedule : {"geometric"} or sequence of float
+        Inflation coefficients: each `decrease` times smaller than the one before, or the coefficients themselves.
     decrease : float
         Each inflation coefficient over the next; their inverses sum to one.
-    max_steps : int
-        Most steps of "dmc" and "ler"; the last closes the sum whatever the rule says.
     options : StepOptions, optional
-        Form, factorisation, truncation, localization and batches of a step.
+        Form and factorisation of a step.
     perturbations : callable, optional
         Step number (from 0) and shape (n_obs, n_members) to standard normal draws of that shape, in place of
         `balanced_draws`; stochastic form only.
@@ -313,9 +239,6 @@ def assimilate(
     -----
     ``z += C_zy (C_yy + a C_d)^-1 (d + sqrt(a) C_d^1/2 e - y)``, A. A. Emerick and A. C. Reynolds, "Ensemble smoother
     with multiple data assimilation", Computers & Geosciences 55, 3-15, 2013, doi:10.1016/j.cageo.2012.03.011.
-    "dmc": M. Iglesias and Y. Yang, Inverse Problems 37, 025008, 2021. "ler": D. H. Le, A. A. Emerick and A. C.
-    Reynolds, SPE Journal 21, 2195-2207, 2016, the restricted step: a quarter of the mean normalised misfit, doubled
-    until the change is allowed.
     """
     check_running(threads=threads)
     observed = float_array("observed", observed, (None,))
@@ -329,8 +252,7 @@ def assimilate(
     if perturbations is not None and options.form == "square_root":
         message = "`perturbations` must be None in the square-root form, which draws none"
         raise ArgumentError(message, where="perturbations")
-    coefficients = _Coefficients(schedule, n_steps, decrease, max_steps)
-    prior_std = np.sqrt(np.diag(prior.covariance))[:, None]
+    alphas = _coefficients(schedule, n_steps, decrease)
     first = maybe("first", first, FirstEnsemble) or FirstEnsemble.of(prior, rng, n_members)
     latents, balanced, known = (
         float_array("first.latents", first.latents, (len(prior.mean), None)),
@@ -340,7 +262,7 @@ def assimilate(
     n_members = latents.shape[1]
     members = np.arange(n_members)
     dropped: list[tuple[int, str]] = []
-    while not coefficients.complete:
+    for step, alpha in enumerate(alphas):
         given, known = predict(latents) if known is None else known, None
         predicted = float_array("predict(latents)", given, (len(observed), latents.shape[1]))
         kept, lost = _core.screen_members(predicted, ABSURD_MM)
@@ -359,18 +281,10 @@ def assimilate(
             draws, exact = balanced_draws(rng, predicted.shape, latents - latents.mean(axis=1, keepdims=True))
         else:
             wanted = (predicted.shape[0], predicted.shape[1])
-            draws, exact = float_array("perturbations", perturbations(len(coefficients.used), wanted), wanted), False
+            draws, exact = float_array("perturbations", perturbations(step, wanted), wanted), False
         balanced &= exact
-        alpha = coefficients.propose(predicted, observed, covariance)
-        while True:
-            updated = options.update(latents, predicted, observed, covariance, draws, alpha=alpha, threads=threads)
-            change = float((np.abs(updated - latents) / prior_std).max())
-            if not coefficients.is_too_far(change):
-                break
-            alpha *= 2.0
-        coefficients.take(alpha)
-        latents = updated
-    return Assimilation(latents, dropped, balanced, tuple(coefficients.used))
+        latents = options.update(latents, predicted, observed, covariance, draws, alpha=alpha, threads=threads)
+    return Assimilation(latents, dropped, balanced, alphas)
 
 
 def noise_of(noise: FloatArray | _core.Noise, n_obs: int) -> _core.Noise:
@@ -391,57 +305,14 @@ def _root_of(prior: Gaussian) -> FloatArray:
         raise ArgumentError(message, where="prior") from error
 
 
-class _Coefficients:
-    """Inflation coefficients, given in advance or chosen step by step."""
-
-    def __init__(self, schedule: str | Sequence[float], n_steps: int, decrease: float, max_steps: int) -> None:
-        self.used: list[float] = []
-        self._rule: str | None = None
-        self._given: list[float] = []
-        self._max_steps = max_steps
-        self._closed = False
-        if not isinstance(schedule, str):
-            alphas = float_array("schedule", schedule, (None,))
-            self._given = [float(alpha) for alpha in _core.check_schedule(alphas)]
-            return
-        check_choice("schedule", schedule, SCHEDULES, ScheduleError)
-        whole("n_steps", n_steps, least=1, error=ScheduleError)
-        whole("max_steps", max_steps, least=1, error=ScheduleError)
-        real("decrease", decrease, above=0.0, error=ScheduleError)
-        if schedule == "geometric":
-            self._given = [float(alpha) for alpha in _core.schedule_geometric(n_steps, decrease)]
-        else:
-            self._rule = schedule
-
-    @property
-    def complete(self) -> bool:
-        """Whether the data have been assimilated once."""
-        return self._closed if self._rule else len(self.used) == len(self._given)
-
-    @property
-    def _left(self) -> float:
-        return 1.0 - sum(1.0 / alpha for alpha in self.used)
-
-    def propose(self, predicted: FloatArray, observed: FloatArray, noise: _core.Noise) -> float:
-        """Return the next coefficient."""
-        if self._rule is None:
-            return self._given[len(self.used)]
-        steps_left = self._max_steps - len(self.used)
-        assimilated = 1.0 - self._left
-        return _core.next_alpha(
-            predicted, observed, noise, rule=self._rule, assimilated=assimilated, steps_left=steps_left
-        )
-
-    def is_too_far(self, change: float) -> bool:
-        """Whether a step that changes a latent by so many prior standard deviations is to be shortened."""
-        is_last = len(self.used) + 1 >= self._max_steps
-        return self._rule == "ler" and not is_last and change > MOST_CHANGE
-
-    def take(self, alpha: float) -> None:
-        """Count a step that was made."""
-        self.used.append(alpha)
-        # What rounding leaves of one is no step.
-        self._closed = self._left < 1e-12
+def _coefficients(schedule: str | Sequence[float], n_steps: int, decrease: float) -> tuple[float, ...]:
+    """Return the inflation coefficients of all steps."""
+    if not isinstance(schedule, str):
+        return tuple(map(float, _core.check_schedule(float_array("schedule", schedule, (None,)))))
+    check_choice("schedule", schedule, SCHEDULES, ScheduleError)
+    whole("n_steps", n_steps, least=1, error=ScheduleError)
+    real("decrease", decrease, above=0.0, error=ScheduleError)
+    return tuple(map(float, _core.schedule_geometric(n_steps, decrease)))
 
 
 def balanced_draws(rng: np.random.Generator, shape: tuple[int, int], anomalies: FloatArray) -> tuple[FloatArray, bool]:

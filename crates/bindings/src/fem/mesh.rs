@@ -1,0 +1,40 @@
+//! Meshes without a body.
+
+use numpy::{IntoPyArray, PyArray1, PyArray2};
+use pyo3::prelude::*;
+use tissuereg_boundary::mesh::{mesh_of, tets_of};
+use tissuereg_boundary::views::View;
+use tissuereg_boundary::{arrays, errors};
+
+/// Raises MeshError unless nodes, float64 (n, 3) mm, and tets, int64 (m, 4), make a mesh.
+#[pyfunction]
+pub(crate) fn check_mesh(
+    py: Python<'_>,
+    nodes: &Bound<'_, PyAny>,
+    tets: &Bound<'_, PyAny>,
+) -> PyResult<()> {
+    mesh_of(py, nodes, tets).map(|_| ())
+}
+
+/// Surface triangles of a mesh, int64 (t, 3), normals outward.
+#[pyfunction]
+pub(crate) fn surface_triangles<'py>(
+    py: Python<'py>,
+    nodes: &Bound<'py, PyAny>,
+    tets: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyArray2<i64>>> {
+    arrays::from_triangles(py, mesh_of(py, nodes, tets)?.surface_triangles())
+}
+
+/// Signed volumes of tets, float64 (m,) mm^3, with their nodes at any places.
+#[pyfunction]
+pub(crate) fn tet_volumes<'py>(
+    py: Python<'py>,
+    nodes: &Bound<'py, PyAny>,
+    tets: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let nodes = View::<f64>::new("nodes", nodes, &[&[None, Some(3)]])?;
+    let tets = tets_of(py, tets)?;
+    let volumes = tissuereg_fem::tet_volumes(nodes.rows::<3>(), &tets);
+    Ok(volumes.map_err(|error| errors::from_fem(py, &error, None))?.into_pyarray(py))
+}
