@@ -17,6 +17,9 @@ CASES = random.Random(2026).sample(sorted(tier_cases("quick")), 8)
 EXACT = 6
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("sealed")
