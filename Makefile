@@ -9,12 +9,11 @@ DOCS_VENV := .venv-docs
 DOCS_BIN := $(DOCS_VENV)/bin
 CARGO ?= cargo
 DATA ?= ../shared/data
-REFERENCE ?= ../shared/reference
 
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name 'Cargo.toml' | grep -v /target/) Cargo.toml Cargo.lock
 PACKAGE_FILES := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
-.PHONY: docs blind blind-quick blind-full blind-fine blind-oracle blind-without blind-rivals blind-ablations blind-beside blind-sizes blind-data loadfree loadfree-data loadfree-supports loadfree-supports-data loadfree-time help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench bench-cluster bench-solver bench-esmda peers phantom-data phantom-model table2-model small-model demo-figures clean paper phantom twin rig-pairs rig-variants spread spread-data
+.PHONY: docs help demo test test-rust test-sturdy test-python test-slow test-training test-wheel crates lint rust-docs wheel install install-dev training beam bench phantom-data phantom-model table2-model small-model demo-figures clean paper phantom twin rig-pairs rig-variants
 
 help:
 	@echo "make demo            build the wheel, install it, register the embedded phantom -> demo/"
@@ -26,23 +25,7 @@ help:
 	@echo "make test-wheel      the wheel installed without a compiler, and another one built from the source archive"
 	@echo "make lint            formatters, linters, types"
 	@echo "make beam            the measured silicone beam (DATA=$(DATA))"
-	@echo "make blind-quick     the blind test bench: 16 hidden effects and 20 nulls -> docs/blind-quick.md"
-	@echo "make blind           all of it: 514 cases of 600 nodes (make blind-full) -> docs/blind.md, 24 of 4,000 (make blind-fine)"
-	@echo "                     -> docs/blind-fine.md; hours; JOBS=2: two cases side by side"
-	@echo "make blind-beside    after it: oracle fits, rivals and ablations on the same cases (each alone: blind-oracle,"
-	@echo "                     blind-without, blind-rivals, blind-ablations; TIER=quick or fine: of that tier)"
-	@echo "make blind-sizes     prior standard deviations of the nuisances, estimated from diagnosed nulls"
-	@echo "make blind-data      its data, made by another solver (hours; resumable; ONE=name: one, compared)"
-	@echo "make loadfree        registration with an unknown load, on 200 simulated events -> docs/loadfree.md (HALF=test or"
-	@echo "                     both, METHODS=..., JOBS=2); make loadfree-data: the events, by another solver (an hour; resumable)"
-	@echo "make loadfree-supports  the same with partly wrong supports, on 24 further events; make loadfree-supports-data"
-	@echo "make loadfree-time   wall times of whole registrations"
-	@echo "make bench           times by stage -> benchmarks/results/"
-	@echo "make bench-cluster   what Dask costs: overhead, task rate, bytes -> benchmarks/results/, docs/cluster.md"
-	@echo "make bench-solver    the solver, the machine's limits and other programs (after: make peers)"
-	@echo "make bench-esmda     one ES-MDA update, and other programs on the same arrays"
-	@echo "make spread          is the spread of the trained model honest? -> docs/spread.md (MODEL=, SPREAD_DATA=, FOREIGN=); make"
-	@echo "                     spread-data: shapes with physics that the model never saw (an hour; resumable)"
+	@echo "make bench           times by stage of whole registrations; all other benches: benchmarks/README.md"
 	@echo "make paper           the paper's simulation studies -> docs/paper.md (TABLE2=folder: also with a network of Table II)"
 	@echo "make phantom         the paper's phantom experiment (section IV) on a virtual twin of its rig, every method -> "
 	@echo "                     docs/phantom-experiment.md (FIELDS=folder); make twin: the twin's rigs, by another solver;"
@@ -91,7 +74,7 @@ WORKERS ?= logical
 test-python: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
-# Tests that take minutes.
+# Tests that take minutes; among them, each bench once with its smallest case.
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
 
@@ -143,111 +126,26 @@ docs: $(DOCS_VENV)/.installed
 beam: $(VENV)/.installed-dev
 	$(BIN)/python examples/beam.py --data $(DATA)/beam
 
-# The blind test bench (tests/blind/README.md): a run that was stopped goes on. Every tier has its answers and its table.
-JOBS ?= 1
-TIER ?= full
-BLIND := PYTHONPATH=tests $(BIN)/python -m blind
-BLIND_OUT := build/blind
-BLIND_ANSWERS = $(BLIND_OUT)/$(TIER)
-BLIND_TABLE = docs/blind$(patsubst %,-%,$(filter-out full,$(TIER))).md
-
-blind:
-	$(MAKE) blind-full
-	$(MAKE) blind-fine
-
-blind-quick blind-full blind-fine: override TIER = $(@:blind-%=%)
-blind-quick blind-full blind-fine: $(VENV)/.installed-dev
-	$(BLIND).run --tier $(TIER) --jobs $(JOBS) --predictions $(BLIND_ANSWERS)
-	$(BLIND).score $(BLIND_ANSWERS) --out $(BLIND_TABLE)
-
-# Beside it, after it: what a fit is told comes from the answers of cases that it has answered.
-blind-oracle blind-without blind-rivals blind-ablations blind-beside: $(VENV)/.installed-dev
-	$(BLIND).score $(BLIND_ANSWERS) --list-oracle $(BLIND_OUT)/oracle.txt --list-without $(BLIND_OUT)/without.txt
-	$(BLIND).run --tier $(TIER) --jobs $(JOBS) --predictions $(BLIND_ANSWERS) \
-		--methods $(if $(filter %beside,$@),oracle without rivals ablations,$(@:blind-%=%))
-	$(BLIND).score $(BLIND_ANSWERS) --out $(BLIND_TABLE)
-
-# How large the nuisances must be, on the nulls among the answers.
-blind-sizes: $(VENV)/.installed-dev
-	$(BLIND).sizes $(BLIND_ANSWERS)
-	$(BLIND).score $(BLIND_ANSWERS) --out $(BLIND_TABLE)
-
-# Foreign solves that are missing, by scikit-fem (and pypardiso, where it is there), then the cases; ONE=name: one, compared.
-blind-data: $(VENV)/.installed-dev
-	PYTHONPATH=tests OMP_NUM_THREADS=1 ONE=$(ONE) $(BIN)/python -m blind.generator
-	$(if $(ONE),,PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m blind.generator.store)
-
-bench-cluster: $(VENV)/.installed-dev
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/cluster.py
-
-# Registration with an unknown load on simulated events (tests/loadfree/README.md); an interrupted run resumes.
-HALF ?= dev
-METHODS ?= contacts none rigid spline gaussian
-
-loadfree: $(VENV)/.installed-dev
-	$(BIN)/python benchmarks/loadfree.py --half $(HALF) --jobs $(JOBS) --methods $(METHODS)
-	PYTHONPATH=tests $(BIN)/python -m loadfree.table
-
-# Events that are missing, by scikit-fem (and pypardiso, where it is there), then the archive of each body.
-loadfree-data: $(VENV)/.installed-dev
-	PYTHONPATH=tests OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m loadfree.generator
-
-# The same where the user's supports are partly wrong; its events.
-loadfree-supports: $(VENV)/.installed-dev
-	$(BIN)/python benchmarks/loadfree_supports.py --half $(HALF) --jobs $(JOBS)
-	PYTHONPATH=tests $(BIN)/python -m loadfree.table
-
-loadfree-supports-data: $(VENV)/.installed-dev
-	PYTHONPATH=tests OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m loadfree.generator --supports
-
-# Whole calls, timed: on a quiet machine.
-loadfree-time: $(VENV)/.installed-dev
-	$(BIN)/python benchmarks/loadfree_time.py
-
-bench: $(VENV)/.installed
-	$(BIN)/python benchmarks/run.py
-
-# Other solvers, in an environment of their own; CalculiX (ccx) and FEBio (febio4) are used where the path has them.
-peers:
-	$(PYTHON) -m venv .venv-peers
-	.venv-peers/bin/python -m pip install --quiet "felupe==11.3.*" "scikit-fem==12.*" pypardiso
-
-bench-solver: $(VENV)/.installed
-	$(BIN)/python benchmarks/solver.py --reference $(REFERENCE)
-
-# Beside the smoothers of others, which are installed for it alone.
-bench-esmda: $(VENV)/.installed-dev
-	$(BIN)/python -m pip install --quiet pyesmda dageo iterative_ensemble_smoother
-	$(BIN)/python benchmarks/esmda.py
-
-# Of the shipped model, on the data it was trained on: make phantom-data. TABLE2=FOLDER: with a trained network of Table II.
-SPREAD_DATA ?= build/phantom-data
-FOREIGN ?= build/foreign
-MODEL ?= python/tissuereg/phantom/model
-
-spread: $(VENV)/.installed-dev
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --model $(MODEL) --data $(SPREAD_DATA) --foreign $(FOREIGN) \
-		$(if $(TABLE2),--table2 $(TABLE2))
-
-spread-data: $(VENV)/.installed-dev
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/spread.py --make-foreign $(FOREIGN)
+# Times by stage of whole registrations; the other benches: benchmarks/README.md.
+bench:
+	$(MAKE) -C benchmarks/speed stages
 
 # Rigs that are missing, by scikit-fem (and pypardiso, where it is there): a minute or two each; ONE=name: one;
 # DEVELOPMENT=yes: those on which methods are tuned.
 twin: $(VENV)/.installed-dev
-	PYTHONPATH=tests:benchmarks OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m twin $(if $(ONE),--only $(ONE)) $(if $(DEVELOPMENT),--development)
+	PYTHONPATH=benchmarks OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(BIN)/python -m twin $(if $(ONE),--only $(ONE)) $(if $(DEVELOPMENT),--development)
 
 # Pairs of simulation and truth of other rigs, by this package's solver, with which models are calibrated: half an hour.
 PRESSED ?= build/pressed
 
 rig-pairs: $(VENV)/.installed-dev
-	PYTHONPATH=tests:benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.pairs $(PRESSED)
+	PYTHONPATH=benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.pairs $(PRESSED)
 
 # Variants of the rigs' simulations, by this package's solver: forty minutes.
 VARIANTS ?= build/variants
 
 rig-variants: $(VENV)/.installed-dev
-	PYTHONPATH=tests:benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.variants $(VARIANTS)
+	PYTHONPATH=benchmarks OMP_NUM_THREADS=1 $(BIN)/python -m twin.variants $(VARIANTS)
 
 # Every method on them; FIELDS=folder: with those that need training fields.
 phantom: $(VENV)/.installed rig-variants
@@ -261,7 +159,10 @@ paper: $(VENV)/.installed
 phantom-data: $(VENV)/.installed
 	$(BIN)/tissuereg simulate training/recipes/breast.toml --out build/phantom-data
 
-phantom-model: phantom-data spread-data rig-pairs training
+FOREIGN ?= build/foreign
+
+phantom-model: phantom-data rig-pairs training
+	$(MAKE) -C benchmarks/spread data FOREIGN=$(FOREIGN)
 	$(BIN)/tissuereg simulate training/recipes/breast-more.toml --out build/phantom-more
 	$(TRAINING_BIN)/tissuereg train training/recipes/closure.toml --data build/phantom-data --data build/phantom-more --out build/phantom-model
 	$(BIN)/tissuereg calibrate build/phantom-model --data build/phantom-data --pairs $(FOREIGN)/development --pairs $(PRESSED)

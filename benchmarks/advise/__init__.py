@@ -1,0 +1,1 @@
+"""How much is advice on markers worth?"""

@@ -1,0 +1,52 @@
+"""Measured bodies registered without a known load -> archive/, RESULTS.md.
+
+    python -m real [--page] [--data ../shared/data]
+
+`--page` writes the page again from the archive.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from common import SHARED, read_archive, write_archive
+
+from real import beam, hydrogel
+from real.page import page
+
+HERE = Path(__file__).resolve().parent
+ARCHIVE, PAGE = HERE / "archive", HERE / "RESULTS.md"
+TABLES = ("beam/#", "hydrogel/#")
+N_DRAWS = 5
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--page", action="store_true", help="write the page from the archive, register nothing")
+    parser.add_argument("--data", type=Path, default=SHARED / "data")
+    options = parser.parse_args()
+    if not options.page:
+        mesh = beam.example().beam_mesh(options.data / "beam" / "beam.stl")
+        trials = [
+            path for name in ("own_weight", "load_*g") for path in sorted((options.data / "beam").glob(f"{name}_*.csv"))
+        ]
+        answer = {
+            "schema": "tissuereg.loadfree-real/1",
+            "n_targets": hydrogel.N_TARGETS,
+            "beam": [beam.run(mesh, path) for path in trials],
+            "hydrogel": [_told(options.data / "hydrogel", n, seed) for n in (20, 60) for seed in range(N_DRAWS)],
+        }
+        write_archive(ARCHIVE, answer, TABLES)
+    PAGE.write_text(page(read_archive(ARCHIVE)), encoding="utf-8")
+    return 0
+
+
+def _told(folder: Path, n_markers: int, seed: int) -> dict:
+    row = hydrogel.run(folder, n_markers, seed)
+    print(json.dumps(row), file=sys.stderr, flush=True)
+    return row
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""How fast is it? Solver, smoother, whole registrations, large bodies, many machines."""

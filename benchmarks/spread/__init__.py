@@ -1,0 +1,1 @@
+"""Is the spread of the trained model honest?"""

@@ -1,0 +1,130 @@
+"""Is every page of results what its command writes from its archive?"""
+
+import advise.advise as advice
+import blind.page as blind
+import diagnosis.febio as febio
+import diagnosis.material_parts as material_parts
+import diagnosis.simulated_here as simulated_here
+import misuse.__main__ as misuse
+import pytest
+import real.__main__ as real
+import speed.cluster as cluster
+import speed.esmda as esmda
+import speed.large_bodies as large_bodies
+import speed.solver as solver
+import spread.spread as spread
+import spread.spread_page as spread_page
+import tracking.tracked_beam as beam
+import tracking.tracking as tracking
+from common import read_archive, write_archive
+from loadfree import table as loadfree
+from readme import table
+
+
+def _more(row, key, by=1.0):
+    row[key] += by
+
+
+#: Name, archive, page, what is written from the archive, and a figure of it that is changed.
+WRITTEN = {
+    "advise": (advice.ARCHIVE, advice.PAGE, advice.page, lambda a: _more(a["rows"][0], "advised_mm")),
+    "febio": (febio.ARCHIVE, febio.PAGE, febio.page, lambda a: _more(a["rows"]["case_06b87d"], "p_misfit")),
+    "simulated here": (
+        simulated_here.ARCHIVE,
+        simulated_here.PAGE,
+        simulated_here.page,
+        lambda a: _more(a["rows"]["0"], "p_misfit", -2.0),
+    ),
+    "material parts": (
+        material_parts.ARCHIVE,
+        material_parts.PAGE,
+        material_parts.page,
+        lambda a: _more(next(iter(a["known"].values()))["rows alike"]["stated"], "within_two"),
+    ),
+    "misuse": (misuse.ARCHIVE, misuse.PAGE, misuse.page, lambda a: a["good"][0].update(found=not a["good"][0]["found"])),
+    "real": (real.ARCHIVE, real.PAGE, real.page, lambda a: _more(a["hydrogel"][0], "registered")),
+    "cluster": (cluster.ARCHIVE, cluster.PAGE, cluster.page, lambda a: _more(a["chunk_s"], "local:1")),
+    "large bodies": (
+        large_bodies.ARCHIVE,
+        large_bodies.PAGE,
+        large_bodies.page,
+        lambda a: _more(a["rows"][0]["measured"]["register"], "peak_bytes", 10**8),
+    ),
+    "spread": (
+        spread.OUT,
+        spread_page.PAGE,
+        spread_page.page,
+        lambda a: _more(a["sets"]["known"]["ours"], "crps_mm"),
+    ),
+    "beam": (beam.ARCHIVE, beam.PAGE, beam.page, lambda a: _more(a["trials"][0]["by_seed"][0]["rest_mm"], "tracked")),
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_page_is_that_of_its_archive(name):
+    folder, page, written, change = WRITTEN[name]
+    answer, kept = read_archive(folder), page.read_text(encoding="utf-8")
+    assert written(answer) == kept
+    change(answer)
+    assert written(answer) != kept
+
+
+@pytest.mark.parametrize("tier", blind.PAGES)
+def test_a_page_of_the_blind_bench_is_that_of_its_verdicts(tier):
+    assert blind.page(tier) == (blind.HERE / blind.PAGES[tier]).read_text(encoding="utf-8")
+
+
+def test_the_page_of_unknown_loads_is_that_of_its_archives():
+    assert loadfree.page() == loadfree.PAGE.read_text(encoding="utf-8")
+
+
+def test_the_page_of_tracking_is_that_of_its_archives():
+    answer, rate = read_archive(tracking.ARCHIVE), read_archive(tracking.RATE_ARCHIVE)
+    kept = tracking.PAGE.read_text(encoding="utf-8")
+    assert tracking.page(answer, rate) == kept
+    rate["rows"]["contacts"]["dropped"] += 1
+    assert tracking.page(answer, rate) != kept
+    rate["rows"]["contacts"]["dropped"] -= 1
+    answer["model"][0]["frame by frame"][5][0] += 1.0
+    assert tracking.page(answer, rate) != kept
+
+
+@pytest.mark.parametrize(
+    ("name", "folder", "written", "change"),
+    [
+        ("solver", solver.ARCHIVE, solver.tables, lambda a: _more(a["many"], "ms_a_member")),
+        ("esmda", esmda.ARCHIVE, esmda.table, lambda a: _more(a["cases"][0]["rows"][0], "median_s")),
+    ],
+)
+def test_a_table_of_the_page_of_times_is_that_of_its_archive(name, folder, written, change):
+    answer, kept = read_archive(folder), table(name, solver.PAGE)
+    assert written(answer) == kept
+    change(answer)
+    assert written(answer) != kept
+
+
+def test_an_archive_is_read_as_it_was_written(tmp_path):
+    answer = {
+        "schema": "a/1",
+        "empty": {},
+        "rows": {"one": {"a": 1.5, "b": {"c": None, "d": "2", "e": "a word, two"}}, "0.5": {"a": [1, [2]], "f": ""}},
+        "trials": [{"x": True}, {"x": " spaced", "y": {}}],
+        "methods": {"m": [{"i": 0}, {"i": 1}], "n": [{"i": 2}]},
+        "bodies": {"a": {"parts": {"p/q": {"v": 1}}, "pairs": [{"v": "null"}]}, "b": {"parts": {}, "pairs": []}},
+        "cases": [{"n": 1, "rows": [{"k": 1}, {"k": 2}]}, {"n": 2, "rows": [{"k": 3}]}],
+    }
+    tables = ("rows/<row>", "trials/#", "methods/<method>/#", "bodies/<body>/parts/<part>", "cases/#/rows/#")
+    write_archive(tmp_path / "kept", answer, tables)
+    assert read_archive(tmp_path / "kept") == {
+        **answer,
+        "bodies": {"a": answer["bodies"]["a"], "b": {"pairs": []}},
+    }
+    assert (tmp_path / "kept" / "trials.csv").read_text(encoding="utf-8") == 'x,y\ntrue,\n""" spaced""",{}\n'
+
+
+def test_a_large_table_is_compressed_and_replaces_the_plain_one(tmp_path):
+    for number in (10, 40_000, 10):
+        answer = {"rows": [{"value": k} for k in range(number)]}
+        write_archive(tmp_path, answer, ("rows/#",))
+        assert read_archive(tmp_path) == answer
+        assert {path.name for path in tmp_path.iterdir()} == {"run.json", "rows.csv" if number == 10 else "rows.csv.xz"}

@@ -1,0 +1,1 @@
+"""What are the frames before worth, and how fast is tracking?"""

@@ -1,6 +1,0 @@
-"""The tests of the archive and of its scores."""
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
