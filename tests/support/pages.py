@@ -4,8 +4,8 @@ import re
 
 
 def slug(heading: str) -> str:
-    """Return the anchor that readers of Markdown make of a heading."""
-    return re.sub(r"[^\w\- ]", "", heading.replace("`", "").lower()).strip().replace(" ", "-")
+    """Return the anchor that the site makes of a heading."""
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading.lower()).strip())
 
 
 def anchors(text: str) -> set[str]:
