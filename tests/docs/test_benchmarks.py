@@ -196,7 +196,10 @@ def test_the_page_of_the_spread_is_that_of_its_archive():
     assert script.page(archive) != kept
 
 
-@pytest.mark.parametrize(("name", "page"), [("variants", "decisions/learned-model"), ("fallback", "decisions/trust")])
+@pytest.mark.parametrize(
+    ("name", "page"),
+    [("variants", "decisions/learned-model"), ("fallback", "decisions/trust")],
+)
 def test_tables_of_decisions_are_those_of_their_archives(name, page):
     made, readme = loaded(name), loaded("readme")
     content = json.loads((BENCHMARKS / "results" / f"{name}.json").read_text(encoding="utf-8"))
