@@ -1,6 +1,6 @@
 """What is left of answers that are not to be trusted: errors of linear elasticity alone, on development rigs.
 
-``python benchmarks/fallback.py`` writes ``results/fallback.json`` and the table of ``docs/decisions/fallback.md``;
+``python benchmarks/fallback.py`` writes ``results/fallback.json`` and the table of ``docs/decisions/trust.md``;
 ``--page`` writes the table alone. Nothing here is a reported rig.
 """
 
@@ -19,7 +19,7 @@ from tissuereg.studies.contest import BELIEVED, CONDITIONS, Believed, measured
 from tissuereg.studies.rigs import read_rigs
 
 HERE = Path(__file__).resolve().parent
-RESULTS, PAGE = HERE / "results" / "fallback.json", HERE.parent / "docs" / "decisions" / "fallback.md"
+RESULTS, PAGE = HERE / "results" / "fallback.json", HERE.parent / "docs" / "decisions" / "trust.md"
 
 #: Every second scored frame, under these conditions.
 EVERY, NAMES = 2, ("plain", "wrong", "dropped-60")

@@ -1,7 +1,7 @@
 """Variants of the simulation on development rigs of the phantom experiment: how many, and what stays beside them.
 
 ``python benchmarks/variants.py --variants FOLDER`` writes ``results/variants.json`` and the table of
-``docs/decisions/variants-of-a-simulation.md``; ``--page`` writes the table alone. Nothing here is a reported rig.
+``docs/decisions/learned-model.md``; ``--page`` writes the table alone. Nothing here is a reported rig.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from tissuereg.studies.variants import read_variants
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results" / "variants.json"
-PAGE = HERE.parent / "docs" / "decisions" / "variants-of-a-simulation.md"
+PAGE = HERE.parent / "docs" / "decisions" / "learned-model.md"
 
 #: Shares of the general variance that stay beside the variants, with all of them; the released one with fewer bodies.
 SHARES, FEWER = (0.03, 0.1, 0.25, 1.0), (6, 12)

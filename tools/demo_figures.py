@@ -1,7 +1,7 @@
-"""What the README shows of the embedded phantom: the tables of `tissuereg demo` and of the shipped model, the picture.
+"""What the pages show of the embedded phantom: the tables of `tissuereg demo` and of the shipped model, the picture.
 
-    python tools/demo_figures.py            # README.md, docs/phantom.png
-    python tools/demo_figures.py --tables   # README.md alone
+    python tools/demo_figures.py            # docs/results.md, docs/phantom.png
+    python tools/demo_figures.py --tables   # docs/results.md alone
 
 Run it after a change of the model in ``python/tissuereg/phantom/model`` or of the phantom. The picture is of a
 registration of the same markers without the model, by contacts.
@@ -22,7 +22,7 @@ from tissuereg.phantom.event import LESION_MM, make_event
 from tissuereg.registration.register import register
 
 ROOT = Path(__file__).resolve().parents[1]
-README, PICTURE = ROOT / "README.md", ROOT / "docs" / "phantom.png"
+RESULTS, PICTURE = ROOT / "docs" / "results.md", ROOT / "docs" / "phantom.png"
 
 
 def demo_table(answer: dict[str, Any]) -> str:
@@ -71,8 +71,8 @@ def main() -> None:
     from readme import write_table
 
     with tempfile.TemporaryDirectory() as folder:
-        write_table("demo", demo_table(run_demo(Path(folder) / "demo", seed=0)), README)
-    write_table("model", model_table(), README)
+        write_table("demo", demo_table(run_demo(Path(folder) / "demo", seed=0)), RESULTS)
+    write_table("model", model_table(), RESULTS)
     if not args.tables:
         draw()
 

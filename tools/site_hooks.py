@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: formulas become MathML when the site is built, and NOTATION.md becomes a page."""
+"""Hooks of mkdocs: formulas become MathML, NOTATION.md a page, and links out of the pages the paths they lead to."""
 
 import html
 import posixpath
@@ -13,6 +13,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 #: Pages that lie at the root of the repository, by their names in the site.
 MIRRORED = {"notation.md": "NOTATION.md"}
+
+#: A link that goes up, as out of `docs`.
+UPWARDS = re.compile(r"\[([^\]\n]+)\]\((\.\./[^)\s]+)\)")
 
 #: Output of pymdownx.arithmatex for `$...$` and `$$...$$`.
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -32,12 +35,19 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """Rewrite links to a mirrored file so that they lead to its page."""
+    """Lead links to a mirrored file to its page, and name files that the site does not have in place of a link."""
     folder = posixpath.dirname(page.file.src_uri)
     for name, source in MIRRORED.items():
         from_page = posixpath.relpath(posixpath.join("..", source), folder or ".")
         markdown = markdown.replace(f"]({from_page}", f"]({posixpath.relpath(name, folder or '.')}")
-    return markdown
+
+    def named(match: re.Match[str]) -> str:
+        text, path = match[1], posixpath.normpath(posixpath.join("docs", folder, match[2]))
+        if path.startswith("docs/"):
+            return match[0]
+        return f"`{text}`" if text.startswith(path) else f"{text} (`{path}`)"
+
+    return UPWARDS.sub(named, markdown)
 
 
 def on_page_content(content: str, *, page: Any, config: Any, files: Files) -> str:

@@ -15,7 +15,8 @@ def loaded(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "page"), [("variants", "decisions/variants-of-a-simulation"), ("fallback", "decisions/fallback")]
+    ("name", "page"),
+    [("variants", "decisions/learned-model"), ("fallback", "decisions/trust")],
 )
 def test_tables_of_decisions_are_those_of_their_archives(name, page):
     made, readme = loaded(name), loaded("readme")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import tissuereg
+from support.pages import anchors
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = Path(tissuereg.__file__).parent
@@ -25,8 +26,32 @@ def test_docstring_examples_hold(name):
 
 
 @pytest.mark.parametrize("document", sorted(REPOSITORY.glob("*.md")) + sorted((REPOSITORY / "docs").rglob("*.md")))
-def test_links_to_files_lead_somewhere(document):
+def test_links_lead_somewhere(document):
     text = document.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#]+)\)", text):
-        if "://" not in target:
-            assert (document.parent / target).exists(), f"{document.name}: {target}"
+    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`\n]+`", "", text)):
+        name, _, anchor = target.partition("#")
+        if "://" in target or target.startswith("mailto:"):
+            continue
+        page = document.parent / name if name else document
+        assert page.exists(), f"{document.name}: {target}"
+        if anchor and page.suffix == ".md":
+            assert anchor in anchors(page.read_text(encoding="utf-8")), f"{document.name}: {target}"
+
+
+def test_decisions_that_sources_name_exist():
+    sources = [
+        path
+        for folder in ("python", "crates", "training", "benchmarks", "paper", "tests", "tools", "examples")
+        for ending in ("py", "rs", "toml", "md")
+        for path in (REPOSITORY / folder).rglob(f"*.{ending}")
+    ]
+    named = {
+        match.groups()
+        for path in sources
+        for match in re.finditer(r"docs/decisions/([\w-]+\.md)(?:#([\w-]+))?", path.read_text(encoding="utf-8"))
+    }
+    assert named
+    for name, anchor in named:
+        page = REPOSITORY / "docs" / "decisions" / name
+        assert page.is_file(), name
+        assert anchor is None or anchor in anchors(page.read_text(encoding="utf-8")), f"{name}#{anchor}"

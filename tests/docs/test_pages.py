@@ -115,14 +115,14 @@ def test_the_readme_runs_and_finds_the_lesion(run):
     assert (folder / "report.html").is_file()
     assert (folder / "registered" / "registered.vtu").is_file()
     assert isinstance(result, tr.Registration)
-    shown, made = script("benchmarks", "readme").table("demo", REPOSITORY / "README.md"), FIGURES.demo_table(answer)
+    shown, made = script("benchmarks", "readme").table("demo", FIGURES.RESULTS), FIGURES.demo_table(answer)
     assert NUMBER.sub("", shown) == NUMBER.sub("", made)
     # One unit of the last digit: other processors round other sums.
     np.testing.assert_allclose(*(list(map(float, NUMBER.findall(text))) for text in (shown, made)), atol=0.0101)
 
 
-def test_the_readme_shows_the_errors_of_the_model_that_is_shipped():
-    assert script("benchmarks", "readme").table("model", REPOSITORY / "README.md") == FIGURES.model_table()
+def test_the_results_show_the_errors_of_the_model_that_is_shipped():
+    assert script("benchmarks", "readme").table("model", FIGURES.RESULTS) == FIGURES.model_table()
 
 
 def test_blocks_that_are_not_run_are_known():
