@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 from tissuereg._base import arguments
 from tissuereg._base.arguments import MOST_COUNTED, bounds, is_number
@@ -46,7 +46,7 @@ def unit_of(name: str) -> str:
     return next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Check:
     """What a field must hold.
 
@@ -117,6 +117,11 @@ class Record:
 
     def check(self) -> None:
         """Refuse fields that contradict each other."""
+
+    def refuse(self, rule: str, value: object = None) -> NoReturn:
+        """Raise an error of the record's kind that states what must hold and what was found."""
+        message = rule if value is None else f"{rule}, got {value!r}"
+        raise self.error(message)
 
     @classmethod
     def declared(cls) -> tuple[Field, ...]:

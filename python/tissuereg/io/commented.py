@@ -38,9 +38,9 @@ def _table(keys: type[Keys], values: Mapping[str, Any] | None) -> list[str]:
     lines = _wrapped(" ".join((keys.__doc__ or "").split()))
     if keys.heading:
         lines.append(f"{off}{keys.heading}")
-    inner = {
+    inner = [
         key for key in keys.declared() if isinstance(given.get(key.name), Mapping) and key.check.words[:5] == "table"
-    }
+    ]
     for key in keys.declared():
         if key in inner:
             continue

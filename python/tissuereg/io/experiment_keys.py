@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from tissuereg._base.fields import belief, checked, choice, flag, number, numbers, table, text
+from tissuereg._base.fields import belief, choice, flag, number, numbers, table, text
 from tissuereg.body.material import GRAVITY_MM_PER_S2, LAWS, SHAPE_KEYS, VOLUMETRIC, Material
-from tissuereg.errors import FormatError, MaterialError, TissueRegError
+from tissuereg.errors import MaterialError
 from tissuereg.experiment.material_experiment import HELD_OUT
-from tissuereg.io.node_rules import TOLERANCE, rule_for_file
+from tissuereg.io.node_rules import TOLERANCE, node_rule
 from tissuereg.io.toml import Keys, Table
 
 #: Words of ``[simulated]``.
@@ -22,20 +22,9 @@ MODELS, ELEMENTS = ("fine", "plain"), ("tet4", "tet4-averaged", "tet10")
 Vector = tuple[float, float, float]
 
 
-def _node_rule(name: str, value: Any, error: type[TissueRegError]) -> str | dict[str, Any]:
-    try:
-        return rule_for_file(value, name)
-    except FormatError as wrong:
-        raise error(str(wrong), where=name) from wrong
-
-
 def _edge() -> Any:
     meaning = "standard deviation of where the edge of the patch lies"
     return number(meaning, above=0.0, default=None, otherwise="a share of the patch's size", example=1.0)
-
-
-def _nodes() -> Any:
-    return checked(_node_rule, "node set, plane or ball", "which nodes it is", unit="mm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +96,7 @@ class BoundaryKeys(Keys):
 
     heading: ClassVar[str] = "[[boundary]]"
     name: str = text("of the patch")
-    nodes: str | dict[str, Any] = _nodes()
+    nodes: str | dict[str, Any] = node_rule("which nodes it is")
     kind: str = choice(("fixed",), "how it is held", default="fixed")
     edge_std_mm: float | None = _edge()
 
@@ -118,7 +107,7 @@ class ActuatorKeys(Keys):
 
     heading: ClassVar[str] = "[[actuator]]"
     name: str = text("of the patch, not `fixed`")
-    nodes: str | dict[str, Any] = _nodes()
+    nodes: str | dict[str, Any] = node_rule("which nodes it is")
     kind: str = choice(
         ("displacement", "force"),
         "what is prescribed: its displacement (actuators.csv) or its force (forces_applied.csv)",
