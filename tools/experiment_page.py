@@ -12,29 +12,28 @@ import ast
 import re
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import MISSING, fields
+from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
+from tissuereg._base.fields import Field, unit_of
 from tissuereg.body.material import SHAPE_KEYS, Material
 from tissuereg.experiment.effects import EFFECTS, ChainEffect
 from tissuereg.experiment.effects.base import Effect
 from tissuereg.experiment.effects.elastic import OtherLaw
 from tissuereg.io import experiment_keys as keys
-from tissuereg.io.declared import NEEDED, Declaration, unit_of
 from tissuereg.io.material_experiments import TEST_EFFECTS
+from tissuereg.io.toml import Keys
+from tissuereg.simulation.recipe import DataRecipe, MaterialRecipe, MeshRecipe, PairsRecipe
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "experiment.md"
 TRAIN_SETTINGS = ROOT / "training" / "tissuereg_training" / "settings.py"
-RECIPES = (
-    (ROOT / "python" / "tissuereg" / "simulation" / "recipe.py", "MaterialRecipe", "[material]"),
-    (ROOT / "python" / "tissuereg" / "simulation" / "recipe.py", "DataRecipe", "[data]"),
-    (ROOT / "python" / "tissuereg" / "simulation" / "recipe.py", "PairsRecipe", "[pairs]"),
-    (TRAIN_SETTINGS, "TrainSettings", "[train]"),
-    # The text stands between backticks, and so do its two parts.
-    (TRAIN_SETTINGS, "GraphSettings", '[train]`, `kind = "graph"'),
-    (TRAIN_SETTINGS, "ClosureSettings", '[train]`, `kind = "closure"'),
+#: Its classes, and headings: the text stands between backticks, and so do its two parts.
+TRAIN = (
+    ("TrainSettings", "[train]"),
+    ("GraphSettings", '[train]`, `kind = "graph"'),
+    ("ClosureSettings", '[train]`, `kind = "closure"'),
 )
 _BLOCK = re.compile(r"(<!-- made by tools/experiment_page\.py: (.+?) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -46,18 +45,19 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
 
 
-def keys_of(declaration: Declaration) -> str:
+def keys_of(keys: type[Keys]) -> str:
     """Return the keys of one table of the file."""
-    rows = [(f"`{key.name}`", key.words, key.unit, default_of(key), key.meaning) for key in declaration.keys]
-    must = " The table must be there." if declaration.needed else ""
-    return f"{declaration.meaning}{must}\n\n" + table(("key", "holds", "unit", "where absent", "meaning"), rows)
+    rows = [(f"`{key.name}`", key.check.words, key.unit, default_of(key), key.check.meaning) for key in keys.declared()]
+    must = " The table must be there." if keys.needed else ""
+    said = " ".join((keys.__doc__ or "").split())
+    return f"{said}{must}\n\n" + table(("key", "holds", "unit", "where absent", "meaning"), rows)
 
 
-def default_of(key: Any) -> str:
+def default_of(key: Field) -> str:
     """Return what applies where a key is absent."""
-    if key.default is NEEDED:
+    if key.default is MISSING:
         return "must be given"
-    return key.otherwise or shown(key.default)
+    return key.check.otherwise or shown(key.default)
 
 
 def shown(value: Any) -> str:
@@ -106,7 +106,7 @@ def effects() -> str:
     rows = []
     for effect in EFFECTS.values():
         of_law = [key for keys_ in SHAPE_KEYS.values() for key in keys_] if issubclass(effect, OtherLaw) else []
-        own = [key for key in fields(effect) if key.name not in of_law]
+        own = [key for key in effect.declared() if key.name not in of_law]
         seen = "yes" if issubclass(effect, TEST_EFFECTS) else ""
         several = " *" if effect.repeatable else ""
         listed = "<br>".join(effect_key(key) for key in own)
@@ -119,15 +119,14 @@ def effects() -> str:
     return table(("id", "keys", "what it does", "in material tests"), rows)
 
 
-def effect_key(key: Any) -> str:
+def effect_key(key: Field) -> str:
     """Return one key of an effect, with unit, default and meaning."""
-    unit = unit_of(key.name)
-    stated = [key.metadata["words"], *([unit] if unit else [])]
+    stated = [key.check.words, *([key.unit] if key.unit else [])]
     if key.default is None:
         stated.append("may be left out")
     elif key.default is not MISSING:
         stated.append(f"{shown(key.default)} where absent")
-    return f"`{key.name}` ({', '.join(stated)}): {key.metadata['meaning']}"
+    return f"`{key.name}` ({', '.join(stated)}): {key.check.meaning}"
 
 
 def first_sentence(effect: type[Effect]) -> str:
@@ -136,12 +135,14 @@ def first_sentence(effect: type[Effect]) -> str:
 
 
 def recipes() -> str:
-    """Return the tables of a recipe, out of the classes that hold them."""
-    parts = []
-    for path, name, heading in RECIPES:
+    """Return the tables of a recipe; that of the training package out of its file, without importing it."""
+    parts = [
+        f"### `{kind.heading}`\n\n{keys_of(kind)}" for kind in (MeshRecipe, MaterialRecipe, DataRecipe, PairsRecipe)
+    ]
+    for name, heading in TRAIN:
         rows = [
             (f"`{key}`", kind, unit_of(key), f"`{default}`", meaning)
-            for key, kind, default, meaning in recipe_keys(path, name)
+            for key, kind, default, meaning in recipe_keys(TRAIN_SETTINGS, name)
         ]
         parts.append(f"### `{heading}`\n\n" + table(("key", "holds", "unit", "where absent", "meaning"), rows))
     return "\n".join(parts)
@@ -171,16 +172,13 @@ def described(docstring: str) -> dict[str, tuple[str, str]]:
     """Return kind and meaning by name, out of the section ``Parameters`` of a docstring."""
     section = docstring.split("Parameters\n----------\n")[1]
     entries = re.findall(r"^(\w+) : (.+)\n((?:    .+\n?)+)", section, flags=re.MULTILINE)
-    words = {"int": "whole number", "float": "number", "str": "text", "tuple of float": "[low, high]"}
+    words = {"int": "whole number", "float": "number", "str": "text"}
     words["tuple of int"] = "list of whole numbers"
     return {name: (words.get(kind, kind), " ".join(meaning.split())) for name, kind, meaning in entries}
 
 
 BLOCKS: dict[str, Callable[[], str]] = {
-    **{
-        (declaration.heading or "top"): (lambda declaration=declaration: keys_of(declaration))
-        for declaration in (*keys.RIG, keys.TEST)
-    },
+    **{(kind.heading or "top"): (lambda kind=kind: keys_of(kind)) for kind in (*keys.RIG, keys.MaterialTestKeys)},
     "nodes": node_forms,
     "laws": laws,
     "tables": csv_tables,

@@ -260,7 +260,7 @@ def test_a_believed_modulus_scales_forces_alone(capsys, folder, tmp_path, plain)
         (["lps.csv", "--gravity", "0 0 down"], "must be a finite number, got 'down'"),
         (["lps.csv", "--gravity", "0 0 -9.81"], "must be in mm/s^2, of 20 or more (that of the earth is 9810)"),
         (["lps.csv", "--gravity", "0 0 -9810", "--simulation", "u.npz"], "left out with --simulation"),
-        (["lps.csv", "--young", 0], "must be positive, got '0'"),
+        (["lps.csv", "--young", 0], "must be a finite number greater than 0, in kPa, got 0"),
         (["lps.csv", "--poisson", 0.5], "`poisson` must be in (-1, 0.5)"),
         (["lps.csv", "--tables-frame", "RAS"], "--tables-frame must come with --frame"),
         (["lps.csv", "--frame", "IJK"], "invalid choice: 'IJK'"),

@@ -43,19 +43,19 @@ def begun(tmp_path):
 def test_the_page_is_made_from_the_declarations(maker, monkeypatch):
     text = PAGE.read_text(encoding="utf-8")
     assert maker.made(text) == text, "run python tools/experiment_page.py"
-    key = keys.FORCES.keys[0]
-    monkeypatch.setitem(maker.BLOCKS, "[forces]", lambda: maker.keys_of(keys.Declaration("[forces]", "", (key, key))))
+    monkeypatch.setitem(maker.BLOCKS, "[forces]", lambda: maker.keys_of(keys.TargetKeys))
     assert maker.made(text) != text
     with pytest.raises(ValueError, match="each block once"):
         maker.made(text.replace("made by tools/experiment_page.py: laws", "made by tools/experiment_page.py: lows"))
 
 
-@pytest.mark.parametrize("declaration", [*keys.RIG, keys.TEST], ids=lambda d: d.heading or "top")
+@pytest.mark.parametrize("declaration", [*keys.RIG, keys.MaterialTestKeys], ids=lambda d: d.heading or "top")
 def test_every_declared_key_is_on_the_page_and_read(declaration):
     text = PAGE.read_text(encoding="utf-8")
-    for key in declaration.keys:
+    for key in declaration.declared():
         assert f"| `{key.name}` |" in text
-    assert all(key.meaning and key.words for key in declaration.keys)
+        assert key.check.meaning
+        assert key.check.words
 
 
 def test_a_key_that_is_not_declared_is_refused_in_every_table(tmp_path):
@@ -75,7 +75,7 @@ def test_a_new_experiment_holds_every_key_and_reads_with_all_of_them(begun):
     text = (begun / "experiment.toml").read_text(encoding="utf-8")
     for declaration in keys.RIG:
         assert declaration.heading in text
-        for key in declaration.keys:
+        for key in declaration.declared():
             assert re.search(rf"^#?\[?(?:markers\.)?{key.name}\b", text, flags=re.MULTILINE), key.name
     plain = tr.read_experiment(begun)
     # `reference_time_s` stands in place of the listed places.

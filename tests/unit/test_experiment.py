@@ -179,7 +179,7 @@ BAD = {
     ),
     "trial share negative": (
         changed("std_mm = 0.05", "std_mm = 0.05\ntrial_share = -0.1"),
-        "`trial_share` must be a pos",
+        "`trial_share` must be a finite number greater than 0",
     ),
     "rest case unknown": (changed('rest_case = "rest"', 'rest_case = "nap"'), "one of the cases rest, lean"),
     "place of two numbers": (changed("P2 = [15.0, 0.0, 20.0]", "P2 = [15.0, 0.0]"), "`P2` must be a list of 3"),

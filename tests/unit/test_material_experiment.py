@@ -91,7 +91,7 @@ def test_bad_rows_are_refused_with_their_file(tmp_path, rows, message):
         (TOML.replace("neo-hookean", "gent"), "law"),
         (TOML + "colour = 1\n", "only the keys"),
         (TOML + '[test]\nhold_out = "day"\n', "must be one of mode, rate, specimen"),
-        (TOML + "[test]\nstd_kpa = 0.0\n", "must be a positive number"),
+        (TOML + "[test]\nstd_kpa = 0.0\n", "must be a finite number greater than 0"),
         (TOML + '[[effect]]\nid = "latency"\nlatency_s = 0.1\n', "must be an effect on a material"),
         (
             TOML + '[[effect]]\nid = "stiffening"\nlaw = "fung"\nb = 1.0\n[[effect]]\nid = "mooney"\n'

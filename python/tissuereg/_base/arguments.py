@@ -44,6 +44,11 @@ def found(value: object) -> str:
     return type(value).__name__
 
 
+def _listed(value: object) -> str:
+    """Return a short text for a value that should be a list."""
+    return _short.repr(value) if isinstance(value, list | tuple) else found(value)
+
+
 def is_number(value: Any) -> bool:
     """Return whether a value is a finite number that fits a float; booleans are none."""
     if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool):
@@ -61,10 +66,21 @@ def whole(name: str, value: Any, *, least: int = 0, most: int = MOST_COUNTED, er
     except TypeError:
         number = None
     if number is None or not least <= number <= most:
-        bounds = f"of at least {least}" if number is None or number < least else f"of at most {most}"
-        message = f"`{name}` must be a whole number {bounds}, got {found(value)}"
+        limit = f"of at least {least}" if number is None or number < least else f"of at most {most}"
+        message = f"`{name}` must be a whole number {limit}, got {found(value)}"
         raise error(message, where=name)
     return number
+
+
+def bounds(above: float, least: float, below: float, most: float) -> str:
+    """Return a range in words, with a space before them; empty where there is none."""
+    stated = [
+        f"greater than {above:g}" if above > -math.inf else "",
+        f"at least {least:g}" if least > -math.inf else "",
+        f"less than {below:g}" if below < math.inf else "",
+        f"at most {most:g}" if most < math.inf else "",
+    ]
+    return "".join(f" and {words}" for words in stated if words).removeprefix(" and").rstrip()
 
 
 def real(
@@ -74,6 +90,7 @@ def real(
     above: float = -math.inf,
     least: float = -math.inf,
     below: float = math.inf,
+    most: float = math.inf,
     unit: str = "",
     error: _Error = ArgumentError,
 ) -> float:
@@ -83,32 +100,62 @@ def real(
         number = math.nan if is_other else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
-    if not (math.isfinite(number) and above < number < below and number >= least):
-        bounds = [
-            f" greater than {above:g}" if above > -math.inf else "",
-            f" of at least {least:g}" if least > -math.inf else "",
-            f" less than {below:g}" if below < math.inf else "",
-        ]
-        wanted = " and".join(bound for bound in bounds if bound)
-        message = f"`{name}` must be a finite number{wanted}{f', in {unit}' if unit else ''}, got {found(value)}"
+    if not (math.isfinite(number) and above < number < below and least <= number <= most):
+        wanted = f"{bounds(above, least, below, most)}{f', in {unit}' if unit else ''}"
+        message = f"`{name}` must be a finite number{wanted}, got {found(value)}"
         raise error(message, where=name)
     return number
+
+
+def reals(
+    name: str,
+    value: Any,
+    *,
+    length: int | None = None,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+    directed: bool = False,
+    error: _Error = ArgumentError,
+) -> tuple[float, ...]:
+    """Return a list of finite numbers in a range; `directed`: not all of them zero. Without a length, one or more."""
+    values = value.tolist() if isinstance(value, np.ndarray) else value
+    listed = isinstance(values, list | tuple) and len(values) == (length or max(1, len(values)))
+    if not (listed and all(is_number(x) and above < x < below and x >= least for x in values)):
+        size = "one or more" if length is None else str(length)
+        wanted = bounds(above, least, below, math.inf)
+        message = f"`{name}` must be a list of {size} finite numbers{wanted}, got {_listed(values)}"
+        raise error(message, where=name)
+    if directed and not any(values):
+        message = f"`{name}` must have a length, got {_listed(values)}"
+        raise error(message, where=name)
+    return tuple(float(x) for x in values)
 
 
 def flag(name: str, value: Any, *, error: _Error = ArgumentError) -> bool:
     """Return true or false; anything else is refused."""
     if type(value).__name__ not in ("bool", "bool_"):
-        message = f"`{name}` must be True or False, got {found(value)}"
+        message = f"`{name}` must be true or false, got {found(value)}"
         raise error(message, where=name)
     return bool(value)
 
 
-def text(name: str, value: Any, *, error: _Error = ArgumentError) -> str:
+def text(name: str, value: Any, *, longest: int | None = LONGEST_NAME, error: _Error = ArgumentError) -> str:
     """Return a text that is neither empty nor too long."""
-    if not isinstance(value, str) or not value.strip() or len(value) > LONGEST_NAME:
-        message = f"`{name}` must be a text of at most {LONGEST_NAME} characters, got {found(value)}"
+    if not isinstance(value, str) or not value.strip() or len(value) > (longest or len(value)):
+        limit = "" if longest is None else f" of at most {longest} characters"
+        message = f"`{name}` must be a text{limit}, got {found(value)}"
         raise error(message, where=name)
     return value
+
+
+def texts(name: str, value: Any, *, length: int, error: _Error = ArgumentError) -> tuple[str, ...]:
+    """Return a list of so many different texts."""
+    listed = isinstance(value, list | tuple) and all(isinstance(x, str) and x.strip() for x in value)
+    if not (listed and len(value) == length == len(set(value))):
+        message = f"`{name}` must be a list of {length} different texts, got {_listed(value)}"
+        raise error(message, where=name)
+    return tuple(value)
 
 
 def _kinds(kind: type[Any] | tuple[type[Any], ...]) -> str:

@@ -5,26 +5,12 @@ Exit codes: 0 done; 2 bad usage or bad input; 3 it could not be done; 4 answered
 """
 
 import contextlib
+import importlib
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from tissuereg.cli import (
-    advise,
-    bench,
-    calibrate,
-    demo,
-    diagnose,
-    mesh,
-    new,
-    register,
-    reproduce,
-    simulate,
-    solve,
-    track,
-    train,
-)
 from tissuereg.cli.common import Outcome, envelope, paragraph, warnings_as_lines
 from tissuereg.cli.ending import NO_ROOM, ended_like_an_interrupt, mute_stdout
 from tissuereg.cli.options import Parser, UsageError, json_target, parse
@@ -32,7 +18,23 @@ from tissuereg.errors import ConvergenceError, TissueRegError
 from tissuereg.io.atomic import check_file_target
 from tissuereg.io.json import dumps, write_json
 
-_COMMANDS = (mesh, new, solve, simulate, train, calibrate, register, track, advise, diagnose, demo, bench, reproduce)
+#: Commands with their purposes, in the order of the help. A command is the module of its name, loaded when it is used:
+#: `HELP` says what it does, `options` adds its arguments, and `run` does it and returns an `Outcome`.
+COMMANDS = {
+    "mesh": "fill a surface with tetrahedra",
+    "new": "begin an experiment on your own body",
+    "solve": "solve one static problem",
+    "simulate": "simulate an experiment, or a data set to train on",
+    "train": "train a network on a data set",
+    "calibrate": "measure what a trained model's answers are worth",
+    "register": "register a body to its markers, load unknown, with regions",
+    "track": "register a body frame after frame, from a recording of its markers",
+    "advise": "say where the next markers should go",
+    "diagnose": "find out what the simulation gets wrong",
+    "demo": "register the embedded phantom, end to end",
+    "bench": "time the parts",
+    "reproduce": "run the paper's studies",
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -63,8 +65,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return outcome.code
 
 
-def build_parser() -> Parser:
+def build_parser(words: Sequence[str] | None = None) -> Parser:
     """Return the parser of the whole command line.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        The command line: only the command that it names is loaded, the others have their lines in the help. All are
+        loaded where it is absent.
 
     Returns
     -------
@@ -84,13 +92,18 @@ def build_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"tissuereg {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
-    for command in _COMMANDS:
-        command.add_parser(commands)
+    named = None if words is None else next((word for word in words if not word.startswith("-")), "")
+    for name, purpose in COMMANDS.items():
+        if named in (None, name):
+            command = importlib.import_module(f"tissuereg.cli.{name}")
+            command.HELP.parser(commands, name, purpose, command.options).set_defaults(run=command.run)
+        else:
+            commands.add_parser(name, help=purpose)
     return parser
 
 
 def _run(words: list[str], target: str | None) -> Outcome | int:
-    args = parse(build_parser(), words)
+    args = parse(build_parser(words), words)
     if target not in (None, "-"):
         check_file_target(target)
     if getattr(args, "speaks_for_itself", False):

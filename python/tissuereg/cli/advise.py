@@ -4,27 +4,24 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg._base.fields import number, whole
 from tissuereg.cli.body_input import refuse
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import (
-    add_common,
-    command_parser,
-    positive_number,
-    refuse_overwriting,
-    whole_number,
-)
+from tissuereg.cli.options import Help, Parser, add_option, refuse_overwriting
 
 if TYPE_CHECKING:
     from tissuereg._base.arrays import FloatArray
     from tissuereg.body.mesh import Mesh
     from tissuereg.registration.advise import MarkerAdvice
 
-_DETAILS = (
+HELP = Help(
     "Chooses, of the places where a marker may sit, those that shrink the expected error at the targets most: one "
     "after another, each given those before it. What may happen is an ensemble of displacement fields: members of a "
     "data set (--data), draws of a trained model (--model), or else random pushes and pulls of MESH. DIR gets "
     "markers.csv, the places, the most telling first, with the error that is expected once they are measured, and "
-    "advise.json, both or none."
+    "advise.json, both or none.",
+    example="tissuereg advise markers body.vtu --targets targets.csv --out advice",
+    seed="seed of the choice or the draws of fields (default: 0)",
 )
 
 
@@ -35,16 +32,8 @@ _TABLE, _ANSWER = "markers.csv", "advise.json"
 _LARGEST_MM = 5.0
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    example = "tissuereg advise markers body.vtu --targets targets.csv --out advice"
-    parser = command_parser(commands, "advise", "say where the next markers should go", _DETAILS, example)
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("what", metavar="markers", choices=["markers"], help="what is asked: markers")
     text = "mesh file; with --data left out, with --model the phantom's by default"
     parser.add_argument("path", metavar="MESH", nargs="?", help=text)
@@ -55,36 +44,25 @@ def add_parser(commands: Any) -> None:
     fields = happens.add_mutually_exclusive_group()
     fields.add_argument("--data", metavar="DATA", help="data set of the body, with its mesh")
     fields.add_argument("--model", metavar="FOLDER", help="folder of a trained model, or phantom for the shipped one")
-    text = "of random pushes and pulls: how far a usual one moves the body at most, in mm (default: 5)"
-    happens.add_argument("--largest", type=positive_number, metavar="MM", help=text)
+    text = "of random pushes and pulls: how far a usual one moves the body at most"
+    add_option(happens, "--largest", number(text, unit="mm", above=0.0, default=None, otherwise="5"), "MM")
     more = parser.add_argument_group("more")
     text = "held nodes of MESH; see `tissuereg register --help`"
     more.add_argument("--fixed", metavar="RULE", help=text)
-    more.add_argument("--members", type=whole_number(2), default=1000, metavar="N", help="fields (default: 1000)")
-    more.add_argument("--number", type=whole_number(1), default=15, metavar="N", help="markers to choose (default: 15)")
+    add_option(more, "--members", whole("fields", least=2, default=1000), "N")
+    add_option(more, "--number", whole("markers to choose", least=1, default=15), "N")
     text = "table x_mm,y_mm,z_mm of places where a marker may sit (default: free surface nodes)"
     more.add_argument("--candidates", metavar="FILE", help=text)
     more.add_argument("--placed", metavar="FILE", help="table x_mm,y_mm,z_mm of markers that sit there already")
-    text = "noise of a marker coordinate, in mm (default: 0.1)"
-    more.add_argument("--std", type=positive_number, default=0.1, metavar="MM", help=text)
-    text = "least distance between markers, in mm (default: none)"
-    more.add_argument("--apart", type=positive_number, default=0.0, metavar="MM", help=text)
-    add_common(parser, seed="seed of the choice or the draws of fields (default: 0)")
-    parser.set_defaults(run=run)
+    add_option(more, "--std", number("noise of a marker coordinate", unit="mm", above=0.0, default=0.1), "MM")
+    apart = number("least distance between markers", unit="mm", above=0.0, default=0.0, otherwise="none")
+    add_option(more, "--apart", apart, "MM")
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Choose and write.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.advise/1``.
+    Schema ``tissuereg.advise/1``.
 
     Raises
     ------

@@ -3,60 +3,43 @@
 import argparse
 from typing import Any
 
+from tissuereg._base.fields import whole
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import UsageError, add_common, command_parser, whole_number
+from tissuereg.cli.options import Help, Parser, UsageError, add_option
 
-_DETAILS = (
+HELP = Help(
     "Times whole solves, ensembles of solves, ES-MDA updates and whole registrations on the embedded phantom (or, for "
     "solve, on problem files), stage by stage, with the work counters that explain them. WHAT: solve, ensemble, "
-    "esmda or register; all of them where left out."
+    "esmda or register; all of them where left out.",
+    example="tissuereg bench solve --problem dome.npz --repeats 20 --threads 2 --json times.json",
+    seed="seed of random events and draws (default: 0)",
+    threads="threads to use (default: all cores)",
 )
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    example = "tissuereg bench solve --problem dome.npz --repeats 20 --threads 2 --json times.json"
-    parser = command_parser(commands, "bench", "time the parts", _DETAILS, example)
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     choices = ["solve", "ensemble", "esmda", "register"]
     parser.add_argument("what", metavar="WHAT", nargs="*", help=f"one or more of {', '.join(choices)} (default: all)")
     how = parser.add_argument_group("timing")
-    text = "runs per row, after one that does not count (default: 10)"
-    how.add_argument("--repeats", type=whole_number(1), default=10, metavar="N", help=text)
+    add_option(how, "--repeats", whole("runs per row, after one that does not count", least=1, default=10), "N")
     text = "problem files for 'solve', as 'tissuereg solve' takes them (default: the phantom)"
     how.add_argument("--problem", nargs="+", default=[], metavar="FILE.npz", help=text)
     text = "elements of the solves (default: both)"
     how.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
-    text = "members of 'ensemble' (default: 32)"
-    how.add_argument("--members", type=whole_number(1), default=32, metavar="N", help=text)
+    add_option(how, "--members", whole("members of 'ensemble'", least=1, default=32), "N")
     text = "model folder to time in the row step/shipped of 'register' (default: the shipped one)"
     how.add_argument("--model", metavar="FOLDER", help=text)
     text = "model folder of a Table II network for the row step/table2 (default: one with random weights)"
     how.add_argument("--table2", metavar="FOLDER", help=text)
-    text = "random sets of markers of the rows step/... (default: 20)"
-    how.add_argument("--sets", type=whole_number(1), default=20, metavar="N", help=text)
-    seed = "seed of random events and draws (default: 0)"
-    add_common(parser, seed=seed, threads="threads to use (default: all cores)")
-    parser.set_defaults(run=run, choices=choices, late="what", room=len(choices))
+    add_option(how, "--sets", whole("random sets of markers of the rows step/...", least=1, default=20), "N")
+    parser.set_defaults(choices=choices, late="what", room=len(choices))
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Time the requested parts.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.bench/1``.
+    Schema ``tissuereg.bench/1``.
 
     Raises
     ------

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
+from tissuereg._base.fields import number, whole
 from tissuereg.cli.common import note
-from tissuereg.cli.options import UsageError, finite_number, positive_number, whole_number
+from tissuereg.cli.options import UsageError, add_option, option_type
 from tissuereg.errors import MeshError
 
 if TYPE_CHECKING:
@@ -60,8 +61,8 @@ def add_body_options(more: Any, tables: str) -> None:
         "within r mm), or the name of a node set"
     )
     more.add_argument("--fixed", metavar="RULE", help=text)
-    text = "noise of a marker coordinate without its own std_mm, in mm (default: 0.1)"
-    more.add_argument("--std", type=positive_number, metavar="MM", help=text)
+    text = "noise of a marker coordinate without its own std_mm"
+    add_option(more, "--std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
 
 
 def add_belief_options(what: Any) -> None:
@@ -78,16 +79,16 @@ def add_belief_options(what: Any) -> None:
     what.add_argument("--tracker", choices=["known", "drifts"], help=text)
     text = "graded: softer towards one side, by an amount that is estimated from the markers (default: believed)"
     what.add_argument("--stiffness", choices=["believed", "graded"], help=text)
-    text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body (default: 10)"
-    what.add_argument("--young", type=positive_number, metavar="KPA", help=text)
-    what.add_argument("--poisson", type=finite_number, metavar="NU", help="Poisson's ratio (default: 0.45)")
+    text = "Young's modulus in kPa; it scales forces, and sets how far gravity bends the body"
+    add_option(what, "--young", number(text, unit="kPa", above=0.0, default=None, otherwise="10"), "KPA")
+    add_option(what, "--poisson", number("Poisson's ratio", default=None, otherwise="0.45"), "NU")
     text = (
         "acceleration in mm/s^2, in the frame of MESH, that acts now and did not on MESH, e.g. '0 0 -9810'; of a body "
         "that was imaged in gravity, the difference"
     )
     what.add_argument("--gravity", type=_acceleration, metavar="'GX GY GZ'", help=text)
-    text = "density in g/cm^3, with --gravity (default: 1)"
-    what.add_argument("--density", type=positive_number, metavar="RHO", help=text)
+    text = "density in g/cm^3, with --gravity"
+    add_option(what, "--density", number(text, unit="g/cm^3", above=0.0, default=None, otherwise="1"), "RHO")
 
 
 def add_method_options(how: Any) -> None:
@@ -106,10 +107,9 @@ def add_method_options(how: Any) -> None:
     how.add_argument("--polish", action="store_true", help="with a model: make its answer an equilibrium")
     text = "with a model: an ensemble, or the most probable answer with its Gaussian (default: esmda)"
     how.add_argument("--update", choices=["esmda", "gauss-newton"], help=text)
-    how.add_argument(
-        "--members", type=whole_number(8), metavar="N", help="ensemble members, with a model (default: 200)"
-    )
-    how.add_argument("--steps", type=whole_number(1), metavar="N", help="assimilation steps, with a model (default: 5)")
+    members = whole("ensemble members, with a model", least=8, default=None, otherwise="200")
+    add_option(how, "--members", members, "N")
+    add_option(how, "--steps", whole("assimilation steps, with a model", least=1, default=None, otherwise="5"), "N")
 
 
 def method_of(args: argparse.Namespace) -> dict[str, Any]:
@@ -249,7 +249,8 @@ def refuse(message: str, where: str) -> NoReturn:
 
 
 def _acceleration(text: str) -> tuple[float, ...]:
-    numbers = tuple(finite_number(word) for word in text.split())
+    finite = option_type(number().metadata["check"])
+    numbers = tuple(finite(word) for word in text.split())
     if len(numbers) != 3:
         message = f"must be three numbers, 'gx gy gz', got '{text}'"
         raise argparse.ArgumentTypeError(message)

@@ -2,55 +2,33 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import add_common, command_parser
+from tissuereg.cli.options import Help, Parser
 
-_DETAILS = (
+HELP = Help(
     "MODEL is a folder that 'tissuereg train' made, DATA the data set it was trained on. Codes of the training split "
     "give the kinds of events, the validation split the model's errors and how honest measurements look: its events "
     "are registered from random markers. Pairs of what is believed and what happens tell how far truths lie from "
     "simulations: those of the data set, if its recipe asked for some, and those of PAIRS, a folder of files "
     "pairs_*.npz with simulation_mm and truth_mm (n, n_nodes, 3). Each is a kind of change of its own: the markers say "
     "of which kind an event is. "
-    "The folder gets calibration.npz; 'tissuereg register --model' uses it."
+    "The folder gets calibration.npz; 'tissuereg register --model' uses it.",
+    example="tissuereg calibrate model --data data --pairs pairs --json -",
+    seed="seed of kinds, places and noise (default: 0)",
 )
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    example = "tissuereg calibrate model --data data --pairs pairs --json -"
-    parser = command_parser(
-        commands, "calibrate", "measure what a trained model's answers are worth", _DETAILS, example
-    )
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("model", metavar="MODEL", help="folder of a trained model")
     parser.add_argument("--data", required=True, metavar="DATA", help="data set that it was trained on")
     text = "folder of further pairs of simulation and truth; may be given several times, once for each kind of change"
     parser.add_argument("--pairs", metavar="PAIRS", action="append", default=[], help=text)
-    add_common(parser, seed="seed of kinds, places and noise (default: 0)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Calibrate and write.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.calibrate/1``.
-    """
+    """Calibrate and write, schema ``tissuereg.calibrate/1``."""
     import numpy as np
 
     from tissuereg.io.datasets import open_dataset

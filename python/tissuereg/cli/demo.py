@@ -4,46 +4,30 @@ import argparse
 from typing import Any
 
 from tissuereg.cli.common import Outcome, seconds_line
-from tissuereg.cli.options import UsageError, add_common, command_parser
+from tissuereg.cli.options import Help, Parser, UsageError
 
-_DETAILS = (
+HELP = Help(
     "An embedded breast phantom, its physics simulation and a shipped model: simulation, encoder, ES-MDA over the "
     "ONNX decoder, registered mesh. The measurement was made with another model (other stiffness, a stiff lesion, "
     "ten-node elements, finer mesh), so errors are those against a truth that the model does not know. With --files "
     "nothing is computed: DIR gets surface/ (organ.stl, markers and targets, for 'mesh' and 'register') and rig/ (an "
-    "experiment for 'simulate' and 'diagnose')."
+    "experiment for 'simulate' and 'diagnose').",
+    example="tissuereg demo --out demo",
+    seed="seed of markers, noise and ensemble (default: 0)",
 )
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    purpose = "register the embedded phantom, end to end"
-    parser = command_parser(commands, "demo", purpose, _DETAILS, "tissuereg demo --out demo")
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     text = "folder for the files that 'register' writes, and for its input (default: demo)"
     parser.add_argument("--out", metavar="DIR", help=text)
     parser.add_argument("--files", metavar="DIR", help="write sample files to try the other commands on, and stop")
-    add_common(parser, seed="seed of markers, noise and ensemble (default: 0)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run the demonstration.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.registration/1`` with ``truth``; with ``--files`` ``tissuereg.samples/1``.
+    Schema ``tissuereg.registration/1`` with ``truth``; with ``--files`` ``tissuereg.samples/1``.
 
     Raises
     ------

@@ -6,49 +6,33 @@ from pathlib import Path
 from typing import Any
 
 from tissuereg.cli.common import Outcome, Stopwatch, envelope, seconds_line
-from tissuereg.cli.options import UsageError, add_common, command_parser, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, UsageError, refuse_overwriting
 
-_DETAILS = (
+HELP = Help(
     "EXPERIMENT is a folder (or its .toml). OUT gets diagnosis.json, experiment.extended.toml (the believed experiment "
     "with its modulus as fitted and the findings as effects; simulate, register and diagnose read it; that of a "
     "material test is for diagnose alone) and report.html. The bank of causes is kept for the next experiment of a "
-    "mesh and rig."
+    "mesh and rig.",
+    example="tissuereg diagnose my-rig --out diagnosed",
+    seed="seed of all random numbers (default: 0)",
 )
 
 _WRITTEN = ("diagnosis.json", "experiment.extended.toml", "report.html")
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    purpose = "find out what the simulation gets wrong"
-    parser = command_parser(commands, "diagnose", purpose, _DETAILS, "tissuereg diagnose my-rig --out diagnosed")
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("experiment", metavar="EXPERIMENT", help="experiment folder or file")
     parser.add_argument("--out", metavar="OUT", help="folder for the results; without it nothing is written")
     text = "elements of the believed model of a body (default: tet4)"
     parser.add_argument("--element", choices=["tet4", "tet4-averaged", "tet10"], help=text)
     parser.add_argument("--no-cache", action="store_true", help="make the bank of causes anew, keep nothing")
-    add_common(parser, seed="seed of all random numbers (default: 0)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Diagnose and write.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.diagnosis/1``.
+    Schema ``tissuereg.diagnosis/1``.
 
     Raises
     ------

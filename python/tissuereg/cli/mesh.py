@@ -2,66 +2,52 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from tissuereg._base.fields import number
 from tissuereg.cli.common import Outcome, Stopwatch, seconds_line
-from tissuereg.cli.options import UsageError, add_common, command_parser, positive_number, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, UsageError, add_option, refuse_overwriting
 
 if TYPE_CHECKING:
     from tissuereg.meshing import FilledMesh
 
-_DETAILS = (
+HELP = Help(
     "SURFACE is a .stl, .ply, .obj, .off, .vtp, .vtu, .vtk or .msh of triangles. Its vertices are merged, holes closed "
     "and normals turned outwards; whatever was done is listed. BODY.vtu gets tetrahedra in mm and the node sets, and "
     "'tissuereg register', 'simulate' and 'tr.read_mesh' take it. A rule is 'plane nx ny nz d [tol]' (nodes within tol "
     "mm of n . x = d mm), 'ball x y z r' (nodes of the surface within r mm) or the name of another set; all in mm. The "
     "mesher (pytetwild: pip install 'tissuereg[mesh]') uses random numbers and takes no seed: its answer differs from "
-    "run to run."
+    "run to run.",
+    example="tissuereg mesh liver.stl --size 6 --out liver.vtu --json -",
+    threads="threads of the mesher (default: all cores)",
 )
 
 #: Median edge over size below which a line says what makes edges short.
 _SHORT = 0.75
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    example = "tissuereg mesh liver.stl --size 6 --out liver.vtu --json -"
-    parser = command_parser(commands, "mesh", "fill a surface with tetrahedra", _DETAILS, example)
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("surface", metavar="SURFACE", help="surface of the body, with any defects")
-    text = "target edge length, mm; three or more across the thinnest part that bends is a good start"
-    parser.add_argument("--size", type=positive_number, required=True, metavar="MM", help=text)
+    text = "target edge length in mm; three or more across the thinnest part that bends is a good start"
+    add_option(parser, "--size", number(text, unit="mm", above=0.0), "MM")
     parser.add_argument("--out", required=True, metavar="BODY.vtu", help="file for the tetrahedra")
     text = "unit of SURFACE's coordinates (default: that stated in the file, or else mm)"
     parser.add_argument("--unit", choices=["mm", "cm", "m"], help=text)
-    text = "how far faces may lie from the surface (default: 5 %% of the size, at most 0.1 %% of the diagonal)"
-    parser.add_argument("--deviation", type=positive_number, metavar="MM", help=text)
+    usual = "5 % of the size, at most 0.1 % of the diagonal"
+    deviation = number("how far faces may lie from the surface", unit="mm", above=0.0, default=None, otherwise=usual)
+    add_option(parser, "--deviation", deviation, "MM")
     sets = parser.add_argument_group("node sets")
     text = "nodes that are held, by a rule; may be given several times"
     sets.add_argument("--fixed", action="append", metavar="RULE", help=text)
     text = "nodes of a set called NAME, by a rule; may be given several times"
     sets.add_argument("--set", action="append", nargs=2, default=[], metavar=("NAME", "RULE"), help=text)
-    add_common(parser, threads="threads of the mesher (default: all cores)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Fill and write.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.mesh/1``.
+    Schema ``tissuereg.mesh/1``.
 
     Raises
     ------

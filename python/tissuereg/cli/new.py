@@ -1,28 +1,21 @@
 """``tissuereg new``: the folder of an experiment to begin with."""
 
 import argparse
-from typing import Any
 
 from tissuereg.cli.common import Outcome, progress_bar
-from tissuereg.cli.options import add_common, command_parser
+from tissuereg.cli.options import Help, Parser
 
-_DETAILS = (
+HELP = Help(
     "DIR gets an experiment.toml with every key of the format and a comment for each, and tables of two made-up pushes "
     "on your body, so that 'simulate' and 'diagnose' take it at once. Replace pads, markers and tables one by one by "
-    "what you measured. The format: docs/experiment.md."
+    "what you measured. The format: docs/experiment.md.",
+    example="tissuereg new my-rig --mesh body.vtu",
+    seed="seed of noise (default: 0)",
 )
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    purpose = "begin an experiment on your own body"
-    parser = command_parser(commands, "new", purpose, _DETAILS, "tissuereg new my-rig --mesh body.vtu")
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("out", metavar="DIR", help="folder to write: new or empty")
     text = "tetrahedra in mm (.vtu, .vtk, .msh, .npz); stays where it is"
     parser.add_argument("--mesh", required=True, metavar="BODY.vtu", help=text)
@@ -31,23 +24,10 @@ def add_parser(commands: Any) -> None:
         "the lowest nodes along z)"
     )
     parser.add_argument("--fixed", metavar="RULE", help=text)
-    add_common(parser, seed="seed of noise (default: 0)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Write the folder.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.new/1``.
-    """
+    """Write the folder, schema ``tissuereg.new/1``."""
     from tissuereg.cli.skeleton import new_experiment
 
     with progress_bar("frames", quiet=args.quiet) as progress:

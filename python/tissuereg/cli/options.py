@@ -2,13 +2,15 @@
 
 import argparse
 import contextlib
-import math
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from tissuereg.errors import TissueRegError
+from tissuereg._base.arguments import MOST_THREADS
+from tissuereg._base.fields import Check, whole
+from tissuereg.errors import ArgumentError, TissueRegError
 
 
 class UsageError(TissueRegError, ValueError):
@@ -44,57 +46,108 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         super().__init__(prog, max_help_position=30, width=100)
 
 
-def command_parser(commands: Any, name: str, purpose: str, details: str, example: str) -> Parser:
-    """Return the parser of one command.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to add it.
-    name : str
-        Of the command.
-    purpose : str
-        One line.
-    details : str
-        A paragraph below it.
-    example : str
-        A command line that works.
-
-    Returns
-    -------
-    Parser
-        To which the command adds its arguments.
-    """
-    description = "\n\n".join(
-        [f"{purpose[0].upper()}{purpose[1:]}.", textwrap.fill(details, 98, break_on_hyphens=False)]
-    )
-    parser: Parser = commands.add_parser(name, help=purpose, description=description, epilog=f"example:\n  {example}")
-    return parser
-
-
 #: Help of ``--threads`` for results that are bitwise the same for any number.
 _THREADS = "threads to use (default: all cores); the result does not depend on it"
 
 
-def add_common(parser: Parser, *, seed: str | None = None, threads: str = _THREADS) -> None:
-    """Add the options that every command has.
+@dataclass(frozen=True)
+class Help:
+    """What ``tissuereg COMMAND --help`` says besides the command's arguments.
 
-    Parameters
+    Attributes
     ----------
-    parser : Parser
-        Of the command.
+    details : str
+        A paragraph below the purpose.
+    example : str
+        Command lines that work.
     seed : str, optional
         Help of ``--seed``; None leaves the option out.
     threads : str
         Help of ``--threads``.
     """
-    group = parser.add_argument_group("running")
-    if seed is not None:
-        group.add_argument("--seed", type=whole_number(0), metavar="N", help=seed)
-    group.add_argument("--threads", type=whole_number(0), default=0, metavar="N", help=threads)
-    group.add_argument("--json", metavar="FILE", help="write one JSON object to FILE; - is standard output")
-    group.add_argument("--quiet", action="store_true", help="no progress on standard error")
-    group.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+    details: str
+    example: str
+    seed: str | None = None
+    threads: str = _THREADS
+
+    def parser(self, commands: Any, name: str, purpose: str, options: Callable[[Parser], None]) -> Parser:
+        """Add a command's parser: its own options, and those that every command has.
+
+        Parameters
+        ----------
+        commands : argparse sub-parsers action
+            Where to add it.
+        name : str
+            Of the command.
+        purpose : str
+            One line.
+        options : callable of Parser
+            Adds the command's own arguments.
+
+        Returns
+        -------
+        Parser
+            Of the command.
+        """
+        details = textwrap.fill(self.details, 98, break_on_hyphens=False)
+        parser: Parser = commands.add_parser(
+            name,
+            help=purpose,
+            description=f"{purpose[0].upper()}{purpose[1:]}.\n\n{details}",
+            epilog=f"example:\n{textwrap.indent(self.example, '  ')}",
+        )
+        options(parser)
+        group = parser.add_argument_group("running")
+        if self.seed is not None:
+            add_option(group, "--seed", whole(self.seed, most=2**64 - 1, default=None), "N")
+        add_option(group, "--threads", whole(self.threads, most=MOST_THREADS, default=0), "N")
+        group.add_argument("--json", metavar="FILE", help="write one JSON object to FILE; - is standard output")
+        group.add_argument("--quiet", action="store_true", help="no progress on standard error")
+        group.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        return parser
+
+
+def option_type(check: Check) -> Callable[[str], Any]:
+    """Return the argparse type of a field's check: it makes a checked value of a word, or raises ArgumentTypeError."""
+
+    def value(word: str) -> Any:
+        try:
+            given = check.read(word)
+        except ValueError:
+            given = word
+        try:
+            return check.take("", given, error=ArgumentError)
+        except ArgumentError as error:
+            raise argparse.ArgumentTypeError(str(error).removeprefix("`` ")) from error
+
+    return value
+
+
+def add_option(to: Any, name: str, declared: Any, metavar: str) -> None:
+    """Add an option whose type, range, help and default are those of a field.
+
+    Parameters
+    ----------
+    to : Parser or argparse argument group
+        Where to.
+    name : str
+        Of the option, with its dashes.
+    declared : dataclass field
+        As the functions of `tissuereg._base.fields` return it, or that of a record:
+        ``Settings.__dataclass_fields__["std_mm"]``. The option is required where it has no default.
+    metavar : str
+        Name of the value in the help.
+    """
+    check: Check = declared.metadata["check"]
+    text = check.meaning
+    if check.unit and f"in {check.unit}" not in text:
+        text += f", in {check.unit}"
+    usual = check.otherwise or ("" if declared.default in (None, MISSING) else f"{declared.default:g}")
+    if usual and "(default: " not in text:
+        text += f" (default: {usual})"
+    settings = {"required": True} if declared.default is MISSING else {"default": declared.default}
+    to.add_argument(name, type=option_type(check), metavar=metavar, help=text.replace("%", "%%"), **settings)
 
 
 def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
@@ -126,91 +179,6 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     if rest:
         getattr(args, args.late).extend(rest)
     return args
-
-
-def whole_number(least: int) -> Callable[[str], int]:
-    """Return an argparse type for whole numbers.
-
-    Parameters
-    ----------
-    least : int
-        Smallest that is allowed.
-
-    Returns
-    -------
-    callable
-        Text to int.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        From the callable, if a text is no such number.
-    """
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if value < least:
-            message = f"must be a whole number of at least {least}, got '{text}'"
-            raise argparse.ArgumentTypeError(message)
-        return value
-
-    return parse
-
-
-def positive_number(text: str) -> float:
-    """Return a positive, finite number; an argparse type.
-
-    Parameters
-    ----------
-    text : str
-        As typed.
-
-    Returns
-    -------
-    float
-        Its value.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it is none.
-    """
-    value = finite_number(text)
-    if value <= 0:
-        message = f"must be positive, got '{text}'"
-        raise argparse.ArgumentTypeError(message)
-    return value
-
-
-def finite_number(text: str) -> float:
-    """Return a finite number; an argparse type.
-
-    Parameters
-    ----------
-    text : str
-        As typed.
-
-    Returns
-    -------
-    float
-        Its value.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it is none.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        message = f"must be a finite number, got '{text}'"
-        raise argparse.ArgumentTypeError(message)
-    return value
 
 
 def refuse_overwriting(written: Iterable[Path], inputs: Iterable[str | Path | None]) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from tissuereg.cli.body_input import add_method_options, method_of
 from tissuereg.cli.common import UNTRUSTED, Outcome, Stopwatch, envelope
-from tissuereg.cli.options import add_common, command_parser, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, refuse_overwriting
 from tissuereg.cli.register_input import add_input_options, registration_input
 from tissuereg.cli.register_words import summary
 from tissuereg.cli.stages import Stages, stage_lines
@@ -14,7 +14,7 @@ from tissuereg.cli.stages import Stages, stage_lines
 if TYPE_CHECKING:
     from tissuereg.registration.result import Registration
 
-_DETAILS = (
+HELP = Help(
     "Where is every point of a soft body now, given where a few markers were before and are after? Nothing need be "
     "known of what pushed or pulled: contacts on the surface that explain the markers are found, and the body is "
     "brought to equilibrium under them. Input: MESH (tetrahedra in mm, .vtu .vtk .msh .npz, held nodes in the node set "
@@ -24,25 +24,20 @@ _DETAILS = (
     "registered.vtu (undeformed nodes; displacement_mm warps them, its standard deviation, forces of the contacts), "
     "targets.csv, targets.mrk.json (for 3D Slicer), registration.json, registered.png and report.html, all or none. "
     "The last line says whether to trust the answer. Exit code 0: there is one, and nothing speaks against it; 4: it "
-    "was found and written, but is not to be trusted; 2: bad usage or input; 3: it could not be done."
+    "was found and written, but is not to be trusted; 2: bad usage or input; 3: it could not be done.",
+    example=(
+        "tissuereg register breast.vtu markers.csv --targets lesion.csv --out registered\n"
+        "tissuereg register liver.vtu --surface points.csv --out registered\n"
+        "tissuereg register liver.vtu markers.csv --held perhaps --std 0.5 --out registered\n"
+        "tissuereg register liver.vtu was.mrk.json --measured is.mrk.json --frame RAS --out registered\n"
+        "tissuereg register my-rig --case push_x --time 14.0 --out registered"
+    ),
+    seed="seed of all random numbers (default: 0)",
 )
-_EXAMPLE = """tissuereg register breast.vtu markers.csv --targets lesion.csv --out registered
-  tissuereg register liver.vtu --surface points.csv --out registered
-  tissuereg register liver.vtu markers.csv --held perhaps --std 0.5 --out registered
-  tissuereg register liver.vtu was.mrk.json --measured is.mrk.json --frame RAS --out registered
-  tissuereg register my-rig --case push_x --time 14.0 --out registered"""
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    purpose = "register a body to its markers, load unknown, with regions"
-    parser = command_parser(commands, "register", purpose, _DETAILS, _EXAMPLE)
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("path", metavar="MESH|EXPERIMENT", help="mesh file, or experiment folder or file")
     parser.add_argument("markers", metavar="MARKERS", nargs="*", help="table or points of markers; with a mesh only")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
@@ -50,23 +45,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--deformed", action="store_true", help=text)
     add_input_options(parser)
     add_method_options(parser.add_argument_group("method"))
-    add_common(parser, seed="seed of all random numbers (default: 0)")
-    parser.set_defaults(run=run, late="markers", room=1)
+    parser.set_defaults(late="markers", room=1)
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Register and write.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.registration/1``; exit code 4 where it is not to be trusted.
-    """
+    """Register and write, schema ``tissuereg.registration/1``; exit code 4 where it is not to be trusted."""
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.registration.register import register
     from tissuereg.report.files import DEFORMED, WRITTEN

@@ -3,6 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from tissuereg._base.fields import number
 from tissuereg.cli.body_input import (
     add_belief_options,
     add_body_options,
@@ -11,7 +12,7 @@ from tissuereg.cli.body_input import (
     read_body,
     refuse,
 )
-from tissuereg.cli.options import Parser, finite_number, positive_number
+from tissuereg.cli.options import Parser, add_option
 
 if TYPE_CHECKING:
     from tissuereg.body.mesh import Mesh
@@ -27,7 +28,7 @@ def add_input_options(parser: Parser) -> None:
     """
     frame = parser.add_argument_group("frame of an experiment")
     frame.add_argument("--case", metavar="C", help="name of the case")
-    frame.add_argument("--time", type=finite_number, metavar="T", help="time in s on the experiment's clock")
+    add_option(frame, "--time", number("time in s on the experiment's clock", unit="s", default=None), "T")
     _add_files(parser.add_argument_group("more input"))
     add_belief_options(parser.add_argument_group("what is believed"))
 
@@ -86,8 +87,8 @@ def _add_files(more: Any) -> None:
     more.add_argument("--variants", metavar="U.npz", help=text)
     text = "table x_mm,y_mm,z_mm of points on the deformed surface, or on a part of it, without labels"
     more.add_argument("--surface", metavar="FILE", help=text)
-    text = "noise of such a point along the surface's normal, in mm (default: 0.1)"
-    more.add_argument("--surface-std", type=positive_number, metavar="MM", help=text)
+    text = "noise of such a point along the surface's normal"
+    add_option(more, "--surface-std", number(text, unit="mm", above=0.0, default=None, otherwise="0.1"), "MM")
     add_body_options(more, "MARKERS, --targets and --surface")
 
 

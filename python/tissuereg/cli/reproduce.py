@@ -4,9 +4,9 @@ import argparse
 from typing import Any
 
 from tissuereg.cli.common import Outcome, progress_bar, seconds_line
-from tissuereg.cli.options import UsageError, add_common, command_parser
+from tissuereg.cli.options import Help, Parser, UsageError
 
-_DETAILS = (
+HELP = Help(
     "Runs the simulation studies of the seed paper (section III) with a trained model: ten random test shapes as "
     "start meshes, ten targets each, 15 markers on the surface, Algorithm 1, and the same with our own prior. "
     "STUDY, one or more: table2 (the network), fig6 (C_d and N_e), fig7 (N_a and N_e), fig8 (the error after each "
@@ -14,22 +14,16 @@ _DETAILS = (
     "(.md, .csv), a picture and a JSON of each study, with what the paper states and whether it holds here. "
     "Of the phantom experiment (section IV): fig10 and fig11 (error at the buried sensor over time, one and two "
     "actuators) and phantom (every method on every rig, with markers lost, wrong and noisy). Rigs are files that "
-    "another solver has made (--data)."
+    "another solver has made (--data).",
+    example="tissuereg reproduce fig6 --out paper",
+    seed="seed of shapes, markers and ensembles (default: 0)",
 )
 
 _STUDIES = ("table2", "fig6", "fig7", "fig8", "fig10", "fig11", "phantom")
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    purpose = "run the paper's studies"
-    parser = command_parser(commands, "reproduce", purpose, _DETAILS, "tissuereg reproduce fig6 --out paper")
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("studies", metavar="STUDY", nargs="+", help=f"one or more of {', '.join(_STUDIES)}")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for tables, pictures and JSON")
     text = "folder of a trained model (default: the one that ships with the package)"
@@ -45,22 +39,13 @@ def add_parser(commands: Any) -> None:
     phantom.add_argument("--method", action="append", metavar="NAME", help=text)
     text = "folder that keeps what each method did on each rig: the same command goes on where it was stopped"
     phantom.add_argument("--keep", metavar="FOLDER", help=text)
-    add_common(parser, seed="seed of shapes, markers and ensembles (default: 0)")
-    parser.set_defaults(run=run, late="studies", room=len(_STUDIES))
+    parser.set_defaults(late="studies", room=len(_STUDIES))
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run the requested studies.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.reproduce/1``.
+    Schema ``tissuereg.reproduce/1``.
 
     Raises
     ------

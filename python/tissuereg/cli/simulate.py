@@ -6,35 +6,30 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tissuereg._base.fields import number
 from tissuereg.cli.common import Outcome, Stopwatch, note, progress_bar, seconds_line
-from tissuereg.cli.options import UsageError, add_common, command_parser, positive_number, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, UsageError, add_option, refuse_overwriting
 from tissuereg.parallel.opening import TASK_LIMIT
 
 if TYPE_CHECKING:
     from tissuereg.experiment.experiment import Experiment
     from tissuereg.simulation.experiment import CaseSimulation
 
-_DETAILS = (
+HELP = Help(
     "PATH is an experiment (a folder, or its .toml): OUT becomes an experiment of the same rig whose markers.csv, "
     "forces.csv and targets.csv hold the believed model's predictions, without noise unless --noise is given, "
     "and case_NAME.npz with displacement_mm (frames, n, 3) at the nodes of the mesh. The model is the fine one that "
     "diagnose believes in (pads cut out along their rims, ten-node elements), or the mesh as it is with --plain; "
     "[simulated] in OUT's experiment.toml states which. Nothing need be measured: markers.csv and forces.csv may be "
     "missing. Or PATH is a data-set recipe (.toml): OUT gets the data set; "
-    "run again, it goes on where it was stopped."
+    "run again, it goes on where it was stopped.",
+    example="tissuereg simulate my-rig --out simulated",
+    seed="seed of noise (default: 0), or of a data set (default: the recipe's)",
 )
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    purpose = "simulate an experiment, or a data set to train on"
-    parser = command_parser(commands, "simulate", purpose, _DETAILS, "tissuereg simulate my-rig --out simulated")
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("path", metavar="PATH", help="experiment folder or file, or data-set recipe")
     parser.add_argument(
         "--out", required=True, metavar="OUT", help="folder for the results; of a recipe also a URL that fsspec knows"
@@ -50,25 +45,12 @@ def add_parser(commands: Any) -> None:
         "system, see docs/cluster.md); a chunk then has one thread unless --threads says otherwise"
     )
     group.add_argument("--cluster", metavar="WHERE", help=text)
-    text = "seconds after which a chunk counts as hung and is made elsewhere (default: %(default)g)"
-    group.add_argument("--chunk-limit", type=positive_number, default=TASK_LIMIT, metavar="S", help=text)
-    add_common(parser, seed="seed of noise (default: 0), or of a data set (default: the recipe's)")
-    parser.set_defaults(run=run)
+    text = "seconds after which a chunk counts as hung and is made elsewhere"
+    add_option(group, "--chunk-limit", number(text, above=0.0, default=TASK_LIMIT), "S")
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Simulate and write.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.simulate/1``.
-    """
+    """Simulate and write, schema ``tissuereg.simulate/1``."""
     from tissuereg.io.atomic import check_folder_target
     from tissuereg.io.experiments import is_experiment
 

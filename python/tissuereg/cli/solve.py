@@ -4,51 +4,32 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from tissuereg._base.fields import number
 from tissuereg._base.machine import peak_mib
 from tissuereg.cli.common import Outcome, Stopwatch, note, seconds_line
-from tissuereg.cli.options import add_common, command_parser, positive_number, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, add_option, refuse_overwriting
 
-_DETAILS = (
+HELP = Help(
     "PROBLEM is an .npz with nodes_mm (n, 3), tets (m, 4), fixed_nodes (f,), forces_mN (n, 3), young_kPa and poisson "
     "(one value, or one per tet). OUT gets displacement_mm (n, 3) and reactions_mN (f, 3); 'tissuereg register "
-    "--simulation' takes it."
+    "--simulation' takes it.",
+    example="tissuereg solve dome.npz --out u.npz --element tet10 --json -",
 )
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    example = "tissuereg solve dome.npz --out u.npz --element tet10 --json -"
-    parser = command_parser(commands, "solve", "solve one static problem", _DETAILS, example)
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("problem", metavar="PROBLEM.npz", help="mesh, supports, forces, moduli")
     parser.add_argument("--out", required=True, metavar="U.npz", help="file for the displacements")
     how = parser.add_argument_group("solving")
     elements = ["tet4", "tet4-averaged", "tet10"]
     how.add_argument("--element", choices=elements, default="tet4", help="kind of element (default: tet4)")
-    text = "norm of the residual over the norm of the load, free degrees of freedom (default: 1e-9)"
-    how.add_argument("--tol", type=positive_number, default=1e-9, metavar="X", help=text)
-    add_common(parser)
-    parser.set_defaults(run=run)
+    text = "norm of the residual over the norm of the load, free degrees of freedom"
+    add_option(how, "--tol", number(text, above=0.0, default=1e-9), "X")
 
 
 def run(args: argparse.Namespace) -> Outcome:
-    """Solve and write.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.solve/1``.
-    """
+    """Solve and write, schema ``tissuereg.solve/1``."""
     import numpy as np
 
     from tissuereg.io.atomic import check_file_target

@@ -17,7 +17,7 @@ from tissuereg.cli.body_input import (
     read_body,
 )
 from tissuereg.cli.common import UNTRUSTED, Outcome, Progress, Stopwatch, progress_bar
-from tissuereg.cli.options import add_common, command_parser, refuse_overwriting
+from tissuereg.cli.options import Help, Parser, refuse_overwriting
 from tissuereg.cli.track_words import summary
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tissuereg.io.recordings import Recording
     from tissuereg.tracking import TablePhysics, TrackedFrame, Tracker
 
-_DETAILS = (
+HELP = Help(
     "Registers a body frame after frame: each frame starts from what the last ones said. Input: MESH, as of "
     "'register'; MARKERS (csv: time_s,marker,x_mm,y_mm,z_mm, in the order of time; a marker without a row, or with "
     "empty cells, was not seen); and --reference, where the markers sit on the undeformed body (csv: "
@@ -34,24 +34,19 @@ _DETAILS = (
     "--live the recording is replayed at its own rate, and frames that come too fast are dropped for the newest one. "
     "A frame in which no marker was seen is left out. DIR gets targets.csv and track.json, with --fields fields.npz "
     "too, all or none. Exit code 0: nothing speaks against any frame; 4: written, but some frames are not to be "
-    "trusted or could not be registered; 2: bad usage or input; 3: no frame could be registered."
+    "trusted or could not be registered; 2: bad usage or input; 3: no frame could be registered.",
+    example=(
+        "tissuereg track breast.vtu recording.csv --reference markers.csv --out tracked\n"
+        "tissuereg track breast.vtu recording.csv --reference sit.csv --model phantom --live --out tracked"
+    ),
+    seed="seed of all random numbers (default: 0)",
 )
-_EXAMPLE = """tissuereg track breast.vtu recording.csv --reference markers.csv --out tracked
-  tissuereg track breast.vtu recording.csv --reference sit.csv --model phantom --live --out tracked"""
 
 _TARGETS, _ANSWER, _FIELDS = "targets.csv", "track.json", "fields.npz"
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    purpose = "register a body frame after frame, from a recording of its markers"
-    parser = command_parser(commands, "track", purpose, _DETAILS, _EXAMPLE)
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("path", metavar="MESH", help="mesh file")
     parser.add_argument("recording", metavar="MARKERS.csv", help="table of the markers, frame after frame")
     parser.add_argument(
@@ -67,22 +62,12 @@ def add_parser(commands: Any) -> None:
     add_body_options(more, "MARKERS, --reference and --targets")
     add_belief_options(parser.add_argument_group("what is believed"))
     add_method_options(parser.add_argument_group("method"))
-    add_common(parser, seed="seed of all random numbers (default: 0)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Track and write.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    Outcome
-        Schema ``tissuereg.track/1``; exit code 4 where a frame is not to be trusted or could not be registered.
+    Schema ``tissuereg.track/1``; exit code 4 where a frame is not to be trusted or could not be registered.
 
     Raises
     ------

@@ -3,29 +3,23 @@
 import argparse
 import importlib
 import importlib.util
-from typing import Any
 
-from tissuereg.cli.options import add_common, command_parser
+from tissuereg.cli.options import Help, Parser
 from tissuereg.errors import MissingPackageError
 
-_DETAILS = (
+HELP = Help(
     "Trains the network of RECIPE on the data set in DATA (made by 'tissuereg simulate RECIPE.toml --out DATA') and "
     "exports encoder.onnx, decoder.onnx, decoder_weights.npz and model.json to MODEL; 'tissuereg register --model' "
     "takes it. Needs the package tissuereg-training, which brings torch: 'make training' in a checkout, or "
-    "'pip install ./training'."
+    "'pip install ./training'.",
+    example="tissuereg train phantom.toml --data data --out model",
+    seed="seed of split, start and batches (default: the recipe's, or else 0)",
+    threads="threads to use (default: all cores)",
 )
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command's parser.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers action
-        Where to.
-    """
-    example = "tissuereg train phantom.toml --data data --out model"
-    parser = command_parser(commands, "train", "train a network on a data set", _DETAILS, example)
+def options(parser: Parser) -> None:
+    """Add the command's arguments."""
     parser.add_argument("recipe", metavar="RECIPE.toml", help="table [train]; the recipe that made the data")
     text = "folder of the data set; given again: more members to train on, made with another seed"
     parser.add_argument("--data", required=True, action="append", metavar="DATA", help=text)
@@ -34,23 +28,11 @@ def add_parser(commands: Any) -> None:
     text = "continue from the last epoch, and fail where there is none (default: continue if there is one)"
     start.add_argument("--resume", action="store_true", help=text)
     start.add_argument("--fresh", action="store_true", help="start anew and discard the checkpoints")
-    seed = "seed of split, start and batches (default: the recipe's, or else 0)"
-    add_common(parser, seed=seed, threads="threads to use (default: all cores)")
-    parser.set_defaults(run=run, speaks_for_itself=True)
+    parser.set_defaults(speaks_for_itself=True)
 
 
 def run(args: argparse.Namespace) -> int:
     """Hand over to the training package, which writes its own JSON and summary.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Parsed command line.
-
-    Returns
-    -------
-    int
-        Exit code.
 
     Raises
     ------

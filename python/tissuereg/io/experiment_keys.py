@@ -4,198 +4,198 @@
 them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
 
-from tissuereg.body.material import GRAVITY_MM_PER_S2, LAWS, VOLUMETRIC
+from tissuereg._base.fields import belief, choice, flag, number, numbers, table, text
+from tissuereg.body.material import GRAVITY_MM_PER_S2, LAWS, SHAPE_KEYS, VOLUMETRIC, Material
+from tissuereg.errors import MaterialError
 from tissuereg.experiment.material_experiment import HELD_OUT
-from tissuereg.io.declared import (
-    Declaration,
-    Key,
-    a_belief,
-    a_flag,
-    a_node_rule,
-    a_number,
-    a_text,
-    a_vector,
-)
-from tissuereg.io.node_rules import TOLERANCE
-from tissuereg.io.toml import Table
+from tissuereg.io.node_rules import TOLERANCE, node_rule
+from tissuereg.io.toml import Keys, Table
 
 #: Words of ``[simulated]``.
 MODELS, ELEMENTS = ("fine", "plain"), ("tet4", "tet4-averaged", "tet10")
 
-_EDGE = a_number(
-    "edge_std_mm",
-    "standard deviation of where the edge of the patch lies",
-    None,
-    positive=True,
-    otherwise="a share of the patch's size",
-)
-
-TOP = Declaration(
-    "",
-    "Keys above the first table.",
-    (
-        a_text("kind", "what was measured", "rig", among=("rig", "material-test")),
-        a_text("name", "title of the experiment", None, otherwise="the name of the folder"),
-        a_text(
-            "tables",
-            "folder of the comma-separated tables, seen from this file",
-            None,
-            otherwise="the file's own folder",
-        ),
-    ),
-)
-
-MESH = Declaration(
-    "[mesh]",
-    "The body in its reference shape.",
-    (
-        a_text("file", "mesh of tetrahedra in mm (.vtu, .vtk, .msh, .npz), seen from this file", words="path"),
-        a_number(
-            "surface_std_mm",
-            "standard deviation of the distance between the body's surface and the mesh's, along the normal; "
-            "0.5 to 1 after segmentation",
-            None,
-            positive=True,
-            otherwise="0",
-        ),
-        a_number(
-            "surface_length_mm",
-            "length over which that distance is correlated",
-            None,
-            positive=True,
-            otherwise="not stated",
-        ),
-    ),
-    needed=True,
-)
-
-MATERIAL = Declaration(
-    "[material]",
-    "The believed material of the body. Moduli are those at small strain, whatever the law.",
-    (
-        a_text("law", "strain energy", "neo-hookean", among=LAWS),
-        a_belief("young_kpa", "Young's modulus; with a standard deviation it is a prior of `diagnose`"),
-        a_belief("poisson", "Poisson's ratio, more than -1 and less than 0.5; likewise"),
-        a_number("density_g_per_cm3", "mass density; counts under gravity", 1.0, positive=True),
-        a_text("volumetric", "energy of volume change", "log", among=VOLUMETRIC),
-    ),
-    needed=True,
-)
-
-GRAVITY = Declaration(
-    "[gravity]",
-    "The body's own weight; leave the table out where it does not act.",
-    (
-        a_vector("direction", "where it points; only the direction counts", unit="", directed=True),
-        a_flag("in_reference", "whether the mesh already hangs in it"),
-        a_number("g_mm_per_s2", "its acceleration", GRAVITY_MM_PER_S2, positive=True),
-    ),
-)
-
-BOUNDARY = Declaration(
-    "[[boundary]]",
-    "A patch that is held; one table per patch. Without any, the mesh's node set `fixed` is held.",
-    (
-        a_text("name", "of the patch"),
-        a_node_rule("nodes", "which nodes it is"),
-        a_text("kind", "how it is held", "fixed", among=("fixed",)),
-        _EDGE,
-    ),
-)
-
-ACTUATOR = Declaration(
-    "[[actuator]]",
-    "A patch that is moved or pulled; one table per patch. In a case without rows for it its patch is free.",
-    (
-        a_text("name", "of the patch, not `fixed`"),
-        a_node_rule("nodes", "which nodes it is"),
-        a_text(
-            "kind",
-            "what is prescribed: its displacement (actuators.csv) or its force (forces_applied.csv)",
-            among=("displacement", "force"),
-        ),
-        a_text("contact", "how it holds the body", "bonded", among=("bonded",)),
-        _EDGE,
-    ),
-)
+Vector = tuple[float, float, float]
 
 
-def _reference(table: Table) -> Table | None:
-    return table.table("reference")
+def _edge() -> Any:
+    meaning = "standard deviation of where the edge of the patch lies"
+    return number(meaning, above=0.0, default=None, otherwise="a share of the patch's size", example=1.0)
 
 
-MARKERS = Declaration(
-    "[markers]",
-    "The tracked markers on the surface.",
-    (
-        a_number("std_mm", "standard deviation of a measured coordinate", positive=True),
-        Key(
-            "reference",
-            "table: name = [x, y, z]",
-            "place of each marker on the body in the reference shape, unless `reference_time_s` is given",
-            None,
-            _reference,
-            "mm",
-            "`reference_time_s` must be given",
-        ),
-        a_number(
-            "reference_time_s",
-            "time of a frame in markers.csv that shows the markers on the body in the reference shape",
-            None,
-            otherwise="`reference` must be given",
-        ),
-        a_text("rest_case", "case without load, for the noise model", None, otherwise="none"),
-        a_number(
-            "trial_share",
-            "standard deviation of the difference between two trials of one case, as a share of the markers' motion",
-            None,
-            positive=True,
-            otherwise="0",
-        ),
-    ),
-    needed=True,
-)
+@dataclass(frozen=True, kw_only=True)
+class Top(Keys):
+    """Keys above the first table."""
 
-FORCES = Declaration(
-    "[forces]",
-    "Noise of forces.csv; the two come together.",
-    (a_number("std_mN", "standard deviation of a measured force component", positive=True),),
-)
+    kind: str = choice(("rig", "material-test"), "what was measured", default="rig")
+    name: str | None = text(
+        "title of the experiment", default=None, otherwise="the name of the folder", example="my rig"
+    )
+    tables: str | None = text(
+        "folder of the comma-separated tables, seen from this file",
+        default=None,
+        otherwise="the file's own folder",
+        example=".",
+    )
 
-TARGET = Declaration(
-    "[[target]]",
-    "An inner point of the body; one table per point.",
-    (
-        a_text("name", "of the point"),
-        a_vector("reference", "its place in the reference shape", unit="mm"),
-    ),
-)
 
-SIMULATED = Declaration(
-    "[simulated]",
-    "Written by `simulate`: the model that made the data, so that `diagnose` compares with the same one. Experiments "
-    "that were measured do not have it.",
-    (
-        a_text("model", "the fine model, or the mesh as it is", among=MODELS),
-        a_text("element", "its elements", among=ELEMENTS),
-    ),
-)
+@dataclass(frozen=True, kw_only=True)
+class MeshKeys(Keys):
+    """The body in its reference shape."""
 
-TEST = Declaration(
-    "[test]",
-    "How a material test is judged.",
-    (
-        a_text(
-            "hold_out", "what the proof of a finding leaves out", None, among=HELD_OUT, otherwise="chosen by the data"
-        ),
-        a_number("std_kpa", "standard deviation of a measured stress", None, positive=True, otherwise="estimated"),
-    ),
-)
+    heading: ClassVar[str] = "[mesh]"
+    needed: ClassVar[bool] = True
+    file: str = text("mesh of tetrahedra in mm (.vtu, .vtk, .msh, .npz), seen from this file", words="path")
+    surface_std_mm: float | None = number(
+        "standard deviation of the distance between the body's surface and the mesh's, along the normal; 0.5 to 1 "
+        "after segmentation",
+        above=0.0,
+        default=None,
+        otherwise="0",
+        example=0.5,
+    )
+    surface_length_mm: float | None = number(
+        "length over which that distance is correlated", above=0.0, default=None, otherwise="not stated", example=10.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialKeys(Keys):
+    """The believed material of the body. Moduli are those at small strain, whatever the law."""
+
+    heading: ClassVar[str] = "[material]"
+    needed: ClassVar[bool] = True
+    law: str = choice(LAWS, "strain energy", default="neo-hookean")
+    young_kpa: tuple[float, float | None] = belief(
+        "Young's modulus; with a standard deviation it is a prior of `diagnose`"
+    )
+    poisson: tuple[float, float | None] = belief("Poisson's ratio, more than -1 and less than 0.5; likewise")
+    density_g_per_cm3: float = number("mass density; counts under gravity", above=0.0, default=1.0)
+    volumetric: str = choice(VOLUMETRIC, "energy of volume change", default="log")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityKeys(Keys):
+    """The body's own weight; leave the table out where it does not act."""
+
+    heading: ClassVar[str] = "[gravity]"
+    direction: Vector = numbers(
+        "where it points; only the direction counts", 3, directed=True, unit="", example=[0.0, 0.0, -1.0]
+    )
+    in_reference: bool = flag("whether the mesh already hangs in it", example=True)
+    g_mm_per_s2: float = number("its acceleration", above=0.0, default=GRAVITY_MM_PER_S2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundaryKeys(Keys):
+    """A patch that is held; one table per patch. Without any, the mesh's node set `fixed` is held."""
+
+    heading: ClassVar[str] = "[[boundary]]"
+    name: str = text("of the patch")
+    nodes: str | dict[str, Any] = node_rule("which nodes it is")
+    kind: str = choice(("fixed",), "how it is held", default="fixed")
+    edge_std_mm: float | None = _edge()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActuatorKeys(Keys):
+    """A patch that is moved or pulled; one table per patch. In a case without rows for it its patch is free."""
+
+    heading: ClassVar[str] = "[[actuator]]"
+    name: str = text("of the patch, not `fixed`")
+    nodes: str | dict[str, Any] = node_rule("which nodes it is")
+    kind: str = choice(
+        ("displacement", "force"),
+        "what is prescribed: its displacement (actuators.csv) or its force (forces_applied.csv)",
+    )
+    contact: str = choice(("bonded",), "how it holds the body", default="bonded")
+    edge_std_mm: float | None = _edge()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkersKeys(Keys):
+    """The tracked markers on the surface."""
+
+    heading: ClassVar[str] = "[markers]"
+    needed: ClassVar[bool] = True
+    std_mm: float = number("standard deviation of a measured coordinate", above=0.0)
+    reference: Mapping[str, Any] | None = table(
+        "place of each marker on the body in the reference shape, unless `reference_time_s` is given",
+        words="table: name = [x, y, z]",
+        unit="mm",
+        default=None,
+        otherwise="`reference_time_s` must be given",
+    )
+    reference_time_s: float | None = number(
+        "time of a frame in markers.csv that shows the markers on the body in the reference shape",
+        default=None,
+        otherwise="`reference` must be given",
+        example=0.0,
+    )
+    rest_case: str | None = text(
+        "case without load, for the noise model", default=None, otherwise="none", example="rest"
+    )
+    trial_share: float | None = number(
+        "standard deviation of the difference between two trials of one case, as a share of the markers' motion",
+        above=0.0,
+        default=None,
+        otherwise="0",
+        example=0.02,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForcesKeys(Keys):
+    """Noise of forces.csv; the two come together."""
+
+    heading: ClassVar[str] = "[forces]"
+    std_mN: float = number("standard deviation of a measured force component", above=0.0, example=5.0)  # noqa: N815 (the unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetKeys(Keys):
+    """An inner point of the body; one table per point."""
+
+    heading: ClassVar[str] = "[[target]]"
+    name: str = text("of the point")
+    reference: Vector = numbers("its place in the reference shape", 3, unit="mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedKeys(Keys):
+    """Written by `simulate`: the model that made the data, so that `diagnose` compares with the same one.
+
+    Experiments that were measured do not have it.
+    """
+
+    heading: ClassVar[str] = "[simulated]"
+    model: str = choice(MODELS, "the fine model, or the mesh as it is")
+    element: str = choice(ELEMENTS, "its elements")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialTestKeys(Keys):
+    """How a material test is judged."""
+
+    heading: ClassVar[str] = "[test]"
+    hold_out: str | None = choice(
+        HELD_OUT, "what the proof of a finding leaves out", default=None, otherwise="chosen by the data"
+    )
+    std_kpa: float | None = number(
+        "standard deviation of a measured stress", above=0.0, default=None, otherwise="estimated"
+    )
+
 
 #: Tables of a rig's ``experiment.toml`` in the order of the page; ``[[effect]]`` follows.
-RIG = (TOP, MESH, MATERIAL, GRAVITY, BOUNDARY, ACTUATOR, MARKERS, FORCES, TARGET, SIMULATED)
+RIG: tuple[type[Keys], ...] = (
+    Top, MeshKeys, MaterialKeys, GravityKeys, BoundaryKeys, ActuatorKeys, MarkersKeys, ForcesKeys, TargetKeys,
+    SimulatedKeys,
+)  # fmt: skip
+
 
 #: Forms of a rule for nodes: text, table, meaning.
 NODE_FORMS = (
@@ -279,3 +279,61 @@ TEST_COLUMNS = {
 
 #: Table of an actuator's prescribed values, by its kind.
 CONTROL_TABLES = {"displacement": ACTUATORS_CSV, "force": APPLIED_CSV}
+
+
+def folder_and_name(top: Table) -> tuple[Path, str]:
+    """Take the keys above the first table of an experiment file.
+
+    Parameters
+    ----------
+    top : Table
+        Of a rig or a material test.
+
+    Returns
+    -------
+    folder : Path
+        Of the comma-separated tables.
+    name : str
+        Title; that of the file's folder where none is given.
+
+    Raises
+    ------
+    ExperimentError
+        If a key does not hold what it must.
+    """
+    given = Top.of(top)
+    tables = top.file.parent / (given.tables or "")
+    return tables, given.name or top.file.absolute().parent.name or "experiment"
+
+
+def read_material(top: Table) -> tuple[Material, float | None, float | None]:
+    """Return the believed material, and standard deviations of Young's modulus and Poisson's ratio where stated.
+
+    Parameters
+    ----------
+    top : Table
+        Of a rig or a material test.
+
+    Returns
+    -------
+    material : Material
+        Means.
+    young_std, poisson_std : float or None
+        kPa; dimensionless.
+
+    Raises
+    ------
+    ExperimentError
+        If the table is absent, a key is missing or unknown, or a value out of its range.
+    """
+    table = MaterialKeys.found(top)
+    assert table is not None  # it is needed
+    given = MaterialKeys.of(table)
+    (young, young_std), (poisson, poisson_std) = given.young_kpa, given.poisson
+    shape = {key: table.need(key) for key in SHAPE_KEYS[given.law]}
+    try:
+        material = Material(young, poisson, given.law, given.density_g_per_cm3, shape, given.volumetric)
+    except MaterialError as error:
+        table.refuse(str(error))
+    table.finish()
+    return material, young_std, poisson_std

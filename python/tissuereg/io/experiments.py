@@ -3,32 +3,34 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tissuereg._base.arguments import flag
+from tissuereg._base.arguments import flag, real, reals
 from tissuereg._base.arrays import FloatArray, IntArray
 from tissuereg.body.mesh import Mesh
 from tissuereg.errors import ExperimentError, MeshError
 from tissuereg.experiment.effects import Effect, check_effects, effect_from_table
 from tissuereg.experiment.experiment import Actuator, Boundary, Case, Experiment, Gravity, Simulated
-from tissuereg.io.beliefs import folder_and_name, read_material
 from tissuereg.io.cases import Histories, assemble_cases, read_histories
 from tissuereg.io.experiment_keys import (
-    ACTUATOR,
-    BOUNDARY,
     CONTROL_TABLES,
-    FORCES,
     FORCES_CSV,
-    GRAVITY,
-    MARKERS,
     MARKERS_CSV,
-    MESH,
-    SIMULATED,
-    TARGET,
     TARGETS_CSV,
+    ActuatorKeys,
+    BoundaryKeys,
+    ForcesKeys,
+    GravityKeys,
+    MarkersKeys,
+    MeshKeys,
+    SimulatedKeys,
+    TargetKeys,
+    folder_and_name,
+    read_material,
 )
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import nodes_by_rule
@@ -175,36 +177,36 @@ def _effect(table: Table) -> Effect:
 
 def _mesh(top: Table) -> tuple[Path, Mesh, float, float | None]:
     """Return file, mesh, standard deviation of its surface in mm, and the length over which that is correlated."""
-    given = MESH.of(top)
+    given = MeshKeys.alone(top)
     assert given is not None  # it is needed
-    file = top.file.parent / given["file"]
-    return file, read_mesh(file), given["surface_std_mm"] or 0.0, given["surface_length_mm"]
+    file = top.file.parent / given.file
+    return file, read_mesh(file), given.surface_std_mm or 0.0, given.surface_length_mm
 
 
 def _gravity(top: Table) -> Gravity | None:
-    given = GRAVITY.of(top)
-    return None if given is None else Gravity(given["direction"], given["in_reference"], given["g_mm_per_s2"])
+    given = GravityKeys.alone(top)
+    return None if given is None else Gravity(np.array(given.direction), given.in_reference, given.g_mm_per_s2)
 
 
 def _simulated(top: Table) -> Simulated | None:
-    given = SIMULATED.of(top)
-    return None if given is None else Simulated(**given)
+    given = SimulatedKeys.alone(top)
+    return None if given is None else Simulated(given.model, given.element)
 
 
 def _boundary(table: Table, mesh: Mesh) -> Boundary:
-    given = BOUNDARY.values(table)
-    nodes = _selected_nodes(table, given["nodes"], mesh)
+    given = BoundaryKeys.of(table)
+    nodes = _selected_nodes(table, given.nodes, mesh)
     table.finish()
-    return Boundary(given["name"], nodes, given["kind"], given["nodes"], given["edge_std_mm"])
+    return Boundary(given.name, nodes, given.kind, given.nodes, given.edge_std_mm)
 
 
 def _actuator(table: Table, mesh: Mesh) -> Actuator:
-    given = ACTUATOR.values(table)
-    if given["name"] == "fixed":
+    given = ActuatorKeys.of(table)
+    if given.name == "fixed":
         table.refuse("`name` must not be 'fixed', which means the held nodes")
-    nodes = _selected_nodes(table, given["nodes"], mesh)
+    nodes = _selected_nodes(table, given.nodes, mesh)
     table.finish()
-    return Actuator(given["name"], nodes, given["kind"], given["contact"], given["nodes"], given["edge_std_mm"])
+    return Actuator(given.name, nodes, given.kind, given.contact, given.nodes, given.edge_std_mm)
 
 
 def _selected_nodes(table: Table, rule: Any, mesh: Mesh) -> IntArray:
@@ -218,10 +220,10 @@ def _selected_nodes(table: Table, rule: Any, mesh: Mesh) -> IntArray:
 def _targets(top: Table) -> dict[str, FloatArray]:
     targets: dict[str, FloatArray] = {}
     for table in top.tables("target"):
-        given = TARGET.values(table)
-        if given["name"] in targets:
-            table.refuse("`name` must be given to one target only", given["name"])
-        targets[given["name"]] = given["reference"]
+        given = TargetKeys.of(table)
+        if given.name in targets:
+            table.refuse("`name` must be given to one target only", given.name)
+        targets[given.name] = np.array(given.reference)
         table.finish()
     return targets
 
@@ -266,9 +268,9 @@ def _tabled(
     top: Table, folder: Path, actuators: Sequence[Actuator], targets: dict[str, FloatArray], measured: bool
 ) -> _Tabled:
     """Return the content of a folder's tables; markers and forces may be absent for a rig that is not `measured`."""
-    table = MARKERS.table(top)
+    table = MarkersKeys.found(top)
     assert table is not None  # it is needed
-    given = MARKERS.values(table)
+    given = MarkersKeys.of(table)
     reference, reference_time = _marker_reference(table, given)
     table.finish()
     path = folder / MARKERS_CSV.file
@@ -286,25 +288,24 @@ def _tabled(
     if not cases:
         top.refuse(f"there must be a case: rows in markers.csv, actuators.csv or forces_applied.csv of {folder}")
     _refuse_two_motions(top, actuators, cases)
-    rest_case = given["rest_case"] if seen else None
+    rest_case = given.rest_case if seen else None
     if rest_case is not None and rest_case not in cases:
         table.refuse(f"`rest_case` must be one of the cases {', '.join(cases)}", rest_case)
     places = np.array(list(reference.values()))
-    return _Tabled(tuple(reference), places, given["std_mm"], rest_case, given["trial_share"] or 0.0, force_std, cases)
+    return _Tabled(tuple(reference), places, given.std_mm, rest_case, given.trial_share or 0.0, force_std, cases)
 
 
-def _marker_reference(table: Table, given: Mapping[str, Any]) -> tuple[dict[str, FloatArray] | None, float]:
+def _marker_reference(table: Table, given: MarkersKeys) -> tuple[dict[str, FloatArray] | None, float]:
     """Return the markers' places by name, or None and the time of the frame that has them."""
-    places: Table | None = given["reference"]
+    places = table.table("reference")
     if places is not None and "reference_time_s" not in places:
         names = list(places.rest())
         if not names:
             places.refuse("at least one marker must have a place")
-        if given["reference_time_s"] is not None:
+        if given.reference_time_s is not None:
             table.refuse("`reference_time_s` must be left out where `reference` lists the places")
-        return {name: places.numbers(name, 3) for name in names}, 0.0
-    holder = table if places is None else places
-    time = holder.number("reference_time_s")
+        return {name: np.array(places.take(name, partial(reals, length=3))) for name in names}, 0.0
+    time = (table if places is None else places).take("reference_time_s", real)
     if places is not None:
         places.finish()
     return None, time
@@ -327,13 +328,13 @@ def _first_places(table: Table, markers: Histories, time: float) -> dict[str, Fl
 def _measured_forces(
     top: Table, folder: Path, actuators: Sequence[Actuator], measured: bool
 ) -> tuple[float | None, Histories]:
-    given, path = FORCES.of(top), folder / FORCES_CSV.file
+    given, path = ForcesKeys.alone(top), folder / FORCES_CSV.file
     if given is None:
         if path.exists():
             top.refuse(f"[forces] with std_mN must be given, since there is a {path.name}")
         return None, {}
     names = [actuator.name for actuator in actuators]
-    return given["std_mN"], read_histories(path, FORCES_CSV, names) if measured or path.exists() else {}
+    return given.std_mN, read_histories(path, FORCES_CSV, names) if measured or path.exists() else {}
 
 
 def _controls(folder: Path, actuators: Sequence[Actuator]) -> dict[str, Histories]:

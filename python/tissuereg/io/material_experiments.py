@@ -15,9 +15,8 @@ from tissuereg.experiment.effects.elastic import Fibre, OtherLaw, Poisson, Stiff
 from tissuereg.experiment.effects.history import Rate, Relaxation, Set, Softening
 from tissuereg.experiment.material_experiment import TEST_MODES, Curve, MaterialExperiment
 from tissuereg.io.atomic import OutputError
-from tissuereg.io.beliefs import folder_and_name, read_material
 from tissuereg.io.csv import Row, read_table, write_table
-from tissuereg.io.experiment_keys import TEST, TEST_COLUMNS
+from tissuereg.io.experiment_keys import TEST_COLUMNS, MaterialTestKeys, Top, folder_and_name, read_material
 from tissuereg.io.toml import Table, experiment_file, read_toml
 from tissuereg.io.toml_text import toml_text, write_toml
 
@@ -54,7 +53,7 @@ def read_material_experiment(path: str | os.PathLike[str]) -> MaterialExperiment
         If a file is missing or cannot be read.
     """
     top = read_toml(experiment_file(path))
-    kind = top.text("kind", "rig")
+    kind = Top.of(top).kind
     if kind != "material-test":
         top.refuse('`kind` must be "material-test"', kind)
     folder, name = folder_and_name(top)
@@ -164,8 +163,8 @@ def _belief(mean: float, std: float | None) -> float | list[float]:
 
 
 def _test(top: Table) -> tuple[str | None, float | None]:
-    given = TEST.of(top)
-    return (None, None) if given is None else (given["hold_out"], given["std_kpa"])
+    given = MaterialTestKeys.alone(top)
+    return (None, None) if given is None else (given.hold_out, given.std_kpa)
 
 
 def _effect(table: Table) -> Effect:

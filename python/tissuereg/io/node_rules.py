@@ -8,8 +8,9 @@ import numpy as np
 
 from tissuereg._base.arguments import found, text
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.fields import checked
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import FormatError, MeshError
+from tissuereg.errors import FormatError, MeshError, TissueRegError
 from tissuereg.io.toml import parsed_toml
 
 #: The name of a node set; ``"plane nx ny nz d [tol]"`` or those numbers; ``"ball x y z r"``; a table with the keys
@@ -253,3 +254,15 @@ def surface_nodes_in_ball(mesh: Mesh, centre: Sequence[float] | FloatArray, radi
         )
         raise MeshError(message, where="ball")
     return nodes
+
+
+def node_rule(meaning: str, **more: Any) -> Any:
+    """Declare a field that holds such a rule, as `rule_for_file` returns it."""
+
+    def take(name: str, value: Any, error: type[TissueRegError] = FormatError) -> str | dict[str, Any]:
+        try:
+            return rule_for_file(value, name)
+        except FormatError as wrong:
+            raise error(str(wrong), where=name) from wrong
+
+    return checked(take, "node set, plane or ball", meaning, unit="mm", **more)

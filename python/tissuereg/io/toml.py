@@ -2,16 +2,18 @@
 
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn, TypeVar
 
-import numpy as np
-
-from tissuereg._base.arguments import is_number, place
-from tissuereg._base.arrays import FloatArray
+from tissuereg._base.arguments import place
+from tissuereg._base.fields import Record
 from tissuereg.errors import ExperimentError, FormatError, TissueRegError
 from tissuereg.io.bounds import TEXT_MB, existing_file, read_text
+
+_Value = TypeVar("_Value")
+_Keys = TypeVar("_Keys", bound="Keys")
 
 
 class Table:
@@ -97,140 +99,30 @@ class Table:
             self.refuse(f"`{key}` must be given; the table holds {there}")
         return self.get(key)
 
-    def text(self, key: str, default: str | None = None, *, among: Iterable[str] = ()) -> str:
-        """Take a text.
+    def take(self, key: str, check: Callable[..., _Value]) -> _Value:
+        """Take a value that must be there, by a check of `tissuereg._base.arguments`.
 
         Parameters
         ----------
         key : str
             Name of the value.
-        default : str, optional
-            Where it is absent; without one it must be there.
-        among : iterable of str
-            What is allowed; empty = anything.
+        check : callable
+            ``check(key, value, error=...)`` returns the value to use.
 
         Returns
         -------
-        str
-            Not empty.
+        object
+            As checked.
 
         Raises
         ------
         ExperimentError
-            If it is absent, no text, or not among what is allowed.
+            If it is absent, or does not hold what it must.
         """
-        value = self.need(key) if default is None else self.get(key, default)
-        if not isinstance(value, str) or not value.strip():
-            self.refuse(f"`{key}` must be a text", value)
-        allowed = tuple(among)
-        if allowed and value not in allowed:
-            self.refuse(f"`{key}` must be one of {', '.join(allowed)}", value)
-        return value
-
-    def flag(self, key: str) -> bool:
-        """Take true or false.
-
-        Parameters
-        ----------
-        key : str
-            Name of the value; it must be there.
-
-        Returns
-        -------
-        bool
-            As it stands.
-
-        Raises
-        ------
-        ExperimentError
-            If it is absent or something else.
-        """
-        value = self.need(key)
-        if not isinstance(value, bool):
-            self.refuse(f"`{key}` must be true or false", value)
-        return value
-
-    def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
-        """Take a finite number.
-
-        Parameters
-        ----------
-        key : str
-            Name of the value.
-        default : float, optional
-            Where it is absent; without one it must be there.
-        positive : bool
-            Whether it must be greater than zero.
-
-        Returns
-        -------
-        float
-            Finite.
-
-        Raises
-        ------
-        ExperimentError
-            If it is absent, no number, not finite, or not positive where it must be.
-        """
-        value = self.need(key) if default is None else self.get(key, default)
-        if not is_number(value) or (positive and value <= 0):
-            self.refuse(f"`{key}` must be a {'positive' if positive else 'finite'} number", value)
-        return float(value)
-
-    def numbers(self, key: str, length: int) -> FloatArray:
-        """Take a list of finite numbers that must be there.
-
-        Parameters
-        ----------
-        key : str
-            Name of the value.
-        length : int
-            How many.
-
-        Returns
-        -------
-        ndarray of float64, shape (length,)
-            In their order.
-
-        Raises
-        ------
-        ExperimentError
-            If it is absent or anything else.
-        """
-        value = self.need(key)
-        if not (isinstance(value, list) and len(value) == length and all(is_number(x) for x in value)):
-            self.refuse(f"`{key}` must be a list of {length} finite numbers", value)
-        return np.array(value, dtype=np.float64)
-
-    def belief(self, key: str, default: float | None = None) -> tuple[float, float | None]:
-        """Take a number, or a list of mean and standard deviation.
-
-        Parameters
-        ----------
-        key : str
-            Name of the value.
-        default : float, optional
-            Mean where it is absent; without one it must be there.
-
-        Returns
-        -------
-        mean : float
-            Finite.
-        std : float or None
-            Positive, None where only one number is given.
-
-        Raises
-        ------
-        ExperimentError
-            If it is absent or anything else.
-        """
-        value = self.need(key) if default is None else self.get(key, default)
-        if is_number(value):
-            return float(value), None
-        pair = isinstance(value, list) and len(value) == 2 and all(is_number(x) for x in value)
-        if not pair or value[1] <= 0:
-            self.refuse(f"`{key}` must be a number or [mean, standard deviation > 0]", value)
-        return float(value[0]), float(value[1])
+        try:
+            return check(key, self.need(key), error=ExperimentError)
+        except ExperimentError as error:
+            self.refuse(str(error))
 
     def table(self, key: str) -> "Table | None":
         """Take a table.
@@ -282,6 +174,10 @@ class Table:
             self.refuse(f"`{key}` must be a list of tables, [[{key}]]", value)
         return [Table(self.file, f"[[{key}]] number {i + 1}", item) for i, item in enumerate(value)]
 
+    def know(self, keys: Iterable[str]) -> None:
+        """Count keys as read, so that `finish` does not refuse them and names them among the known ones."""
+        self._taken.update(keys)
+
     def rest(self) -> dict[str, Any]:
         """Take all values that have not been read yet.
 
@@ -306,6 +202,80 @@ class Table:
         if unknown:
             known = ", ".join(sorted(self._taken))
             self.refuse(f"only the keys {known} are known", ", ".join(unknown))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keys(Record):
+    """The keys of one table, declared as fields; the docstring says what the table holds.
+
+    Raises
+    ------
+    ExperimentError
+        If a key does not hold what it must.
+    """
+
+    error: ClassVar[type[TissueRegError]] = ExperimentError
+    #: As in the file: ``[mesh]``, ``[[actuator]]``; empty for the top of the file.
+    heading: ClassVar[str] = ""
+    #: Whether the table must be given.
+    needed: ClassVar[bool] = False
+
+    @classmethod
+    def of(cls: type[_Keys], table: Table) -> _Keys:
+        """Take all declared keys of a table; others are left for `Table.finish` to refuse.
+
+        Parameters
+        ----------
+        table : Table
+            As read.
+
+        Returns
+        -------
+        Keys
+            With defaults where keys are absent.
+
+        Raises
+        ------
+        ExperimentError
+            If a key is missing or does not hold what it must; table and file are named.
+        """
+        wanted = [key for key in cls.declared() if key.name in table or key.default is MISSING]
+        given = {key.name: table.need(key.name) for key in wanted}
+        table.know(key.name for key in cls.declared())
+        try:
+            return cls(**given)
+        except ExperimentError as error:
+            table.refuse(str(error))
+
+    @classmethod
+    def found(cls, top: Table) -> Table | None:
+        """Return this table of a file, None where it is absent and may be.
+
+        Raises
+        ------
+        ExperimentError
+            If it must be there and is not.
+        """
+        table = top.table(cls.heading.strip("[]"))
+        if table is None and cls.needed:
+            top.refuse(f"a table {cls.heading} must be given")
+        return table
+
+    @classmethod
+    def alone(cls: type[_Keys], top: Table) -> _Keys | None:
+        """Read this table of a file and refuse keys that are not declared; None where it is absent and may be.
+
+        Raises
+        ------
+        ExperimentError
+            As `of` and `found`, and if a key is unknown.
+        """
+        table = cls.found(top)
+        if table is None:
+            return None
+        values = cls.of(table)
+        table.finish()
+        return values
 
 
 def experiment_file(path: str | os.PathLike[str]) -> Path:

@@ -4,13 +4,16 @@
 """
 
 import os
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from tissuereg._base import arguments
+from tissuereg._base.fields import choice, number, span, text, whole
 from tissuereg.body.mesh import Mesh
-from tissuereg.errors import ExperimentError
-from tissuereg.io.toml import read_toml
+from tissuereg.io.node_rules import node_rule
+from tissuereg.io.toml import Keys, Table, read_toml
 from tissuereg.simulation.variation import Variation
 
 #: The embedded body in a recipe: as the source of meshes of any number of nodes.
@@ -23,102 +26,106 @@ EMBEDDED = {PHANTOM: "full", "phantom-small": "small"}
 DEFAULT_NODES = 4223
 
 
-@dataclass(frozen=True)
-class DataRecipe:
-    """``[data]``: random events on the mesh.
-
-    Parameters
-    ----------
-    members : int
-        Simulations.
-    chunk : int
-        Simulations per file; at most this many are lost when a run is killed.
-    element : str
-        ``tet4`` or ``tet10``.
-    largest_mm : tuple of float
-        Range of an event's largest node displacement in the linear solution.
-    n_patches : tuple of int
-        Smallest and largest number of loaded patches.
-    radius_mm : tuple of float
-        Range of a patch's radius.
-    body_force_share : float
-        Probability of a body force beside patches or a plate.
-    plate_share : float
-        Probability that a flat plate of such a radius is pressed in, in place of patches.
-    gravity_share : float
-        Probability that there is a body force alone.
-    most_mm : float
-        A member that moves farther somewhere is solved again under a smaller load.
-    """
-
-    members: int = 300
-    chunk: int = 250
-    element: str = "tet4"
-    largest_mm: tuple[float, float] = (2.0, 25.0)
-    n_patches: tuple[int, int] = (1, 3)
-    radius_mm: tuple[float, float] = (10.0, 40.0)
-    body_force_share: float = 0.6
-    plate_share: float = 0.0
-    gravity_share: float = 0.0
-    most_mm: float = 1e3
+#: Elements of a simulation.
+ELEMENTS = ("tet4", "tet4-averaged", "tet10")
 
 
-@dataclass(frozen=True)
-class PairsRecipe:
-    """``[pairs]``: the same event simulated by the believed model and by another model.
+@dataclass(frozen=True, kw_only=True)
+class MeshRecipe(Keys):
+    """The body: a mesh file, or the breast phantom, meshed by the recipe."""
 
-    Parameters
-    ----------
-    members : int
-        Number of pairs.
-    element : str
-        Elements of the truth.
-    young_log_std : float
-        Standard deviation of the logarithm of Young's modulus, truth over believed.
-    load_log_std : float
-        Standard deviation of the logarithm of every load's size.
-    load_tilt_deg : float
-        Standard deviation of a load's rotation about each axis.
-    inclusion_share : float
-        Probability that the truth contains a stiff ball.
-    inclusion_radius_mm : tuple of float
-        Range of its radius.
-    inclusion_contrast : tuple of float
-        Range of its modulus over that around it.
-    poisson_change : tuple of float
-        Range of Poisson's ratio of the truth less that of the believed model.
-    """
+    heading: ClassVar[str] = "[mesh]"
+    needed: ClassVar[bool] = True
+    file: str | None = text(
+        "mesh file, seen from the recipe; or an embedded one, phantom or phantom-small", default=None, otherwise="none"
+    )
+    fixed: str | dict[str, Any] | None = node_rule(
+        "of a file: the held nodes", default=None, otherwise="its node set `fixed`"
+    )
+    source: str | None = choice((PHANTOM,), "or: the body that a mesh is made for", default=None, otherwise="none")
+    n_nodes: int | None = whole("of that mesh: nodes, about", least=1, default=None, otherwise=f"{DEFAULT_NODES}")
 
-    members: int = 100
-    element: str = "tet10"
-    young_log_std: float = 0.25
-    load_log_std: float = 0.10
-    load_tilt_deg: float = 5.0
-    inclusion_share: float = 0.7
-    inclusion_radius_mm: tuple[float, float] = (6.0, 14.0)
-    inclusion_contrast: tuple[float, float] = (1.5, 6.0)
-    poisson_change: tuple[float, float] = (0.0, 0.0)
+    def check(self) -> None:
+        """Refuse neither or both of a file and a body, and keys of the other one."""
+        if (self.file is None) == (self.source is None):
+            self.refuse("either `file` or `source` must be given")
+        if (self.fixed if self.file is None else self.n_nodes) is not None:
+            self.refuse("`fixed` must come with `file`, `n_nodes` with `source`")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialRecipe(Keys):
+    """Stiffness, one for the whole body."""
+
+    heading: ClassVar[str] = "[material]"
+    young_kpa: tuple[float, float] = span("range of Young's modulus", above=0.0, default=(10.0, 60.0))
+    poisson: float = number("Poisson's ratio", above=-1.0, below=0.5, default=0.45)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataRecipe(Keys):
+    """Random events on the mesh."""
+
+    heading: ClassVar[str] = "[data]"
+    members: int = whole("simulations", least=1, default=300)
+    chunk: int = whole("simulations per file; at most this many are lost when a run is killed", least=1, default=250)
+    element: str = choice(ELEMENTS, "elements of the simulations", default="tet4")
+    largest_mm: tuple[float, float] = span(
+        "range of an event's largest node displacement in the linear solution", above=0.0, default=(2.0, 25.0)
+    )
+    n_patches: tuple[int, int] = span("smallest and largest number of loaded patches", counted=1, default=(1, 3))
+    radius_mm: tuple[float, float] = span("range of a patch's radius", above=0.0, default=(10.0, 40.0))
+    body_force_share: float = number(
+        "probability of a body force beside patches or a plate", least=0.0, most=1.0, default=0.6
+    )
+    plate_share: float = number(
+        "probability that a flat plate of such a radius is pressed in, in place of patches",
+        least=0.0,
+        most=1.0,
+        default=0.0,
+    )
+    gravity_share: float = number("probability that there is a body force alone", least=0.0, most=1.0, default=0.0)
+    most_mm: float = number(
+        "a member that moves farther somewhere is solved again under a smaller load", above=0.0, default=1e3
+    )
+
+    def check(self) -> None:
+        """Refuse a limit below the wanted motion, and shares of more than all members."""
+        if self.most_mm < self.largest_mm[1]:
+            self.refuse("`most_mm` must be at least the largest of `largest_mm`", self.most_mm)
+        if self.plate_share + self.gravity_share > 1.0:
+            self.refuse(
+                "`plate_share` and `gravity_share` must sum to at most 1", [self.plate_share, self.gravity_share]
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairsRecipe(Keys):
+    """The same event simulated by the believed model and by another model."""
+
+    heading: ClassVar[str] = "[pairs]"
+    members: int = whole("number of pairs", default=100)
+    element: str = choice(ELEMENTS, "elements of the truth", default="tet10")
+    young_log_std: float = number(
+        "standard deviation of the logarithm of Young's modulus, truth over believed", least=0.0, default=0.25
+    )
+    load_log_std: float = number("standard deviation of the logarithm of every load's size", least=0.0, default=0.10)
+    load_tilt_deg: float = number("standard deviation of a load's rotation about each axis", least=0.0, default=5.0)
+    inclusion_share: float = number(
+        "probability that the truth contains a stiff ball", least=0.0, most=1.0, default=0.7
+    )
+    inclusion_radius_mm: tuple[float, float] = span("range of its radius", above=0.0, default=(6.0, 14.0))
+    inclusion_contrast: tuple[float, float] = span(
+        "range of its modulus over that around it", above=0.0, default=(1.5, 6.0)
+    )
+    poisson_change: tuple[float, float] = span(
+        "range of Poisson's ratio of the truth less that of the believed model", default=(0.0, 0.0)
+    )
 
     @property
     def variation(self) -> Variation:
         """The spreads in the form of the sampler."""
         return Variation(self.young_log_std, self.load_log_std, self.load_tilt_deg)
-
-
-@dataclass(frozen=True)
-class MaterialRecipe:
-    """``[material]``: stiffness, one for the whole body.
-
-    Parameters
-    ----------
-    young_kpa : tuple of float
-        Range of Young's modulus.
-    poisson : float
-        Poisson's ratio.
-    """
-
-    young_kpa: tuple[float, float] = (10.0, 60.0)
-    poisson: float = 0.45
 
 
 @dataclass(frozen=True)
@@ -135,8 +142,8 @@ class Recipe:
         ``phantom``, ``phantom-small``, or a mesh file relative to the recipe; None if the recipe makes its mesh.
     n_nodes : int or None
         Nodes of the mesh of the breast phantom that the recipe makes, about.
-    fixed : str or None
-        Plane of held nodes, if the mesh file has no such set.
+    fixed : str, dict or None
+        Rule of the held nodes, if the mesh file has no such set.
     material, data, pairs
         The tables.
     raw : dict
@@ -147,7 +154,7 @@ class Recipe:
     seed: int
     mesh_file: str | None
     n_nodes: int | None
-    fixed: str | None
+    fixed: str | dict[str, Any] | None
     material: MaterialRecipe
     data: DataRecipe
     pairs: PairsRecipe
@@ -215,114 +222,16 @@ def recipe_of(raw: dict[str, Any], path: str | os.PathLike[str]) -> Recipe:
     ExperimentError
         As `read_recipe`.
     """
-    unknown = set(raw) - {"seed", "mesh", "material", "data", "pairs", "train"}
-    if unknown:
-        known = "seed, [mesh], [material], [data], [pairs], [train]"
-        message = f"{path}: unknown entries {', '.join(sorted(unknown))}; a recipe has {known}"
-        raise ExperimentError(message, where=str(path))
-    mesh = _mesh_table(path, raw.get("mesh", {}))
-    seed = raw.get("seed", 0)
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        message = f"{path}: seed must be a whole number of at least 0, got {seed!r}"
-        raise ExperimentError(message, where=f"{path}: seed")
-    recipe = Recipe(
-        Path(path),
-        seed,
-        mesh.get("file"),
-        mesh.get("n_nodes"),
-        mesh.get("fixed"),
-        _table(path, "material", raw.get("material", {}), MaterialRecipe),
-        _table(path, "data", raw.get("data", {}), DataRecipe),
-        _table(path, "pairs", raw.get("pairs", {}), PairsRecipe),
-        raw,
-    )
-    _check(path, recipe)
-    return recipe
-
-
-def _mesh_table(path: Any, mesh: Any) -> dict[str, Any]:
-    """Return the table of the mesh, checked: a file, or the body that a mesh is made for."""
-    table = mesh if isinstance(mesh, dict) else {}
-    is_file = isinstance(table.get("file"), str) and not set(table) - {"file", "fixed"}
-    n_nodes = table.get("n_nodes", DEFAULT_NODES)
-    is_made = table.get("source") == PHANTOM and not set(table) - {"source", "n_nodes"} and type(n_nodes) is int
-    if is_file or is_made:
-        return table
-    message = (
-        f'{path}: [mesh] must hold file = "phantom", "phantom-small" or a mesh file, and may hold '
-        f'fixed = "plane nx ny nz d [tol]"; '
-        f'or source = "phantom", and may then hold n_nodes = {DEFAULT_NODES}'
-    )
-    raise ExperimentError(message, where=f"{path}: [mesh]")
-
-
-def _table(path: Any, name: str, given: Any, kind: Any) -> Any:
-    """Return a table as its dataclass, each value with the type of its default."""
-    defaults = {f.name: f.default for f in fields(kind)}
-    if not isinstance(given, dict) or set(given) - set(defaults):
-        extra = ", ".join(sorted(set(given) - set(defaults))) if isinstance(given, dict) else repr(given)
-        message = f"{path}: [{name}] must hold only {', '.join(defaults)}; got {extra}"
-        raise ExperimentError(message, where=f"{path}: [{name}]")
-    return kind(**{key: _value(f"{path}: [{name}] {key}", value, defaults[key]) for key, value in given.items()})
-
-
-def _value(place: str, value: Any, default: Any) -> Any:
-    if isinstance(default, tuple):
-        if isinstance(value, list) and len(value) == 2:
-            low, high = (_value(place, v, default[0]) for v in value)
-            if low <= high:
-                return (low, high)
-        message = f"{place} must be a range [low, high], got {value!r}"
-        raise ExperimentError(message, where=place)
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if isinstance(default, float) and number:
-        return float(value)
-    if type(value) is type(default):
-        return value
-    message = f"{place} must be of the kind of {default!r}, got {value!r}"
-    raise ExperimentError(message, where=place)
-
-
-def _check(path: Any, recipe: Recipe) -> None:
-    data, pairs = recipe.data, recipe.pairs
-    rules = (
-        (data.members >= 1 and data.chunk >= 1, "[data] members and chunk must be at least 1"),
-        (pairs.members >= 0, "[pairs] members must be at least 0"),
-        (
-            {data.element, pairs.element} <= {"tet4", "tet4-averaged", "tet10"},
-            "element must be tet4, tet4-averaged or tet10",
-        ),
-        (
-            data.largest_mm[0] > 0 and data.radius_mm[0] > 0,
-            "[data] largest_mm and radius_mm must be positive",
-        ),
-        (data.most_mm >= data.largest_mm[1], "[data] most_mm must be at least the largest of largest_mm"),
-        (data.n_patches[0] >= 1, "[data] n_patches must start at 1 or more"),
-        (
-            all(
-                0 <= share <= 1
-                for share in (data.body_force_share, data.plate_share, data.gravity_share, pairs.inclusion_share)
-            ),
-            "shares must lie in [0, 1]",
-        ),
-        (data.plate_share + data.gravity_share <= 1, "[data] plate_share and gravity_share must sum to at most 1"),
-        (recipe.material.young_kpa[0] > 0, "[material] young_kpa must be positive"),
-        (-1 < recipe.material.poisson < 0.5, "[material] poisson must lie in (-1, 0.5)"),
-        (
-            recipe.material.poisson + pairs.poisson_change[0] > -1
-            and recipe.material.poisson + pairs.poisson_change[1] < 0.5,
-            "[pairs] poisson_change must keep Poisson's ratio in (-1, 0.5)",
-        ),
-        (
-            pairs.inclusion_contrast[0] > 0 and pairs.inclusion_radius_mm[0] > 0,
-            "[pairs] inclusions must be positive",
-        ),
-        (
-            min(pairs.young_log_std, pairs.load_log_std, pairs.load_tilt_deg) >= 0,
-            "[pairs] spreads must not be negative",
-        ),
-    )
-    for holds, rule in rules:
-        if not holds:
-            message = f"{path}: {rule}"
-            raise ExperimentError(message, where=str(path))
+    top = Table(Path(path), "", raw)
+    seed = top.take("seed", partial(arguments.whole, most=2**64 - 1)) if "seed" in top else 0
+    mesh = MeshRecipe.alone(top)
+    assert mesh is not None  # it is needed
+    material = MaterialRecipe.alone(top) or MaterialRecipe()
+    data = DataRecipe.alone(top) or DataRecipe()
+    pairs = PairsRecipe.alone(top) or PairsRecipe()
+    top.know(("seed", "train"))
+    top.finish()
+    low, high = (material.poisson + change for change in pairs.poisson_change)
+    if not (low > -1.0 and high < 0.5):
+        top.refuse("[pairs] `poisson_change` must keep Poisson's ratio in (-1, 0.5)", pairs.poisson_change)
+    return Recipe(Path(path), seed, mesh.file, mesh.n_nodes, mesh.fixed, material, data, pairs, raw)

@@ -211,5 +211,5 @@ def _moments(mesh: Mesh, n_moments: int, seed: int, threads: int) -> tuple[Float
     are left out, so that there may be fewer than `n_moments`.
     """
     recipe = shipped_recipe()
-    recipe = replace(recipe, pairs=PairsRecipe(n_moments, element="tet4"))
+    recipe = replace(recipe, pairs=PairsRecipe(members=n_moments, element="tet4"))
     return simulated_pairs(ChunkMaker(recipe, mesh, seed), threads)

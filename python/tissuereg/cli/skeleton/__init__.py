@@ -17,27 +17,27 @@ from tissuereg.experiment.experiment import Experiment, Simulated
 from tissuereg.io.atomic import OutputError, atomic_folder, check_folder_target
 from tissuereg.io.cases import write_histories
 from tissuereg.io.commented import commented_toml
-from tissuereg.io.declared import Declaration
 from tissuereg.io.drafts import DRAFT_PREFIX, remove_stale_drafts
 from tissuereg.io.experiment_keys import (
-    ACTUATOR,
     ACTUATORS_CSV,
-    BOUNDARY,
-    FORCES,
-    GRAVITY,
-    MARKERS,
     MARKERS_CSV,
-    MATERIAL,
-    MESH,
-    SIMULATED,
-    TARGET,
-    TOP,
+    ActuatorKeys,
+    BoundaryKeys,
+    ForcesKeys,
+    GravityKeys,
+    MarkersKeys,
+    MaterialKeys,
+    MeshKeys,
+    SimulatedKeys,
+    TargetKeys,
+    Top,
 )
 from tissuereg.io.experiment_out import path_from
 from tissuereg.io.experiments import read_experiment
 from tissuereg.io.meshes import read_mesh
 from tissuereg.io.node_rules import NodeRule, nodes_by_rule, rule_for_file
 from tissuereg.io.simulated import TABLES, simulated_tables
+from tissuereg.io.toml import Keys
 from tissuereg.simulation.experiment import CaseSimulation, simulate_plain
 from tissuereg.simulation.noise import with_noise
 
@@ -53,8 +53,8 @@ _REST_FRAMES = 6
 _BASE_SHARE = 0.04
 
 
-#: Declaration and values of every table of the file.
-_Tables = list[tuple[Declaration, Mapping[str, Any] | None]]
+#: Declared keys and values of every table of the file.
+_Tables = list[tuple[type[Keys], Mapping[str, Any] | None]]
 
 
 @dataclass(frozen=True)
@@ -204,15 +204,15 @@ def _tables(name: str, rule: Any, rig: MadeUpRig) -> _Tables:
     ]
     markers = {f"M{i + 1}": spot.tolist() for i, spot in enumerate(rig.markers)}
     return [
-        (TOP, {"name": name}),
-        (MESH, {}),
-        (MATERIAL, {"law": "neo-hookean", "young_kpa": [10.0, 3.0], "poisson": 0.45}),
-        (GRAVITY, None),
-        (BOUNDARY, {"name": "support", "nodes": rule, "kind": "fixed"}),
-        *((ACTUATOR, pad) for pad in pads),
-        (MARKERS, {"std_mm": 0.1, "rest_case": "rest", "reference": markers}),
-        (FORCES, {"std_mN": 5.0}),
-        (TARGET, {"name": "target", "reference": rig.target.tolist()}),
+        (Top, {"name": name}),
+        (MeshKeys, {}),
+        (MaterialKeys, {"law": "neo-hookean", "young_kpa": [10.0, 3.0], "poisson": 0.45}),
+        (GravityKeys, None),
+        (BoundaryKeys, {"name": "support", "nodes": rule, "kind": "fixed"}),
+        *((ActuatorKeys, pad) for pad in pads),
+        (MarkersKeys, {"std_mm": 0.1, "rest_case": "rest", "reference": markers}),
+        (ForcesKeys, {"std_mN": 5.0}),
+        (TargetKeys, {"name": "target", "reference": rig.target.tolist()}),
     ]
 
 
@@ -223,9 +223,9 @@ def _text(tables: _Tables, mesh: str, simulated: bool) -> str:
         "The tables hold predictions of the model below for two made-up pushes, with noise. Once they hold what you",
         "measured, delete [simulated] at the end.",
     ]
-    filled = [(each, {"file": mesh} if each is MESH else values) for each, values in tables]
+    filled = [(each, {"file": mesh} if each is MeshKeys else values) for each, values in tables]
     model = Simulated("plain", "tet4")
-    last = [(SIMULATED, {"model": model.model, "element": model.element})] if simulated else []
+    last = [(SimulatedKeys, {"model": model.model, "element": model.element})] if simulated else []
     return commented_toml(head, [*filled, *last])
 
 

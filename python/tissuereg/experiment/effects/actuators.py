@@ -7,17 +7,9 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.fields import number, numbers, text
 from tissuereg.body.mesh import Mesh
-from tissuereg.experiment.effects.base import (
-    Effect,
-    Vector,
-    exactly_one,
-    number,
-    numbers,
-    refuse,
-    rotation_from_vector,
-    text,
-)
+from tissuereg.experiment.effects.base import Effect, Vector, exactly_one, refuse, rotation_from_vector
 from tissuereg.experiment.experiment import Actuator, Experiment
 
 

@@ -7,16 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.experiment.effects.base import (
-    ChainEffect,
-    Vector,
-    number,
-    numbers,
-    refuse,
-    rotation_from_vector,
-    text,
-    texts,
-)
+from tissuereg._base.fields import number, numbers, text, texts
+from tissuereg.experiment.effects.base import ChainEffect, Vector, refuse, rotation_from_vector
 from tissuereg.experiment.experiment import Experiment
 
 
@@ -106,7 +98,7 @@ class MarkerSwap(ChainEffect):
 
     id: ClassVar[str] = "marker_swap"
     repeatable: ClassVar[bool] = True
-    markers: tuple[str, ...] = texts("names of the two", 2)
+    markers: tuple[str, ...] = texts("names of the two", length=2)
     from_time_s: float = number("from this moment on")
 
     def fits(self, experiment: Experiment) -> None:

@@ -3,10 +3,11 @@
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from tissuereg._base.fields import choice, flag, number, numbers
 from tissuereg.body.material import SHAPE_KEYS, VOLUMETRIC, Material
 from tissuereg.body.material import Fibre as Fibres
 from tissuereg.errors import MaterialError
-from tissuereg.experiment.effects.base import Effect, Vector, flag, number, numbers, refuse, text
+from tissuereg.experiment.effects.base import Effect, Vector, refuse
 from tissuereg.experiment.experiment import Experiment
 
 #: Meaning of the shape parameters, which the table of laws explains.
@@ -44,7 +45,7 @@ class Poisson(Effect):
 class OtherLaw(Effect):
     """Another law of the same small-strain moduli, with its shape parameters."""
 
-    law: str = text("strain energy", among=tuple(SHAPE_KEYS))
+    law: str = choice(tuple(SHAPE_KEYS), "strain energy")
     excess: float | None = number(_OF_LAW, above=-1.0, default=None)
     share: float | None = number(_OF_LAW, least=0.0, default=None)
     c2_over_c1: float | None = number(_OF_LAW, default=None)
@@ -53,7 +54,7 @@ class OtherLaw(Effect):
     weight: tuple[float, ...] | None = numbers(_OF_LAW, default=None)
     b: float | None = number(_OF_LAW, least=0.0, default=None)
     #: As `Material.volumetric`; as believed where left out.
-    volumetric: str | None = text("energy of volume change, as believed where left out", among=VOLUMETRIC, default=None)
+    volumetric: str | None = choice(VOLUMETRIC, "energy of volume change, as believed where left out", default=None)
 
     def check(self) -> None:
         """Refuse missing shape parameters, and those of another law."""

@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray
-from tissuereg.experiment.effects.base import Effect, number, numbers, refuse, text
+from tissuereg._base.fields import choice, number, numbers
+from tissuereg.experiment.effects.base import Effect, refuse
 from tissuereg.experiment.experiment import Experiment
 
 
@@ -26,7 +27,7 @@ class Relaxation(Memory):
     id: ClassVar[str] = "relaxation"
     g: tuple[float, ...] = numbers("shares of the stress that relax; their sum is less than 1", above=0.0, below=1.0)
     tau_s: tuple[float, ...] = numbers("their time constants", above=0.0)
-    part: str = text("stress that relaxes", among=("whole", "isochoric"), default="whole")
+    part: str = choice(("whole", "isochoric"), "stress that relaxes", default="whole")
 
     def check(self) -> None:
         """Refuse lists of two lengths, and shares that leave nothing."""
@@ -54,9 +55,9 @@ class Softening(Memory):
     r: float = number("Ogden and Roxburgh's r: at most 1/r of the stress is lost", least=1.0)
     m_kpa: float = number("energy over which it is lost", above=0.0)
     beta: float = number("dependence of that energy on the largest one so far", least=0.0, default=0.0)
-    form: str = text(
+    form: str = choice(
+        ("ogden-roxburgh", "damage"),
         "loss on unloading (Mullins effect), or damage under a first load too",
-        among=("ogden-roxburgh", "damage"),
         default="ogden-roxburgh",
     )
 
@@ -85,10 +86,8 @@ class Swelling(Memory):
     linear_strain: float = number("growth of all lengths; negative: drying", above=-1.0)
     from_time_s: float = number("when it begins")
     to_time_s: float = number("when it ends")
-    pads: str = text(
-        "whether bonded pads hold their patches against it or follow the growth",
-        among=("hold", "follow"),
-        default="hold",
+    pads: str = choice(
+        ("hold", "follow"), "whether bonded pads hold their patches against it or follow the growth", default="hold"
     )
 
     def check(self) -> None:

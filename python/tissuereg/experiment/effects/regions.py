@@ -8,8 +8,9 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.fields import number, numbers
 from tissuereg.body.mesh import Mesh
-from tissuereg.experiment.effects.base import Effect, Vector, number, numbers
+from tissuereg.experiment.effects.base import Effect, Vector
 from tissuereg.experiment.experiment import Experiment
 
 #: Rows of the triangular lattice of sample points in a tet: 6 give 56 points.

@@ -6,8 +6,9 @@ from typing import ClassVar
 import numpy as np
 
 from tissuereg._base.arrays import FloatArray, IntArray
+from tissuereg._base.fields import number, numbers, text
 from tissuereg.body.mesh import Mesh
-from tissuereg.experiment.effects.base import Effect, Vector, exactly_one, number, numbers, refuse, text
+from tissuereg.experiment.effects.base import Effect, Vector, exactly_one, refuse
 from tissuereg.experiment.experiment import Boundary, Experiment
 
 

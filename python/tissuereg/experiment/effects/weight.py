@@ -5,7 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from tissuereg.experiment.effects.base import Effect, Vector, flag, number, numbers, refuse
+from tissuereg._base.fields import flag, number, numbers
+from tissuereg.experiment.effects.base import Effect, Vector, refuse
 from tissuereg.experiment.experiment import Experiment
 from tissuereg.experiment.experiment import Gravity as Weight
 

@@ -1,0 +1,288 @@
+"""Checked fields: each declared once, for arguments, tables of files, options of the command line and their pages.
+
+A field states what it must hold, its unit, its meaning and its default:
+
+>>> @dataclass(frozen=True, kw_only=True)
+... class Settings(Record):
+...     std_mm: float = number("noise of a marker coordinate", above=0.0, default=0.1)
+...     update: str = choice(("esmda", "gauss-newton"), "how latents are found", default="esmda")
+>>> Settings(std_mm=0.0)
+Traceback (most recent call last):
+    ...
+tissuereg.errors.ArgumentError: `std_mm` must be a finite number greater than 0, got 0.0
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from functools import partial
+from typing import Any, ClassVar, NoReturn
+
+from tissuereg._base import arguments
+from tissuereg._base.arguments import MOST_COUNTED, bounds, is_number
+from tissuereg._base.choice import check_choice
+from tissuereg.errors import ArgumentError, TissueRegError
+
+_Error = type[TissueRegError]
+
+#: Endings of names, and the units that they state. Longer ones come first.
+UNITS = {
+    "_g_per_cm3": "g/cm^3",
+    "_mm_per_s2": "mm/s^2",
+    "_kpa_per_mm": "kPa/mm",
+    "_kpa_s": "kPa s",
+    "_per_s": "1/s",
+    "_mm": "mm",
+    "_kpa": "kPa",
+    "_kPa": "kPa",
+    "_mN": "mN",
+    "_deg": "deg",
+    "_s": "s",
+}
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that the ending of a name states, empty for a number without one."""
+    return next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Check:
+    """What a field must hold.
+
+    Attributes
+    ----------
+    take : callable
+        ``take(name, value, error=...)`` returns the value to use, or raises the error.
+    words : str
+        What it must hold, in words for pages.
+    meaning : str
+        One sentence; empty where the record's docstring has it.
+    unit : str or None
+        Of its numbers; None: the one that the field's name ends in.
+    otherwise : str
+        What applies where it is absent, in words, where the default does not show it.
+    example : object
+        A value for files to begin with, where the default is none.
+    choices : sequence of str
+        Words of which it must be one; empty where anything else is meant.
+    read : callable
+        Makes the value of a word of the command line; raises ValueError where it cannot.
+    """
+
+    take: Callable[..., Any]
+    words: str
+    meaning: str
+    unit: str | None = None
+    otherwise: str = ""
+    example: Any = None
+    choices: Sequence[str] = ()
+    read: Callable[[str], Any] = str
+
+
+@dataclass(frozen=True)
+class Field:
+    """A declared field of a record: its name, its check, and its default, `dataclasses.MISSING` where it has none."""
+
+    name: str
+    check: Check
+    default: Any
+
+    @property
+    def unit(self) -> str:
+        """Unit of its numbers; empty where they have none."""
+        return unit_of(self.name) if self.check.unit is None else self.check.unit
+
+
+@dataclass(frozen=True)
+class Record:
+    """A frozen dataclass whose fields are declared by the functions of this module, and checked when it is made.
+
+    A field whose default is None may be None; fields declared in another way are taken as they are.
+
+    Raises
+    ------
+    TissueRegError
+        Of the kind `error`, if a field does not hold what it must.
+    """
+
+    error: ClassVar[_Error] = ArgumentError
+
+    def __post_init__(self) -> None:
+        for each in self.declared():
+            value = getattr(self, each.name)
+            if value is not None or each.default is not None:
+                object.__setattr__(self, each.name, each.check.take(each.name, value, error=self.error))
+        self.check()
+
+    def check(self) -> None:
+        """Refuse fields that contradict each other."""
+
+    def refuse(self, rule: str, value: object = None) -> NoReturn:
+        """Raise an error of the record's kind that states what must hold and what was found."""
+        message = rule if value is None else f"{rule}, got {value!r}"
+        raise self.error(message)
+
+    @classmethod
+    def declared(cls) -> tuple[Field, ...]:
+        """Return its declared fields, in their order."""
+        return tuple(Field(one.name, one.metadata["check"], one.default) for one in fields(cls) if one.metadata)
+
+
+def checked(take: Callable[..., Any], words: str, meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
+    """Declare a field by a check of its own, ``take(name, value, error=...)``, and words for pages.
+
+    The functions below do so for the usual kinds. `meaning` is one sentence, for pages and help; a default of None lets
+    the field be None; `more` are further attributes of `Check`.
+    """
+    return field(default=default, metadata={"check": Check(take=take, words=words, meaning=meaning, **more)})
+
+
+def number(
+    meaning: str = "",
+    *,
+    unit: str | None = None,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+    most: float = math.inf,
+    default: Any = MISSING,
+    **more: Any,
+) -> Any:
+    """Declare a field that holds a finite number: greater than `above`, at least `least`, less than `below`, and so on.
+
+    `unit` is stated where the field's name does not end in it.
+    """
+    take = partial(arguments.real, unit=unit or "", above=above, least=least, below=below, most=most)
+    return checked(
+        take, f"number{bounds(above, least, below, most)}", meaning, default=default, unit=unit, read=float, **more
+    )
+
+
+def whole(
+    meaning: str = "", *, least: int = 0, most: int = MOST_COUNTED, default: Any = MISSING, unit: str = "", **more: Any
+) -> Any:
+    """Declare a field that holds a whole number from `least` to `most`."""
+    take = partial(arguments.whole, least=least, most=most)
+    return checked(take, f"whole number at least {least}", meaning, default=default, unit=unit, read=int, **more)
+
+
+def numbers(
+    meaning: str = "",
+    length: int | None = None,
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+    directed: bool = False,
+    default: Any = MISSING,
+    **more: Any,
+) -> Any:
+    """Declare a field that holds a list of numbers in a range, one or more without a `length`.
+
+    `directed`: it is a direction, so not all of them may be zero.
+    """
+    take = partial(arguments.reals, length=length, above=above, least=least, below=below, directed=directed)
+    words = "[x, y, z]" if length == 3 else f"list of {'one or more' if length is None else length} numbers"
+    within = bounds(above, least, below, math.inf)
+    return checked(take, f"{words}, each{within}" if within else words, meaning, default=default, **more)
+
+
+def span(
+    meaning: str = "",
+    *,
+    above: float = -math.inf,
+    below: float = math.inf,
+    counted: int | None = None,
+    default: Any = MISSING,
+    **more: Any,
+) -> Any:
+    """Declare a field that holds a range, [low, high], of numbers, or of whole ones from `counted` on."""
+    one: Callable[..., Any] = partial(arguments.real, above=above, below=below)
+    if counted is not None:
+        one = partial(arguments.whole, least=counted)
+
+    def take(name: str, value: Any, error: _Error = ArgumentError) -> tuple[Any, Any]:
+        if isinstance(value, list | tuple) and len(value) == 2:
+            low, high = (one(name, x, error=error) for x in value)
+            if low <= high:
+                return (low, high)
+        message = f"`{name}` must be a range [low, high], got {value!r:.80}"
+        raise error(message, where=name)
+
+    within = bounds(above, -math.inf, below, math.inf)
+    words = f"[low, high]{within}" if counted is None else f"[low, high], whole numbers at least {counted}"
+    return checked(take, words, meaning, default=default, **more)
+
+
+def belief(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
+    """Declare a field that holds a number, or a list of mean and standard deviation; taken as a pair."""
+
+    def take(name: str, value: Any, error: _Error = ArgumentError) -> tuple[float, float | None]:
+        if is_number(value):
+            return float(value), None
+        pair = isinstance(value, list | tuple) and len(value) == 2 and is_number(value[0])
+        if pair and value[1] is None:
+            return float(value[0]), None
+        if not pair or not is_number(value[1]) or value[1] <= 0:
+            message = f"`{name}` must be a number or [mean, standard deviation > 0], got {value!r:.80}"
+            raise error(message, where=name)
+        return float(value[0]), float(value[1])
+
+    return checked(take, "number, or [mean, standard deviation]", meaning, default=default, **more)
+
+
+def text(
+    meaning: str = "", *, longest: int | None = None, default: Any = MISSING, words: str = "text", **more: Any
+) -> Any:
+    """Declare a field that holds a text that is not empty."""
+    return checked(partial(arguments.text, longest=longest), words, meaning, default=default, **more)
+
+
+def texts(meaning: str = "", *, length: int, default: Any = MISSING) -> Any:
+    """Declare a field that holds a list of so many different texts."""
+    return checked(partial(arguments.texts, length=length), f"list of {length} texts", meaning, default=default)
+
+
+def choice(among: Sequence[str], meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
+    """Declare a field that holds one of some words."""
+
+    def take(name: str, value: Any, error: _Error = ArgumentError) -> str:
+        check_choice(name, value, among, error)
+        return str(value)
+
+    listed = [f"`{word}`" for word in among]
+    words = " or ".join(listed) if len(listed) < 4 else f"one of {', '.join(listed)}"
+    return checked(take, words, meaning, default=default, choices=tuple(among), **more)
+
+
+def flag(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
+    """Declare a field that holds true or false."""
+    return checked(arguments.flag, "`true` or `false`", meaning, default=default, **more)
+
+
+def path(meaning: str = "", *, default: Any = MISSING, **more: Any) -> Any:
+    """Declare a field that holds a path to a file or folder, which need not exist."""
+    return checked(arguments.place, "path", meaning, default=default, **more)
+
+
+def table(meaning: str = "", *, words: str = "table", default: Any = MISSING, **more: Any) -> Any:
+    """Declare a field that holds a table, a mapping from texts."""
+
+    def take(name: str, value: Any, error: _Error = ArgumentError) -> Mapping[str, Any]:
+        if not isinstance(value, Mapping):
+            message = f"`{name}` must be a table, got {value!r:.80}"
+            raise error(message, where=name)
+        return arguments.named(name, value, error=error)
+
+    return checked(take, words, meaning, default=default, **more)
+
+
+def nested(kind: type[Any], meaning: str = "") -> Any:
+    """Declare a field that holds another record of settings; its defaults where it is left out."""
+    check = Check(take=partial(_of_kind, kind=kind), words=kind.__name__, meaning=meaning)
+    return field(default_factory=kind, metadata={"check": check})
+
+
+def _of_kind(name: str, value: Any, error: _Error = ArgumentError, *, kind: type[Any]) -> Any:
+    return arguments.of_kind(name, value, kind, error=error)
