@@ -5,7 +5,7 @@ import pytest
 
 import tissuereg as tr
 from support.meshes import block
-from tissuereg.errors import MaterialError, SupportError
+from tissuereg.errors import ArgumentError, MaterialError
 from tissuereg.registration.contacts.frame import Frame
 
 SILICONE = tr.Material(8.0, 0.45)
@@ -110,8 +110,8 @@ def test_a_tracker_that_drifts_is_distinguished_from_a_pull(body):
     places = body.nodes + pulled(body, np.flatnonzero(body.nodes[:, 2] == 0.0))
     drifted = turned(0.5, (0.6, -0.45, 0.2)).apply(places)
     known, drifts = (
-        tr.register(body, seen(body, drifted), settings=tr.RegisterSettings(tracker=frame))
-        for frame in ("known", "drifts")
+        tr.register(body, seen(body, drifted), settings=tr.RegisterSettings(tracker=tracker))
+        for tracker in ("fixed", "drifts")
     )
     assert error(drifts, drifted) < 0.15
     assert error(drifts, drifted) < 0.6 * error(known, drifted)
@@ -125,11 +125,11 @@ def test_a_body_softer_at_its_top_is_found_so(body):
     assert error(found, places) < error(uniform, places)
 
 
-def test_words_for_frame_and_stiffness_are_checked(body):
+def test_words_for_tracker_and_stiffness_are_checked(body):
     markers = seen(body, body.nodes)
-    with pytest.raises(SupportError, match="one of known, drifts, got 'moves'"):
-        tr.register(body, markers, settings=tr.RegisterSettings(tracker="moves"))
+    with pytest.raises(ArgumentError, match="one of fixed, drifts, got 'moves'"):
+        tr.RegisterSettings(tracker="moves")
     with pytest.raises(MaterialError, match="one of believed, graded, got 'soft'"):
-        tr.register(tr.Body(body, stiffness="soft"), markers)
+        tr.Body(body, stiffness="soft")
     with pytest.raises(MaterialError, match="a load or none"):
         tr.register(tr.Body(body, stiffness="graded"), markers, simulation=np.zeros_like(body.nodes))

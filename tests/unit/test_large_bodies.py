@@ -113,7 +113,12 @@ def test_every_simulator_refuses_where_one_factor_does_not_fit(monkeypatch, bloc
 @pytest.mark.usefixtures("afresh")
 def test_the_size_is_told_after_the_analysis_and_before_any_factor(block_mesh, moved):
     said = []
-    tr.register(block_mesh, moved, progress=lambda *words: said.append(words), settings=tr.RegisterSettings(threads=1))
+    tr.register(
+        block_mesh,
+        moved,
+        progress=lambda one: said.append((one.kind, one.words)),
+        settings=tr.RegisterSettings(threads=1),
+    )
     kinds = [words if kind == "stage" else kind for kind, words in said]
     assert kinds.index("body") < kinds.index("size") < kinds.index("linearise") < kinds.index("sample")
     assert kinds.count("size") == 1
@@ -129,7 +134,10 @@ def test_a_registration_that_does_not_fit_is_refused_before_anything_is_factored
     said = []
     with pytest.raises(LargeBodyError, match=_machine.LIMIT):
         tr.register(
-            block_mesh, moved, progress=lambda *words: said.append(words), settings=tr.RegisterSettings(threads=1)
+            block_mesh,
+            moved,
+            progress=lambda one: said.append((one.kind, one.words)),
+            settings=tr.RegisterSettings(threads=1),
         )
     assert ("stage", "linearise") not in said
 

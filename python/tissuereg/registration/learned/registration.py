@@ -345,18 +345,8 @@ def _calibrated_trust(
     notes: list[str],
 ) -> Trust:
     """Judge by comparison with honest events that the model never saw."""
-    signs = posterior.signs()
-    return judge_by_rehearsal(
-        names,
-        residual,
-        posterior.noise,
-        posterior.rehearsal.honest,
-        signs.row,
-        signs.marker_rows,
-        signs.marker_misfits,
-        min_det_f,
-        notes,
-    )
+    compared, shown = posterior.rehearsal.honest, posterior.signs()
+    return judge_by_rehearsal(names, residual, posterior.noise, compared, shown, min_det_f, notes)
 
 
 def _against(moved: FloatArray, simulated: FloatArray, std: FloatArray) -> list[str]:
