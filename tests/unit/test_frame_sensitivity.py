@@ -24,7 +24,7 @@ from tissuereg.simulation.frame_sensitivity import (
     frame_adjoints,
     frame_derivatives,
 )
-from tissuereg.simulation.frames import Pad, solve_frames
+from tissuereg.simulation.frames import Acting, FrameSettings, Pad, solve_frames
 from tissuereg.simulation.sensitivity import Field, Observation, Parameter
 
 MESH = block(cells=(2, 1, 3))
@@ -73,14 +73,14 @@ def story(element="tet4", *, field=0.0, weight=0.0, motion=0.0, record=False, **
         MESH,
         tr.Material(v["young"] + field * rates, v["poisson"]),
         TIMES,
-        loads=[tr.Load(body_force=WEIGHT * (1.0 + weight * k)) for k in range(len(TIMES))],
-        pads=[Pad("cap", TOP, MOTION * (1.0 + motion))],
+        Acting(
+            loads=[tr.Load(body_force=WEIGHT * (1.0 + weight * k)) for k in range(len(TIMES))],
+            pads=[Pad("cap", TOP, MOTION * (1.0 + motion))],
+            springs=[springs],
+            skins=[Skin(SIDE, v["skins.thickness_mm"], v["skins.young_kpa"], 0.3)],
+        ),
         behaviour=behaviour,
-        springs=[springs],
-        skins=[Skin(SIDE, v["skins.thickness_mm"], v["skins.young_kpa"], 0.3)],
-        element=element,
-        record=record,
-        tolerance=1e-13,
+        settings=FrameSettings(element=element, record=record, tolerance=1e-13),
     )
 
 
@@ -144,8 +144,12 @@ def test_a_load_of_all_frames_is_the_same_load_in_every_frame(recorded):
 
 def test_frames_that_failed_are_rows_of_nan():
     material, motion = tr.Material(9.0, 0.4), np.outer([-1.0, -60.0, -2.0], [0.0, 0.0, 1.0])
-    found = solve_frames(MESH, material, [0.0, 1.0, 2.0], pads=[Pad("cap", TOP, motion)], record=True)
-    alone = solve_frames(MESH, material, [0.0, 2.0], pads=[Pad("cap", TOP, motion[[0, 2]])], record=True)
+    found = solve_frames(
+        MESH, material, [0.0, 1.0, 2.0], Acting(pads=[Pad("cap", TOP, motion)]), settings=FrameSettings(record=True)
+    )
+    alone = solve_frames(
+        MESH, material, [0.0, 2.0], Acting(pads=[Pad("cap", TOP, motion[[0, 2]])]), settings=FrameSettings(record=True)
+    )
     assert [frame for frame, _ in found.failed] == [1]
     poisson = Parameter("poisson")
     ours, theirs = (frame_derivatives(frames, [poisson]).displacement[0] for frames in (found, alone))
@@ -160,12 +164,12 @@ def test_frames_that_failed_are_rows_of_nan():
 
 def test_what_does_not_fit_is_named():
     pad = Pad("cap", TOP, MOTION)
-    unrecorded = solve_frames(MESH, tr.Material(9.0, 0.4), TIMES, pads=[pad])
+    unrecorded = solve_frames(MESH, tr.Material(9.0, 0.4), TIMES, Acting(pads=[pad]))
     with pytest.raises(LoadError, match="record=True"):
         frame_derivatives(unrecorded, [Parameter("young")])
     with pytest.raises(LoadError, match="record=True"):
         frame_adjoints(unrecorded, [])
-    found = solve_frames(MESH, tr.Material(9.0, 0.4), TIMES, pads=[pad], record=True)
+    found = solve_frames(MESH, tr.Material(9.0, 0.4), TIMES, Acting(pads=[pad]), settings=FrameSettings(record=True))
     for error, match, cause in [
         (MaterialError, "SetFraction of this behaviour", Parameter("set.fraction")),
         (MaterialError, "springs 0 of 0", Parameter("springs.normal_kpa_per_mm")),

@@ -16,6 +16,7 @@ from tissuereg.registration.register import register
 from tissuereg.registration.result import Registration
 from tissuereg.registration.settings import RegisterSettings
 from tissuereg.simulation.experiment import believed_case
+from tissuereg.simulation.frames import FrameSettings
 from tissuereg.simulation.memory import goes_through_time, is_carried, solve_through_time
 from tissuereg.simulation.solve import ELEMENTS
 
@@ -125,7 +126,8 @@ def _through_time(experiment: Experiment, case: Case, frame: int, element: str, 
     """Return the displacement of a frame, by solving its case, or all cases, from the start."""
     carried = is_carried(experiment)
     before = [other for other in experiment.cases.values() if carried and other.times[0] < case.times[0]]
-    solved = solve_through_time(experiment, [*before, case], element=element, threads=threads)[case.name]
+    settings = FrameSettings(element, threads=threads)
+    solved = solve_through_time(experiment, [*before, case], settings=settings)[case.name]
     for lost, why in solved.failed:
         if lost == frame:
             message = f"frame {frame} of case '{case.name}' must find equilibrium: {why}"

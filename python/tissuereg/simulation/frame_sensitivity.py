@@ -2,7 +2,7 @@
 
 The derivatives are exact, with one factorisation per step for all causes and all observations; the material's memory is
 differentiated too. At a switch (first loading of a softening material, slack fibres) the derivative is one-sided.
-Frames are recorded by ``solve_frames(..., record=True)``.
+Frames are recorded by ``FrameSettings(record=True)``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -113,7 +113,7 @@ def frame_derivatives(frames: Frames, causes: Sequence[FrameCause]) -> FrameDeri
     Parameters
     ----------
     frames : Frames
-        Found by ``solve_frames(..., record=True)``.
+        Found by ``FrameSettings(record=True)``.
     causes : sequence of Parameter, Field, Load, Loads or Motion
         Causes; the cost is one solution each per step.
 
@@ -138,11 +138,12 @@ def frame_derivatives(frames: Frames, causes: Sequence[FrameCause]) -> FrameDeri
     --------
     >>> from tissuereg import Material, Mesh
     >>> from tissuereg.simulation.behaviour import Behaviour, Relaxation
-    >>> from tissuereg.simulation.frames import Pad, solve_frames
+    >>> from tissuereg.simulation.frames import Acting, FrameSettings, Pad, solve_frames
     >>> from tissuereg.simulation.sensitivity import Parameter
     >>> block = Mesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 1, 2, 3]], {"fixed": [0, 1, 2]})
     >>> push, slow = Pad("tip", [3], [[0, 0, -1.0]] * 2), Behaviour(relaxation=Relaxation([0.3], [2.0]))
-    >>> found = solve_frames(block, Material(young=10.0), [0.0, 50.0], pads=[push], behaviour=slow, record=True)
+    >>> acting, settings = Acting(pads=[push]), FrameSettings(record=True)
+    >>> found = solve_frames(block, Material(), [0.0, 50.0], acting, behaviour=slow, settings=settings)
     >>> by_share = frame_derivatives(found, [Parameter("relaxation.g")]).pad_forces["tip"][0, :, 2]
     >>> bool(abs(by_share[0]) < 1e-12), bool(abs(by_share[1] + found.pad_forces["tip"][0, 2]) < 1e-6)
     (True, True)
@@ -164,7 +165,7 @@ def frame_adjoints(frames: Frames, observations: Sequence[FrameObservation]) -> 
     Parameters
     ----------
     frames : Frames
-        Found by ``solve_frames(..., record=True)``.
+        Found by ``FrameSettings(record=True)``.
     observations : sequence of FrameObservation
         Observations; the cost is one solution each per step.
 
@@ -198,7 +199,7 @@ def frame_adjoints(frames: Frames, observations: Sequence[FrameObservation]) -> 
 def _recorded(frames: Frames) -> tuple[Record, IntArray]:
     """Return the record of frames, and the indices of those that were found."""
     if frames.record is None:
-        message = "frames must be recorded for derivatives: `solve_frames(..., record=True)`"
+        message = "frames must be recorded for derivatives: `FrameSettings(record=True)`"
         raise LoadError(message, where="frames")
     lost = {frame for frame, _ in frames.failed}
     return frames.record, np.array([k for k in range(len(frames.times)) if k not in lost], dtype=np.int64)
